@@ -4,7 +4,8 @@ VENV ?= .venv
 OUT ?= demo
 JOBS ?= 2
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# pip says what it does: the first install takes a minute or more.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # One thread for each process. Bytecode of the tests is kept: without it each process rewrites all their files. Workers
 # take neighbors in a file, so that most fixtures are made once.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
@@ -57,7 +58,10 @@ bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/
 	$(BIN)/python -m benchmarks
 
 MINUTES ?= 30
-soak: $(VENV)/.bench  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less); docs/results/soak.md
+FORGED ?= 1000000
+soak: $(VENV)/.bench  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less), a million forged messages; docs/results/soak.md
+	$(PIP) --editable '.[agents]'
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.messages --flood --forged $(FORGED)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
 
 fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers

@@ -51,7 +51,7 @@ beyond {FAR_M:.0f} m; means over the sweeps. Good returns are those that estimat
 vehicle itself are left out. `empty_sector` drops nothing; the number of its false alarms is given. `temporal` has up to
 {PAST} earlier sweeps of the same drive. A dash: the sweeps lack what the defense needs, or have no such returns.
 
-What [defenses](../defenses.md) are for, and which parameters they have here."""
+What [defenses](../attacks.md#defenses) are for, and which parameters they have here."""
 TIME = f"""## Time
 
 Median (10th to 90th percentile) on simulated sweeps of a junction; `temporal` has {PAST} earlier sweeps."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -118,14 +119,22 @@ def main() -> None:
     """Measure, print and write the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.messages", description=__doc__)
     parser.add_argument("--index", type=Path, default=INDEX, help="index of real sweeps")
-    parser.add_argument("--forged", type=int, default=100_000, help="forged messages in the flood")
+    parser.add_argument("--forged", type=int, default=1_000_000, help="forged messages in the flood")
+    parser.add_argument(
+        "--flood", action="store_true", help="the flood alone: no page, exits with 1 where one is taken"
+    )
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
+    key = SigningKey.generate("car1")
+    rng = np.random.default_rng(SEED)
+    if chosen.flood:
+        view = load_estimator("viewnet").estimate(next(simulated()))
+        content = flood(view, key, chosen.forged, rng)
+        print(content)
+        sys.exit(0 if "| of these accepted | 0 |" in content else 1)
     sweeps = list(readable(chosen.index))
     views = {method: estimates(method, sweeps[::each]) for method, each in METHODS.items()}
     others = {f"`{method}`, simulated": estimates(method, list(simulated())) for method in ("shadow_map", "viewnet")}
-    key = SigningKey.generate("car1")
-    rng = np.random.default_rng(SEED)
     signed = [sign_message(message_of(view, k, rng), key) for k, view in enumerate(views["viewnet"])]
     named = {f"`{method}`": found for method, found in views.items()} | others
     content = page(

@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks import clouds
 from benchmarks.timing import Timing, summary, times_of
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.estimators.batch import estimate_all
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import UnetEstimator
@@ -104,7 +105,7 @@ def main() -> None:
         load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
     )
     words = text((card, ours), chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
-    chosen.out.write_text(page("Speed of the network", told, words, table(HEAD, rows)), "utf-8")
+    write_page(chosen.out, page("Speed of the network", told, words, table(HEAD, rows)))
     print(f"written to {chosen.out}")
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from viewshed import _page as report
+from viewshed._results import write_page
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ one in a home that is empty, where nothing is cached; later ones follow in the s
 def write(rows: Sequence[Row], facts: dict[str, str], page: Path) -> None:
     """Write the page (Markdown) and beside it the same as JSON."""
     body = report.table(HEAD, [row.cells() for row in rows])
-    page.write_text(report.page("Speed", facts, INTRODUCTION, _verdict(rows), body), encoding="utf-8")
+    write_page(page, report.page("Speed", facts, INTRODUCTION, _verdict(rows), body))
     content = {"facts": facts, "rows": [asdict(row) for row in rows]}
     page.with_suffix(".json").write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 

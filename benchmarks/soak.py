@@ -28,6 +28,7 @@ import numpy as np
 
 from benchmarks.damage import DAMAGES, Cloud, cloud_of
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
@@ -131,7 +132,7 @@ def main() -> None:
         ),
         _INTRO, *parts, _COLUMNS,
     )  # fmt: skip
-    chosen.page.write_text(content, encoding="utf-8")
+    write_page(chosen.page, content)
     print(content)
     if pipeline.faults or (node is not None and node.faults):
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""Record LiDAR sweeps, poses and boxes in a running CARLA server, in the layout of docs/recording.md.
+"""Record LiDAR sweeps, poses and boxes in a running CARLA server, in the layout of viewshed.datasets.recordings.carla.
 
     pip install carla
     ./CarlaUE4.sh -RenderOffScreen &

@@ -17,6 +17,12 @@ if ! cmp -s "$root/ros/viewshed_ros/requirements.txt" "$venv/requirements.txt"; 
         -r "$root/ros/viewshed_ros/requirements.txt" >"$venv/pip.log" 2>&1 || { tail -3 "$venv/pip.log" >&2; skip "the wheels of ROS cannot be had"; }
     cp "$root/ros/viewshed_ros/requirements.txt" "$venv/"
 fi
+# What objects and agents need is added to an environment that is there.
+if ! cmp -s "$root/ros/viewshed_ros/requirements_agents.txt" "$venv/requirements_agents.txt"; then
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes \
+        -r "$root/ros/viewshed_ros/requirements_agents.txt" >"$venv/pip.log" 2>&1 || { tail -3 "$venv/pip.log" >&2; skip "the wheels of agents cannot be had"; }
+    cp "$root/ros/viewshed_ros/requirements_agents.txt" "$venv/"
+fi
 # The wheels set these two for their own Python; what another one set would mislead it.
 exec env -u LD_LIBRARY_PATH -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
     PYTHONPATH="${VIEWSHED_SOURCES-$root/src:}$root/ros/viewshed_ros:$root" OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" \

@@ -1,6 +1,7 @@
 """The native core as a whole: its stub, its threads, its version, and arrays that are not what they should be."""
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -48,8 +49,8 @@ def test_a_core_of_another_version_is_refused_by_name() -> None:
     code = "import viewshed._core as c, sys; c.__version__ = '0.0.1'; del sys.modules['viewshed']; import viewshed"
     run = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False)
     assert run.returncode == 1
-    said = f"native core must be of version {viewshed.__version__}, got 0.0.1; build it: pip install ."
-    assert run.stderr.splitlines()[-1] == f"ImportError: viewshed's {said}"
+    said = f"ImportError: viewshed's native core must be of version {viewshed.__version__}, got 0.0.1;"
+    assert run.stderr.splitlines()[-1] == f"{said} install viewshed anew (in a checkout: pip install .)"
 
 
 def test_forked_processes_and_threads_use_the_core() -> None:
@@ -74,6 +75,33 @@ for each in workers: each.join()
 assert found == [True] * 4
 _core.set_threads(1)
 assert same()
+"""
+    subprocess.run((sys.executable, "-W", "ignore", "-c", code), check=True, timeout=60)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_processes_forked_while_threads_allocate_use_the_core() -> None:
+    # Memory that is used again stands behind a lock, which no thread may hold while the process forks.
+    code = """
+import os, threading
+import numpy as np
+from viewshed import _core
+points = np.random.default_rng(0).normal(size=(64, 3)).astype(np.float32) * 20
+ring = np.random.default_rng(1).integers(0, 16, 64).astype(np.int16)
+call = lambda: _core.range_image(points, ring, 128, 16, 0.5, 250.0)
+done = threading.Event()
+def work():
+    while not done.is_set(): call()
+workers = [threading.Thread(target=work, daemon=True) for _ in range(3)]
+for each in workers: each.start()
+for _ in range(40):
+    child = os.fork()
+    if child == 0:
+        for _ in range(20): call()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+done.set()
+for each in workers: each.join()
 """
     subprocess.run((sys.executable, "-W", "ignore", "-c", code), check=True, timeout=60)
 

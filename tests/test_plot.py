@@ -9,7 +9,18 @@ from numpy.typing import NDArray
 from viewshed import BevGrid, CellState, FovEstimate, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import Basis
-from viewshed.plot import COLORS, Panel, _fit, _raster, _title_lines, comparison, contact_sheet, picture
+from viewshed.plot import (
+    COLORS,
+    Panel,
+    _fit,
+    _raster,
+    _title_lines,
+    color_map,
+    comparison,
+    contact_sheet,
+    draw,
+    picture,
+)
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sim import Box, Scene, cast
@@ -36,11 +47,51 @@ def test_forward_is_up_and_left_is_left() -> None:
     assert np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN], atol=0.01)
 
 
-def test_points_are_painted_where_they_are() -> None:
-    sweep = Sweep(np.array([[7.5, 7.5, 1.0], [7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5)
+def test_points_are_painted_where_they_are_and_surfaces_above_them() -> None:
+    sweep = Sweep(np.array([[7.5, 7.5, 1.0], [-7.5, -7.5, 1.0]], np.float32), sensor_height_m=1.5)
     raster = _raster(Panel(_estimate(), "", level(sweep, GRID)), 16) / 255
-    assert not np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
+    assert np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
+    assert not np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN], atol=0.01)
     assert np.allclose(raster[0, 1], COLORS[CellState.UNKNOWN], atol=0.01)
+
+
+def test_scales_are_the_same_in_every_picture_and_doubt_shows_beside_the_probability() -> None:
+    """A doubt of .5 is the brightest color, whatever the greatest doubt or deviation of the estimate is."""
+    unsure = _estimate()
+    sure = np.full(GRID.shape, 0.9, np.float32)
+    half = np.full(GRID.shape, 0.5, np.float32)
+    std = np.full(GRID.shape, 0.05, np.float32)
+    brightest, darker = color_map("magma")[255] / 255, color_map("magma")[51] / 255
+    shown = [_image(draw(Panel(replace(unsure, visible_prob=prob, std=std), "x"))) for prob in (half, sure)]
+    found = [[_count(image, color) for color in (brightest, darker)] for image in shown]
+    assert found[0][0] > 10_000 > found[1][0]  # the map of doubt, and not the bars beside the maps
+    assert found[1][1] - found[0][1] > 10_000
+    again = _image(draw(Panel(replace(unsure, visible_prob=sure, std=std / 2), "x")))
+    np.testing.assert_array_equal(shown[1][:450], again[:450])  # another deviation changes no other scale
+
+
+def _count(image: NDArray[np.float32], color: NDArray[np.float64]) -> int:
+    return int((np.abs(image - color).max(axis=-1) < 0.004).sum())
+
+
+def test_a_dark_page_has_the_same_maps() -> None:
+    leveled = level(Sweep(np.array([[7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5), GRID)
+    prob = np.full(GRID.shape, 0.7, np.float32)
+    for estimate in (_estimate(), replace(_estimate(), visible_prob=prob)):
+        light, dark = (_image(draw(Panel(estimate, "x", leveled), dark=page)) for page in (False, True))
+        assert light.shape == dark.shape
+        assert light[0, 0].min() == 1.0
+        assert dark[0, 0].max() < 0.2
+        np.testing.assert_array_equal(light[50:650, 20:620], dark[50:650, 20:620])
+
+
+def test_points_have_a_legend_of_their_colors() -> None:
+    leveled = level(Sweep(np.array([[7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5), GRID)
+    estimate = replace(_estimate(), visible_prob=np.full(GRID.shape, 0.7, np.float32))
+    low = color_map("viridis")[0] / 255
+    with_points, without = (_image(draw(Panel(estimate, "x", points))) for points in (leveled, None))
+    assert _count(with_points[-100:], low) > 0
+    assert _count(without[-100:], low) == 0
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

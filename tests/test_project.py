@@ -7,8 +7,11 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 
+import docs_site
 import pytest
 import yaml
 
@@ -17,6 +20,8 @@ import viewshed
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src" / "viewshed").rglob("*.py"))
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
+RUN = ("index", "tutorial", "conventions", "simulate", "attacks", "agents", "messages")
+"""Pages whose Python blocks are run."""
 HEAVY = ("numpy", "numba", "matplotlib", "PIL", "shapely", "onnxruntime", "pyarrow", "scipy", "typer")
 
 
@@ -70,21 +75,11 @@ def test_version_is_in_changelog_and_citation() -> None:
 
 
 def test_every_command_and_estimator_is_documented() -> None:
-    from typer.main import get_command
-
-    from viewshed.cli import app
-
-    words = _words_for_users()
-    assert [name for name in _commands(get_command(app)) if f"viewshed {name}" not in words] == []
+    words, rows = _words_for_users(), re.findall(r"^\| .*", _text("docs/cli.md"), re.MULTILINE)
+    listed = {name for row in rows for name in re.findall(r"`([a-z ]+)`", row)}
+    listed |= {f"study {name}" for row in rows if row.startswith("| study") for name in re.findall(r"`([a-z]+)`", row)}
+    assert set(docs_site.command_names()) <= listed
     assert [name for name in viewshed.ESTIMATORS if f"`{name}`" not in words] == []
-
-
-def _commands(group: object, prefix: str = "") -> Iterator[str]:
-    for name, command in getattr(group, "commands").items():  # noqa: B009 - click's type is not exported by typer
-        if getattr(command, "commands", None):
-            yield from _commands(command, f"{prefix}{name} ")
-        elif not command.hidden:
-            yield f"{prefix}{name}"
 
 
 def test_no_grab_bags_and_no_open_ends() -> None:
@@ -120,9 +115,11 @@ def test_license_is_apache() -> None:
 
 def test_every_page_is_in_the_navigation_and_every_link_leads_somewhere() -> None:
     site = yaml.safe_load(_text("mkdocs.yml"))
-    listed = sorted([*_leaves(site["nav"]), *site["exclude_docs"].split()])
-    assert listed == sorted(str(path.relative_to(ROOT / "docs")) for path in PAGES)
-    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES]:
+    notebooks = [path.with_suffix(".md") for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")]
+    pages = [str(path.relative_to(ROOT / "docs")) for path in [*PAGES, *notebooks]]
+    kept = [page for page in pages if not any(map(partial(fnmatch, page), site["exclude_docs"].split()))]
+    assert sorted(_leaves(site["nav"])) == sorted([*kept, *docs_site.ELSEWHERE])
+    for page in [*(ROOT / name for name in ("README.md", *docs_site.ELSEWHERE.values())), *PAGES]:
         prose = re.sub(r"^```.*?^```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
         for target in re.findall(r"\]\((?!https?://|#|mailto:)([^)#\s]+)", prose):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
@@ -147,22 +144,34 @@ def test_make_commands_in_the_pages_are_targets() -> None:
     assert shown <= set(re.findall(r"^([a-z]+):", _text("Makefile"), re.MULTILINE))
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/conventions.md", "docs/simulator.md"])
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{name}.md" for name in RUN)])
 def test_python_in_the_pages_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs every python block of a page, in order, and compares what the comments after # → say."""
     blocks = re.findall(r"^```python\n(.*?)^```", _text(page), re.MULTILINE | re.DOTALL)
     assert blocks, f"{page} shows no Python"
     monkeypatch.chdir(tmp_path)
     scope: dict[str, object] = {}
-    for line in "".join(blocks).splitlines():
-        code, _, said = line.partition("# →")
+    code = "".join(blocks)
+    for statement in ast.parse(code).body:
+        said = code.splitlines()[statement.end_lineno - 1].partition("# →")[2] if statement.end_lineno else ""
         if said:
-            assert str(eval(code, scope)) == said.strip(), line
+            assert str(eval(ast.unparse(statement), scope)) == said.strip(), ast.unparse(statement)
         else:
-            exec(code, scope)
+            exec(ast.unparse(statement), scope)
 
 
 def test_shell_scripts_parse() -> None:
     checked = subprocess.run(["bash", "-n", str(ROOT / ".ci" / "run")], check=False, capture_output=True)
     assert checked.returncode == 0
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
+
+
+def test_figures_of_the_readme_are_those_of_the_pages_that_it_links() -> None:
+    """Each paragraph that says "Measured" has bold figures, and the page that it links has every one of them."""
+    measured = [part for part in re.split(r"\n{2,}", _text("README.md")) if part.startswith("Measured")]
+    assert len(measured) == 3
+    for paragraph in measured:
+        page = _text(re.findall(r"\]\((docs/results/\w+\.md)\)", paragraph)[0])
+        figures = [one.removeprefix("F1 ") for one in re.findall(r"\*\*(.*?)\*\*", paragraph)]
+        assert figures
+        assert [figure for figure in figures if figure not in page] == []

@@ -15,6 +15,7 @@ from typing import Any, get_args
 import numpy as np
 
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
 from viewshed.estimators import CLASSICAL, DEFAULT_ESTIMATOR, Estimator, load_estimator
@@ -286,7 +287,7 @@ def report(count: int) -> str:
 def main() -> None:
     """Write the report."""
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/results/aimed_attacks.md")
-    out.write_text(report(int(sys.argv[2]) if len(sys.argv) > 2 else 24), "utf-8")
+    write_page(out, report(int(sys.argv[2]) if len(sys.argv) > 2 else 24))
 
 
 if __name__ == "__main__":

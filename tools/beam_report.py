@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed._results import with_numbers, write_page
 from viewshed.io import read_index, read_indexed, read_sweep
 from viewshed.preprocess.beam_matching import polar
 from viewshed.preprocess.elevation_clusters import rings_by_clusters
@@ -128,8 +129,6 @@ def page(found: list[Row], command: str) -> str:
     shown = sum(row.clusters > 0 for row in found)
     confusion = Counter((row.sensor, row.inferred, row.blind) for row in found)
     head = [
-        "# Rings, beams and sensors recovered from real sweeps", "",
-        f"{len(found)} sweeps; {datetime.datetime.now(datetime.UTC):%Y-%m-%d}; {_machine()}; `{command}`", "",
         f"A sensor was named for {named} of {len(found)}. Rings came from: "
         + ", ".join(f"{source} {count}" for source, count in sources.most_common()) + ". Without table, rings and"
         f" order, the elevations of {shown} show rings; the others drove far in the revolution, are not in the sensor's"
@@ -143,10 +142,15 @@ def page(found: list[Row], command: str) -> str:
         "## Named as", "",
     ]  # fmt: skip
     tally = [[*names, str(count)] for names, count in confusion.items()]
-    return "\n".join(
+    body = "\n".join(
         head + _table(("sensor, as the index says", "inferred", "shuffled, no rings", "sweeps"), tally)
-        + ["", "## Each sweep", ""] + _table(_HEAD, [row.cells() for row in found]) + [""]
+        + ["", "## Each sweep", ""] + _table(_HEAD, [row.cells() for row in found])
     )  # fmt: skip
+    made = (
+        f"- sweeps: {len(found)}\n- date: {datetime.datetime.now(datetime.UTC):%Y-%m-%d}\n"
+        f"- machine: {_machine()}\n- command: `{command}`"
+    )
+    return with_numbers("Rings, beams and sensors recovered from real sweeps", made, body)
 
 
 def _table(head: tuple[str, ...], body: list[list[str]]) -> list[str]:
@@ -163,7 +167,7 @@ def main(arguments: list[str]) -> int:
         found.append(row)
         print(" | ".join(row.cells()), flush=True)
     out = Path(arguments[1] if len(arguments) > 1 else "docs/results/beams.md")
-    out.write_text(page(found, "python tools/beam_report.py DATA_DIR OUT.md FILE ..."), encoding="utf-8")
+    write_page(out, page(found, "python tools/beam_report.py DATA_DIR OUT.md FILE ..."))
     return 0
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from viewshed import GRIDS, CellState
 from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.estimators import ESTIMATORS
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.plot import Panel, contact_sheet
@@ -44,10 +45,10 @@ def main() -> None:
         panels += [replace(panel, title=f"{number} · {panel.title}")] if panel is not None else []
         sys.stderr.write(f"{row[0]}\n")
     write_atomic(arguments.out / "real_sweeps.png", contact_sheet(panels))
-    judgement = (arguments.out / "real_sweeps_judgement.md").read_text(encoding="utf-8")
+    judgement = Path(__file__).with_name("real_sweeps_judgement.md").read_text(encoding="utf-8")
     picture = "![Contact sheet of the estimates](real_sweeps.png)"
     text = page("Every real sweep", facts(method="shadow_map, car"), picture, judgement.strip(), table(HEADER, rows))
-    write_atomic(arguments.out / "real_sweeps.md", text.encode())
+    write_page(arguments.out / "real_sweeps.md", text)
 
 
 def _estimated(entry: IndexEntry, grid: str, name: str) -> tuple[list[str], Panel | None]:

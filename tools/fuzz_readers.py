@@ -30,6 +30,7 @@ import numpy as np
 from recording_files import recordings, write
 from sweep_files import SampleFile, ouster_metadata, samples
 
+from viewshed._results import with_numbers
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io import read_index, read_sweeps
@@ -271,12 +272,6 @@ def report(tallies: dict[str, Tally], minutes: float, seed: int) -> str:
     """Return the results as a Markdown page."""
     sizes = {name: len(sample.content) for name, sample in cases().items()}
     lines = [
-        "# Fuzzing the readers",
-        "",
-        f"Command: `python tools/fuzz_readers.py --minutes {minutes:g} --seed {seed}`, "
-        f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {platform.machine()}, Linux, "
-        f"Python {platform.python_version()}, numpy {np.__version__}, one process.",
-        "",
         "Each case is a small valid file with one to six random damages, read with its format named (2 of 3), to be "
         "found out (1 of 3), or as a file of a recording. It must give a sweep of finite points, or a ValueError or "
         f"OSError of one line that names the file, within {CASE_SECONDS} s. Memory is the peak of Python's and numpy's "
@@ -297,7 +292,12 @@ def report(tallies: dict[str, Tally], minutes: float, seed: int) -> str:
             f"| {1000 * tally.slowest_s:.0f} |"
         )
     executions = sum(tally.done for tally in tallies.values())
-    return "\n".join([*lines, "", f"Executions in all: {executions}.", ""])
+    made = (
+        f"- command: `python tools/fuzz_readers.py --minutes {minutes:g} --seed {seed}`, one process\n"
+        f"- date: {datetime.datetime.now(datetime.UTC):%Y-%m-%d}\n"
+        f"- version: {platform.machine()}, Linux, Python {platform.python_version()}, numpy {np.__version__}"
+    )
+    return with_numbers("Fuzzing the readers", made, "\n".join([*lines, "", f"Executions in all: {executions}."]))
 
 
 def main() -> None:

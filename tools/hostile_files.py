@@ -397,20 +397,24 @@ def total_bytes(path: Path) -> int:
 
 def report(rows: list[str], with_before: bool) -> str:
     """Return the page."""
+    from viewshed._results import with_numbers  # here: this file also runs with versions that do not have it
+
     head = "| file | bytes |" + (" before: s | MB | outcome |" if with_before else "") + " now: s | MB | outcome |"
     rule = "|---|---|" + ("---|---|---|" if with_before else "") + "---|---|---|"
-    return "\n".join([
-        "# Hostile files", "",
-        f"Command: `python tools/hostile_files.py --before CHECKOUT`, {datetime.datetime.now(datetime.UTC):%Y-%m-%d}, "
-        f"{platform.machine()}, Linux, Python {platform.python_version()}, numpy {np.__version__}. *Before* is "
-        "commit d5ad149, the last with the former layout.", "",
+    made = (
+        "- command: `python tools/hostile_files.py --before CHECKOUT`\n"
+        f"- date: {datetime.datetime.now(datetime.UTC):%Y-%m-%d}\n"
+        f"- version: {platform.machine()}, Linux, Python {platform.python_version()}, numpy {np.__version__}\n"
+        "- before: commit d5ad149, the last with the former layout"
+    )
+    return with_numbers("Hostile files", made, "\n".join([
         "Files that were built to kill, stall or swell a reader. Each is read in a process of its own after everything "
         f"is loaded: seconds of the processor (given up after {GIVE_UP_S}), growth of the process's memory (at most "
         f"{MEMORY_BYTES // 10**9} GB), and how it ended: *read*, *one line* that names a file, or the exception that "
         f"would end a whole run. The aim is at most {LIMIT_S:g} s, and the larger of {RATIO} × the file and "
         f"{LIMIT_BYTES // 10**6} MB; what misses it is bold. The rows were measured in several runs (`--only`).", "",
-        head, rule, *rows, "",
-    ])  # fmt: skip
+        head, rule, *rows,
+    ]))  # fmt: skip
 
 
 def _cells(cost: Cost, size: int) -> str:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from viewshed._jobs import engine_named
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.datasets import Sample, Storage
 from viewshed.datasets.archive.archive import ArchiveSource
 from viewshed.datasets.labeling import Rules, Track
@@ -190,6 +191,6 @@ def report(samples: int) -> str:
 if __name__ == "__main__":
     text = report(int(sys.argv[2]) if len(sys.argv) > 2 else 40)
     if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(text, encoding="utf-8")
+        write_page(Path(sys.argv[1]), text)
     else:
         print(text)

@@ -19,7 +19,7 @@ OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "model_card.md"
 _ABOUT = """\
 What the package ships, read from the files themselves. All were trained on simulated sweeps alone, so that their
 licence is that of viewshed. What they say is a probability that a target of the named kind, standing in a cell, would
-have given enough returns ([what visible means](../truth.md)).
+have given enough returns ([what visible means](../conventions.md#visible)).
 
 ## Files"""
 _TRAINING = """\
@@ -33,7 +33,7 @@ _DATA = """\
 ## Data
 
 Sweeps of the presets' `train` split; the others were never trained on. Weather and faults are drawn by weight,
-positions, motion and traffic by the seed ([simulator](../simulator.md))."""
+positions, motion and traffic by the seed ([simulator](../simulate.md))."""
 _WORTH = """\
 ## What they are worth
 

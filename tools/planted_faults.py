@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import datetime
 import difflib
 import queue
 import re
@@ -26,6 +27,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from with_checkout import environment_of
+
+from viewshed._page import commit_of
+from viewshed._results import with_numbers, write_page
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("src") / "viewshed"
@@ -423,8 +427,6 @@ def report(verdicts: list[Verdict]) -> str:
     """Return the results as a Markdown page."""
     caught = sum(verdict.caught_by is not None for verdict in verdicts)
     lines = [
-        "# Planted faults",
-        "",
         "Each fault is put into a copy of the package by hand, and the tests of its part run until one fails:",
         "`python tools/planted_faults.py` (the faults are in `tools/planted_faults.toml`).",
         "",
@@ -436,7 +438,8 @@ def report(verdicts: list[Verdict]) -> str:
     for verdict in verdicts:
         file = verdict.planted.symbol.file.as_posix().removeprefix("../")
         lines.append(f"| {verdict.planted.fault.what} | `{file}` | {str(verdict).replace('|', '/')} |")
-    return "\n".join(lines) + "\n"
+    made = f"- date: {datetime.datetime.now(datetime.UTC):%Y-%m-%d}\n- version: viewshed, commit {commit_of(ROOT)}"
+    return with_numbers("Planted faults", made, "\n".join(lines))
 
 
 def main() -> int:
@@ -461,7 +464,7 @@ def main() -> int:
         parser.error(f"--only must be in a description, symbol or file of a fault, got {given.only!r}")
     verdicts = run_all(chosen, given.jobs)
     if given.out is not None:
-        given.out.write_text(report(verdicts), encoding="utf-8")
+        write_page(given.out, report(verdicts))
     return int(any(verdict.caught_by is None for verdict in verdicts))
 
 

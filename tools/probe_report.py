@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from placed_probes import Probes, Setting, place, reason
 
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.grid import GRIDS
 from viewshed.sensors import lidar_model
@@ -170,6 +171,6 @@ def report(count: int) -> str:
 if __name__ == "__main__":
     text = report(int(sys.argv[2]) if len(sys.argv) > 2 else 600)
     if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(text, encoding="utf-8")
+        write_page(Path(sys.argv[1]), text)
     else:
         print(text)

@@ -27,8 +27,8 @@ from realism import (
     sweep_statistics,
 )
 
-from viewshed._files import write_atomic
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.grid import BevGrid
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.preprocess.ring_recovery import recover_rings
@@ -121,7 +121,7 @@ def main() -> None:
     found = [one for group in GROUPS for one in _compared(group, index, given)]
     _draw(found, given.out.with_suffix(".png"))
     told = facts(simulated=f"{given.sweeps} sweeps a group, clear, worlds {', '.join(WORLDS)}", seed=str(given.seed))
-    write_atomic(given.out, page("Simulated against real sweeps", told, *_parts(found)).encode())
+    write_page(given.out, page("Simulated against real sweeps", told, *_parts(found)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

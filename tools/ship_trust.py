@@ -1,7 +1,7 @@
 """Write what trust between agents needs into the package, from a study: ``python tools/ship_trust.py STUDY``.
 
-``claims.json``: what a claim of visibility is worth. ``limits.json``: how large evidence and doubt become where nobody
-lies.
+``claims.json``: what a claim of visibility is worth. ``honest.json``: what honest agents report. ``limits.json``: how
+large evidence and doubt become where nobody lies.
 """
 
 from __future__ import annotations
@@ -14,31 +14,30 @@ import numpy as np
 
 from viewshed._files import write_atomic
 from viewshed.fusion.trust import TrustLimits
-from viewshed.studies.agents.jobs import CLAIMS
+from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL
 from viewshed.studies.agents.page import AgentsResults
 from viewshed.studies.agents.plan import AgentsPlan
-from viewshed.studies.cases import generator
 from viewshed.studies.store import FILE, ResultStore
 
 FUSION = Path(__file__).parents[1] / "src/viewshed/fusion"
 
 
 def limits_of(study: Path) -> TrustLimits:
-    """Return the limits of the calibration scenes of a study, one random agent of each."""
+    """Return the limits of the calibration scenes of a study: of each the most suspicious agent."""
     head = json.loads((study / FILE).open(encoding="utf-8").readline())
     plan = AgentsPlan.from_json(head["plan"])
     runs = [run for _, run in AgentsResults(plan, ResultStore.open(study, plan).results("run")).runs("calibration")]
-    rng = generator(plan.seed, "agents")
-    evidence = [float(np.max(run.evidence, axis=0)[rng.integers(len(run.evidence[0]))]) for run in runs]
+    evidence = [float(np.max(run.evidence)) for run in runs]
     return TrustLimits.of(np.array(evidence), np.array([max(run.doubt) for run in runs]))
 
 
 def main() -> None:
-    """Write both files."""
+    """Write the files."""
     study = Path(sys.argv[1])
     limits = limits_of(study)
     write_atomic(FUSION / "limits.json", limits.to_json().encode())
-    write_atomic(FUSION / "claims.json", (study / CLAIMS).read_bytes())
+    for name in (CLAIMS, HONEST_MODEL):
+        write_atomic(FUSION / name, (study / name).read_bytes())
     print(f"limits of {len(limits.evidence)} scenes, largest evidence {limits.evidence[-1]:.2f} nats")
 
 

@@ -115,7 +115,7 @@ def processor_s(process: int) -> float:
 
 @dataclass(slots=True)
 class Stream:
-    """One sensor's topic: what is published, and when each message was and its grid came."""
+    """One sensor's topic: what is published, when each message was and its grid came, and how many have none."""
 
     name: str
     message: bytes
@@ -123,6 +123,7 @@ class Stream:
     t_ns: int = BEGIN_NS
     put_s: dict[int, float] = field(default_factory=dict)
     latency_s: list[float] = field(default_factory=list)
+    dropped: int = 0
     publish: Callable[[bytes], None] = lambda _: None
 
     def send(self) -> None:
@@ -137,11 +138,13 @@ class Stream:
         now_s, t_ns = time.perf_counter(), stamp_ns(grid)
         if t_ns in self.put_s:
             self.latency_s.append(now_s - self.put_s[t_ns])
+            self.dropped += sum(each < t_ns for each in self.put_s)
             self.put_s = {each: put_s for each, put_s in self.put_s.items() if each > t_ns}
 
     def waiting(self) -> int:
         """Return how many messages have no grid yet; one of half a second ago is lost."""
         lost_s = time.perf_counter() - 0.5
+        self.dropped += sum(put_s <= lost_s for put_s in self.put_s.values())
         self.put_s = {each: put_s for each, put_s in self.put_s.items() if put_s > lost_s}
         return len(self.put_s)
 
@@ -226,6 +229,7 @@ class Load:
         """Begin to count anew."""
         for stream in self.streams:
             stream.latency_s.clear()
+            stream.dropped = 0
 
     def close(self) -> None:
         """End."""

@@ -17,10 +17,23 @@ from typing import Any
 import numpy as np
 import rclpy
 from load import Load, Stream, cloud_bytes, memory_mb, processor_s, running_node, scan_bytes
+from rclpy.serialization import serialize_message
 
+from viewshed.estimators import load_estimator
+from viewshed.geometry import Rigid
+from viewshed.grid import GRIDS
+from viewshed.integrity.evidence import SECTORS
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
+from viewshed_ros.conversions import stamp_of
+from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
+UNDER_WAY = (1, 2, 3)
+"""Of one sensor at a time: with three, one for each thread that works and one that waits."""
+
+TOPIC_MESSAGES = 30
 SENSOR_HZ = 10.0
 
 
@@ -47,6 +60,7 @@ def _measured(folder: Path, seconds: float) -> Iterator[dict[str, Any]]:
     yield _at_ten_hz(
         f"{AGENTS} agents", [Stream(f"agent{number}", clouds["VLP-16"]) for number in range(AGENTS)], seconds
     )
+    yield from _topics(_sweep(folder / "35k.npz"))
     with tempfile.TemporaryDirectory() as empty:
         for caches, prefix in (("cold", empty), ("warm", empty)):
             yield {"case": "start", "caches": caches, "first_s": _start_s(clouds["35k"], prefix)}
@@ -58,7 +72,7 @@ def _sweep(path: Path) -> Sweep:
 
 
 def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:
-    """Yield latency with one message under way, and the rate with two of a cloud, three of a scan."""
+    """Yield latencies and rates with so many messages under way."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
     if is_scan:
         parameters |= {"lidar.type": "scan", "grid": "indoor"}
@@ -68,7 +82,7 @@ def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan:
         load.wait_for_node()
         load.first_answer()
         load.run_closed(1.0, 2)
-        for under_way in (1, 3 if is_scan else 2):
+        for under_way in UNDER_WAY:
             load.forget()
             before_s = processor_s(node.pid)
             passed_s = load.run_closed(seconds, under_way)
@@ -77,6 +91,7 @@ def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan:
                 "case": name, "monitor": monitor, "under_way": under_way, **_latencies(stream),
                 "hz": len(stream.latency_s) / passed_s, "processor_ms": 1e3 * used_s / max(len(stream.latency_s), 1),
                 "cores": used_s / passed_s, "memory_mb": memory_mb(node.pid),
+                "dropped": stream.dropped, "taken_ms": [round(1e3 * seconds, 2) for seconds in stream.latency_s],
             }  # fmt: skip
     load.close()
 
@@ -101,6 +116,23 @@ def _at_ten_hz(name: str, streams: list[Stream], seconds: float) -> dict[str, An
         }  # fmt: skip
     load.close()
     return found
+
+
+def _topics(sweep: Sweep) -> Iterator[dict[str, Any]]:
+    """Yield what making and serializing a message of each topic takes."""
+    leveled = level(sweep.replace(world_from_sensor=Rigid.identity()), GRIDS["road"])
+    estimate = load_estimator("shadow_map", grid="road").estimate(leveled)
+    suspect, placed = np.zeros(SECTORS, np.bool_), leveled.level_from_sensor.inverse()
+    view = View(estimate, stamp_of(1), "lidar", placed, "map", suspect, 5.0, SpeedLimits())
+    for topic, layer in LAYERS.items():
+        taken_s = []
+        for _ in range(TOPIC_MESSAGES):
+            begin_s = time.thread_time()
+            made = layer.make(view)
+            if not isinstance(made, bytes):
+                serialize_message(made)
+            taken_s.append(time.thread_time() - begin_s)
+        yield {"case": "topic", "topic": topic, "processor_ms": 1e3 * float(np.median(taken_s))}
 
 
 def _latencies(*streams: Stream) -> dict[str, float]:

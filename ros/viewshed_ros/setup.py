@@ -22,5 +22,11 @@ setup(
     maintainer_email="maintainers@viewshed.invalid",
     description="Field of view of LiDARs in bird's-eye view, live",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"field_of_view = {NAME}.node:main"]},
+    entry_points={
+        "console_scripts": [
+            f"field_of_view = {NAME}.node:main",
+            f"viewshed_adversary = {NAME}.adversary:main",
+            f"viewshed_center = {NAME}.center:main",
+        ]
+    },
 )

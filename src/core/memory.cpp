@@ -8,6 +8,8 @@
 #include <new>
 #include <vector>
 
+#include <pthread.h>
+
 namespace viewshed {
 namespace {
 
@@ -41,7 +43,11 @@ struct Kept {
 };
 
 [[maybe_unused]] Kept& kept() {
-    static Kept* const all = new Kept;  // arrays may outlive every destructor
+    static Kept* const all = [] {
+        // A process that forks holds the lock meanwhile: its child finds the lists whole, and the lock free.
+        pthread_atfork([] { kept().mutex.lock(); }, [] { kept().mutex.unlock(); }, [] { kept().mutex.unlock(); });
+        return new Kept;  // arrays may outlive every destructor
+    }();
     return *all;
 }
 
@@ -53,9 +59,9 @@ void* take_memory(std::size_t bytes) {
 #ifndef VIEWSHED_SANITIZE
     if (size >= LEAST_KEPT && number < CLASSES) {
         Kept& all = kept();
-        // Whoever finds it locked, or forked while it was, asks the system.
-        std::unique_lock lock(all.mutex, std::try_to_lock);
-        if (lock && !all.blocks[number].empty()) {
+        // Wait for the lock: a thread that asked the system instead would add a block to those that are kept each time.
+        std::lock_guard lock(all.mutex);
+        if (!all.blocks[number].empty()) {
             void* block = all.blocks[number].back();
             all.blocks[number].pop_back();
             all.bytes -= size;
@@ -78,8 +84,8 @@ void give_memory(void* taken) noexcept {
     if (number < CLASSES && size_of_class(number) >= LEAST_KEPT) {
         try {
             Kept& all = kept();
-            std::unique_lock lock(all.mutex, std::try_to_lock);
-            if (lock && all.bytes + size_of_class(number) <= MOST_KEPT) {
+            std::lock_guard lock(all.mutex);
+            if (all.bytes + size_of_class(number) <= MOST_KEPT) {
                 all.blocks[number].push_back(taken);
                 all.bytes += size_of_class(number);
                 return;

@@ -32,7 +32,8 @@ __version__ = "0.3.0"
 
 if _core.__version__ != __version__:
     raise ImportError(
-        f"viewshed's native core must be of version {__version__}, got {_core.__version__}; build it: pip install ."
+        f"viewshed's native core must be of version {__version__}, got {_core.__version__};"
+        " install viewshed anew (in a checkout: pip install .)"
     )
 
 _HOMES = {

@@ -24,6 +24,9 @@ Box = tuple[float, float, float, float]
 
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
+_DARK_PAGE, _DARK_INK = (30, 33, 41), (226, 228, 233)
+"""Of a page that is looked at in the dark."""
+
 _SMOOTH = 8
 """Shapes are drawn so many times larger and averaged: their edges are smooth."""
 
@@ -36,15 +39,18 @@ class Canvas:
 
     Args:
         pixels: (height, width, 3) what is there at first.
+        ink: color of text and of lines around pictures.
     """
 
-    def __init__(self, pixels: Pixels) -> None:
+    def __init__(self, pixels: Pixels, ink: Color = BLACK) -> None:
         self._image = Image.fromarray(np.ascontiguousarray(pixels))
+        self.ink = ink
 
     @classmethod
-    def blank(cls, width: int, height: int) -> Canvas:
-        """Return a white page."""
-        return cls(np.full((height, width, 3), 255, np.uint8))
+    def blank(cls, width: int, height: int, dark: bool = False) -> Canvas:
+        """Return a white page, or a dark one with light ink."""
+        page, ink = (_DARK_PAGE, _DARK_INK) if dark else (WHITE, BLACK)
+        return cls(np.broadcast_to(np.array(page, np.uint8), (height, width, 3)), ink)
 
     @property
     def width(self) -> int:
@@ -57,15 +63,15 @@ class Canvas:
         return self._image.height
 
     def paste(self, other: Canvas, left: int, top: int, frame: bool = True) -> None:
-        """Put another page onto this one, with a black line around it."""
+        """Put another page onto this one, with a line around it."""
         right, bottom = left + other.width, top + other.height
         if frame:
-            ImageDraw.Draw(self._image).rectangle((left - 1, top - 1, right, bottom), outline=BLACK)
+            ImageDraw.Draw(self._image).rectangle((left - 1, top - 1, right, bottom), outline=self.ink)
         self._image.paste(other._image, (left, top))
 
     def text(self, at: tuple[float, float], words: str, points: float, anchor: str = "ls", bold: bool = False) -> None:
         """Write a line of text in letters of so many points; ``anchor`` as Pillow has it: ``ls`` is left, baseline."""
-        ImageDraw.Draw(self._image).text(at, words, fill=BLACK, font=_font(points, bold), anchor=anchor)
+        ImageDraw.Draw(self._image).text(at, words, fill=self.ink, font=_font(points, bold), anchor=anchor)
 
     def rectangle(self, box: Box, color: Color, outline: Color | None = None) -> None:
         """Fill a rectangle."""

@@ -9,7 +9,7 @@ EXTRAS = {
     "numba": "sim", "scipy": "sim", "matplotlib": "sim",
     "pyarrow": "data",
     "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
-    "rosbags": "bags", "mcap": "bags", "lz4": "bags", "zstandard": "bags",
+    "rosbags": "bags", "lz4": "bags", "zstandard": "bags",
     "rasterio": "geo",
     "foxglove": "foxglove", "rerun": "view",
     "velodyne_decoder": "packets",
@@ -45,5 +45,6 @@ def needed_for(task: str, extra: str | None = None) -> Iterator[None]:
         package = str(error.name).partition(".")[0]
         if package not in EXTRAS:
             raise
+        # pip takes the viewshed that is there, of a release or a checkout, and adds what the extra names.
         install = f"pip install 'viewshed[{extra or EXTRAS[package]}]'"
         raise ImportError(f"{task} needs {_DISTRIBUTIONS.get(package, package)}: {install}", name=package) from error

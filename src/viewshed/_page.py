@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from viewshed._results import with_numbers
+
 _HERE = Path(__file__).parents[2]
 """The checkout that this file is of."""
 
@@ -37,13 +39,13 @@ def facts(**more: str) -> dict[str, str]:
 
 
 def page(title: str, provenance: Mapping[str, str], *parts: str) -> str:
-    r"""Return a Markdown page: title, the facts as a list, then the parts.
+    r"""Return a Markdown page: title, its three numbers, the parts, and at its foot the facts as a list.
 
     >>> page("Areas", {"seed": "0"}, "text")
-    '# Areas\n\n- seed: 0\n\ntext\n'
+    '# Areas\n\ntext\n\n## How it was made\n\n- seed: 0\n'
     """
     listed = "\n".join(f"- {name}: {value}" for name, value in provenance.items())
-    return "\n\n".join([f"# {title}", listed, *parts]) + "\n"
+    return with_numbers(title, listed, "\n\n".join(parts))
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -61,7 +63,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _command() -> str:
     """The command as a reader would type it: no folder of this machine."""
     words = [Path(word).name if Path(word).is_absolute() or word.startswith("..") else word for word in sys.argv]
-    return shlex.join([Path(words[0]).name, *words[1:]])
+    module = sys.modules["__main__"].__spec__
+    program = [Path(words[0]).name] if module is None else ["python", "-m", module.name.removesuffix(".__main__")]
+    return shlex.join([*program, *words[1:]])
 
 
 def _processor() -> str:
@@ -125,7 +129,7 @@ def to_markdown(title: str, provenance: Mapping[str, str], blocks: Sequence[Page
     r"""Return the report as a Markdown page; pictures are files beside it.
 
     >>> to_markdown("A", {"seed": "0"}, [Heading(2, "B"), Picture("c.png", b"", "d")])
-    '# A\n\n- seed: 0\n\n## B\n\n![d](c.png)\n'
+    '# A\n\n## B\n\n![d](c.png)\n\n## How it was made\n\n- seed: 0\n'
     """
     return page(title, provenance, *(_markdown(block) for block in blocks))
 
@@ -143,7 +147,8 @@ def _markdown(block: PageBlock) -> str:
 def to_html(title: str, provenance: Mapping[str, str], blocks: Sequence[PageBlock]) -> str:
     """Return the report as one HTML page; pictures are in it, and nothing is fetched."""
     listed = Text("\n".join(f"- {name}: {value}" for name, value in provenance.items()))
-    body = "\n".join(_html(block) for block in [Heading(1, title), listed, *blocks])
+    made: tuple[PageBlock, ...] = (Heading(2, "How it was made"), listed)
+    body = "\n".join(_html(block) for block in [Heading(1, title), *blocks, *made])
     return f"<!DOCTYPE html>\n<html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>{_STYLE}\n{body}\n"
 
 

@@ -42,6 +42,12 @@ _LARGE = 500
 
 _TITLE_LETTERS = 100
 
+_MOST_DOUBT = 0.5
+"""A doubt of a half is a guess."""
+
+_MOST_STD = 0.25
+"""The deviation that has the brightest color; few cells have more."""
+
 _LINE = 18
 """Height of a line of a title in pixels."""
 
@@ -78,18 +84,23 @@ class Panel:
     threshold: float = THRESHOLD
 
 
-def draw(panel: Panel) -> bytes:
-    """Return a PNG of one estimate: of its states, and of probability and deviation where they say more than these."""
+def draw(panel: Panel, dark: bool = False) -> bytes:
+    """Return a PNG of one estimate: of its states, and of probability and doubt where they say more than these.
+
+    Args:
+        panel: what is drawn.
+        dark: a dark page, for those who read in the dark; the colors of the maps are the same.
+    """
     prob = panel.estimate.visible_prob
     is_mask = bool(((prob == 0.0) | (prob == 1.0)).all())
-    return picture(panel) if is_mask else maps_picture(panel)
+    return picture(panel, dark) if is_mask else maps_picture(panel, dark)
 
 
-def picture(panel: Panel) -> bytes:
+def picture(panel: Panel, dark: bool = False) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
     side, lines = 768, _title_lines(panel)
     top = _LINE * len(lines) + 16
-    page = Canvas.blank(side + 104, side + top + 72)
+    page = Canvas.blank(side + 104, side + top + 72, dark)
     page.paste(_map(panel, side), 20, top)
     _title(page, lines, 20, top, 10)
     _legend(page, 2, {state: f"{panel.estimate.share(state):.0%} " for state in CellState})
@@ -98,23 +109,31 @@ def picture(panel: Panel) -> bytes:
     return page.png()
 
 
-def maps_picture(panel: Panel) -> bytes:
-    """Return a PNG of states, probability and, where the estimate has one, deviation side by side."""
-    estimate, side, lines = panel.estimate, 520, _title_lines(panel)
-    above = _LINE * len(lines) + 16
-    maps = {"probability of visible": (estimate.visible_prob, "cividis", 1.0)}
+def maps_picture(panel: Panel, dark: bool = False) -> bytes:
+    """Return a PNG of the states and, beside them, of probability, doubt and deviation, if there is one.
+
+    Scales are the same in every picture. The page is as wide as a page of text shows without losing the letters.
+    """
+    estimate, side, lines = panel.estimate, 640, _title_lines(panel)
+    maps = [
+        ("probability of visible", estimate.visible_prob, "cividis", 1.0),
+        ("doubt: chance that the answer is wrong", estimate.doubt(), "magma", _MOST_DOUBT),
+    ]
     if estimate.std is not None and np.isfinite(estimate.std).any():
-        top = max(float(np.nanmax(estimate.std)), 1e-3)
-        maps["standard deviation of the probability"] = (estimate.std, "magma", top)
-    page = Canvas.blank(20 + (len(maps) + 1) * (side + 20) + 70 * len(maps), side + above + 68)
+        maps.append(("deviation over the passes", estimate.std, "magma", _MOST_STD))
+    above, gap = 22 * len(lines) + 16, 34
+    small = (side - gap * (len(maps) - 1)) // len(maps)
+    page = Canvas.blank(side + max(small + 130, 370) + 20, side + above + 124, dark)
     page.paste(_map(panel, side), 20, above)
-    _title(page, lines, 20, above, 9)
-    for k, (title, (values, colors, top)) in enumerate(maps.items()):
-        left = side + 40 + k * (side + 90)
-        page.paste(Canvas(_value_pixels(values, colors, top, side)), left, above)
-        page.text((left, above - 8), title, 10)
-        _color_bar(page, colors, _ticks(top), top, (left + side + 10, above, 14, side))
-    _legend(page, 4, {state: f"{estimate.share(state):.0%} " for state in CellState})
+    _title(page, lines, 20, above, 11, 22)
+    for k, (title, values, colors, top) in enumerate(maps):
+        left, upper = side + 40, above + k * (small + gap)
+        page.paste(Canvas(_value_pixels(values, colors, top, small)), left, upper)
+        page.text((left, upper - 8), title, 10)
+        _color_bar(page, colors, _ticks(top), top, (left + small + 10, upper, 14, small))
+    if panel.leveled is not None:
+        _height_line(page, page.height - 82)
+    _legend(page, 2, {state: f"{estimate.share(state):.0%} " for state in CellState})
     return page.png()
 
 
@@ -208,10 +227,10 @@ def contact_sheet(panels: Sequence[Panel], across: int = 7, side: int = 168) -> 
     return page.png()
 
 
-def _title(page: Canvas, lines: Sequence[str], left: int, top: int, points: float) -> None:
-    """Write lines above a picture, the last one 8 pixels above ``top``."""
+def _title(page: Canvas, lines: Sequence[str], left: int, top: int, points: float, spacing: int = _LINE) -> None:
+    """Write lines above a picture, the last one 8 pixels above ``top``; above maps of the page's own width, so much."""
     for number, line in enumerate(reversed(lines)):
-        page.text((left, top - 8 - _LINE * number), line, points)
+        page.text((left, top - 8 - spacing * number), line, points)
 
 
 def _title_lines(panel: Panel) -> list[str]:
@@ -257,6 +276,9 @@ def _raster(panel: Panel, pixels: int) -> Pixels:
     if panel.leveled is not None:
         fine = BevGrid(pixels, estimate.grid.half_extent_m, estimate.grid.offset_m)
         _paint_points(image, panel.leveled, fine)
+        # What stands there is drawn above the points, which would hide it.
+        surface = estimate.state[nearest][:, nearest] == CellState.SURFACE
+        image[surface] = palette[CellState.SURFACE]
     return image[::-1, ::-1]
 
 
@@ -367,15 +389,17 @@ def _legend(page: Canvas, columns: int, shares: dict[CellState, str] | None = No
     widest = max(text_width(words, 8.0) for _, words in entries)
     if columns * (widest + 52) > page.width:
         columns = 2
-    points = 9.0 if columns == 2 and 2 * (widest * 9 / 8 + 52) < page.width else 8.0 if page.width > 640 else 6.5
+    wide = min(page.width / 96, 12.0) if columns == 2 else 0.0  # letters that a page of text still shows
+    points = wide if 2 * (widest * wide / 8 + 52) < page.width and wide > 8 else 8.0 if page.width > 640 else 6.5
+    spacing = max(18, round(1.9 * points))
     down = -(-len(entries) // columns)
     across = [entries[k * down : (k + 1) * down] for k in range(columns)]
     widths = [30 + max(text_width(words, points) for _, words in column) for column in across]
-    left, top = (page.width - sum(widths) - 22 * (columns - 1)) / 2, page.height - 13 - 18 * (down - 1)
+    left, top = (page.width - sum(widths) - 22 * (columns - 1)) / 2, page.height - 13 - spacing * (down - 1)
     for column, width in zip(across, widths, strict=True):
         for k, (state, words) in enumerate(column):
-            foot = top + 18 * k
-            page.rectangle((left, foot - 9, left + 23, foot), _color(COLORS[state]), BLACK)
+            foot = top + spacing * k
+            page.rectangle((left, foot - round(points), left + 23, foot), _color(COLORS[state]), page.ink)
             page.text((left + 30, foot), words, points)
         left += width + 22
 
@@ -389,6 +413,18 @@ def _height_bar(page: Canvas, left: int, top: int, width: int, height: int) -> N
         page.text((left + width / 2, top - 10 - 14 * number), line, 8, "ms")
 
 
+def _height_line(page: Canvas, top: int) -> None:
+    """Draw which color is which height of a point, as a line across the page."""
+    low, high = HEIGHTS_M
+    before, after, points, width = f"points by their height: {low:g} m", f"{high:g} m and more above ground", 11.0, 160
+    left = (page.width - text_width(before, points) - text_width(after, points) - width - 20) / 2
+    at = round(left + text_width(before, points) + 10)
+    page.text((left, top + 13), before, points)
+    shades = color_map("viridis")[(np.arange(width) * 256) // width]
+    page.paste(Canvas(np.repeat(shades[None], 14, axis=0)), at, top)
+    page.text((at + width + 10, top + 13), after, points)
+
+
 def _color_bar(
     page: Canvas, colors: str, ticks: Sequence[tuple[float, str]], top_value: float, place: tuple[int, int, int, int]
 ) -> None:
@@ -398,7 +434,7 @@ def _color_bar(
     page.paste(Canvas(np.repeat(shades[:, None], width, axis=1)), left, top)
     for value, words in ticks:
         row = top + height * (1 - value / top_value)
-        page.rectangle((left + width, row, left + width + 5, row + 1), BLACK)
+        page.rectangle((left + width, row, left + width + 5, row + 1), page.ink)
         page.text((left + width + 8, row), words, 8, "lm")
 
 

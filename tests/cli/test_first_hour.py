@@ -136,7 +136,7 @@ def test_one_default_everywhere(drive: Path, tmp_path: Path) -> None:
     assert (by_command.state == by_python.state).all()
     # 3. Profiles of the pipeline take it, but for the map that nobody waits for; so do the pages.
     assert {name for name, profile in PROFILES.items() if profile.method != DEFAULT_ESTIMATOR} == {"mapping"}
-    for page in ("cli.md", "architecture.md"):
+    for page in ("which_method.md", "architecture.md"):
         assert f"`{DEFAULT_ESTIMATOR}`" in (DOCS / page).read_text(encoding="utf-8")
 
 

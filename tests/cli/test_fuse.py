@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,42 @@ def test_agents_of_a_recording_are_put_together(drive: Path, tmp_path: Path) -> 
         assert len(np.unique(np.asarray(picture.convert("L")))) > 10
 
 
+def test_a_replay_puts_agents_together_and_names_who_was_forged(drive: Path, tmp_path: Path) -> None:
+    words = ("--fuse", "--attack", "fabricate_static", "--attacked", "vehicle_0,nobody", "--attack-from", "0.5")
+    code, out, err = run("replay", drive, "--as-fast", *words, "--to", tmp_path / "fused.mcap")
+    assert code == 0
+    assert err == "viewshed: note: --attacked nobody: no agent has this name, nothing of it was forged\n"
+    lines = [line for line in out.splitlines() if line.startswith("center: ")]
+    assert len(lines) == 4
+    assert all(" objects believed" in line for line in lines)
+    assert "; objects p50 " in out
+
+
+def test_a_page_of_many_agents_has_rounds_with_trust(drive: Path, tmp_path: Path) -> None:
+    code, _, err = run("view", drive, "--html", tmp_path / "run.html", "--fuse", "--attack", "over_claim")
+    assert (code, err) == (0, "")
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    abouts = [json.loads(text) for text in re.findall(r'json" class="about">(.*?)</script>', page)]
+    assert [about["name"][:8] for about in abouts] == ["2 agents"] * 4
+    assert [row[0] for row in abouts[-1]["trust"]] == ["vehicle_0/lidar/data", "vehicle_1/lidar/data"]
+    assert all(row[4] for row in abouts[-1]["trust"])
+    assert len(abouts[-1]["tracks"]) > 3
+
+
+def test_following_options_that_cannot_be(drive: Path, tmp_path: Path) -> None:
+    for words, message in (
+        (("--attacked", "vehicle_0"), "--attacked goes with --attack"),
+        (("--attack", "melt"), "attack must be one of "),
+    ):
+        code, _, err = run("replay", drive, "--as-fast", *words)
+        assert (code, err.count("\n")) == (2, 1)
+        assert message in err
+    write_sweep(read_sweep(junction_path()).select(np.arange(0, 30000, 10)), tmp_path / "alone.ply")
+    code, _, err = run("replay", tmp_path / "alone.ply", "--as-fast", "--fuse")
+    assert code == 2
+    assert "--fuse needs a time and a pose of each sweep, ego has one without" in err
+
+
 def test_numbers_alone_and_wrong_words(drive: Path, tmp_path: Path) -> None:
     code, _, err = run("fuse", drive, "--results", "jsonl", "--out", tmp_path / "numbers")
     assert (code, err) == (0, "")
@@ -56,3 +93,10 @@ def test_sweeps_without_times_and_poses_cannot_be_put_together(tmp_path: Path) -
     code, _, err = run("fuse", tmp_path / "alone.ply", "--out", tmp_path / "none")
     assert code == 2
     assert "must have a time and a pose to be put together with others" in err
+
+
+def test_agents_of_one_name_in_two_files_are_two_agents(drive: Path, tmp_path: Path) -> None:
+    code, _, err = run("fuse", drive, drive, "--results", "jsonl", "--out", tmp_path / "twice")
+    assert (code, err) == (0, "")
+    rows = [json.loads(line) for line in (tmp_path / "twice" / "fused.jsonl").read_text().splitlines()]
+    assert [len(row["agents"]) for row in rows] == [4] * 4

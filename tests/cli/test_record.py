@@ -10,11 +10,13 @@ import pytest
 from tests.cli.test_networks import run
 
 import viewshed.plot
-from viewshed import read_sweep, write_sweep
+from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
 from viewshed.cli._profile import Settings
 from viewshed.cli._record import Awaited, Listener
 from viewshed.cli.monitor import _benign, _Source
+from viewshed.datasets.recorder.bag_writers import Schema, open_bag_writer
+from viewshed.datasets.recorder.ros_topics import CLOUD, RosMessages
 from viewshed.grid import GRIDS
 from viewshed.integrity import IntegrityReport
 from viewshed.integrity.sweep_monitor import shipped_monitor
@@ -52,6 +54,26 @@ def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> No
     assert run("replay", *files, "--as-fast", "--to", tmp_path / "a.bag")[0] == 0
     assert run("record", *files, "--to", tmp_path / "b.bag")[0] == 0
     assert (tmp_path / "a.bag").read_bytes() == (tmp_path / "b.bag").read_bytes()
+
+
+@pytest.mark.parametrize("command", [["replay", "--as-fast"], ["record"]], ids=["replay", "record"])
+def test_one_topic_of_several_is_taken_with_poses_of_a_file(command: list[str], tmp_path: Path) -> None:
+    sweep, ros, source = read_sweep(junction_path()), RosMessages(ros1=False), tmp_path / "two.mcap"
+    schema = Schema(CLOUD, "ros2msg", "cdr", ros.definition(CLOUD).encode())
+    sizes = {"/front": 1000, "/rear": 1500}
+    with open_bag_writer(source) as bag:
+        for t_ns in (100_000_000, 200_000_000, 300_000_000):
+            for topic, size in sizes.items():
+                bag.write(topic, schema, t_ns, ros.encode(ros.cloud(sweep.select(np.arange(size)), t_ns, topic[1:])))
+    poses = tmp_path / "poses.txt"
+    poses.write_text("".join(f"1 0 0 {x} 0 1 0 2 0 0 1 3\n" for x in range(3)))
+    made = tmp_path / "made.mcap"
+    assert run(*command, source, "--topic", "/rear", "--poses", poses, "--to", made)[0] == 0
+    sweeps = list(open_recording(made))
+    assert [len(each) for each in sweeps] == [1500] * 3
+    assert [each.world_from_sensor and each.world_from_sensor.translation.tolist() for each in sweeps] == [
+        [x, 2.0, 3.0] for x in range(3)
+    ]
 
 
 def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_path: Path) -> None:
@@ -120,6 +142,9 @@ def test_a_bad_file_costs_a_line_and_the_bag_stays(files: list[Path], tmp_path: 
         (["record", "sim", "--to", "run.mcap", "--preset", "moon"], "moon"),
         (["record", "sim", "--to", "run.mcap", "--seconds", "0.01"], "a drive needs seconds above 0"),
         (["record", "sim", "--to", "run.mcap", "--agents", "0"], "a drive needs seconds above 0"),
+        (["record", "sim", "--to", "run.mcap", "--topic", "/up"], "sim reads no file: leave out --topic"),
+        (["replay", "{file}", "--topic", "/up"], "--topic goes with a bag"),
+        (["record", "{file}", "--to", "run.mcap", "--poses", "no.txt"], "no.txt: No such file"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_asked(

@@ -13,6 +13,7 @@ from viewshed.fusion.many import AgentReport, CommandCenter, CommonPicture, conf
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections
+from viewshed.threats.view_attacks import with_objects
 
 GRID = BevGrid(64, 32.0)
 
@@ -33,10 +34,15 @@ def found(boxes: np.ndarray) -> Detections:
     return Detections(boxes, np.full(len(boxes), 3, np.uint8), np.full(len(boxes), 50, np.int32))
 
 
-def report(estimate: FovEstimate, boxes: np.ndarray) -> AgentReport:
-    """Return the report of an agent that sees boxes of the world."""
+def report(estimate: FovEstimate, boxes: np.ndarray, *, standing: np.ndarray | None = None) -> AgentReport:
+    """Return the report of an agent that sees boxes of the world; the surfaces of its view are those that stand there.
+
+    None are those of the boxes.
+    """
     assert estimate.world_from_level is not None
-    return AgentReport(estimate, found(boxes).moved(estimate.world_from_level.inverse()))
+    level = estimate.world_from_level.inverse()
+    surfaces = found(boxes if standing is None else standing).moved(level).boxes
+    return AgentReport(with_objects(estimate, surfaces), found(boxes).moved(level))
 
 
 AGENTS = [view("a"), view("b", 4.0, -9.0, 0.5), view("c", -5.0, -4.0, 2.0)]
@@ -46,7 +52,10 @@ def run(said: list[list[np.ndarray]], *, trusting: bool = False) -> list[CommonP
     """Return the pictures of what three agents report, time after time."""
     center = CommandCenter(("a", "b", "c"), trusting=trusting)
     return [
-        center.add(0.5 * time, [report(agent, boxes) for agent, boxes in zip(AGENTS, reports, strict=True)])
+        center.add(
+            0.5 * time,
+            [report(agent, boxes, standing=CARS) for agent, boxes in zip(AGENTS, reports, strict=True)],
+        )
         for time, reports in enumerate(said)
     ]
 
@@ -143,6 +152,10 @@ def test_a_second_view_confirms_only_where_a_trusted_agent_sees() -> None:
     assert (kept.state[:, 40:] == CellState.FREE).all()  # the other grid begins at y = 8 m
     assert (kept.state[:, 32:40] == CellState.UNKNOWN).all()
     assert not kept.visible()[:, 32:40].any()
+    third = view("c", y_m=44.0)
+    both = confirmed(own, wedge, [other, third], np.array([0.9, 0.9]), 0.5, votes=2)
+    assert (both.state[:, 48:] == CellState.FREE).all()  # the third grid begins at y = 12 m
+    assert (both.state[:, 32:44] == CellState.UNKNOWN).all()
     alone = confirmed(own, wedge, [other], np.array([0.3]), 0.5)
     assert (alone.state[:, 32:] == CellState.UNKNOWN).all()
 

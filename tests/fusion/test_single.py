@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fusion.by_hand import CAR, GHOST, cells, model, tracks, view
+from tests.fusion.by_hand import CAR, GHOST, HandView, cells, model, tracks, view
 
 from viewshed.fusion.calibration import limits_of
 from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.evidence import EvidenceModel
 from viewshed.fusion.explained import FABRICATED, MOVED, REMOVED, Explanation
-from viewshed.fusion.jumps import jump_of
+from viewshed.fusion.jumps import EARLIER, LATEST, Sightings
 from viewshed.fusion.single import SingleFusion, shipped_model
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import IntegrityReport
@@ -157,6 +158,32 @@ def test_bad_input_is_refused_in_one_line() -> None:
         fusion.explain(*many, [view(1.0)])
 
 
+def test_without_poses_less_is_explained_and_it_says_so() -> None:
+    """A parked car jumps by 2.5 m: that may be the vehicle's own motion. A ghost is seen through all the same."""
+    fusion = SingleFusion(model())
+    for k, t_s in enumerate(TIMES[:20]):
+        box = CAR.copy()
+        box[1] += 2.5 if k >= 15 else 0.0
+        shown, found = tracks(t_s, [box, GHOST], [True, True])
+        here = replace(view(t_s), view=HandView(t_s, in_world=False))
+        explained = fusion.explain(replace(shown, in_world=False), found, [here])
+    assert explained.accused.tolist() == [False, True]
+    assert explained.notes == (
+        "no poses: nothing is said of sudden moves, and tracks that the tracker gave up are not held",
+    )
+    with pytest.raises(ValueError, match="views must be in the tracks' frame, the sensor's level frame, got another"):
+        fusion.explain(replace(shown, in_world=False), found, [view(shown.t_s)])
+
+
+def test_a_flood_of_tracks_is_bounded_work() -> None:
+    """As many tracks as are taken, in one place: each is explained, in less than a second of the processor."""
+    boxes = [CAR + np.array([0.01 * k, 0, 0, 0, 0, 0, 0]) for k in range(2000)]
+    fusion, began = SingleFusion(model()), time.thread_time()
+    explained = fusion.explain(*tracks(0.0, boxes, [k % 2 == 0 for k in range(2000)]), [view(0.0)])
+    assert len(explained) == len(explained.reasons) == 2000
+    assert time.thread_time() - began < 1.0
+
+
 def test_time_that_goes_back_begins_anew() -> None:
     """Nothing that was held against a track in the first recording is held in the second."""
     fusion = SingleFusion(model())
@@ -169,15 +196,31 @@ def test_time_that_goes_back_begins_anew() -> None:
 def test_jumps_by_hand() -> None:
     """A steady drive does not jump, a side step of a meter does, by its vector; a short past says nothing."""
     times = np.arange(12) * 0.1
-    places = np.column_stack([10.0 * times, np.zeros(12)])
-    places += np.random.default_rng(0).normal(0.0, 0.05, places.shape)
-    assert jump_of(times, places)[0] < 3.0
-    beside = places.copy()
+    steady = np.column_stack([10.0 * times, np.zeros(12)])
+    steady += np.random.default_rng(0).normal(0.0, 0.05, steady.shape)
+    beside = steady.copy()
     beside[-3:, 1] += 1.0
-    deviation, vector = jump_of(times, beside)
-    assert deviation > 4.0
-    assert vector == pytest.approx([0.0, 1.0], abs=0.25)
-    assert np.isnan(jump_of(times[:6], places[:6])[0])
+    sightings = Sightings.none(3)
+    for k, t_s in enumerate(times):
+        rows = np.arange(3 if k >= 6 else 2)
+        sightings = sightings.after(rows, t_s, np.stack([steady[k], beside[k], steady[k]])[rows])
+    deviations, vectors = sightings.jumps()
+    assert deviations[0] < 3.0
+    assert deviations[1] > 4.0
+    assert vectors[1] == pytest.approx([0.0, 1.0], abs=0.25)
+    assert np.isnan(deviations[2])
+    assert vectors[2].tolist() == [0.0, 0.0]
+
+
+def test_the_way_of_earlier_places_is_that_of_least_squares() -> None:
+    """Against numpy's polynomial, over uneven times and the whole length of the past."""
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.05, 0.2, LATEST + EARLIER))
+    places = np.column_stack([5.0 * times, -2.0 * times]) + rng.normal(0.0, 0.2, (len(times), 2))
+    _, vectors = Sightings(times[None], places[None]).jumps()
+    line = np.polynomial.polynomial.polyfit(times[:EARLIER], places[:EARLIER], 1)
+    expected = places[-LATEST:].mean(axis=0) - (line[0] + line[1] * times[-LATEST:].mean())
+    np.testing.assert_allclose(vectors[0], expected, atol=1e-9)
 
 
 def test_limits_accuse_no_more_than_their_share() -> None:

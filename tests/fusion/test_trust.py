@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,12 +13,22 @@ STD_M = 0.3
 
 
 def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | None = None, first: int = 0) -> Reports:
-    """Return reports about objects that stand 20 m apart, with the noise of an honest detector."""
+    """Return reports about objects that stand 20 m apart, with the noise of an honest detector.
+
+    Boxes lie on the surfaces of their views, as honest ones do, and what one agent alone reports is as little odd as
+    that the others are silent; ``chance`` is that of an honest agent to report what another one reports.
+    """
     count, agents = seen.shape
     xy_m = np.zeros((count, agents, 2)) + 20.0 * np.arange(first, first + count)[:, None, None]
     if rng is not None:
         xy_m += rng.normal(0.0, STD_M, xy_m.shape)
-    return Reports(np.arange(first, first + count), chance, seen, xy_m, np.full(seen.shape, STD_M))
+    able, odds = (chance > 0) | seen, np.clip(chance, 0.01, 0.99)
+    invented = np.full(seen.shape, -np.log(2 * (1 - TrustRules().false_report)))
+    there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
+    return Reports(
+        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)), np.zeros((5, 3)), invented,
+        np.full(seen.shape, -3.0), there, np.zeros(count), xy_m, np.full(seen.shape, STD_M),
+    )  # fmt: skip
 
 
 def after(agents: int, seen: list[list[int]], chance: float | np.ndarray = 0.95, seconds: int = 3) -> Verdicts:
@@ -71,7 +83,7 @@ def test_an_agent_that_reports_objects_a_little_off_is_found() -> None:
         reports = reports_of(np.ones((4, 3), bool), np.full((4, 3), 0.95), np.random.default_rng(number))
         shifted = reports.xy_m.copy()
         shifted[:, 2] += 2.0
-        verdicts = trust.add(Reports(reports.ids, reports.chance, reports.seen, shifted, reports.std_m), 1.0)
+        verdicts = trust.add(replace(reports, xy_m=shifted), 1.0)
     assert verdicts.suspects.tolist() == [False, False, True]
 
 
@@ -82,22 +94,34 @@ def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
     assert after(4, [[1, 1, 1, 0]] * 3, seconds=60).evidence.max() > rules.most_of_object
 
 
-def test_e_values_of_honest_agents_are_at_most_one_on_average() -> None:
-    """Under its own model, with objects that bound nothing: the mean of the e-value is at most 1."""
-    rules, rng = TrustRules(most_of_object=1e6, half_life_s=1e9), np.random.default_rng(5)
-    values = []
-    for _ in range(400):
-        trust, chance = Trust(3, rules), rng.uniform(0.3, 0.95, (6, 3))
-        exists = rng.random(6) < 0.5
-        seen = np.where(exists[:, None], rng.random((6, 3)) < chance, rng.random((6, 3)) < rules.false_report)
-        reports = reports_of(seen, chance, rng)
-        # What is invented lies anywhere on the disc.
-        angle, radius = rng.uniform(0, 2 * np.pi, (6, 3)), rules.disc_m * np.sqrt(rng.random((6, 3)))
-        anywhere = 20.0 * np.arange(6)[:, None, None] + np.stack([np.cos(angle), np.sin(angle)], -1) * radius[..., None]
-        xy_m = np.where(exists[:, None, None], reports.xy_m, anywhere)
-        verdicts = trust.add(Reports(reports.ids, chance, seen, xy_m, reports.std_m), 1.0)
-        values.append(np.exp(verdicts.evidence))
-    assert (np.mean(values, axis=0) <= 1.1).all()
+def test_objects_that_look_invented_convict_where_nobody_contradicts() -> None:
+    trust, seen = Trust(3), np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
+    reports = reports_of(seen, np.where(seen, 0.95, 0.0))
+    invented = np.where(seen & (np.arange(3) == 1), 4.0, -2.0)
+    for _ in range(3):
+        verdicts = trust.add(replace(reports, invented=invented), 1.0)
+    assert verdicts.evidence.argmax() == 1
+    assert verdicts.suspects.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("ratio", [-3.0, 5.0])
+def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_there(ratio: float) -> None:
+    reports = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95))
+    xy_m = reports.xy_m.copy()
+    xy_m[:, 1, 0] += 1.0
+    displaced = np.where(np.arange(3) == 1, ratio, reports.displaced)
+    trust = Trust(3)
+    for _ in range(3):
+        verdicts = trust.add(replace(reports, xy_m=xy_m, displaced=displaced), 1.0)
+    assert verdicts.suspects.tolist() == [False, ratio > 0, False]
+
+
+def test_many_mild_errors_count_less_than_few_gross_ones() -> None:
+    """Of all that speaks against an agent only the most telling objects count."""
+    rules = TrustRules()
+    mild = after(4, [[1, 1, 1, 0]] * 40, chance=0.6)
+    gross = after(4, [[1, 1, 1, 0]] * rules.objects, chance=0.99)
+    assert gross.evidence[3] > mild.evidence[3] + 3.0
 
 
 def test_agents_may_come_in_any_order() -> None:
@@ -106,7 +130,8 @@ def test_agents_may_come_in_any_order() -> None:
     seen[:, 0] = True
     order = np.array([2, 0, 3, 1])
     reports = reports_of(seen, chance, rng)
-    turned = Reports(reports.ids, chance[:, order], seen[:, order], reports.xy_m[:, order], reports.std_m[:, order])
+    names = ("seen", "able", "sees", "reported", "invented", "displaced", "there", "xy_m", "std_m")
+    turned = replace(reports, **{name: getattr(reports, name)[:, order] for name in names})
     one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
     assert np.allclose(one.evidence[order], other.evidence)
     assert np.allclose(one.trust[order], other.trust)
@@ -130,31 +155,28 @@ def test_old_reports_fade_and_memory_stays_bounded() -> None:
 
 def test_limits_hold_their_rate_and_refuse_what_they_cannot() -> None:
     rng = np.random.default_rng(8)
-    limits = TrustLimits.of(rng.normal(size=999), rng.normal(size=999))
+    limits = TrustLimits.of(rng.normal(size=(999, 5)).max(axis=1), rng.normal(size=999))
     accused = [
         limits.accused(
             Verdicts(rng.normal(size=5), 0.0, np.ones(5), np.zeros(0, int), np.zeros(0), np.zeros(5, bool)), 0.05
         )
         for _ in range(2000)
     ]
-    assert 0.03 < np.mean([one.any() for one in accused]) < 0.065
-    with pytest.raises(ValueError, match="needs 4999 benign scenes, got 999"):
-        limits.accused(after(5, [[1] * 5]), 0.001)
+    assert 0.03 < np.mean([one.any() for one in accused]) < 0.07
+    with pytest.raises(ValueError, match="needs 9999 benign scenes, got 999"):
+        limits.accused(after(5, [[1] * 5]), 0.0001)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"chance": np.full((1, 2), 1.5)}, "probabilities"),
+        ({"reported": np.full((1, 2), np.nan)}, "finite"),
         ({"std_m": np.zeros((1, 2))}, "positive"),
         ({"xy_m": np.full((1, 2, 2), np.nan)}, "finite"),
         ({"ids": np.arange(2)}, "must have"),
+        ({"able": np.ones((2, 2), bool)}, "able must be"),
     ],
 )
 def test_bad_reports_are_refused(change: dict[str, np.ndarray], message: str) -> None:
-    given = {
-        "ids": np.arange(1), "chance": np.ones((1, 2)), "seen": np.ones((1, 2), bool), "xy_m": np.zeros((1, 2, 2)),
-        "std_m": np.ones((1, 2)),
-    }  # fmt: skip
     with pytest.raises(ValueError, match=message):
-        Reports(**(given | change))
+        replace(reports_of(np.ones((1, 2), bool), np.ones((1, 2))), **change)

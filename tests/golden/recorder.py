@@ -293,9 +293,15 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run("attack", "sweeps", "--attack", "ghost_wall", "--out", "attacked")
     run("monitor", "fit", "sweeps", "--passes", "3", "--false-alarm-rate", "0.1", "--out", "monitor.npz")
     told = run("monitor", "check", "sweeps", "attacked", "--monitor-file", "monitor.npz")
-    pages = {name: (folder / path).read_text(encoding="utf-8") for name, path in TINY_PAGES.items()}
+    pages = {name: _whole_page(folder / path) for name, path in TINY_PAGES.items()}
     lines = "".join(f"| {line} |\n" for line in told.splitlines())
     return pages | {"monitor": f"# Monitor\n\n| what the monitor said |\n|---|\n{lines}"}
+
+
+def _whole_page(path: Path) -> str:
+    """Return a page with all of its tables, which stand in a file beside it where the page leaves some out."""
+    full = path.with_name(f"{path.stem}_full.md")
+    return (full if full.exists() else path).read_text(encoding="utf-8")
 
 
 def _run(folder: Path, *words: str) -> str:

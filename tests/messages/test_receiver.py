@@ -110,7 +110,22 @@ REFUSED: dict[str, tuple[Callable[[], bytes], Reason]] = {
     "an unknown frame": (lambda: signed(frame="moon"), Reason.UNKNOWN_FRAME),
     "another grid": (lambda: signed(view=samples.view(BevGrid(32, 16.0))), Reason.OTHER_GRID),
     "an empty view": (lambda: signed(view=empty_view()), Reason.EMPTY_VIEW),
+    "300 tracks": (lambda: many_tracks(300), Reason.BAD_CONTENT),
+    "10,000 tracks": (lambda: many_tracks(10_000), Reason.TOO_LARGE),
 }  # fmt: skip
+
+
+def many_tracks(count: int) -> bytes:
+    """A signed message of more tracks than the message class would write."""
+    payload = encode_message(samples.message(1, "car1", NOW_NS + 100 * MS, view=None, inner=None))
+    columns = cbor2.loads(payload)[10]
+    held = len(samples.message().tracks or ())
+    many = {
+        key: cbor2.CBORTag(column.tag, column.value[: len(column.value) // held] * count)
+        if isinstance(column, cbor2.CBORTag) else column[: len(column) // held] * count
+        for key, column in columns.items()
+    }  # fmt: skip
+    return edited(_10=many)
 
 
 def empty_view() -> Any:

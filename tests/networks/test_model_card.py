@@ -11,7 +11,7 @@ TOOL = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "model
 def test_the_card_in_the_docs_is_that_of_the_shipped_files(tmp_path: Path) -> None:
     TOOL["main"]([str(tmp_path / "card.md")])
     made, kept = (tmp_path / "card.md").read_text("utf-8"), TOOL["OUT"].read_text("utf-8")
-    assert made.split("\n\n", 2)[2] == kept.split("\n\n", 2)[2]  # all but title and facts
+    assert made.partition("\n## How it was made")[0] == kept.partition("\n## How it was made")[0]
     for name, line in manifest().items():
         assert f"| `{name}` |" in made
         assert line.sha256[:12] in made

@@ -171,7 +171,8 @@ def test_command_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit) as done:
         main(words)
     assert done.value.code in (0, None)
-    text = page.read_text(encoding="utf-8")
+    short, text = page.read_text(encoding="utf-8"), (tmp_path / "truth_full.md").read_text(encoding="utf-8")
+    assert short.count("| shadow_map |") == 2  # rings known, and by range
     assert "3 of 8 samples" in text
     rows = [line for line in text.splitlines() if line.startswith("| shadow_map |")]
     assert len(rows) == len(FORMS) + 2

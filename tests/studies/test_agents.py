@@ -68,7 +68,7 @@ def test_liars_change_their_own_reports_and_no_others(scene: Scene, name: str) -
         for number, (before, after) in enumerate(zip(honest, said, strict=True)):
             if number not in numbers:
                 assert after is before
-            assert after.estimate is before.estimate
+            assert (after.estimate is before.estimate) == (number not in numbers or "view" not in lie.about)
         first, now = honest[0].in_world, said[0].in_world
         if name.startswith("fabricate"):
             away = np.linalg.norm(now.boxes[:, None, :2] - first.boxes[None, :, :2], axis=2).min(axis=1)

@@ -73,8 +73,6 @@ def test_texts_tables_and_loops_come_in_their_order_and_what_is_empty_is_left_ou
         == """\
 # A page
 
-- f: 0
-
 Seed 3.
 
 ## First
@@ -104,6 +102,10 @@ one and y
 two and x
 
 two and y
+
+## How it was made
+
+- f: 0
 """
     )
 

@@ -18,7 +18,7 @@ from stonesoup.updater.kalman import KalmanUpdater
 
 from viewshed.objects import Detections, ObjectKind
 from viewshed.tracking.kalman import Motion
-from viewshed.tracking.tracker import ExistenceRules, Tracker, TrackTable
+from viewshed.tracking.tracker import ExistenceRules, Measured, Tracker, TrackTable
 from viewshed.tracking.tracks import Tracks
 from viewshed.tracking.views import SeesAll
 
@@ -39,7 +39,7 @@ class LikelihoodDistance(SquaredMahalanobis):  # type: ignore[misc]
 class EqualRules(ExistenceRules):
     """All tracks are equally likely for ever, so that only their distances decide."""
 
-    def judge(self, tracks: TrackTable, boxes: Floats, noise: Floats, matched: NDArray[np.int32]) -> None:
+    def judge(self, tracks: TrackTable, measured: Measured, matched: NDArray[np.int32]) -> None:
         pass
 
 
@@ -48,7 +48,7 @@ RULES = EqualRules(
         acceleration_density=DENSITY, center_std_m=CENTER_STD_M, velocity_std_mps=VELOCITY_STD_MPS,
         heading_from_mps=np.inf,
     ),
-    gate=np.inf, seen_share=1.0, lifetime_s=np.inf, lost_m=np.inf, doubt_s=0.0,
+    gate=np.inf, seen_share=1.0, lasting_share=0.0, lifetime_s=np.inf, lost_m=np.inf, doubt_s=0.0,
 )  # fmt: skip
 
 
@@ -79,11 +79,13 @@ def ours(sweeps: list[tuple[float, Floats]], rules: ExistenceRules) -> list[Trac
     return found
 
 
+UNSEEN_PER_M2, CLUTTER_PER_M2 = RULES.objects_per_m2 * RULES.unseen_share, RULES.objects_per_m2 * RULES.false_odds
+
 MISSED = 2.0 * np.log(
     RULES.most_found
-    * RULES.unseen_per_m2
-    / (RULES.unseen_per_m2 * (1.0 - RULES.most_found) + RULES.clutter_per_m2)
-    / (2.0 * np.pi * RULES.clutter_per_m2)
+    * UNSEEN_PER_M2
+    / (UNSEEN_PER_M2 * (1.0 - RULES.most_found) + CLUTTER_PER_M2)
+    / (2.0 * np.pi * CLUTTER_PER_M2)
 )
 """Distance of no detection: where ours finds leaving both alone more likely."""
 

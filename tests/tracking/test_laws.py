@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 RULES: dict[str, Rules] = {
     "existence": ExistenceRules(),
-    "textbook": ExistenceRules(recurrence=0.0, doubt_s=0.0, spreads=False),
+    "textbook": ExistenceRules(lasting_share=0.0, doubt_s=0.0, spreads=False),
     "published": PublishedRules(),
     "published, centers": PublishedRules(cost="center"),
 }

@@ -128,7 +128,7 @@ NEXT = (1 - FOUND) * LAST / ((1 - FOUND) * LAST + 1 - LAST)
 
 AS_PUBLISHED: dict[str, Rules] = {
     "existence": ExistenceRules(
-        motion=PUBLISHED_MOTION, gate=1e9, clutter_per_m2=1e-12, recurrence=0.0, most_found=FOUND, doubt_s=0.0,
+        motion=PUBLISHED_MOTION, gate=1e9, false_odds=1e-9, lasting_share=0.0, most_found=FOUND, doubt_s=0.0,
         lifetime_s=np.inf, surest=SUREST, drop_below=(LAST + NEXT) / 2, lost_m=np.inf, spreads=False,
     ),
     "published": PublishedRules(

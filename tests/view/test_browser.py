@@ -12,9 +12,12 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate
+from viewshed.fusion.explained import Explanation
+from viewshed.fusion.legend import LEGEND, ShownTracks
 from viewshed.integrity import IntegrityReport
+from viewshed.objects import Detections
 from viewshed.plot import COLORS
-from viewshed.view import Frame, PackedFrame, pack_frame, write_page
+from viewshed.view import AgentTrust, Frame, PackedFrame, pack_frame, write_page
 from viewshed.view.html import UNKNOWN_ON_DARK
 
 pytestmark = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed: pages are not opened")
@@ -41,7 +44,16 @@ def _frames() -> Iterator[PackedFrame]:
             "by hand", 0.1 * k, 0.25, grid=GRID, suspect_cells=suspect, reasons=("a wall <b>is</b> missing",)
         )
         estimate = FovEstimate(GRID, visible * np.float32(0.9), state, std=std, t_ns=10**18 + 50_000_000 * k)
-        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, report))
+        found, tracks, trust, lies = None, None, (), ()
+        if k == 2:
+            box = np.array([[8.0, -8.0, 0.8, 8.0, 4.0, 1.5, 0.0], [-16.0, 10.0, 0.8, 8.0, 4.0, 1.5, np.pi / 2]])
+            reasons = ("missing for 1.0 s <b>", "hidden")
+            legend = np.array([Explanation.MISSING, Explanation.HIDDEN])
+            tracks = ShownTracks(np.array([7, 9]), box, np.zeros((2, 2)), np.array([0.9, 0.8]), legend, reasons)
+            found = Detections(box[:1], np.array([3]), np.array([40]))
+            trust = (AgentTrust("car", 0.21, accused=True, forged=True), AgentTrust("mast", 0.98))
+            lies = ("car contradicts the others",)
+        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, report, found, tracks, trust, lies))
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +143,32 @@ def test_keys_step_and_play(opened: Browser) -> None:
     opened.wait_for("element('play').textContent === 'Play'")
     assert opened.value("element('alarms').textContent") == "inconsistent: a wall <b>is</b> missing"
     assert not _near(_pixel(opened, 12.5, -20.5), COLORS[CellState.FREE])  # suspect
+    assert opened.problems == []
+
+
+def test_tracks_are_drawn_in_the_color_of_their_explanation_and_trust_is_told(opened: Browser) -> None:
+    assert opened.value("[...document.querySelectorAll('[data-track]')].map((item) => item.textContent)") == [
+        "track: hidden", "track: missing though visible",
+    ]  # fmt: skip
+    opened.value("show(2)")
+    opened.wait_for(SHOWN.format(2))
+    for (x_m, y_m), why in (((8.5, -8.5), Explanation.MISSING), ((-16.5, 10.5), Explanation.HIDDEN)):
+        state = CellState.FREE if x_m > 0 else CellState.HIDDEN
+        mixed = 0.35 * np.array(LEGEND[why].color) + 0.65 * np.array(COLORS[state])
+        assert _near(_pixel(opened, x_m, y_m), (mixed[0], mixed[1], mixed[2])), why
+    left, top, column, row = opened.value(
+        "(({left, top}) => [left, top, ...toScreen(8.5, -8.5)])(map.getBoundingClientRect())"
+    )
+    opened.mouse("mouseMoved", left + column, top + row)
+    told = opened.value("element('tip').textContent").splitlines()
+    assert told[-2:] == ["track 7: missing though visible, exists with 90 %", "missing for 1.0 s <b>"]
+    assert opened.value("element('alarms').textContent") == "center: car contradicts the others"
+    assert opened.value("[...element('trust').children].map((item) => item.textContent)") == [
+        "car (forged)0.21 accused", "mast0.98",
+    ]  # fmt: skip
+    opened.value("document.querySelector('#overlays [value=tracks]').click()")
+    assert _near(_pixel(opened, 8.5, -8.5), COLORS[CellState.FREE])
+    opened.value("document.querySelector('#overlays [value=tracks]').click()")
     assert opened.problems == []
 
 

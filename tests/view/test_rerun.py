@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from viewshed import load_estimator, read_sweep
+from viewshed.fusion.explained import Explanation
+from viewshed.fusion.legend import ShownTracks
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import IntegrityReport
 from viewshed.io.samples import junction_path
+from viewshed.objects import Detections
 from viewshed.preprocess.leveling import level
-from viewshed.view.frames import Frame
+from viewshed.view.frames import AgentTrust, Frame
 from viewshed.view.rerun import write_rerun
 
 rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
@@ -25,7 +28,16 @@ def test_frames_become_a_file(tmp_path: Path) -> None:
     suspect[10:12] = True
     report = IntegrityReport("by hand", 2.0, 1.0, suspect=suspect, reasons=("a wall stands in the air",))
     estimate = estimator.estimate(leveled)
-    frames = [Frame("first", estimate, leveled, report), Frame("second", estimate, leveled)]
+    boxes = np.array([[9.0, 2.0, 0.8, 4.2, 1.8, 1.5, 0.3], [9.0, -8.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
+    tracks = ShownTracks(
+        np.array([3, 8]), boxes, np.zeros((2, 2)), np.ones(2), np.array([Explanation.SEEN, Explanation.MISSING]),
+        ("detected in this sweep", "missing for 1.0 s"),
+    )  # fmt: skip
+    found = Detections(boxes[:1], np.array([3]), np.array([40]))
+    frames = [
+        Frame("first", estimate, leveled, report, found, tracks),
+        Frame("second", estimate, leveled, trust=(AgentTrust("car", 0.2, accused=True),), lies=("car contradicts",)),
+    ]
     place = tmp_path / "run.rrd"
     assert write_rerun(place, frames, "a drive") == place.stat().st_size > 100_000
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
@@ -33,7 +45,10 @@ def test_frames_become_a_file(tmp_path: Path) -> None:
     said = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", "print", place], check=True, capture_output=True, text=True
     ).stdout
-    for entity in ("/level/points", "/level/suspect", "/sweep/states/image", "/numbers/visible_m2", "/alarms"):
+    for entity in (
+        "/level/points", "/level/suspect", "/sweep/states/image", "/numbers/visible_m2", "/alarms", "/level/tracks",
+        "/level/detections", "/trust/car",
+    ):  # fmt: skip
         assert entity in said
 
 

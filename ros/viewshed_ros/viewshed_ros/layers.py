@@ -7,16 +7,17 @@ slower.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import shapely
-from geometry_msgs.msg import Point, Point32, Polygon, PolygonStamped
+from geometry_msgs.msg import Point, PolygonStamped
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from shapely.geometry.polygon import orient
 from std_msgs.msg import ColorRGBA, Header, String
@@ -72,7 +73,9 @@ class View:
 
 def own_grid(view: View, layer: str) -> OccupancyGrid:
     """Return a layer of :func:`viewshed.io.export.ros.visibility_layer`: visibility, state or doubt."""
-    return _grid(visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level)
+    return grid_message(
+        visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level
+    )
 
 
 def speed_mask(view: View) -> OccupancyGrid:
@@ -87,10 +90,10 @@ def keepout_mask(view: View) -> OccupancyGrid:
 
 def _mask(view: View, values: NDArray[np.int8]) -> OccupancyGrid:
     grid, in_map = nav2.in_the_map(values, view.estimate.grid, view.world_from_level())
-    return _grid(in_map, grid, Header(stamp=view.stamp, frame_id=view.world_frame), Rigid.identity())
+    return grid_message(in_map, grid, Header(stamp=view.stamp, frame_id=view.world_frame), Rigid.identity())
 
 
-def _grid(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_grid: Rigid) -> OccupancyGrid:
+def grid_message(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_grid: Rigid) -> OccupancyGrid:
     """Return values (cells, cells), x first, as a grid, whose data go along x first."""
     message = OccupancyGrid(header=header)
     message.info.map_load_time = header.stamp
@@ -101,61 +104,83 @@ def _grid(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_gr
     return message
 
 
-def largest_part(view: View) -> PolygonStamped:
-    """Return the largest part of the view as one ring, see :func:`keyhole`: exactly its cells."""
+def largest_part(view: View) -> bytes:
+    """Return the largest part of the view as one ring, see :func:`keyhole`: a serialized PolygonStamped.
+
+    Thousands of points, each an object of Python, would take longer than all else.
+    """
     parts = view.estimate.polygon().geoms
     corners = keyhole(max(parts, key=lambda part: part.area)) if parts else np.zeros((0, 2))
     on_ground = view.frame_from_level @ np.column_stack([corners, np.zeros(len(corners))])
-    points = [Point32(x=x, y=y, z=z) for x, y, z in on_ground.tolist()]
-    return PolygonStamped(header=view.header(), polygon=Polygon(points=points))
+    # The points come last: their number, then x, y, z of each.
+    empty: bytes = serialize_message(PolygonStamped(header=view.header()))
+    return empty[:-4] + len(on_ground).to_bytes(4, "little") + on_ground.astype("<f4").tobytes()
 
 
 def keyhole(polygon: shapely.Polygon) -> NDArray[np.float64]:
-    """Return a polygon with holes as one ring (N, 2) of its area: bridges without width lead to holes and back.
+    """Return a polygon of cells, with holes, as one ring (N, 2) of its area: bridges without width lead to the holes.
 
     >>> ring = shapely.box(0, 0, 3, 3).difference(shapely.box(1, 1, 2, 2))
-    >>> shapely.LinearRing(keyhole(ring)).length  # 12 m outside, 4 m inside, 1 m to the hole and back
+    >>> round(shapely.LinearRing(keyhole(ring)).length, 6)  # 12 m outside, 4 m inside, 1 m to the hole and back
     18.0
     """
     polygon = orient(polygon)  # holes turn the other way
-    ring, holes = np.asarray(polygon.exterior.coords)[:-1], np.array(polygon.interiors, object)
-    # Next is always the hole nearest to what is joined already (Prim's tree): the shortest bridges cross nothing.
-    nearest, apart_m = np.full(len(holes), polygon.exterior), shapely.distance(polygon.exterior, holes)
-    for _ in holes:
-        number = int(apart_m.argmin())
-        hole = holes[number]
-        here, there = shapely.get_coordinates(shapely.shortest_line(nearest[number], hole))
-        inner = np.asarray(hole.coords)[:-1]
-        cut, begin = _edge_at(ring, here) + 1, _edge_at(inner, there) + 1
-        ring = np.vstack([ring[:cut], here, there, np.roll(inner, -begin, axis=0), there, here, ring[cut:]])
-        # What is left may be nearer to this hole; what is joined lies infinitely far.
-        apart_m[number] = np.inf
-        to_hole_m = np.where(np.isinf(apart_m), np.inf, shapely.distance(hole, holes))
-        nearest[to_hole_m < apart_m] = hole
-        apart_m = np.minimum(apart_m, to_hole_m)
-    return ring
+    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+    # 1. The upright edges (E,) of all rings: where they stand, and the ring and the corner at which they begin.
+    begin, end = np.vstack(rings), np.vstack([np.roll(ring, -1, axis=0) for ring in rings])
+    owner = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])
+    corner = np.concatenate([np.arange(len(ring)) for ring in rings])
+    upright = begin[:, 0] == end[:, 0]
+    x, y, y_end, owner, corner = begin[upright, 0], begin[upright, 1], end[upright, 1], owner[upright], corner[upright]
+    low, high = np.minimum(y, y_end), np.maximum(y, y_end)
+    # 2. From the leftmost edge of each hole a bridge goes left to the next edge. It begins at the golden section of its
+    #    edge, so that it meets no corner. A hole at which it ends begins farther left: bridges make no circle.
+    leftmost = np.lexsort((x, owner))[np.searchsorted(np.sort(owner), np.arange(1, len(rings)))]
+    at_y = low[leftmost] + _GOLDEN * (high[leftmost] - low[leftmost])
+    is_met = (x < x[leftmost, None]) & (low < at_y[:, None]) & (at_y[:, None] < high)
+    met = np.where(is_met, x, -np.inf).argmax(axis=1)
+    # 3. Join the rings, those that begin farthest right first: what a ring is given is whole by then.
+    given: list[list[tuple[int, float, NDArray[np.float64]]]] = [[] for _ in rings]
+    for hole in np.argsort(-x[leftmost]):
+        first, last = leftmost[hole], met[hole]
+        there, here = np.array([[x[first], at_y[hole]], [x[last], at_y[hole]]])
+        loop = _joined(np.roll(rings[hole + 1], -1 - corner[first], axis=0), given[hole + 1])
+        # Corners of a hole are counted from the end of the edge at which its bridge begins.
+        start = 0 if owner[last] == 0 else 1 + corner[leftmost[owner[last] - 1]]
+        place = int((corner[last] - start) % len(rings[owner[last]]))
+        given[owner[last]].append((place, abs(at_y[hole] - y[last]), np.vstack([here, there, loop, there, here])))
+    return _joined(rings[0], given[0])
 
 
-def _edge_at(ring: NDArray[np.float64], point: NDArray[np.float64]) -> int:
-    """Return the number of the edge of a ring (N, 2) that passes nearest to a point (2,)."""
-    along, to_point = np.roll(ring, -1, axis=0) - ring, point - ring
-    share = (to_point * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-12)
-    missed = to_point - np.clip(share, 0.0, 1.0)[:, None] * along
-    return int((missed * missed).sum(axis=1).argmin())
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
+
+
+def _joined(
+    ring: NDArray[np.float64], given: list[tuple[int, float, NDArray[np.float64]]]
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return a ring (N, 2) with detours, each after a corner's number and so far along the edge that begins there."""
+    parts, done = [], 0
+    for place, _, detour in sorted(given, key=lambda each: each[:2]):
+        parts += [ring[done : place + 1], detour]
+        done = place + 1
+    return np.vstack([*parts, ring[done:]])
 
 
 def markers(view: View) -> MarkerArray:
     """Return the outline of the view with its holes, and the suspect sectors as a fan."""
-    rings = [
-        np.asarray(ring.coords)
-        for part in view.estimate.polygon().geoms
-        for ring in (part.exterior, *part.interiors)
-    ]  # fmt: skip
-    # A LINE_LIST takes the two ends of each line.
-    lines = [np.stack([ring[:-1], ring[1:]], axis=1).reshape(-1, 2) for ring in rings]
+    rings = shapely.get_rings(view.estimate.polygon().geoms)
+    corners = [Point(x=x, y=y) for x, y in shapely.get_coordinates(rings).tolist()]
+    ends = np.cumsum(shapely.get_num_coordinates(rings)).tolist()
+    # A LINE_LIST takes the two ends of each line; no line leads from the last corner of a ring to the next ring.
+    lines = [
+        point
+        for first, last in zip([0, *ends[:-1]], ends, strict=True)
+        for at in range(first, last - 1)
+        for point in corners[at : at + 2]
+    ]
     outline = _marker(view, "view", Marker.LINE_LIST, lines, ColorRGBA(r=0.1, g=0.8, b=0.3, a=1.0))
     outline.scale.x = 0.1
-    fans = _fans(view.suspect, view.estimate.grid.half_extent_m)
+    fans = [Point(x=x, y=y) for x, y in _fans(view.suspect, view.estimate.grid.half_extent_m).tolist()]
     suspect = _marker(view, "suspect", Marker.TRIANGLE_LIST, fans, ColorRGBA(r=0.9, g=0.2, b=0.1, a=0.4))
     suspect.scale.x = suspect.scale.y = suspect.scale.z = 1.0
     if not fans:
@@ -163,17 +188,18 @@ def markers(view: View) -> MarkerArray:
     return MarkerArray(markers=[outline, suspect])
 
 
-def _fans(suspect: NDArray[np.bool_], radius_m: float) -> list[NDArray[np.float64]]:
-    """Return a triangle (3, 2) for each suspect sector."""
+def _fans(suspect: NDArray[np.bool_], radius_m: float) -> NDArray[np.float64]:
+    """Return the corners (3 K, 2) of a triangle for each of K suspect sectors."""
     edges = np.linspace(-np.pi, np.pi, SECTORS + 1)
     on_circle = radius_m * np.column_stack([np.cos(edges), np.sin(edges)])
-    return [np.vstack([np.zeros(2), on_circle[number : number + 2]]) for number in np.flatnonzero(suspect)]
+    number = np.flatnonzero(suspect)
+    return np.stack([np.zeros((len(number), 2)), on_circle[number], on_circle[number + 1]], axis=1).reshape(-1, 2)
 
 
-def _marker(view: View, name: str, kind: int, parts: Iterable[NDArray[np.float64]], color: ColorRGBA) -> Marker:
+def _marker(view: View, name: str, kind: int, points: list[Point], color: ColorRGBA) -> Marker:
     marker = Marker(header=view.header(), ns=name, type=kind, action=Marker.ADD, color=color)
     marker.pose = pose_of(view.frame_from_level)
-    marker.points = [Point(x=x, y=y) for part in parts for x, y in part.tolist()]
+    marker.points = points
     return marker
 
 
@@ -198,7 +224,7 @@ def obstruction(view: View) -> String:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A topic: the type of its messages, what makes them, and whether who comes late is given the last one."""
+    """A topic: the type of its messages, what makes one or its bytes, and whether who comes late is given the last."""
 
     message_type: type[Any]
     make: Callable[[View], Any]

@@ -18,6 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_msgs.msg import UInt8MultiArray
 
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
@@ -30,6 +31,7 @@ from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
 from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
 from viewshed_ros.packets import Revolution, Revolutions
 from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
 
@@ -45,6 +47,9 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 PACKETS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of sensors that send packets: two revolutions of most of them."""
+
+VIEWS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of what agents tell each other: what is late is of no use any more."""
 
 LIVE = QoSProfile(depth=5)
 """Reliable, for who is there."""
@@ -76,6 +81,8 @@ class FieldOfView(LifecycleNode):
         self._poses: poses.Poses | None = None
         self._sensors: dict[str, Sensor] = {}
         self._facts: dict[str, str] = {}
+        self._speaker: Any = None
+        self._views: Any = None
         self._destroy: list[Callable[[], object]] = []
         self._told_s = 0.0
 
@@ -156,9 +163,27 @@ class FieldOfView(LifecycleNode):
         history = SweepBuffer(settings.history) if settings.history else None
         self._pipeline = Pipeline(
             estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
-            vehicle=settings.vehicle,
+            vehicle=settings.vehicle, objects=self._objects(settings),
         )  # fmt: skip
         self._told_s = time.monotonic()
+
+    def _objects(self, settings: Settings) -> Any:
+        """Return what follows objects, or None; and prepare to tell others, where that is wanted.
+
+        Raises:
+            ImportError: a package is not installed.
+            OSError, ValueError: the key cannot be read.
+        """
+        if settings.agent:
+            from viewshed_ros.sharing import Speaker, read_signing_key  # needs packages that other nodes do without
+
+            self._speaker = Speaker(read_signing_key(settings.agent, settings.agent_key), settings.world_frame)
+            self._views = self._publisher(UInt8MultiArray, settings.agent_topic, VIEWS)
+        if not (settings.objects or settings.agent):
+            return None
+        from viewshed.fusion.object_stream import ObjectStream
+
+        return ObjectStream()
 
     def _monitor(self, settings: Settings) -> StreamMonitor | None:
         """Return what watches the streams; None where it is off, or only wished for and there is none in the box."""
@@ -191,6 +216,9 @@ class FieldOfView(LifecycleNode):
             name: self._publisher(layer.message_type, f"{settings.name}/{name}", LATCHED if layer.latched else LIVE)
             for name, layer in LAYERS.items()
         }
+        if self._settings_now().objects:
+            for name, objects in OBJECT_LAYERS.items():
+                publishers[name] = self._publisher(objects.message_type, f"{settings.name}/{name}", LIVE)
         for name, message_type in costmap_filters.info_types().items():
             publishers[name] = self._publisher(message_type, f"{settings.name}/{name}", LATCHED)
         return Sensor(settings, publishers, self._publisher(DiagnosticStatus, f"{settings.name}/alarm", LATCHED))
@@ -230,6 +258,7 @@ class FieldOfView(LifecycleNode):
         for each in destroy:
             each()
         self._sensors, self._poses, self._settings = {}, None, None
+        self._speaker = self._views = None
 
     # Messages in
 
@@ -333,6 +362,19 @@ class FieldOfView(LifecycleNode):
         sensor.last_view = view
         for topic, layer in LAYERS.items():
             self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
+        self._publish_objects(sensor, answer)
+
+    def _publish_objects(self, sensor: Sensor, answer: Answer) -> None:
+        """Publish the objects of an answer, and tell other agents of it, where that is wanted."""
+        settings, objects, leveled = self._settings_now(), answer.objects, answer.leveled
+        if settings.objects and objects is not None and leveled is not None:
+            stamp = stamp_of(leveled.sweep.t_ns or 0)
+            frame_from_level = leveled.level_from_sensor.inverse()
+            view = ObjectsView(objects, stamp, sensor.frame, frame_from_level, settings.world_frame)
+            for topic, layer in OBJECT_LAYERS.items():
+                self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
+        if self._speaker is not None:
+            self._publish_one(sensor, self._views, partial(self._speaker.message, answer))
 
     def _publish_one(
         self, sensor: Sensor, publisher: Any, make: Callable[[], Any], *, always: bool = False

@@ -58,6 +58,10 @@ PARAMETERS: dict[str, Parameter] = {
     "vehicle_half_width_m": Parameter(VEHICLE.half_width_m, "Half of the width of the lane that must be free."),
     "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act."),
     "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes."),
+    "objects": Parameter(False, "Detect, track and explain objects as well; needs scipy."),
+    "agent": Parameter("", "Name under which the first sensor's answers are told to other agents; empty for not."),
+    "agent_key": Parameter("", "File of the agent's private key, 64 hexadecimal digits."),
+    "agent_topic": Parameter("/viewshed/views", "Topic of the signed messages of all agents."),
     "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does."),
     "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
 }
@@ -116,11 +120,15 @@ class Settings:
     limits: SpeedLimits
     vehicle: Vehicle
     diagnostics_hz: float
+    objects: bool = False
+    agent: str = ""
+    agent_key: str = ""
+    agent_topic: str = ""
 
 
 def declare(node: Node) -> None:
     """Declare the parameters of the node."""
-    _declare(node, PARAMETERS)
+    declare_table(node, PARAMETERS)
 
 
 def read(node: Node) -> Settings:
@@ -129,7 +137,7 @@ def read(node: Node) -> Settings:
     Raises:
         ValueError: a value is out of range or no choice; the text says which.
     """
-    given: dict[str, Any] = _values(node, PARAMETERS)
+    given: dict[str, Any] = values_of(node, PARAMETERS)
     profile = profile_named(given["profile"])
     names = given["sensors"]
     if not names or len(set(names)) != len(names) or not all(name.isidentifier() and name.isascii() for name in names):
@@ -137,6 +145,11 @@ def read(node: Node) -> Settings:
     for name in ("diagnostics_hz", "pose_wait_s"):
         if not 0.0 <= given[name] <= 100.0:
             raise ValueError(f"{name} must lie in [0, 100], got {given[name]}")
+    if given["agent"] and (given["pose_source"] == "none" or not given["agent_key"] or len(names) > 1):
+        raise ValueError(
+            f"agent {given['agent']} needs one sensor, a pose_source and an agent_key, got sensors {list(names)},"
+            f" pose_source {given['pose_source']} and agent_key {given['agent_key']!r}"
+        )
     if given["output"] == "world" and given["pose_source"] == "none":
         raise ValueError("output world needs poses, got pose_source none; name tf, odometry, pose or transform")
     return Settings(
@@ -162,13 +175,17 @@ def read(node: Node) -> Settings:
             given["vehicle_braking_mps2"],
         ),
         diagnostics_hz=given["diagnostics_hz"],
+        objects=given["objects"],
+        agent=given["agent"],
+        agent_key=given["agent_key"],
+        agent_topic=given["agent_topic"],
     )
 
 
 def _sensor(node: Node, name: str) -> SensorSettings:
     table = {f"{name}.{part}": parameter for part, parameter in SENSOR_PARAMETERS.items()}
-    _declare(node, table)
-    given = {key.partition(".")[2]: value for key, value in _values(node, table).items()}
+    declare_table(node, table)
+    given = {key.partition(".")[2]: value for key, value in values_of(node, table).items()}
     changes: dict[str, Any] = {}
     if given["model"] != "auto":
         model: LidarModel | None = None if given["model"] == "none" else lidar_model(given["model"])
@@ -190,7 +207,8 @@ def _sensor(node: Node, name: str) -> SensorSettings:
     return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"] or name, revolutions)
 
 
-def _declare(node: Node, table: dict[str, Parameter]) -> None:
+def declare_table(node: Node, table: dict[str, Parameter]) -> None:
+    """Declare the parameters of a table that are not declared yet."""
     for name, parameter in table.items():
         if not node.has_parameter(name):
             node.declare_parameter(
@@ -201,7 +219,12 @@ def _declare(node: Node, table: dict[str, Parameter]) -> None:
             )  # fmt: skip
 
 
-def _values(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
+def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
+    """Return the values of the parameters of a table.
+
+    Raises:
+        ValueError: one is none of its choices.
+    """
     values = {name: node.get_parameter(name).value for name in table}
     for name, parameter in table.items():
         _check_choice(name, values[name], parameter.choices)

@@ -10,7 +10,7 @@ import typer
 
 from viewshed import __version__
 from viewshed._extras import needed_for
-from viewshed.cli._options import BAD_INPUTS, complain, one_line, with_reading
+from viewshed.cli._options import BAD_INPUTS, complain, one_line, with_groups
 from viewshed.cli._status import status_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
@@ -41,7 +41,7 @@ _COMMANDS = (
 )  # fmt: skip
 
 for _command in _COMMANDS:
-    app.command()(with_reading(_command))
+    app.command()(with_groups(_command))
 app.command(hidden=True)(reproduce)
 app.add_typer(evaluate_app, name="evaluate")
 app.add_typer(dataset_app, name="dataset")

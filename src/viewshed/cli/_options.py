@@ -16,9 +16,11 @@ import typer
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.fov.visibility import Target
+    from viewshed.fusion.object_stream import ObjectStream
     from viewshed.grid import BevGrid
     from viewshed.io import IndexEntry
     from viewshed.sweep import Sweep
+    from viewshed.threats.adversary import Adversary
 
 
 GridName = Annotated[
@@ -26,14 +28,17 @@ GridName = Annotated[
 ]
 
 SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
-FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
-FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
+FormatName = Annotated[str, typer.Option("--format", help="File format; auto tells it by content and name.")]
+FrameName = Annotated[
+    str | None,
+    typer.Option("--file-frame", help="Axes of the file's points: sensor (x forward, y left), nuscenes, carla, …"),
+]
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
 Origin = Annotated[
     str | None, typer.Option("--origin", help="Where the sensor stands in the file's frame, X,Y,Z in meters.")
 ]
 Topic = Annotated[
-    str | None, typer.Option("--topic", help="Of a bag with several: the topic whose clouds or scans are read.")
+    str | None, typer.Option("--topic", help="In a bag with several topics of clouds or scans: the one to read.")
 ]
 Poses = Annotated[
     Path | None,
@@ -43,20 +48,30 @@ Crs = Annotated[
     str | None,
     typer.Option("--crs", help="Reference system of the poses, or of the points with --origin: EPSG:25832."),
 ]
-Number = Annotated[int, typer.Option("--number", min=0, help="Which sweep of a file or recording of several, from 0.")]
-RingSource = Annotated[str, typer.Option("--ring", help="file: the ring column, where there is one; none: without it.")]
+Number = Annotated[
+    int, typer.Option("--number", min=0, help="In a file or recording of several sweeps: which one, counted from 0.")
+]
+RingSource = Annotated[
+    str,
+    typer.Option("--ring", help="file: take the rings of the file, if it has any; none: find them from the points."),
+]
 VehicleYaw = Annotated[
     float | None,
     typer.Option("--vehicle-yaw", help="Heading of the own vehicle in the sensor's frame, in degrees, if known."),
 ]
-Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
+Attitude = Annotated[
+    str | None,
+    typer.Option("--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that turns its axes level."),
+]
 Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
 TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
-Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the published parameters.")]
+Profile = Annotated[
+    str, typer.Option("--profile", help="Parameters of the method: sound (ours) or paper (as published).")
+]
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
-Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
-EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
+Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
+EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
 AUTO = "auto"
 
 NO_SENSOR = "none"
@@ -83,7 +98,7 @@ _COARSE_M = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How files are read: what the options say about them; see :func:`with_reading`."""
+    """How files are read: what the options say about them; see :func:`with_groups`."""
 
     sensor: SensorName = AUTO
     format: FormatName = AUTO
@@ -216,33 +231,97 @@ AS_THEY_ARE = Reading()
 """Files are read as they say themselves."""
 
 
-def with_reading(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameter ``reading`` is an option for each field of :class:`Reading`; others as it is.
+@dataclass(frozen=True, slots=True)
+class Following:
+    """What is made of sweeps beside their fields of view, and who forges it; see :func:`with_groups`."""
+
+    objects: Annotated[bool, typer.Option("--objects", help="Detect, track and explain objects as well.")] = False
+    fuse: Annotated[
+        bool, typer.Option("--fuse", help="Put several agents together as well: joint tracks, trust, disputes.")
+    ] = False
+    attack: Annotated[
+        str | None, typer.Option("--attack", help="Forge sweeps, objects or claimed views: name of an attack.")
+    ] = None
+    attacked: Annotated[
+        str | None, typer.Option("--attacked", help="Agents that are attacked, AGENT,AGENT; all if not given.")
+    ] = None
+    attack_from: Annotated[
+        float, typer.Option("--attack-from", min=0.0, help="Seconds after its first sweep at which it begins.")
+    ] = 2.0
+
+    def __post_init__(self) -> None:
+        if self.attacked is not None and self.attack is None:
+            raise ValueError("--attacked goes with --attack")
+
+    @property
+    def wants_objects(self) -> bool:
+        """Whether objects are followed: to be shown, or to be put together."""
+        return self.objects or self.fuse
+
+    def adversary(self) -> Adversary | None:
+        """Return who forges, or None.
+
+        Raises:
+            ValueError: there is no such attack.
+        """
+        if self.attack is None:
+            return None
+        from viewshed.threats.adversary import Adversary
+
+        agents = frozenset((self.attacked or "").split(",")) - {""}
+        return Adversary(self.attack, agents, start_s=self.attack_from)
+
+    def object_stream(self, adversary: Adversary | None) -> ObjectStream | None:
+        """Return what follows objects, or None."""
+        if not self.wants_objects:
+            return None
+        from viewshed.fusion.object_stream import ObjectStream
+
+        return ObjectStream(tamper=None if adversary is None else adversary.detections)
+
+
+NOT_FOLLOWED = Following()
+"""Fields of view alone."""
+
+GROUPS: dict[str, type[Any]] = {"reading": Reading, "following": Following}
+"""Options that several commands share, by the parameter that takes them."""
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameters of :data:`GROUPS` are an option for each of their fields; others as it is.
 
     The reference system is no such option: only commands that write maps have one.
     """
-    if "reading" not in command.__annotations__:
+    groups = {name: kind for name, kind in GROUPS.items() if name in command.__annotations__}
+    if not groups:
         return command
-    signature, hints = inspect.signature(command, eval_str=True), get_type_hints(Reading, include_extras=True)
-    kind = inspect.Parameter.KEYWORD_ONLY
-    own = [
-        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
-        for each in fields(Reading)
-        if _NO_OPTION not in each.metadata
-    ]
+    signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
+    own = {name: _parameters(group) for name, group in groups.items()}
 
     @wraps(command)
     def with_options(**given: Any) -> None:
-        reading = Reading(**{each.name: given.pop(each.name) for each in own})
-        command(**given, reading=reading)
+        made = {
+            name: group(**{each.name: given.pop(each.name) for each in own[name]}) for name, group in groups.items()
+        }
+        command(**given, **made)
 
     # Typer takes options from the signature and their types from the annotations.
     parameters: list[inspect.Parameter] = []
     for each in signature.parameters.values():
-        parameters += own if each.name == "reading" else [each.replace(kind=kind)]
+        parameters += own[each.name] if each.name in own else [each.replace(kind=kind)]
     with_options.__dict__["__signature__"] = signature.replace(parameters=parameters)
     with_options.__annotations__ = {each.name: each.annotation for each in parameters}
     return with_options
+
+
+def _parameters(group: type[Any]) -> list[inspect.Parameter]:
+    """Return a parameter for each field of a group that is an option."""
+    hints, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
+    return [
+        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
+        for each in fields(group)
+        if _NO_OPTION not in each.metadata
+    ]
 
 
 def complain(line: str) -> None:
@@ -343,7 +422,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
         yield file, entry
 
 
-Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]
+Weights = Annotated[
+    str | None,
+    typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
+]
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
 
@@ -358,7 +440,8 @@ HistorySweeps = Annotated[
 RequireConfirmation = Annotated[
     bool,
     typer.Option(
-        "--require-confirmation", help="With --history: claim only what an earlier sweep would have seen as well."
+        "--require-confirmation",
+        help="With --history: call visible only what an earlier sweep would have seen as well.",
     ),
 ]
 
@@ -369,7 +452,8 @@ WithMonitor = Annotated[
 MonitorFile = Annotated[
     Path | None,
     typer.Option(
-        "--monitor-file", help="File of viewshed monitor calibrate: monitor with it, in place of the one in the box."
+        "--monitor-file",
+        help="Monitor made by viewshed monitor calibrate; without it, the one that comes with viewshed.",
     ),
 ]
 
@@ -379,7 +463,7 @@ AbstainBelow = Annotated[
     float | None,
     typer.Option(
         "--abstain-below",
-        help="Of a network: claim from this probability, deny up to 1 less it, leave the rest unknown.",
+        help="For a network: cells are visible from this probability, hidden below 1 minus it, else unknown.",
     ),
 ]
 

@@ -214,6 +214,7 @@ class Run:
         results: what is written, ``png`` or names of ``EXPORTERS``.
         monitor: says what it finds in each sweep; None without one.
         crs: reference system of the poses, for the formats that have one; None for none.
+        dark: whether pictures are on a dark page.
     """
 
     estimator: Estimator
@@ -222,6 +223,7 @@ class Run:
     results: tuple[str, ...] = RESULTS
     monitor: StreamMonitor | None = None
     crs: str | None = None
+    dark: bool = False
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
@@ -313,7 +315,7 @@ class Run:
         places = self.places(name)
         for kind, place in zip(self.results, places, strict=True):
             if kind == "png":
-                write_atomic(place, estimate.plot(leveled, f"{name}\n{summary}"))
+                write_atomic(place, estimate.plot(leveled, f"{name}\n{summary}", self.dark))
             else:
                 write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
         remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"

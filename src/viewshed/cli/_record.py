@@ -9,13 +9,19 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from viewshed.cli._options import NOT_FOLLOWED, Following, note
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
 from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
     from viewshed.datasets.recorder.moment import DriveTruth, Moment, RisingTimes
+    from viewshed.datasets.recorder.track_metrics import TrackMetrics
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.fusion.object_stream import SeenObjects
+    from viewshed.fusion.rounds import Round
     from viewshed.pipeline import Answer, Pipeline
     from viewshed.sweep import Sweep
+    from viewshed.threats.adversary import Adversary
 
     Record = Callable[[Moment], None]
 
@@ -41,12 +47,27 @@ class Listener:
         records: what takes the moments.
         failures: count the sweeps that were refused.
         is_live: whether latencies are recorded.
+        following: whether agents are put together.
+        adversary: who forges, or None.
     """
 
-    def __init__(self, records: Sequence[Record], failures: Failures, *, is_live: bool) -> None:
+    def __init__(
+        self,
+        records: Sequence[Record],
+        failures: Failures,
+        *,
+        is_live: bool,
+        following: Following = NOT_FOLLOWED,
+        adversary: Adversary | None = None,
+    ) -> None:
         self._records, self._failures, self._is_live = records, failures, is_live
         self._awaited: dict[int, Awaited] = {}
         self._times: RisingTimes | None = None
+        self._center = Center(adversary) if following.fuse else None
+        self._adversary, self._forged = adversary, set[str]()
+        self._metrics: TrackMetrics | None = None
+        self.on_accused: Callable[[frozenset[str]], None] = lambda agents: None
+        """Is given the agents that the center accuses, after each round."""
 
     def expect(self, number: int, awaited: Awaited) -> None:
         """Keep a sweep until its answer comes, or that of a later one of its agent."""
@@ -63,18 +84,90 @@ class Listener:
         else:
             said = "" if answer.report is None else f"; {stream_verdicts(answer.report)}"
             visible = f"visible {answer.estimate.area_m2():.0f} m²"
+            said += "" if answer.objects is None else objects_line(answer.objects)
             typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{said}")
+        done = None if self._center is None else self._center.take(answer)
+        if done is not None and self._center is not None:
+            self.on_accused(self._center.accused)
         if self._records:
-            self._record(answer, awaited)
+            self._record(answer, awaited, done)
 
-    def _record(self, answer: Answer, awaited: Awaited) -> None:
+    def _record(self, answer: Answer, awaited: Awaited, done: Round | None) -> None:
         from viewshed.datasets.recorder.moment import Moment, RisingTimes
 
         self._times = self._times or RisingTimes()
         t_ns = self._times.of(awaited.agent, awaited.sweep.t_ns)
-        moment = Moment(awaited.agent, t_ns, awaited.sweep, answer, awaited.truth, self._is_live)
+        if self._adversary is not None:
+            self._forged |= self._adversary.agents or {awaited.agent}
+        moment = Moment(
+            awaited.agent, t_ns, awaited.sweep, answer, awaited.truth, self._is_live, self._metrics_of(answer, awaited),
+            tuple(sorted(self._forged)), done, None if self._center is None else self._center.trust.get(awaited.agent),
+        )  # fmt: skip
         for record in self._records:
             record(moment)
+
+    def _metrics_of(self, answer: Answer, awaited: Awaited) -> dict[str, float]:
+        """Return how well the tracks agree with the truth; nothing where there is no truth, or there are no tracks."""
+        if answer.objects is None or awaited.truth is None:
+            return {}
+        from viewshed.datasets.recorder.track_metrics import TrackMetrics
+
+        self._metrics = self._metrics or TrackMetrics()
+        return self._metrics.of(awaited.agent, 1e-9 * (awaited.sweep.t_ns or 0), answer.objects, awaited.truth)
+
+
+class Center:
+    """Puts the answers of several agents together and prints a line for each round.
+
+    Args:
+        adversary: who forges claimed fields of view, or None.
+    """
+
+    def __init__(self, adversary: Adversary | None = None) -> None:
+        from viewshed.fusion.rounds import Rounds
+
+        self._rounds, self._adversary = Rounds(), adversary
+        self.trust: dict[str, float] = {}
+        """In each agent, after the last round."""
+        self.accused: frozenset[str] = frozenset()
+        """Agents that lie by the center's limits, after the last round."""
+
+    def take(self, answer: Answer) -> Round | None:
+        """Return the last round that an answer ended, if it did."""
+        if answer.estimate is None or answer.objects is None:
+            return None
+        return self.add(answer.estimate, answer.objects)
+
+    def add(self, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
+        """Return the last round that a report ended, if it did.
+
+        Raises:
+            ValueError: the sweep has no time or no pose.
+        """
+        from viewshed.cli.fuse import line_of
+        from viewshed.fusion.many import AgentReport
+
+        if estimate.t_ns is None or estimate.world_from_level is None:
+            raise ValueError(
+                f"--fuse needs a time and a pose of each sweep, {estimate.agent} has one without; give --poses"
+            )
+        claimed = estimate if self._adversary is None else self._adversary.view(estimate)
+        done = self._rounds.add(1e-9 * estimate.t_ns, AgentReport.of(claimed, objects.detections))
+        for line in self._rounds.notes:
+            note(line)
+        for each in done:
+            typer.echo(f"center: {line_of(each)}")
+            agents = each.picture.agents
+            self.trust |= dict(zip(agents, each.picture.verdicts.trust.tolist(), strict=True))
+            self.accused = frozenset(name for name, flag in zip(agents, each.accused, strict=True) if flag)
+        return done[-1] if done else None
+
+
+def objects_line(objects: SeenObjects) -> str:
+    """Return how many objects are detected and tracked, and how many tracks are suspicious."""
+    suspicious = int((objects.shown & objects.explained.accused).sum())
+    counts = f"; {len(objects.detections)} objects, {objects.shown.sum()} tracks"
+    return counts + (f", {suspicious} suspicious" if suspicious else "")
 
 
 @contextmanager
@@ -112,18 +205,29 @@ def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Nam
             yield named
 
 
-def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited]) -> int:
-    """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were."""
+def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adversary: Adversary | None = None) -> int:
+    """Put sweeps into a pipeline whose answers go to a listener, print what was done, and return how many they were.
+
+    An adversary forges them before.
+    """
     from viewshed.pipeline import prepare_process
 
     prepare_process()
-    count = 0
+    count, listener.on_accused = 0, pipeline.accuse
     try:
         with pipeline:
             for each in sweeps:
-                listener.expect(count, each)
-                pipeline.put(each.sweep, each.agent)
+                sent = each if adversary is None else each._replace(sweep=adversary.sweep(each.sweep))
+                listener.expect(count, sent)
+                pipeline.put(sent.sweep, sent.agent)
                 count += 1
     finally:
         typer.echo(pipeline.statistics().line())
+    note_unmet(adversary)
     return count
+
+
+def note_unmet(adversary: Adversary | None) -> None:
+    """Say which agents were to be attacked and never came."""
+    if adversary is not None and adversary.unmet():
+        note(f"--attacked {', '.join(sorted(adversary.unmet()))}: no agent has this name, nothing of it was forged")

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def demo(out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("demo")) -> None:
     """Estimate what the sensor of the embedded sample sees, and compare with the exact truth.
 
-    Writes demo.png (the estimate), demo_truth.png (estimate and truth side by side), GeoJSON and NPZ. The sample is a
-    simulated junction; ``viewshed simulate`` makes others.
+    Writes demo.png (the estimate), demo_truth.png (estimate and truth side by side), GeoJSON, NPZ, and the sweep as
+    sweep.pcd.bin.gz, for the other commands. The sample is a simulated junction; ``viewshed simulate`` makes others.
 
     Example: viewshed demo --out demo
     """
@@ -31,6 +31,7 @@ def demo(out: Annotated[Path, typer.Option(help="Folder of the results.")] = Pat
     estimator = NetworkOptions().estimator(None, options.parse_grid("road"), "car")
     estimate, summary = Run(estimator, estimator.threshold, out).one(read_sweep(junction_path()), "demo")
     typer.echo(summary)
+    write_atomic(out / "sweep.pcd.bin.gz", junction_path().read_bytes())
     picture, line = _beside_truth(estimate)
     write_atomic(out / "demo_truth.png", picture)
     typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")

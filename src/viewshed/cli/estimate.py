@@ -34,7 +34,7 @@ Files = Annotated[
 
 Method = Annotated[
     str | None,
-    typer.Option(help="Estimator; shadow_map if not given."),
+    typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …"),
 ]
 
 Threshold = Annotated[
@@ -45,7 +45,7 @@ Threshold = Annotated[
 Batch = Annotated[
     int,
     typer.Option(
-        min=1, max=1024, help="Sweeps that are taken at once, one a core; above 1 for archives, and nothing is timed."
+        min=1, max=1024, help="Sweeps estimated at the same time, one on each core; above 1 no times are printed."
     ),
 ]
 
@@ -75,6 +75,7 @@ def estimate(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
+    dark: Annotated[bool, typer.Option("--dark", help="Pictures on a dark page.")] = False,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
@@ -98,7 +99,7 @@ def estimate(
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs)
+    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs, dark)
     reading = replace(reading, crs=crs)
     if crs is not None:
         crs_of(crs)

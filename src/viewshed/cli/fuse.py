@@ -6,7 +6,7 @@ import heapq
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,11 +17,9 @@ from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from viewshed.estimators import Estimator
-    from viewshed.fusion.many import AgentReport, CommonPicture
+    from viewshed.fusion.many import AgentReport
+    from viewshed.fusion.rounds import Round
     from viewshed.perception.detector import Detector
     from viewshed.sweep import Sweep
 
@@ -35,7 +33,7 @@ def fuse(
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     slop: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Seconds by which sweeps of one time may lie apart.")
+        float, typer.Option(min=0.0, max=1.0, help="Sweeps at most so many seconds apart count as of the same time.")
     ] = 0.1,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
@@ -49,6 +47,7 @@ def fuse(
     """
     from viewshed._files import write_atomic
     from viewshed.fusion.many import CommandCenter
+    from viewshed.fusion.rounds import Round
     from viewshed.perception.detector import Detector
 
     kinds = parse_results(results, ("jsonl", "png"))
@@ -66,11 +65,11 @@ def fuse(
         if center is None or not set(agents) <= set(center.agents):
             known = agents if center is None else tuple(sorted({*center.agents, *agents}))
             center = CommandCenter(known)
-        picture = center.add(t_s, reports)
-        typer.echo(line_of(picture))
-        lines.append(json.dumps(numbers_of(picture)))
+        done = Round.of(center.add(t_s, reports), tuple(reports))
+        typer.echo(line_of(done))
+        lines.append(json.dumps(done.numbers()))
         if "png" in kinds:
-            write_atomic(out / f"fused_{times:04}.png", picture_of(picture, reports))
+            write_atomic(out / f"fused_{times:04}.png", picture_of(done))
         times += 1
     if "jsonl" in kinds:
         write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
@@ -121,66 +120,18 @@ def report_of(sweep: Sweep, estimator: Estimator, detector: Detector) -> AgentRe
     return AgentReport.of(estimate, detector.detect(leveled))
 
 
-def line_of(picture: CommonPicture) -> str:
-    """Return a picture in a line: objects, who is accused of lies, and who is disputed."""
-    accused, disputed = judged(picture)
+def line_of(done: Round) -> str:
+    """Return a round in a line: objects, who is accused of lies, and who is disputed."""
+    picture = done.picture
     verdicts = "".join(
         f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
-        for word, flags in (("ACCUSED", accused), ("disputed", disputed)) if flags.any()
+        for word, flags in (("ACCUSED", done.accused), ("disputed", done.disputed)) if flags.any()
     )  # fmt: skip
-    objects = f"{picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed"
+    objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"
 
 
-def judged(picture: CommonPicture) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return who is accused and who is disputed (A,), at the smallest rate of the limits in the box, 1 % at least."""
-    from viewshed.fusion.trust import trust_limits
-
-    limits = trust_limits()
-    rate = max(0.01, limits.least_rate(len(picture.agents)))
-    return limits.accused(picture.verdicts, rate), limits.disputed(picture.verdicts, rate)
-
-
-def numbers_of(picture: CommonPicture) -> dict[str, Any]:
-    """Return the numbers of a picture as plain values."""
-    tracks, verdicts = picture.tracks, picture.verdicts
-    accused, disputed = judged(picture)
-    agents = {
-        agent: {
-            "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
-            "accused": bool(accused[n]), "disputed": bool(disputed[n]),
-        }
-        for n, agent in enumerate(picture.agents)
-    }  # fmt: skip
-    objects = [
-        {
-            "id": int(tracks.ids[k]), "box": tracks.boxes[k].round(3).tolist(),
-            "velocity_mps": tracks.states[k, 2:].round(3).tolist(), "existence": round(float(picture.existence[k]), 4),
-            "believed": bool(picture.believed[k]),
-            "reported_by": [picture.agents[n] for n in picture.reporters[k].nonzero()[0]],
-        }
-        for k in tracks.confirmed.nonzero()[0]
-    ]  # fmt: skip
-    return {"t_s": round(picture.t_s, 6), "agents": agents, "doubt": round(verdicts.doubt, 3), "objects": objects}
-
-
-def picture_of(picture: CommonPicture, reports: list[AgentReport]) -> bytes:
+def picture_of(done: Round) -> bytes:
     """Return the PNG of the joint field of view, about the middle of the agents."""
-    import numpy as np
-
-    from viewshed.fusion.many import joint_fov
-    from viewshed.geometry import Rigid
-    from viewshed.grid import BevGrid
-
-    places = np.array([report.world_from_level.translation for report in reports])
-    middle, extent_m = places.mean(axis=0), max(report.estimate.grid.half_extent_m for report in reports)
-    half_m = extent_m + float(np.abs(places - middle).max())
-    grid = BevGrid(min(512, round(2 * half_m / reports[0].estimate.grid.cell_m)), half_m)
-    trust = dict(zip(picture.agents, picture.verdicts.trust.tolist(), strict=True))
-    joint = joint_fov(
-        [report.estimate for report in reports], grid, Rigid(np.eye(3), middle),
-        np.array([trust[report.agent] for report in reports]),
-    )  # fmt: skip
-    return joint.estimate(round(1e9 * picture.t_s)).plot(
-        title=f"joint view of {len(reports)} agents, {picture.t_s:.2f} s"
-    )
+    title = f"joint view of {len(done.reports)} agents, {done.picture.t_s:.2f} s"
+    return done.joint.estimate(done.t_ns).plot(title=title)

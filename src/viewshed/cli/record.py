@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
+from viewshed.cli._options import (
+    AS_THEY_ARE,
+    NOT_FOLLOWED,
+    Following,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Reading,
+    WithMonitor,
+)
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._profile import ProfileName, Settings, settings
 from viewshed.cli._record import (
@@ -36,28 +45,33 @@ SIMULATED = "sim"
 
 def record(
     ctx: typer.Context,
-    files: Annotated[list[Path], typer.Argument(metavar="sim|SRC...", help="sim, or recordings and files.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="sim|SRC...", help="sim for a simulated drive, or recordings and files.")
+    ],
     to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
     schemas: SchemaNames = "ros",
     profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
+    reading: Reading = AS_THEY_ARE,
     target: options.TargetName = "car",
     history: HistorySweeps = 0,
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
+    following: Following = NOT_FOLLOWED,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
     preset: Annotated[
-        str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
+        str, typer.Option(help="For sim: preset of sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",
     world: Annotated[
-        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first if not given.")
+        str | None, typer.Option(help="For sim: street, junction, …; the preset's first if not given.")
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Of sim: how long the drive lasts.")] = 10.0,
-    hz: Annotated[float, typer.Option(help="Of sim: sweeps of each agent a second.")] = 10.0,
-    agents: Annotated[int, typer.Option(help="Of sim: vehicles that measure.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's if not given.")] = None,
+    seconds: Annotated[float, typer.Option(help="For sim: how long the drive lasts.")] = 10.0,
+    hz: Annotated[float, typer.Option(help="For sim: sweeps of each agent a second.")] = 10.0,
+    agents: Annotated[int, typer.Option(help="For sim: vehicles that measure.")] = 1,
+    seed: Annotated[
+        int | None, typer.Option(help="For sim: seed of everything random; the preset's if not given.")
+    ] = None,
 ) -> None:
     """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
 
@@ -68,6 +82,8 @@ def record(
     from viewshed.pipeline import Pipeline
 
     is_simulated = [str(file) for file in files] == [SIMULATED]
+    if is_simulated and reading != AS_THEY_ARE:
+        raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
     chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
     estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
     buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, monitor_file)
@@ -75,11 +91,15 @@ def record(
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
-        stream = _read(Reading(sensor), files, chosen, failures)
+        stream = _read(reading, files, chosen, failures)
     with recorders(to, schemas, [] if is_simulated else files) as records:
-        listener = Listener(records, failures, is_live=False)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=chosen.rules, lossless=True)
-        count = run(pipeline, listener, _timed(islice(stream, sweeps)))
+        adversary = following.adversary()
+        listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
+            rules=chosen.rules, lossless=True,
+        )  # fmt: skip
+        count = run(pipeline, listener, _timed(islice(stream, sweeps)), adversary)
         if not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     typer.echo(written_line(to))

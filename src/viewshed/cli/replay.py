@@ -10,7 +10,16 @@ from typing import Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, HistorySweeps, MonitorFile, NetworkOptions, Reading, WithMonitor
+from viewshed.cli._options import (
+    AS_THEY_ARE,
+    NOT_FOLLOWED,
+    Following,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Reading,
+    WithMonitor,
+)
 from viewshed.cli._outputs import Failures, Named, output_names
 from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import (
@@ -77,17 +86,20 @@ def replay(
     profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
-    sensor: options.SensorName = AUTO,
+    reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     target: options.TargetName = "car",
     history: HistorySweeps = 0,
-    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Times as fast as it was measured.")] = 1.0,
-    as_fast: Annotated[bool, typer.Option("--as-fast", help="Wait for nothing, whatever --rate.")] = False,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Pace: 1 as measured, 2 twice as fast.")] = 1.0,
+    as_fast: Annotated[
+        bool, typer.Option("--as-fast", help="Do not wait between sweeps; --rate does not count.")
+    ] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
     to: To = None,
     schemas: SchemaNames = "ros",
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
+    following: Following = NOT_FOLLOWED,
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
 
@@ -102,7 +114,7 @@ def replay(
     estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
     buffer = history_buffer(estimator, chosen.history)
     watch = watching(chosen.monitor, monitor_file)
-    reading, failures = Reading(sensor), Failures()
+    failures = Failures()
     jobs = list(options.chosen(files or [], index))
     names = output_names([file for file, _ in jobs])
 
@@ -111,10 +123,15 @@ def replay(
 
     pace = Pace(0.0 if as_fast else rate)
     with recorders(to, schemas, [file for file, _ in jobs]) as records:
-        listener = Listener(records, failures, is_live=not as_fast)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=chosen.rules, lossless=as_fast)
+        adversary = following.adversary()
+        listener = Listener(records, failures, is_live=not as_fast, following=following, adversary=adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
+            rules=chosen.rules, lossless=as_fast,
+        )  # fmt: skip
         taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
-        count = run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken))
+        awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)
+        count = run(pipeline, listener, awaited, adversary)
         if to is not None and not count:
             raise ValueError(f"no sweep could be read, {to} was not written")
     if to is not None:

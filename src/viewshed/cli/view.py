@@ -14,6 +14,8 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import (
     AS_THEY_ARE,
     BAD_INPUTS,
+    NOT_FOLLOWED,
+    Following,
     HistorySweeps,
     MonitorFile,
     NetworkOptions,
@@ -33,7 +35,7 @@ from viewshed.cli._outputs import (
     warm_up,
 )
 from viewshed.cli._profile import ProfileName, settings
-from viewshed.cli._record import Awaited, Listener, repeated, run
+from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
 from viewshed.cli.estimate import Files, Method
@@ -44,15 +46,17 @@ if TYPE_CHECKING:
     from viewshed.estimators import Estimator
     from viewshed.estimators.temporal import SweepBuffer
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.fusion.rounds import Round
     from viewshed.integrity import IntegrityReport, StreamMonitor
     from viewshed.pipeline.reactions import ReactionRules
     from viewshed.preprocess.leveling import LeveledSweep
+    from viewshed.threats.adversary import Adversary
     from viewshed.view import Frame, PackedFrame
 
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
     """What a monitor says of the next sweep and its estimate, and that in words."""
 
-Every = Annotated[int, typer.Option(min=1, help="Take every so many sweeps.")]
+Every = Annotated[int, typer.Option(min=1, help="Take one of so many sweeps.")]
 
 MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")]
 
@@ -79,6 +83,7 @@ def view(
     history: HistorySweeps = 0,
     every: Every = 1,
     sweeps: MostSweeps = None,
+    following: Following = NOT_FOLLOWED,
 ) -> None:
     """Show what each sweep could see: as a page for any browser, as a file for Rerun, or live in Foxglove.
 
@@ -105,14 +110,14 @@ def view(
         watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
         taken = islice(chosen.at_rate(live), 0, None if sweeps is None else every * sweeps, every)
         buffer = history_buffer(estimator, chosen.history)
-        _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures)
+        _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures, following)
     else:
         own, check = (None, None)
         if chosen.monitor or monitor_file:
             own, check = _monitored(monitor_file, weights, method)
         estimator = own or network.estimator(chosen.method, cells, target)
         taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else every * sweeps, every)
-        frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures)
+        frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
     if failures.count:
@@ -152,17 +157,20 @@ def _serve(
     watch: StreamMonitor | None,
     rules: ReactionRules,
     failures: Failures,
+    following: Following,
 ) -> None:
     """Show sweeps live in Foxglove, at the pace at which they were measured."""
     from viewshed.datasets.recorder.foxglove_topics import foxglove_server
     from viewshed.pipeline import Pipeline
 
-    pace = Pace(1.0)
+    pace, adversary = Pace(1.0), following.adversary()
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
-        listener = Listener([record], failures, is_live=True)
-        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, rules=rules)
-        run(pipeline, listener, (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps)))
+        listener = Listener([record], failures, is_live=True, following=following, adversary=adversary)
+        objects = following.object_stream(adversary)
+        pipeline = Pipeline(estimator, listener, history=buffer, monitor=watch, objects=objects, rules=rules)
+        awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps))
+        run(pipeline, listener, awaited, adversary)
 
 
 def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
@@ -196,24 +204,34 @@ def _frames(
     buffer: SweepBuffer | None,
     check: Check | None,
     failures: Failures,
+    following: Following,
 ) -> Iterator[tuple[Frame, str]]:
-    """Yield each sweep as it is shown, with its line; the sensor of the one before is expected first."""
+    """Yield each sweep as it is shown, with its line; the sensor of the one before is expected first.
+
+    Where agents are put together, each round is shown in place of its sweeps.
+    """
+    from viewshed.fusion.legend import tracks_of_agent
     from viewshed.preprocess.leveling import level
     from viewshed.view import Frame
 
-    sensor, is_warm = None, False
+    adversary = following.adversary()
+    objects, center = following.object_stream(adversary), Center(adversary) if following.fuse else None
+    sensor, is_warm, seen = None, False, None
     for named in sweeps:
         try:
             if not is_warm:
                 warm_up(estimator, named.sweep)
                 is_warm = True
             begin_s = time.perf_counter()
-            leveled = level(named.sweep, estimator.grid, sensor)
+            sweep = named.sweep if adversary is None else adversary.sweep(named.sweep)
+            leveled = level(sweep, estimator.grid, sensor)
             history = None if buffer is None else buffer.history(leveled)
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
             report, said = (None, "") if check is None else check(leveled, estimate)
+            seen = None if objects is None else objects.follow(leveled, estimate, report)
+            done = None if center is None or seen is None else center.add(estimate, seen)
         except BAD_INPUTS as error:
             failures.report(named.file, error)
             continue
@@ -222,4 +240,31 @@ def _frames(
         sensor = leveled.sensor_id.model
         report_doubts(leveled, named.name)
         line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{f'; {said}' if said else ''}"
-        yield Frame(named.name, estimate, leveled, report), line
+        line += "" if seen is None else objects_line(seen)
+        if done is not None:
+            yield _round_frame(done, adversary), line
+        elif center is None:
+            found = None if seen is None else seen.detections
+            tracks = None if seen is None else tracks_of_agent(seen).moved(seen.tracks_from_level.inverse())
+            yield Frame(named.name, estimate, leveled, report, found, tracks), line
+    note_unmet(adversary)
+
+
+def _round_frame(done: Round, adversary: Adversary | None) -> Frame:
+    """Return a round as it is shown: what all see together, their joint tracks, and who is trusted."""
+    from viewshed.fusion.legend import tracks_of_center
+    from viewshed.view import AgentTrust, Frame
+
+    picture, joint = done.picture, done.joint
+    trust = tuple(
+        AgentTrust(
+            agent, float(picture.verdicts.trust[n]), bool(done.accused[n]), bool(done.disputed[n]),
+            adversary is not None and adversary.attacks(agent),
+        )
+        for n, agent in enumerate(picture.agents)
+    )  # fmt: skip
+    tracks = tracks_of_center(picture).moved(joint.world_from_grid.inverse())
+    return Frame(
+        f"{len(done.reports)} agents, {picture.t_s:.2f} s", joint.estimate(done.t_ns), tracks=tracks, trust=trust,
+        lies=tuple(done.sentences()),
+    )  # fmt: skip

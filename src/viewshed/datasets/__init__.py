@@ -11,12 +11,13 @@ if TYPE_CHECKING:
     from viewshed.datasets.archive.schema import SCHEMA_VERSION, Manifest, ShardFacts
     from viewshed.datasets.archive.shard import write_shard
     from viewshed.datasets.archive.storage import Storage
+    from viewshed.datasets.release import open_release
     from viewshed.datasets.sample import Sample
 
 _HOMES = {
     "SCHEMA_VERSION": "archive.schema", "Archive": "archive.archive", "ArchiveWriter": "archive.build",
     "Manifest": "archive.schema", "Sample": "sample", "ShardFacts": "archive.schema", "Storage": "archive.storage",
-    "write_archive": "archive.build", "write_shard": "archive.shard",
+    "open_release": "release", "write_archive": "archive.build", "write_shard": "archive.shard",
 }  # fmt: skip
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "Sample",
     "ShardFacts",
     "Storage",
+    "open_release",
     "write_archive",
     "write_shard",
 ]

@@ -168,15 +168,20 @@ def measure_frame(scene: ScenePlan, frame: int, again: int = 0) -> Sweep:
     return scan_frame(scene, frame, again)[1].sweep()
 
 
-def scan_frame(scene: ScenePlan, frame: int, again: int = 0) -> tuple[ExactScan, StoredSweep]:
-    """Return what every beam meets in one frame of a scene and what the sensor stores, see :func:`measure_frame`."""
+def scan_frame(
+    scene: ScenePlan, frame: int, again: int = 0, world: World | None = None
+) -> tuple[ExactScan, StoredSweep]:
+    """Return what every beam meets in one frame of a scene and what the sensor stores, see :func:`measure_frame`.
+
+    A ``world`` with the same agents takes the place of the scene's own.
+    """
     for_paths, *for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2 + again)
-    return measure_sweep(*_place_of(scene, frame), for_paths, for_noise[again])
+    return measure_sweep(*_place_of(scene, frame, world), for_paths, for_noise[again])
 
 
-def _place_of(scene: ScenePlan, frame: int) -> tuple[World, Agent, float, Setting]:
+def _place_of(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[World, Agent, float, Setting]:
     """Return who observes in one frame of a scene, when and how."""
-    preset, world = scene.preset, world_of(scene)
+    preset, world = scene.preset, world or world_of(scene)
     time, number = divmod(frame, preset.agents)
     setting = Setting(preset.grid, CONDITIONS[scene.conditions], preset.revolution_s)
     return world, world.agents[number], (time + 0.5) * preset.interval_s, setting

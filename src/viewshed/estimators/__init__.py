@@ -94,7 +94,7 @@ def paper_estimators_on(grid: BevGrid) -> dict[str, EstimatorFactory]:
 
 
 DEFAULT_ESTIMATOR = "shadow_map"
-"""The method that is taken where none is named; docs/wild.md says by which rule."""
+"""The method that is taken where none is named; docs/which_method.md says by which rule."""
 
 
 def load_estimator(

@@ -234,16 +234,17 @@ class FovEstimate:
             export.write_export(self, export.format_of_path(path), path)
         return path
 
-    def plot(self, leveled: LeveledSweep | None = None, title: str | None = None) -> bytes:
-        """Return a PNG of the states, with probability and deviation beside them where there is more than a mask.
+    def plot(self, leveled: LeveledSweep | None = None, title: str | None = None, dark: bool = False) -> bytes:
+        """Return a PNG of the states, with probability and doubt beside them where there is more than a mask.
 
         Args:
             leveled: the sweep that the estimate was made from, to draw its returns as well.
             title: above the picture; None is method and target.
+            dark: on a dark page.
         """
         plot = import_module("viewshed.plot")
         heading = f"{self.method}, {self.target.name}" if title is None else title
-        return cast(bytes, plot.draw(plot.Panel(self, heading, leveled, self.threshold)))
+        return cast(bytes, plot.draw(plot.Panel(self, heading, leveled, self.threshold), dark))
 
 
 @lru_cache(maxsize=8)

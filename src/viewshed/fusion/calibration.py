@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -16,7 +15,8 @@ from viewshed.fusion.evidence import (
     jump_bins,
     view_bins,
 )
-from viewshed.fusion.jumps import EARLIER, LATEST, jump_of
+from viewshed.fusion.jumps import LATEST, Sightings
+from viewshed.fusion.memory import rows_of
 from viewshed.fusion.sensor_view import Observed, SensorView
 from viewshed.fusion.single import SingleFusion, cell_evidence
 from viewshed.integrity.calibration import alarms_allowed
@@ -101,8 +101,7 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
 
     Elsewhere is at the same distance from the sensor in a random direction; a moved track jumps by up to 3 m.
     """
-    times: dict[int, deque[float]] = {}
-    places: dict[int, deque[tuple[float, float]]] = {}
+    ids, sightings = np.zeros(0, np.int64), Sightings.none(0)
     before: SensorView | None = None
     for tracks, detections, views in drive:
         is_matched = tracks.detection >= 0
@@ -119,17 +118,16 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
             new = _turned(tracks.boxes[born], view.place, rng)
             within_m = np.full(len(new), _NEAR_BIRTH_M)
             counts.add("birth", birth_bins(tracks.born_hidden[born]), birth_bins(before.view.hides_near(new, within_m)))
-        for number, box in zip(tracks.ids[is_matched].tolist(), boxes, strict=True):
-            when = times.setdefault(number, deque(maxlen=LATEST + EARLIER))
-            where = places.setdefault(number, deque(maxlen=LATEST + EARLIER))
-            when.append(tracks.t_s)
-            where.append((float(box[0]), float(box[1])))
-            honest = jump_of(when, where)[0]
-            length, way = rng.uniform(*_FALSE_JUMPS_M), rng.uniform(-np.pi, np.pi)
-            false = np.array(where)
-            false[-LATEST:] += length * np.array([np.cos(way), np.sin(way)])
-            moved = jump_of(when, false)[0]
-            counts.add("jump", jump_bins(np.array([honest])), jump_bins(np.array([moved])))
+        # A moved track jumps in its latest places.
+        sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
+        ids = tracks.ids
+        rows = np.flatnonzero(is_matched)
+        sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
+        length, way = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))
+        seen = sightings.take(rows)
+        places = seen.places.copy()
+        places[:, -LATEST:] += np.stack([length * np.cos(way), length * np.sin(way)], axis=-1)[:, None]
+        counts.add("jump", jump_bins(seen.jumps()[0]), jump_bins(Sightings(seen.times, places).jumps()[0]))
         before = view
 
 

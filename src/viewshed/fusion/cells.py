@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ _RING_M = 1.0
 
 _NO_SURFACE_M = 10.0
 
-_WEIGHTS = np.array([0.0, -1.0, 1.0, 0.0])
+_WEIGHTS = np.array([0.0, -1.0, 1.0, 0.0], np.float32)
 """What a point of a box is worth by its cell's state (unknown, free, surface, hidden) when the box is moved."""
 
 _SHARPNESS = 8.0
@@ -82,16 +83,26 @@ class SeenCells:
 
     def states_at(self, xy: FloatArray) -> NDArray[np.uint8]:
         """Return the states (…,) at points (…, 2) of the tracks' frame; UNKNOWN outside the grid."""
-        yaw = self.frame_from_level.yaw
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        away = np.asarray(xy, np.float64)[..., :2] - self.frame_from_level.translation[:2]
-        cells, inside = self.grid.index(away @ np.array([[cos, -sin], [sin, cos]]))
-        found = self.state[cells[..., 0], cells[..., 1]]
-        return np.where(inside, found, np.uint8(CellState.UNKNOWN))
+        cells = np.floor(self._places(np.asarray(xy, np.float64)))
+        return self._states(cells)
 
-    def look(self, boxes: Floats, place: Floats) -> BoxCells:
-        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,)."""
-        points = footprint_points(boxes)
+    def _places(self, xy: Floats) -> Floats:
+        """Return where points (…, 2) lie in cells (2, …): whole numbers are their lower corners."""
+        x, y = xy[..., 0] - self.frame_from_level.translation[0], xy[..., 1] - self.frame_from_level.translation[1]
+        yaw, (left, low), cell_m = self.frame_from_level.yaw, self.grid.origin_m, self.grid.cell_m
+        cos, sin = np.cos(yaw) / cell_m, np.sin(yaw) / cell_m
+        return np.stack([cos * x + sin * y - left / cell_m, cos * y - sin * x - low / cell_m])
+
+    def _states(self, cells: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return the states (…,) of cells (2, …) by whole numbers; UNKNOWN outside the grid."""
+        most = self.grid.cells
+        inside = ((cells >= 0) & (cells < most)).all(axis=0)
+        flat = np.where(inside, cells[0] * most + cells[1], 0).astype(np.int32)
+        return np.where(inside, self.state.reshape(-1)[flat], np.uint8(CellState.UNKNOWN))
+
+    def look(self, boxes: Floats, place: Floats, counts: tuple[int, int] = FINE) -> BoxCells:
+        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,), at so many points."""
+        points = footprint_points(boxes, counts)
         states = self.states_at(points)
         is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE
         # How deep each point lies in the box, along the line of sight to its center.
@@ -101,7 +112,7 @@ class SeenCells:
         depth_m -= depth_m.min(axis=1, keepdims=True)
         near = depth_m <= np.maximum(0.4 * depth_m.max(axis=1, keepdims=True), 0.8)
         # The points of a box a meter larger that do not lie in the box itself.
-        around = footprint_points(boxes, margin_m=_RING_M)
+        around = footprint_points(boxes, counts, _RING_M)
         outside = ~_inside(around, boxes)
         about = self.states_at(around)
         outer = np.maximum(outside.sum(axis=1), 1)
@@ -122,25 +133,37 @@ class SeenCells:
         The box is moved within :data:`REACH_M`; surface in it speaks for a place, free cells in it against. The answer
         is the mean over all places, weighted by what speaks for them, so that it is finer than a cell.
         """
-        steps = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
-        moves = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-        points = footprint_points(boxes, COARSE)[:, None] + moves[:, None]
-        states = self.states_at(points)
-        worth = _WEIGHTS[states].mean(axis=2) - _NEAR_FIRST_PER_M2 * (moves**2).sum(axis=1)
+        # Moves are whole cells along the axes of the grid, so that each point of a box is placed once.
+        cell_m = self.grid.cell_m
+        stride = max(round(STEP_M / cell_m), 1)
+        steps = stride * np.arange(-round(REACH_M / (stride * cell_m)), round(REACH_M / (stride * cell_m)) + 1)
+        moves = np.stack(np.meshgrid(steps, steps, indexing="ij")).reshape(2, -1).astype(np.int32)
+        points = np.floor(self._places(footprint_points(boxes, COARSE))).astype(np.int32)
+        states = self._states(points[:, :, None] + moves[:, None, :, None])
+        moves_m = cell_m * moves.T
+        worth = _WEIGHTS[states].mean(axis=2) - _NEAR_FIRST_PER_M2 * (moves_m**2).sum(axis=1)
         weight = np.exp(_SHARPNESS * (worth - worth.max(axis=1, keepdims=True, initial=-np.inf)))
-        mean = weight @ moves / weight.sum(axis=1, keepdims=True)
+        mean = weight @ moves_m / weight.sum(axis=1, keepdims=True)
         has_surface = (states == CellState.SURFACE).any(axis=(1, 2))
-        return np.asarray(np.where(has_surface[:, None], mean, 0.0))
+        cos, sin = np.cos(self.frame_from_level.yaw), np.sin(self.frame_from_level.yaw)
+        return np.asarray(np.where(has_surface[:, None], mean @ np.array([[cos, sin], [-sin, cos]]), 0.0))
 
 
 def footprint_points(boxes: Floats, counts: tuple[int, int] = FINE, margin_m: float = MARGIN_M) -> NDArray[Any]:
     """Return points (K, P, 2) spread over the footprints of boxes (K, 7), which are taken larger by a margin."""
-    along, across = np.meshgrid(*(np.linspace(-0.5, 0.5, count) for count in counts), indexing="ij")
-    forward = along.ravel() * (boxes[:, 3:4] + 2 * margin_m)
-    left = across.ravel() * (boxes[:, 4:5] + 2 * margin_m)
+    along, across = _lattice(*counts)
+    forward = along * (boxes[:, 3:4] + 2 * margin_m)
+    left = across * (boxes[:, 4:5] + 2 * margin_m)
     cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
     points = np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
     return np.asarray(boxes[:, None, :2] + points)
+
+
+@lru_cache(maxsize=8)
+def _lattice(lengthwise: int, crosswise: int) -> NDArray[Any]:
+    """Return where points lie along and across a box, (2, lengthwise x crosswise) in parts of its sides."""
+    sides = (np.linspace(-0.5, 0.5, count) for count in (lengthwise, crosswise))
+    return np.stack(np.meshgrid(*sides, indexing="ij")).reshape(2, -1)
 
 
 def _inside(points: NDArray[Any], boxes: Floats) -> NDArray[np.bool_]:

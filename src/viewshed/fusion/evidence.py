@@ -106,11 +106,12 @@ def _sizes() -> list[int]:
 def cell_bins(cells: BoxCells, found: Floats) -> NDArray[np.int64]:
     """Return the bins (K, F) of K boxes in a model's weights, a row of ``BLIND`` where most of a box is unknown."""
     values = cells._asdict() | {"found": found}
+    bins = {name: np.searchsorted(_BOUNDS[name], values[name], "right") for name in _BOUNDS}
     columns, first = [], 0
     for names, size in zip(BOX_FEATURES, _sizes(), strict=True):
         code = np.zeros(len(found), np.int64)
         for name in names:
-            code = code * (len(_BOUNDS[name]) + 1) + np.digitize(values[name], _BOUNDS[name])
+            code = code * (len(_BOUNDS[name]) + 1) + bins[name]
         columns.append(first + code)
         first += size
     known = cells.surface + cells.free + cells.hidden >= MOSTLY

@@ -21,7 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fusion.cells import BoxCells, SeenCells
 from viewshed.fusion.claims import ClaimTable, claim_table
+from viewshed.fusion.honest import (
+    NO_DETECTION_M,
+    HonestModel,
+    ObjectReports,
+    displaced_columns,
+    honest_model,
+    invented_columns,
+    reported_columns,
+    there_columns,
+)
 from viewshed.fusion.trust import Reports, Trust, TrustRules, Verdicts
 from viewshed.fusion.view_checks import ELEVATED_M
 from viewshed.geometry import Rigid
@@ -47,6 +58,9 @@ OWN_SIZE_M = (4.8, 2.0, 1.6)
 
 STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
+
+LOOKED_AT = (13, 7)
+"""Points along and across a box at which views are asked what it holds."""
 
 LEAST_TRUST = 0.05
 """Weight of an agent's detections that is left when nobody trusts it."""
@@ -119,11 +133,15 @@ class AgentReport:
         """Return the chance (K,) that an honest agent in its place reports each box (K, 7) of the world."""
         if not len(boxes):
             return np.zeros(0)
-        visible, range_m = GridView(self.estimate, 0.0).visible(boxes), self.range_m(boxes)
-        chance = claims(visible, boxes, range_m, elevated=self.elevated)
-        return np.where((range_m > FAR_M) | self._is_own(boxes), 0.0, chance)
+        range_m = self.range_m(boxes)
+        near = np.flatnonzero((range_m <= FAR_M) & ~self.is_own(boxes))
+        chance = np.zeros(len(boxes))
+        visible = GridView(self.estimate, 0.0).visible(boxes[near])
+        chance[near] = claims(visible, boxes[near], range_m[near], elevated=self.elevated)
+        return chance
 
-    def _is_own(self, boxes: Floats) -> Mask:
+    def is_own(self, boxes: Floats) -> Mask:
+        """Return which boxes (K, 7) of the world are its own vehicle."""
         if self.own_box is None:
             return np.zeros(len(boxes), np.bool_)
         own = moved_boxes(self.own_box[None], self.world_from_level)[0]
@@ -167,6 +185,7 @@ class CommonPicture:
         verdicts: of the agents, and of those tracks that somebody reports now.
         existence: (N,) probability of each track, whoever lies.
         reporters: (N, A) bool, who reports each track now.
+        said: what all agents say of those tracks that somebody reports now, in their order.
         notes: what was left out, a sentence each.
     """
 
@@ -176,12 +195,18 @@ class CommonPicture:
     verdicts: Verdicts
     existence: Floats
     reporters: Mask
+    said: ObjectReports
     notes: tuple[str, ...] = ()
 
     @property
     def believed(self) -> Mask:
-        """(N,) bool, confirmed tracks that exist whoever lies."""
-        return self.tracks.confirmed & (self.existence >= BELIEVED)
+        """(N,) bool, tracks that exist whoever lies."""
+        return np.asarray(self.existence >= BELIEVED)
+
+    @property
+    def reported(self) -> Mask:
+        """(N,) bool, tracks that somebody reports now."""
+        return np.asarray(self.tracks.detection >= 0)
 
 
 @dataclass(slots=True)
@@ -191,7 +216,8 @@ class CommandCenter:
     Args:
         agents: names of all that may report.
         rules: of the trust in them.
-        claims: what a claim of visibility is worth; None is the table in the box.
+        claims: what a claim of visibility is worth.
+        honest: what honest agents report.
         trusting: believe everybody alike, for comparison.
     """
 
@@ -199,9 +225,11 @@ class CommandCenter:
     rules: TrustRules = field(default_factory=TrustRules)
     claims: ClaimTable = field(default_factory=claim_table)
     trusting: bool = False
+    honest: HonestModel = field(default_factory=honest_model)
     _trust: Trust = field(init=False, repr=False)
     _tracker: Tracker = field(default_factory=Tracker, repr=False)
     _existence: dict[int, float] = field(default_factory=dict, repr=False)
+    _reported: dict[int, NDArray[np.int64]] = field(default_factory=dict, repr=False)
     _weights: Floats = field(init=False, repr=False)
     _last_s: float | None = None
 
@@ -227,19 +255,33 @@ class CommandCenter:
 
         # Tracks that somebody reports now: what does each agent say of them?
         reported = np.flatnonzero(tracks.detection >= 0)
-        said = self._said(reports, columns, matches[tracks.detection[reported]], tracks, reported)
-        seconds = 0.5 if self._last_s is None else t_s - self._last_s
-        verdicts, self._last_s = self._trust.add(said, seconds), t_s
-        self._weights = np.maximum(verdicts.trust, LEAST_TRUST)
-        self._existence |= dict(zip(verdicts.ids.tolist(), verdicts.existence.tolist(), strict=True))
+        members = matches[tracks.detection[reported]]
         held = tracks.ids.tolist()
+        nobody = np.zeros(len(self.agents), np.int64)
+        self._reported = {number: self._reported.get(number, nobody) for number in held}
+        before = np.array([self._reported[number] for number in tracks.ids[reported].tolist()], np.int64)
+        said = object_reports(
+            reports, columns, len(self.agents), tracks.boxes[reported], members, before.reshape(-1, len(self.agents)),
+            tracks.existence[reported],
+        )  # fmt: skip
+        seconds = 0.5 if self._last_s is None else t_s - self._last_s
+        verdicts, self._last_s = (
+            self._trust.add(self._judged(tracks.ids[reported], said, reports, columns, members), seconds),
+            t_s,
+        )
+        self._weights = np.maximum(verdicts.trust, LEAST_TRUST)
+        for number, seen in zip(tracks.ids[reported].tolist(), said.seen, strict=True):
+            self._reported[number] = self._reported[number] + seen
+        self._existence |= dict(zip(verdicts.ids.tolist(), verdicts.existence.tolist(), strict=True))
         self._existence = {number: self._existence.get(number, 1.0) for number in held}
-        believed = np.ones(len(tracks)) if self.trusting else np.array([self._existence[number] for number in held])
+        # What nobody reports now exists as far as it did, and as far as views allow.
+        existence = np.array(tracks.existence)
+        if not self.trusting:
+            existence = np.minimum(existence, [self._existence[number] for number in held])
+            existence[reported] = verdicts.existence
         reporters = np.zeros((len(tracks), len(self.agents)), np.bool_)
         reporters[reported] = said.seen
-        return CommonPicture(
-            t_s, self.agents, tracks, verdicts, tracks.existence * believed, reporters, tuple(tracks.notes)
-        )
+        return CommonPicture(t_s, self.agents, tracks, verdicts, existence, reporters, said, tuple(tracks.notes))
 
     def _columns(self, reports: Sequence[AgentReport]) -> NDArray[np.intp]:
         names = [report.agent for report in reports]
@@ -248,21 +290,71 @@ class CommandCenter:
                 raise ValueError(f"reports must be of {', '.join(self.agents)}, one each, got {', '.join(names)}")
         return np.array([self.agents.index(name) for name in names], np.intp)
 
-    def _said(
-        self, reports: Sequence[AgentReport], columns: NDArray[np.intp], members: NDArray[np.int32], tracks: Tracks,
-        reported: NDArray[np.intp],
+    def _judged(
+        self, ids: NDArray[np.int64], said: ObjectReports, reports: Sequence[AgentReport],
+        columns: NDArray[np.intp], members: NDArray[np.int32],
     ) -> Reports:  # fmt: skip
-        """Return what every agent says of the tracks that are reported; ``members`` (J, R) are their detections."""
-        boxes, shape = tracks.boxes[reported], (len(reported), len(self.agents))
-        chance, seen = np.zeros(shape), np.zeros(shape, np.bool_)
-        xy_m, std_m = np.full((*shape, 2), np.nan), np.ones(shape)
+        """Return what honest agents would say beside what is said; ``members`` (J, R) are the agents' detections."""
+        model = self.honest
+        xy_m, std_m = np.full((*said.seen.shape, 2), np.nan), np.ones(said.seen.shape)
         for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
-            hit, of = np.flatnonzero(members[:, place] >= 0), members[members[:, place] >= 0, place]
-            chance[:, column] = report.chance(boxes, self.claims)
-            seen[hit, column] = True
-            xy_m[hit, column] = report.in_world.boxes[of, :2]
-            std_m[:, column] = STD_M + STD_PER_M * report.range_m(boxes)
-        return Reports(tracks.ids[reported], chance, seen, xy_m, std_m)
+            hit = members[:, place] >= 0
+            xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
+            std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
+        of_agents, _, whole = there_columns(said)
+        there, prior = model.there(of_agents) - model.there.bias, model.there(whole)
+        return Reports(
+            ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
+            model.invented(invented_columns(said)[0]), model.displaced(displaced_columns(said)[0]), there, prior, xy_m,
+            std_m,
+        )  # fmt: skip
+
+
+def object_reports(
+    reports: Sequence[AgentReport], columns: NDArray[np.intp], agents: int, boxes: Floats, members: NDArray[np.int32],
+    before: NDArray[np.int64], existence: Floats, own: Floats | None = None,
+) -> ObjectReports:  # fmt: skip
+    """Return what all agents say of objects, and what their views claim there.
+
+    Args:
+        reports: of R agents.
+        columns: (R,) their numbers.
+        agents: how many there are.
+        boxes: (J, 7) of the objects, in the world.
+        members: (J, R) numbers of the agents' detections of them, -1 for none.
+        before: (J, agents) how often each agent reported them before.
+        existence: (J,) of their tracks.
+        own: (J, R, 7) boxes that the agents report of them, NaN for none; None are those of ``members``.
+    """
+    shape = (len(boxes), agents)
+    seen, able, visible = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), np.zeros(shape)
+    range_m, apart_m = np.full(shape, 2.0 * FAR_M), np.full(shape, NO_DETECTION_M)
+    cells, own_cells = (np.zeros((*shape, len(BoxCells._fields))) for _ in range(2))
+    elevated = np.zeros(agents, np.bool_)
+    for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
+        found, hit = report.in_world.boxes, members[:, place] >= 0
+        theirs = np.full((len(boxes), 7), np.nan)
+        theirs[hit] = found[members[hit, place]]
+        if own is not None:
+            theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
+        elevated[column], seen[:, column] = report.elevated, hit
+        range_m[:, column] = report.range_m(boxes)
+        near = range_m[:, column] <= FAR_M
+        able[:, column] = near & ~report.is_own(boxes)
+        visible[near, column] = GridView(report.estimate, 0.0).visible(boxes[near])
+        # One look at the objects that are near, and at the agent's own boxes.
+        looked = SeenCells.of(report.estimate).look(
+            np.concatenate([boxes[near], theirs[hit]]), report.world_from_level.translation[:2], LOOKED_AT
+        )
+        values = np.column_stack(looked)
+        cells[near, column], own_cells[hit, column] = values[: near.sum()], values[near.sum() :]
+        away = np.linalg.norm(boxes[:, None, :2] - found[None, :, :2], axis=2)
+        away[np.flatnonzero(members[:, place] >= 0), members[members[:, place] >= 0, place]] = NO_DETECTION_M
+        apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)
+    return ObjectReports(
+        seen, able, visible, range_m, elevated, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,
+        before, existence,
+    )  # fmt: skip
 
 
 def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:
@@ -388,9 +480,9 @@ def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> tupl
 
 
 def confirmed(
-    view: FovEstimate, cells: Mask, others: Sequence[FovEstimate], trust: Floats, least: float
+    view: FovEstimate, cells: Mask, others: Sequence[FovEstimate], trust: Floats, least: float, votes: int = 1
 ) -> FovEstimate:
-    """Return a view that claims some cells only where a trusted agent claims them as well; UNKNOWN elsewhere.
+    """Return a view that claims some cells only where trusted agents claim them as well; UNKNOWN elsewhere.
 
     Args:
         view: with a pose.
@@ -398,16 +490,17 @@ def confirmed(
         others: views of other agents, with poses.
         trust: (O,) in the others.
         least: trust from which an agent may confirm.
+        votes: so many agents must; with two, one liar alone confirms nothing.
 
     Raises:
         ValueError: a view has no pose.
     """
     if view.world_from_level is None:
         raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be confirmed")
-    agreed = np.zeros(view.grid.shape, np.bool_)
+    agreed = np.zeros(view.grid.shape, np.uint8)
     for other, one in zip(others, trust, strict=True):
         if one >= least:
-            agreed |= claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
-    doubtful = cells & view.visible() & ~agreed
+            agreed += claimed_at(other, view.grid, view.world_from_level)[0] >= other.threshold
+    doubtful = cells & view.visible() & (agreed < votes)
     prob = np.where(doubtful, np.minimum(view.visible_prob, np.float32(0.5 * view.threshold)), view.visible_prob)
     return replace(view, visible_prob=prob, state=np.where(doubtful, np.uint8(CellState.UNKNOWN), view.state))

@@ -8,12 +8,10 @@ fusion asks the field of view and the past.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +34,12 @@ from viewshed.fusion.explained import (
     FABRICATED,
     MOVED,
     REMOVED,
-    TRACK_ROWS,
     ExplainedTracks,
     Explanation,
     join_tracks,
     take_tracks,
 )
-from viewshed.fusion.jumps import EARLIER, LATEST, jump_of
+from viewshed.fusion.memory import Memory, aligned, rows_of
 from viewshed.fusion.sensor_view import SensorView, check_views
 from viewshed.objects import Detections
 from viewshed.tracking.tracks import Tracks
@@ -55,42 +52,6 @@ MEMORY_S = 10.0
 """How long a track is remembered that the tracker has given up."""
 
 
-@dataclass(slots=True, eq=False)
-class _Remembered:
-    """What fusion keeps of a track.
-
-    Attributes:
-        wealth: (3,) against it.
-        birth: ratio of its birth.
-        log_mean: log of the mean ratio of what its boxes held.
-        looked_s: for how long they were looked at.
-        last, number: the tracks in which it was last, and its place among them.
-        times, places: of its last detections.
-        offset: (2,) by which it jumped, if it is believed to be moved.
-        bare_s: for how long no surface has been where it should be.
-        hits, looks, looks_at_hit: sweeps with a detection; with a view of it; with a view until the last detection.
-    """
-
-    wealth: Floats
-    birth: float
-    last: Tracks
-    number: int = 0
-    log_mean: float = 0.0
-    looked_s: float = 0.0
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=LATEST + EARLIER))
-    places: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LATEST + EARLIER))
-    offset: Floats = field(default_factory=lambda: np.zeros(2))
-    bare_s: float = 0.0
-    hits: int = 0
-    looks: int = 0
-    looks_at_hit: int = 0
-
-    @property
-    def usually_found(self) -> float:
-        """How often it was detected while it was: short tracks are often false detections that go again."""
-        return (self.hits + 1.0) / (self.looks_at_hit + 3.0)
-
-
 class SingleFusion:
     """Explains the tracks of one agent, sweep after sweep, by the fields of view of its sensors.
 
@@ -101,13 +62,12 @@ class SingleFusion:
     def __init__(self, model: EvidenceModel | None = None) -> None:
         """Begin without a past; without a model take the shipped one."""
         self.model = shipped_model() if model is None else model
-        self._remembered: dict[int, _Remembered] = {}
-        self._last_s: float | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Forget all tracks."""
-        self._remembered.clear()
-        self._last_s = None
+        self._last: Tracks | None = None
+        self._memory = Memory.begun(np.zeros(0))
 
     def explain(self, tracks: Tracks, detections: Detections, views: Sequence[SensorView]) -> ExplainedTracks:
         """Return the tracks of a sweep explained.
@@ -121,14 +81,13 @@ class SingleFusion:
             ValueError: there is no view or one of another time, two have one name, or there are too many tracks.
         """
         check_views(tracks, views)
-        if self._last_s is not None and tracks.t_s < self._last_s:
+        if self._last is not None and (tracks.t_s < self._last.t_s or tracks.in_world != self._last.in_world):
             self.reset()
-        dt_s = 0.1 if self._last_s is None else max(tracks.t_s - self._last_s, 0.0)
-        self._last_s = tracks.t_s
+        dt_s = 0.1 if self._last is None else max(tracks.t_s - self._last.t_s, 0.0)
         model = self.model
-        self._remember(tracks, detections)
-        held = self._held(tracks, views[0], dt_s)
-        both = join_tracks(tracks, held) if len(held) else tracks
+
+        # The tracker's tracks, and those that it gave up.
+        both, memory = self._remembered(tracks, detections, views[0], dt_s)
         count, is_matched = len(both), both.detection >= 0
 
         # What is looked at: the detection where there is one, else where the track should be.
@@ -137,8 +96,7 @@ class SingleFusion:
         look = _look(boxes, both.kinds, views, model)
         alarmed = np.any([view.alarmed(boxes) for view in views], axis=0)
         found = np.clip(both.visible * both.detectable, 0.0, 1.0 - model.still_found)
-        usual = np.array([self._remembered[i].usually_found for i in both.ids.tolist()])
-        found = np.where(is_matched, found, np.minimum(found, usual))
+        found = np.where(is_matched, found, np.minimum(found, memory.usually_found))
 
         ratios = np.ones((count, 3))
         ratios[is_matched, FABRICATED] = look.ratio[is_matched]
@@ -146,48 +104,70 @@ class SingleFusion:
         still = self._still_there(both, look, is_matched, views)
         missed = 1.0 / ((1.0 - model.gone) * (1.0 - found) + model.gone * still)
         ratios[:, REMOVED] = np.where(is_matched, model.still_found / np.maximum(found, model.still_found), missed)
-        for k in np.flatnonzero(is_matched):
-            memory = self._remembered[int(both.ids[k])]
-            deviation, vector = jump_of(memory.times, memory.places)
-            ratio = float(ratios_of(model.jump, jump_bins(np.array([deviation])))[0])
-            ratios[k, MOVED] = 1.0 - model.jump_share + model.jump_share * ratio
-            if ratio > 1.0 and np.hypot(*vector) > np.hypot(*memory.offset):
-                memory.offset = vector
+        deviations, vectors = memory.sightings.jumps()
+        # Without poses whatever the vehicle itself does looks like a move of theirs.
+        can_jump = is_matched & both.in_world
+        jumped = np.where(can_jump, ratios_of(model.jump, jump_bins(deviations)), 1.0)
+        ratios[is_matched, MOVED] = 1.0 - model.jump_share + model.jump_share * jumped[is_matched]
+        larger = (jumped > 1.0) & (np.hypot(*vectors.T) > np.hypot(*memory.offset.T))
+        memory.offset[larger] = vectors[larger]
         ratios = np.clip(ratios, 1.0 / CAP, CAP)
         # What was seen for a moment only is often a false detection: nobody need have removed it.
-        hits = np.array([self._remembered[i].hits for i in both.ids.tolist()])
-        ratios[~is_matched & ((hits < _KNOWN_HITS) | ~both.confirmed), REMOVED] = 1.0
+        ratios[~is_matched & ((memory.hits < _KNOWN_HITS) | ~both.confirmed), REMOVED] = 1.0
 
-        for k in np.flatnonzero(~alarmed):
-            memory = self._remembered[int(both.ids[k])]
-            if is_matched[k]:
-                memory.looked_s += dt_s
-                age_s = np.array(memory.looked_s)
-                memory.log_mean = float(
-                    mean_after(np.array(memory.log_mean), ratios[k, FABRICATED], dt_s, age_s, model.window_s)
-                )
-                memory.wealth[FABRICATED] = memory.birth * np.exp(memory.log_mean)
-            for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
-                after = wealth_after(memory.wealth[suspicion], ratios[k, suspicion], dt_s, block_s)
-                memory.wealth[suspicion] = min(float(after), _MOST_WEALTH)
-            is_bare = look.surface[k] == 0 and not is_matched[k]
-            memory.bare_s = memory.bare_s + dt_s if is_bare else 0.0
-        wealth = np.array([self._remembered[int(i)].wealth for i in both.ids]).reshape(-1, 3)
-        e_values = wealth.mean(axis=1)
-        over = wealth / np.array(model.limits)
+        # Evidence over time, of those that are under no alarm.
+        seen, quiet = np.flatnonzero(is_matched & ~alarmed), np.flatnonzero(~alarmed)
+        memory.looked_s[seen] += dt_s
+        memory.log_mean[seen] = mean_after(
+            memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
+        )
+        memory.wealth[seen, FABRICATED] = memory.birth[seen] * np.exp(memory.log_mean[seen])
+        for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
+            after = wealth_after(memory.wealth[quiet, suspicion], ratios[quiet, suspicion], dt_s, block_s)
+            memory.wealth[quiet, suspicion] = np.minimum(after, _MOST_WEALTH)
+        is_bare = (look.surface == 0) & ~is_matched
+        memory.bare_s = np.where(alarmed, memory.bare_s, np.where(is_bare, memory.bare_s + dt_s, 0.0))
+
+        # Verdicts.
+        e_values = memory.wealth.mean(axis=1)
+        over = memory.wealth / np.array(model.limits)
         accused = (over >= 1.0).any(axis=1) & ~alarmed
         suspicions = over.argmax(axis=1).astype(np.uint8)
         moved = accused & (suspicions == MOVED)
-        offsets = np.array([self._remembered[int(i)].offset for i in both.ids]).reshape(-1, 2)
-        explanations = self._explanations(both, look, suspicions, accused, alarmed)
+        explanations = _explanations(both, memory.birth, look, suspicions, accused, alarmed)
         reasons = tuple(
-            _sentence(both, k, Explanation(explanations[k]), look, float(e_values[k]), offsets[k]) for k in range(count)
+            _sentence(both, k, Explanation(why), look, float(e_values[k]), memory.offset[k])
+            for k, why in enumerate(explanations.tolist())
         )
-        is_held = np.arange(count) >= len(tracks)
+        self._last, self._memory = both, memory
         return ExplainedTracks(
-            both, explanations, e_values, wealth, suspicions, accused, np.where(moved[:, None], offsets, 0.0), is_held,
-            reasons,
+            both, explanations, e_values, memory.wealth.copy(), suspicions, accused,
+            np.where(moved[:, None], memory.offset, 0.0), np.arange(count) >= len(tracks), reasons,
+            () if both.in_world else (_NO_POSES,),
         )  # fmt: skip
+
+    def _remembered(
+        self, tracks: Tracks, detections: Detections, view: SensorView, dt_s: float
+    ) -> tuple[Tracks, Memory]:
+        """Return the tracks and, after them, those that the tracker has given up, with what is known of each."""
+        last = take_tracks(tracks, np.zeros(0, np.intp)) if self._last is None else self._last
+        birth = ratios_of(self.model.birth, birth_bins(tracks.born_hidden))
+        memory = aligned(self._memory, last.ids, tracks.ids, birth)
+        is_matched = tracks.detection >= 0
+        places = detections.boxes[tracks.detection[is_matched], :2]
+        memory.note(np.arange(len(tracks)), tracks.visible, is_matched, tracks.t_s, places)
+        given_up = rows_of(last.ids, tracks.ids) < 0
+        given_up &= (
+            tracks.in_world & last.confirmed & (tracks.t_s - last.seen_s <= MEMORY_S) & (self._memory.bare_s <= _BARE_S)
+        )
+        # One that is detected again under another id is found.
+        honest = tracks.boxes[is_matched & (memory.wealth[:, FABRICATED] < self.model.limits[FABRICATED])]
+        apart = np.hypot(*(last.boxes[:, None, :2] - honest[None, :, :2]).transpose(2, 0, 1))
+        given_up &= (apart >= _SAME_M).all(axis=1)
+        if not given_up.any():
+            return tracks, memory
+        held = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
+        return join_tracks(tracks, held), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> Floats:
         """Return gone : still there (N,) by the cells at the track, or at the nearest surface if these fit better."""
@@ -199,73 +179,30 @@ class SingleFusion:
             ratio[lost] = np.minimum(ratio[lost], _look(boxes, tracks.kinds[lost], views, self.model).ratio)
         return ratio
 
-    def _remember(self, tracks: Tracks, detections: Detections) -> None:
-        """Take note of the tracker's tracks; forget what is too long ago."""
-        for k, number in enumerate(tracks.ids.tolist()):
-            memory = self._remembered.get(number)
-            if memory is None:
-                born = np.array([tracks.born_hidden[k]])
-                birth = float(ratios_of(self.model.birth, birth_bins(born))[0])
-                memory = self._remembered[number] = _Remembered(np.array([birth, 0.0, 0.0]), birth, tracks)
-            memory.last, memory.number = tracks, k
-            memory.looks += tracks.visible[k] >= 0.5
-            if tracks.detection[k] >= 0:
-                memory.hits += 1
-                memory.looks_at_hit = max(memory.looks, memory.hits)
-                x_m, y_m = detections.boxes[tracks.detection[k], :2]
-                memory.times.append(tracks.t_s)
-                memory.places.append((float(x_m), float(y_m)))
 
-    def _held(self, tracks: Tracks, view: SensorView, dt_s: float) -> Tracks:
-        """Return the tracks that the tracker has given up, where they should be now; forget those that are gone."""
-        known, is_matched = set(tracks.ids.tolist()), tracks.detection >= 0
-        suspected = np.array([self._remembered[i].wealth[FABRICATED] for i in tracks.ids[is_matched].tolist()])
-        honest = tracks.boxes[is_matched][suspected < self.model.limits[FABRICATED]]
-        rows = []
-        for number, memory in list(self._remembered.items()):
-            if number in known:
-                continue
-            row = take_tracks(memory.last, np.array([memory.number]))
-            found_again = np.hypot(*(honest[:, :2] - row.boxes[0, :2]).T).min(initial=np.inf) < _SAME_M
-            is_old = tracks.t_s - row.seen_s[0] > MEMORY_S or memory.bare_s > _BARE_S
-            if found_again or is_old or not row.confirmed[0]:
-                del self._remembered[number]
-                continue
-            memory.last, memory.number = _predicted(row, tracks.t_s, dt_s, view), 0
-            rows.append(memory.last)
-        if not rows:
-            return take_tracks(tracks, np.zeros(len(tracks), np.bool_))
-        arrays: dict[str, Any] = {name: np.concatenate([getattr(row, name) for row in rows]) for name in TRACK_ROWS}
-        return replace(tracks, **arrays)
+def _explanations(
+    tracks: Tracks, birth: Floats, look: _Look, suspicions: NDArray[np.uint8], accused: Mask, alarmed: Mask
+) -> NDArray[np.uint8]:
+    """Return why each track (N,) is detected or not."""
+    fabricated = accused & (suspicions == FABRICATED)
+    cases = (
+        (alarmed, Explanation.ABSTAINED),
+        (fabricated & (birth > np.maximum(look.ratio, 1.0)), Explanation.NEW_IN_FREE),
+        (fabricated & ~(look.free < look.hidden), Explanation.SEEN_THROUGH),
+        (fabricated, Explanation.NOT_VISIBLE),
+        (accused & (suspicions == REMOVED), Explanation.MISSING),
+        (accused, Explanation.TOO_FAST),
+        (tracks.detection >= 0, Explanation.SEEN),
+        (look.unknown > 0.5, Explanation.OUT_OF_VIEW),
+        (tracks.visible < 0.5, Explanation.HIDDEN),
+        (tracks.detectable < 0.5, Explanation.TOO_FEW_RETURNS),
+    )
+    return np.select([case for case, _ in cases], [int(why) for _, why in cases], int(Explanation.MISSED)).astype(
+        np.uint8
+    )
 
-    def _explanations(
-        self, tracks: Tracks, look: _Look, suspicions: NDArray[np.uint8], accused: Mask, alarmed: Mask
-    ) -> NDArray[np.uint8]:
-        """Return why each track (N,) is detected or not."""
-        found = np.zeros(len(tracks), np.uint8)
-        for k in range(len(tracks)):
-            if alarmed[k]:
-                found[k] = Explanation.ABSTAINED
-            elif accused[k] and suspicions[k] == FABRICATED:
-                birth, now = self._remembered[int(tracks.ids[k])].birth, look.ratio[k]
-                if birth > max(now, 1.0):
-                    found[k] = Explanation.NEW_IN_FREE
-                else:
-                    is_open = look.free[k] >= look.hidden[k]
-                    found[k] = Explanation.SEEN_THROUGH if is_open else Explanation.NOT_VISIBLE
-            elif accused[k]:
-                found[k] = Explanation.MISSING if suspicions[k] == REMOVED else Explanation.TOO_FAST
-            elif tracks.detection[k] >= 0:
-                found[k] = Explanation.SEEN
-            elif look.unknown[k] > 0.5:
-                found[k] = Explanation.OUT_OF_VIEW
-            elif tracks.visible[k] < 0.5:
-                found[k] = Explanation.HIDDEN
-            else:
-                few = tracks.detectable[k] < 0.5
-                found[k] = Explanation.TOO_FEW_RETURNS if few else Explanation.MISSED
-        return found
 
+_NO_POSES = "no poses: nothing is said of sudden moves, and tracks that the tracker gave up are not held"
 
 _MOST_WEALTH = 1e6
 """Wealth is held below this, so that a track can be acquitted again."""
@@ -329,23 +266,23 @@ def cell_evidence(boxes: Floats, kinds: NDArray[np.uint8], view: SensorView) -> 
     return cells, cell_bins(cells, view.view.visible(boxes) * view.view.detectable(boxes, kinds))
 
 
-def _predicted(row: Tracks, t_s: float, dt_s: float, view: SensorView) -> Tracks:
-    """Return a track that the tracker has given up one sweep later, where it should be.
+def _predicted(rows: Tracks, t_s: float, dt_s: float, view: SensorView) -> Tracks:
+    """Return tracks that the tracker has given up one sweep later, where they should be.
 
     One that moves is drawn to the nearest surface: it may brake or turn. One that stands stays.
     """
-    states, boxes = row.states.copy(), row.boxes.copy()
-    if np.hypot(*states[0, 2:]) < _CREEP_MPS:
-        states[:, 2:] = 0.0
+    states, boxes = rows.states.copy(), rows.boxes.copy()
+    states[np.hypot(*states[:, 2:].T) < _CREEP_MPS, 2:] = 0.0
     states[:, :2] += dt_s * states[:, 2:]
     boxes[:, :2] = states[:, :2]
-    if view.cells is not None and states[0, 2:].any():
-        shift = _PULL * view.cells.shifts(boxes)
-        states[:, :2] += shift
-        boxes[:, :2] += shift
+    moving = np.flatnonzero(states[:, 2:].any(axis=1))
+    if view.cells is not None and len(moving):
+        shift = _PULL * view.cells.shifts(boxes[moving])
+        states[moving, :2] += shift
+        boxes[moving, :2] += shift
     return replace(
-        row, t_s=t_s, states=states, boxes=boxes, detection=np.array([-1], np.int32),
-        visible=view.view.visible(boxes), detectable=view.view.detectable(boxes, row.kinds),
+        rows, t_s=t_s, states=states, boxes=boxes, detection=np.full(len(rows), -1, np.int32),
+        visible=view.view.visible(boxes), detectable=view.view.detectable(boxes, rows.kinds),
     )  # fmt: skip
 
 
@@ -358,22 +295,31 @@ _PULL = 0.3
 
 def _sentence(tracks: Tracks, k: int, why: Explanation, look: _Look, e_value: float, offset: Floats) -> str:
     """Return in a sentence why a track is detected or not."""
-    unseen_s = tracks.t_s - tracks.seen_s[k]
-    p_found = tracks.visible[k] * tracks.detectable[k]
+    unseen_s, p_found = tracks.t_s - tracks.seen_s[k], tracks.visible[k] * tracks.detectable[k]
     against = f"e-value {e_value:.3g}"
-    return {
-        Explanation.SEEN: "detected in this sweep",
-        Explanation.MISSED: f"not detected for {unseen_s:.1f} s, though found with probability {p_found:.2f}",
-        Explanation.HIDDEN: f"hidden: visible with probability {tracks.visible[k]:.2f}",
-        Explanation.OUT_OF_VIEW: "no beams go there, or it left the grid",
-        Explanation.TOO_FEW_RETURNS: f"in view, but found with probability {tracks.detectable[k]:.2f} only",
-        Explanation.ABSTAINED: "the field of view is under alarm there",
-        Explanation.MISSING: f"missing for {unseen_s:.1f} s though found with probability {p_found:.2f}, {against}",
-        Explanation.NEW_IN_FREE: f"began where everything near was seen free, {against}",
-        Explanation.SEEN_THROUGH: f"beams pass through {look.free[k]:.0%} of its box, {against}",
-        Explanation.NOT_VISIBLE: f"detected where {look.hidden[k]:.0%} of its box is hidden, {against}",
-        Explanation.TOO_FAST: f"jumped by {np.hypot(*offset):.1f} m faster than it can move, {against}",
-    }[why]
+    match why:
+        case Explanation.SEEN:
+            return "detected in this sweep"
+        case Explanation.MISSED:
+            return f"not detected for {unseen_s:.1f} s, though found with probability {p_found:.2f}"
+        case Explanation.HIDDEN:
+            return f"hidden: visible with probability {tracks.visible[k]:.2f}"
+        case Explanation.OUT_OF_VIEW:
+            return "no beams go there, or it left the grid"
+        case Explanation.TOO_FEW_RETURNS:
+            return f"in view, but found with probability {tracks.detectable[k]:.2f} only"
+        case Explanation.ABSTAINED:
+            return "the field of view is under alarm there"
+        case Explanation.MISSING:
+            return f"missing for {unseen_s:.1f} s though found with probability {p_found:.2f}, {against}"
+        case Explanation.NEW_IN_FREE:
+            return f"began where everything near was seen free, {against}"
+        case Explanation.SEEN_THROUGH:
+            return f"beams pass through {look.free[k]:.0%} of its box, {against}"
+        case Explanation.NOT_VISIBLE:
+            return f"detected where {look.hidden[k]:.0%} of its box is hidden, {against}"
+        case Explanation.TOO_FAST:
+            return f"jumped by {np.hypot(*offset):.1f} m faster than it can move, {against}"
 
 
 @lru_cache(maxsize=1)

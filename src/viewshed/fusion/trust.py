@@ -3,21 +3,26 @@
 Whom to believe cannot be decided agent by agent: that one contradicts another speaks against both alike. So the
 hypotheses are sets of liars, none of them, each one, each pair, and each explains all reports at once. An object that
 three agents report and a fourth denies is explained best by the fourth alone; where two contradict each other and no
-third could see, "the one lies" and "the other lies" explain it equally well, and nobody is convicted: it is *disputed*.
+third could see, "the one lies" and "the other lies" explain it about as well, and nobody is convicted: it is
+*disputed*.
 
-**Model.** An object exists with probability 1/2. An honest agent reports one that exists with the chance that its view
-and its detector give (:attr:`Reports.chance`), and one that does not exist with :attr:`TrustRules.false_report`. A liar
-does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are there: it
-conceals them, puts them elsewhere, or invents them. So whoever is honest about many objects is not cleared of the one.
-Honest positions scatter about one place as the detector does; those of lies about another one, on which liars agreed.
+**Model.** What an honest agent reports follows the measured errors of views and detectors
+(:mod:`viewshed.fusion.honest`): whether it reports what other honest agents report and deny, whether it alone reports
+an object (*invented*), whether its box lies on the surfaces of its own view (*displaced*), and whether its position
+agrees with theirs. Each agent is asked given the other honest ones: a pseudo-likelihood (Besag, 1975). A liar does the
+same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are there: then every report
+is as likely as none. So whoever is honest about many objects is not cleared of the one.
 
 **Dependence.** Frames are no independent witnesses: an agent that misses an object misses it in the next frame as well.
-So the log-likelihood of an object counts by the time that passed, as one report a second; and what one object says
-against a hypothesis, over all time, is bounded by :attr:`TrustRules.most_of_object`. What is older fades.
+So the log-likelihood of an object counts by the time that passed, as one report a second; what one object says is
+bounded by :attr:`TrustRules.most_of_object`, and against a hypothesis only the few objects count that say most
+(:attr:`TrustRules.objects`): an honest agent whose detector is poor errs mildly about many, a liar grossly about some.
+What is older fades.
 
-**E-value.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
-it does not: the ratio of universal inference (Wasserman, Ramdas, Balakrishnan 2020), of mean at most 1 for an honest
-agent if the model were exact. It is not exact, so accusations are calibrated on benign scenes (:class:`TrustLimits`).
+**Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
+it does not: the ratio of universal inference (Wasserman, Ramdas, Balakrishnan 2020), an e-value if the likelihoods were
+exact. They are pseudo-likelihoods of measured errors, so accusations are calibrated on benign scenes
+(:class:`TrustLimits`).
 """
 
 from __future__ import annotations
@@ -32,8 +37,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.sectors import discoveries
-
 Floats = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
@@ -47,11 +50,15 @@ class TrustRules:
     """What honest agents and liars are taken to do.
 
     Attributes:
-        false_report: chance that an honest agent reports an object that does not exist where others look.
+        false_report: chance that an honest agent reports an object that nobody else does where others see.
         lie: share of the objects about which a liar lies.
         prior: chance that an agent is a liar, before it reports anything.
-        least_miss: chance that an honest agent misses an object whatever its view claims: views and detectors err.
+        least: no report, and no silence, of an honest agent is less likely: what is rare is known no better.
+        most_ratio: bound in nats of what views say about an invented or a displaced box.
+        agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
         disc_m: radius of the disc over which a lie puts an object.
+        astray: share of honest positions that are as those of lies: boxes of objects that are seen in part.
+        objects: so many objects count against a hypothesis, those that say most.
         most_of_object: bound in nats of what one object says against a hypothesis.
         half_life_s: after so many seconds a report counts half.
 
@@ -62,16 +69,20 @@ class TrustRules:
     false_report: float = 0.1
     lie: float = 0.05
     prior: float = 0.1
-    least_miss: float = 0.1
+    least: float = 0.005
+    most_ratio: float = 6.0
+    agreeing: float = 0.5
     disc_m: float = 4.0
-    most_of_object: float = 4.0
+    astray: float = 0.4
+    objects: int = 4
+    most_of_object: float = 10.0
     half_life_s: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lie", "prior", "least_miss"):
+        for name in ("false_report", "lie", "prior", "least", "agreeing", "astray"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
-        for name in ("disc_m", "most_of_object", "half_life_s"):
+        for name in ("most_ratio", "disc_m", "objects", "most_of_object", "half_life_s"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name):g}")
 
@@ -82,33 +93,48 @@ class Reports:
 
     Attributes:
         ids: (J,) int64, the same for one object over time.
-        chance: (J, A) probability that an honest agent in its place reports the object if it exists; 0 where it could
-            not see, or said nothing at this time.
         seen: (J, A) bool, who reports it.
-        xy_m: (J, A, 2) where, in the world; NaN where it is not reported.
+        able: (J, A) bool, who could.
+        sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
+        reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
+        of_others: (others, deniers) log-odds for so many others that report an object and so many that deny it.
+        invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports.
+        displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
+        there: (J, A) log-odds that each agent's report or silence adds to those that the object is one.
+        prior: (J,) log-odds that it is one, without them.
+        xy_m: (J, A, 2) where it is reported, in the world; NaN where it is not.
         std_m: (J, A) standard deviation of an honest report's position along each axis.
 
     Raises:
-        ValueError: the shapes do not fit, a chance is none, or a position is missing.
+        ValueError: the shapes do not fit, or a number is missing.
     """
 
     ids: NDArray[np.int64]
-    chance: Floats
     seen: Mask
+    able: Mask
+    sees: Mask
+    reported: Floats
+    of_others: Floats
+    invented: Floats
+    displaced: Floats
+    there: Floats
+    prior: Floats
     xy_m: Floats
     std_m: Floats
 
     def __post_init__(self) -> None:
         shape = self.seen.shape
-        if self.ids.shape != shape[:1] or self.chance.shape != shape or self.xy_m.shape != (*shape, 2):
+        if self.ids.shape != shape[:1] or self.prior.shape != shape[:1] or self.xy_m.shape != (*shape, 2):
             raise ValueError(
-                f"reports of {len(self.ids)} objects must have chance and seen (J, A) and xy_m (J, A, 2), got"
-                f" {self.chance.shape}, {shape} and {self.xy_m.shape}"
+                f"reports of {len(self.ids)} objects must have prior (J,), seen (J, A) and xy_m (J, A, 2), got"
+                f" {self.prior.shape}, {shape} and {self.xy_m.shape}"
             )
-        if not ((self.chance >= 0) & (self.chance <= 1)).all():
-            raise ValueError("chance must be probabilities, got others")
-        if self.std_m.shape != shape or not (self.std_m > 0).all():
-            raise ValueError(f"std_m must be {shape} positive numbers, got {self.std_m.shape}")
+        for name in ("able", "sees", "reported", "invented", "displaced", "there", "std_m"):
+            values = getattr(self, name)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name} must be {shape} finite numbers, got {values.shape}")
+        if not (self.std_m > 0).all():
+            raise ValueError("std_m must be positive, got others")
         if not np.isfinite(self.xy_m[self.seen]).all():
             raise ValueError("xy_m must be finite wherever an object is reported")
 
@@ -137,16 +163,6 @@ class Verdicts:
 @dataclass(slots=True)
 class Trust:
     """Follows what a number of agents report; see the module for the model.
-
-    A report that is nobody's alone: three honest agents, the last of which denies what the others see.
-
-    >>> trust, at = Trust(3), np.zeros((1, 3, 2))
-    >>> chance, std_m = np.full((1, 3), 0.95), np.full((1, 3), 0.3)
-    >>> reports = Reports(np.array([7]), chance, np.array([[True, True, False]]), at, std_m)
-    >>> for _ in range(3):
-    ...     verdicts = trust.add(reports, seconds=1.0)
-    >>> int(verdicts.evidence.argmax()), bool(verdicts.existence[0] > 0.9), verdicts.suspects.tolist()
-    (2, True, [False, False, True])
 
     Args:
         agents: how many there are.
@@ -193,53 +209,61 @@ class Trust:
         self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
         for number, logs in zip(reports.ids.tolist(), min(seconds, 1.0) * self._likelihoods(reports), strict=True):
             self._of_objects[number] = self._of_objects.get(number, 0.0) + logs - logs.max()
-        return self._verdicts(reports.ids)
+        return self._verdicts(reports)
 
     def _likelihoods(self, reports: Reports) -> Floats:
-        """Return the log-likelihoods (J, 2, H) of the reports of each object, without the object and with it.
+        """Return the log-likelihoods (J, H) of the reports of each object, for each set of agents that lie about it."""
+        rules, honest, seen = self.rules, ~self._lies[None], reports.seen[:, None]
+        # How many other honest agents report the object, and how many deny it: (J, H, A).
+        reporters, deniers = seen & honest, (reports.sees & ~reports.seen)[:, None] & honest
+        others = reporters.sum(axis=2, keepdims=True) - reporters
+        denied = deniers.sum(axis=2, keepdims=True) - deniers
+        most = np.array(reports.of_others.shape) - 1
+        odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
+        chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
+        # A lie's box may agree with the view as an honest one does, for the view may be forged.
+        ratio = np.exp(np.clip(reports.displaced, -rules.most_ratio, rules.most_ratio))
+        displaced = np.log(rules.agreeing + (1.0 - rules.agreeing) * ratio)[:, None]
+        invented = np.clip(reports.invented, -rules.most_ratio / 2, rules.most_ratio)[:, None]
+        # Who alone reports an object errs seldom where others see; where they do not, it is as likely as not.
+        alone = np.where(denied > 0, np.log(rules.false_report), np.log(0.5)) - invented
+        with_others = np.where(
+            seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
+        )
+        by_itself = np.where(seen, alone, np.log1p(-rules.false_report))
+        # Those who lie together agree on a place as well.
+        lied = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
+        logs = np.where(honest, np.where(others > 0, with_others, by_itself), lied)
+        summed: Floats = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
+        return summed
 
-        Each set of agents stands for those who lie about the object; all others are honest about it.
+    def _agreement(self, reports: Reports, reporters: Mask) -> Floats:
+        """Return the log-ratio (J, H, A) of each position about the mean of the other reporters' over one anywhere.
+
+        Positions are normal about it, but for a share that lies astray.
         """
-        rules, lies, area = self.rules, self._lies[None], np.pi * self.rules.disc_m**2
-        seen, mute = reports.seen[:, None], ((reports.chance == 0) & ~reports.seen)[:, None]
-        chance = np.clip(reports.chance, rules.false_report, 1.0 - rules.least_miss)[:, None]
-        # With the object a lie conceals it or puts it elsewhere, without it a lie may report it.
-        if_there = np.where(lies, 0.5, np.where(seen, chance, 1.0 - chance))
-        if_not = np.where(lies, 0.5, np.where(seen, rules.false_report, 1.0 - rules.false_report))
-        # Honest positions lie about one place if the object is there, anywhere if not; those of lies about another.
-        honest = seen & ~lies
-        of_lies = self._about_one_place(reports, seen & lies)
-        place_if_there, place_if_not = self._about_one_place(reports, honest), -np.log(area) * honest.sum(axis=2)
-        there = np.where(mute, 0.0, np.log(if_there)).sum(axis=2) + place_if_there + of_lies
-        absent = np.where(mute, 0.0, np.log(if_not)).sum(axis=2) + place_if_not + of_lies
-        return np.stack([absent, there], axis=1)
+        weight = np.where(reporters, reports.std_m[:, None] ** -2.0, 0.0)
+        xy_m = np.where(reports.seen[..., None], reports.xy_m, 0.0)[:, None]
+        # Sums over all but the agent itself.
+        rest = weight.sum(axis=2, keepdims=True) - weight
+        moment = weight[..., None] * xy_m
+        some = rest > 1e-9
+        rest = np.where(some, rest, 1.0)
+        mean = (moment.sum(axis=2, keepdims=True) - moment) / rest[..., None]
+        variance = reports.std_m[:, None] ** 2 + 1.0 / rest
+        ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-((xy_m - mean) ** 2).sum(axis=3) / (2.0 * variance))
+        return np.where(some, np.log((1.0 - self.rules.astray) * ratio + self.rules.astray), 0.0)
 
-    def _about_one_place(self, reports: Reports, chosen: Mask) -> Floats:
-        """Return the log-density (J, H) of the positions of the chosen (J, H, A) reports, scattered about one place.
-
-        The place lies anywhere on the disc; over it the product of the normal densities has a closed integral.
-        """
-        weight = np.where(chosen, reports.std_m[:, None] ** -2.0, 0.0)
-        xy_m = np.where(reports.seen[..., None], reports.xy_m, 0.0)
-        total = weight.sum(axis=2)
-        some = total > 0
-        mean = np.einsum("jha,jad->jhd", weight, xy_m) / np.where(some, total, 1.0)[..., None]
-        square = np.einsum("jha,jhad->jh", weight, (xy_m[:, None] - mean[:, :, None]) ** 2)
-        log_weights = np.where(chosen, -np.log(2 * np.pi * reports.std_m[:, None] ** 2), 0.0).sum(axis=2)
-        total = np.where(some, total, 1.0)
-        logs = log_weights + np.log(2 * np.pi / total) - 0.5 * square - np.log(np.pi * self.rules.disc_m**2)
-        return np.where(some, logs, 0.0)
-
-    def _verdicts(self, ids: NDArray[np.int64]) -> Verdicts:
-        """Return what is believed of the agents, and of some of the objects."""
-        numbers = {number: place for place, number in enumerate(self._of_objects)}
-        known = np.array(list(self._of_objects.values())).reshape(-1, 2, len(self._lies))
+    def _verdicts(self, reports: Reports) -> Verdicts:
+        """Return what is believed of the agents, and of the objects of the last reports."""
+        known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
         # A hypothesis is the mean over the sets of its liars that may lie about an object.
-        of_objects = _mixed(np.logaddexp(known[:, 0], known[:, 1]), self._share_of_lies)
-        there = _mixed(known[:, 1], self._share_of_lies) - of_objects
-        # What an object says against a hypothesis, beside the one that explains it best, is bounded.
+        of_objects = _mixed(known, self._share_of_lies)
+        # What an object says for a hypothesis, against that nobody lies, is bounded, and few objects count.
         bound = self.rules.most_of_object
-        logs = -bound * np.tanh((of_objects.max(axis=1, keepdims=True) - of_objects) / bound).sum(axis=0)
+        gain = bound * np.tanh((of_objects - of_objects[:, :1]) / bound)
+        most = np.sort(np.maximum(gain, 0.0), axis=0)[::-1][: self.rules.objects]
+        logs = most.sum(axis=0) + np.minimum(gain, 0.0).sum(axis=0)
         # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
         evidence = np.empty(self.agents)
         for agent in range(self.agents):
@@ -251,10 +275,12 @@ class Trust:
         posterior /= posterior.sum()
         best = logs >= logs.max() - 1.0
         best &= liars == liars[best].min()
-        existence = np.exp(there) @ posterior
+        # An object is one by what those say who are honest.
+        odds = reports.prior[:, None] + reports.there @ (~self._lies).T.astype(np.float64)
+        existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
-            evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, ids,
-            existence[[numbers[number] for number in ids.tolist()]], self._lies[best].any(axis=0),
+            evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
+            self._lies[best].any(axis=0),
         )  # fmt: skip
 
 
@@ -262,8 +288,14 @@ class Trust:
 class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
+    The unit is the scene: whoever is accused must be more suspicious than the most suspicious agent of nearly all
+    benign scenes. If the scene at hand is one like them (exchangeable), somebody is accused in at most the stated share
+    of benign scenes, however the agents of one scene depend on each other. That promises more than a false discovery
+    rate over agents (Benjamini and Hochberg, 1995), and needs fewer scenes: 99 for 1 %, where one random agent of each
+    scene, among five, needed 499.
+
     Attributes:
-        evidence: (N,) largest evidence, over time, against one random agent of each benign scene, ascending.
+        evidence: (N,) largest evidence, over time, against any agent of each benign scene, ascending.
         doubt: (N,) largest doubt of each benign scene, ascending.
     """
 
@@ -272,7 +304,7 @@ class TrustLimits:
 
     @classmethod
     def of(cls, evidence: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]) -> TrustLimits:
-        """Return the limits of N benign scenes: largest evidence against a random agent, largest doubt.
+        """Return the limits of N benign scenes: largest evidence against any agent, largest doubt.
 
         Raises:
             ValueError: there are none, or a number is not finite.
@@ -293,21 +325,19 @@ class TrustLimits:
         table = json.loads(text)
         return cls.of(np.array(table["evidence"]), np.array(table["doubt"]))
 
-    def least_rate(self, agents: int) -> float:
-        """Return the smallest rate that so many scenes support for so many agents."""
-        return agents / (len(self.evidence) + 1.0)
+    @property
+    def least_rate(self) -> float:
+        """The smallest rate that so many scenes support."""
+        return 1.0 / (len(self.evidence) + 1.0)
 
     def accused(self, verdicts: Verdicts, rate: float) -> Mask:
-        """Return who is accused (A,): of the accused at most this share is honest, expected over scenes.
-
-        By Benjamini and Hochberg over agents. In a benign scene every accusation is false, so that somebody is accused
-        in at most this share of them.
+        """Return who is accused (A,): somebody in at most this share of benign scenes.
 
         Raises:
-            ValueError: so few scenes support no such rate for so many agents.
+            ValueError: so few scenes support no such rate.
         """
-        self._check(rate / max(len(verdicts.evidence), 1))
-        return discoveries(_p_values(self.evidence, verdicts.evidence), rate)
+        self._check(rate)
+        return np.asarray(_p_values(self.evidence, verdicts.evidence) <= rate)
 
     def disputed(self, verdicts: Verdicts, rate: float) -> Mask:
         """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.

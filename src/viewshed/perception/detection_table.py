@@ -125,6 +125,13 @@ class DetectionTable:
         result: Floats = (self.false / (self.sweeps * area_m2))[np.asarray(kinds, np.intp), ring]
         return result
 
+    def false_odds(self, range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> Floats:
+        """Return the number (K,) of false detections of a kind at a range for one of an object."""
+        d, share = _between(np.asarray(range_m, np.float64), _RANGE_AT_M)
+        kind = np.asarray(kinds, np.intp)
+        result: Floats = (1 - share) * self._false_odds[kind, d] + share * self._false_odds[kind, d + 1]
+        return result
+
     @property
     def false_per_sweep(self) -> Floats:
         """Mean number (K,) of false detections in a sweep, by the kind that they were called."""
@@ -147,6 +154,16 @@ class DetectionTable:
         """(K, R, D, B) probabilities by what is blocked."""
         prob = _leaning(self.found.astype(np.float64), self.total.astype(np.float64), self._prob_of_all)
         return _rising(prob, self.total.astype(np.float64) + _PRIOR)
+
+    @cached_property
+    def _false_odds(self) -> Floats:
+        """(K, D) false detections for one of an object; a range leans on its kind, a kind on all."""
+        false, right = self.false.astype(np.float64), self.matched.astype(np.float64)
+        of_all = np.array([false.sum() / max(false.sum() + right.sum(), 1.0)])
+        of_kind = _leaning(false.sum(axis=1), (false + right).sum(axis=1), of_all)
+        share = np.clip(_leaning(false, false + right, of_kind[:, None]), 0.001, 0.999)
+        result: Floats = share / (1.0 - share)
+        return result
 
     @cached_property
     def _std_m(self) -> Floats:

@@ -65,7 +65,8 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
        from obstacles: as far as the nearer of the two.
     2. A beam that aims above the ground, or at ground from which few beams return (by range, learned from the sweep):
        as far as that ground, but no farther than an obstacle beside it in its ring or next above it, nor than a beam
-       of the same gap stopped by rule 1 within 1.5 m, nor than twice as far as the sweep has returns.
+       of the same gap stopped by rule 1 within 1.5 m, nor than twice as far as the sweep has returns (in fog the last
+       returns are of grazed ground; a target faces the beams and is seen from twice as far).
     3. All others are unresolved: those at ground that should have returned, and beams above one of them (something
        that swallows light, glass, an attack). Rings and columns without any return (dead, dropped) have no beams.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import polar_of_cells
+from viewshed.perception.matching import corners_of
 
 SURE = np.float32(0.98)
 """Probability that a liar claims where it sees nothing; 1 less it where it denies what it sees."""
@@ -98,6 +99,47 @@ def behind_own(views: Sequence[View], lie: ViewLie) -> View:
     return _turned(now, chosen.reshape(now.grid.shape), CellState.FREE)
 
 
+def with_objects(view: View, boxes: NDArray[np.float64]) -> View:
+    """Return the view as if objects in boxes (K, 7) of ``level`` were there: surfaces in them, nothing seen behind.
+
+    So an agent that invents objects, or whose LiDAR is spoofed, makes its view agree with them.
+    """
+    range_m, azimuth = polar_of_cells(view.grid)
+    for box in boxes:
+        inside = _in_box(view, box)
+        off = (azimuth - np.arctan2(box[1], box[0]) + np.pi) % (2 * np.pi) - np.pi
+        corners = corners_of(box[None])[0]
+        across = (np.arctan2(corners[:, 1], corners[:, 0]) - np.arctan2(box[1], box[0]) + np.pi) % (2 * np.pi) - np.pi
+        near_m = range_m[inside].min(initial=np.inf)
+        shadow = (off > across.min()) & (off < across.max()) & (range_m > near_m)
+        # The first meter of the object is what returns come from.
+        view = _turned(view, shadow | inside, CellState.HIDDEN)
+        view = _turned(view, inside & (range_m < near_m + _DEPTH_M), CellState.SURFACE)
+    return view
+
+
+def without_objects(view: View, boxes: NDArray[np.float64]) -> View:
+    """Return the view with free cells where boxes (K, 7) of ``level`` are; what they hide stays hidden."""
+    for box in boxes:
+        view = _turned(view, _in_box(view, box), CellState.FREE)
+    return view
+
+
+_DEPTH_M = 1.0
+"""Depth of the near side of a claimed object."""
+
+_MARGIN_M = 0.4
+"""Boxes are taken so much larger on each side: surfaces lie in whole cells."""
+
+
+def _in_box(view: View, box: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which cells (cells, cells) have their centers in a box (7,)."""
+    away = view.grid.centers - box[:2]
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    ahead, left = cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]
+    return np.asarray((np.abs(ahead) < box[3] / 2 + _MARGIN_M) & (np.abs(left) < box[4] / 2 + _MARGIN_M))
+
+
 VIEW_LIES: dict[str, tuple[Callable[[Sequence[View], ViewLie], View], float]] = {
     "over_claim": (over_claim, 0.2),
     "behind_own": (behind_own, 0.2),
@@ -120,7 +162,7 @@ def _wedge(cells: NDArray[np.bool_], azimuth: NDArray[np.float32], lie: ViewLie,
 
 
 def _turned(view: View, cells: NDArray[np.bool_], state: CellState) -> View:
-    prob = SURE if state == CellState.FREE else 1 - SURE
+    prob = 1 - SURE if state == CellState.HIDDEN else SURE
     return replace(
         view,
         visible_prob=np.where(cells, prob, view.visible_prob),

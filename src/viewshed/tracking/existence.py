@@ -3,7 +3,8 @@
 The textbook counts each sweep as new evidence. But an object that a view calls half visible is not drawn anew ten times
 a second: if a pole's shadow hid it a moment ago, it does so still. So each track has a hidden number u, uniform in
 [0, 1]: it can be found in a sweep if u is less than P_D of that sweep. What hits and misses say of u is kept, and
-forgotten with a time constant. In the same way a false detection (a bush) comes back where it was.
+forgotten with a time constant. And a false detection may be of something lasting (a bush) that comes back where it was:
+a track is an object, or such a false source, or nothing any more.
 """
 
 from __future__ import annotations
@@ -33,28 +34,37 @@ def found_probability(levels: Floats, shares: Floats) -> Floats:
     return np.asarray((levels * shares).sum(axis=1))
 
 
-def existence_after_detection(
-    existence: Floats, found: Floats, density: Floats, clutter_per_m2: float, recurrence: float
-) -> Floats:
-    """Return the existence (M,) of tracks that were matched.
+def after_detection(
+    existence: Floats,
+    lasting: Floats,
+    found: Floats,
+    density: Floats,
+    clutter_per_m2: float | Floats,
+    recurrence: float,
+) -> tuple[Floats, Floats]:
+    """Return existence and the probability of a lasting false source, (M,) each, of tracks that were matched.
+
+    A track is an object, or something lasting that looks like one (a bush), or nothing any more.
 
     Args:
         existence: predicted, (M,).
-        found: probability that each is found, (M,).
+        lasting: predicted probability of a lasting false source, (M,); 0 is the textbook.
+        found: probability that each object is found, (M,).
         density: of the detection's center if it is the track's, per square meter, (M,).
-        clutter_per_m2: false detections per square meter and sweep, anywhere.
-        recurrence: how often a false detection comes back where it was, as a part of how often an object does; 0
-            is the textbook.
+        clutter_per_m2: other false detections per square meter and sweep, there.
+        recurrence: how often a lasting false source is detected, as a part of how often an object is.
     """
-    real = (1.0 - found) * clutter_per_m2 + found * density
-    false = clutter_per_m2 + recurrence * found * density
-    return existence * real / (existence * real + (1.0 - existence) * false)
+    real = existence * ((1.0 - found) * clutter_per_m2 + found * density)
+    false = lasting * ((1.0 - recurrence * found) * clutter_per_m2 + recurrence * found * density)
+    total = real + false + (1.0 - existence - lasting) * clutter_per_m2
+    return real / total, false / total
 
 
-def existence_after_miss(existence: Floats, found: Floats, recurrence: float) -> Floats:
-    """Return the existence (M,) of tracks that were not matched: unchanged where they cannot be found."""
-    real, false = 1.0 - found, 1.0 - recurrence * found
-    return existence * real / (existence * real + (1.0 - existence) * false)
+def after_miss(existence: Floats, lasting: Floats, found: Floats, recurrence: float) -> tuple[Floats, Floats]:
+    """Return the same (M,) of tracks that were not matched: unchanged where nothing can be found."""
+    real, false = existence * (1.0 - found), lasting * (1.0 - recurrence * found)
+    total = real + false + (1.0 - existence - lasting)
+    return real / total, false / total
 
 
 def levels_after(levels: Floats, likelihoods: Floats) -> Floats:

@@ -29,6 +29,9 @@ class Motion:
         box_std: of the same numbers of a detection.
         new_box_std: of the same numbers of a new track; None takes those of its detection.
         heading_from_mps: from this speed on the box's heading is the quarter turn nearest to its velocity.
+        standing_share: part of all objects that stand, which a track that is missed is judged by; 0 judges none.
+        outlier_share: part of the detections whose box was completed wrongly; 0 knows none of them.
+        outlier_std_m: of their centers, beside what is known of the others.
     """
 
     acceleration_density: float = 1.0
@@ -40,6 +43,9 @@ class Motion:
     box_std: tuple[float, float, float, float, float] = (0.2, 0.5, 0.3, 0.2, 0.2)
     new_box_std: tuple[float, float, float, float, float] | None = None
     heading_from_mps: float = 2.0
+    standing_share: float = 0.0
+    outlier_share: float = 0.0
+    outlier_std_m: float = 1.2
 
     def __post_init__(self) -> None:
         for name in ("acceleration_density", "velocity_std_mps", "center_std_m", "heading_from_mps"):
@@ -48,6 +54,8 @@ class Motion:
                 raise ValueError(f"{name} must not be negative, got {value}")
         if self.center_std_m == 0.0:
             raise ValueError("center_std_m must be positive, got 0.0")
+        if not 0.0 <= self.standing_share < 1.0:
+            raise ValueError(f"standing_share must lie in [0, 1), got {self.standing_share}")
 
     def process_noise(self, dt_s: float) -> Floats:
         """Return the covariance (4, 4) that a state gains in ``dt_s`` seconds.
@@ -62,6 +70,10 @@ class Motion:
     def center_noise(self, count: int) -> Floats:
         """Return the covariances (count, 2, 2) of centers of a detector that gives none."""
         return np.broadcast_to(self.center_std_m**2 * np.eye(2), (count, 2, 2))
+
+    def outlier_noise(self, noise: Floats) -> Floats:
+        """Return the covariances (K, 2, 2) of centers with covariances ``noise`` if they are outliers."""
+        return noise + self.outlier_std_m**2 * np.eye(2)
 
     def new_covariances(self, noise: Floats) -> Floats:
         """Return the covariances (K, 4, 4) of tracks that begin at detections with center covariances (K, 2, 2)."""
@@ -96,6 +108,40 @@ def predict(states: Floats, covariances: Floats, dt_s: float, process_noise: Flo
     return states @ transition.T, transition @ covariances @ transition.T + process_noise
 
 
+def standing_probability(states: Floats, covariances: Floats, motion: Motion) -> Floats:
+    """Return the probability (N,) that tracks stand, by their velocities.
+
+    An object stands, or its velocity is drawn from the prior of a new track. The ratio of both is that of the posterior
+    to the prior density at velocity 0 (Savage-Dickey; Dickey, 1971), which a Kalman filter knows.
+
+    >>> motion = Motion(velocity_std_mps=8.0, standing_share=0.5)
+    >>> covariances = np.tile(np.eye(4), (2, 1, 1))
+    >>> standing_probability(np.array([[0, 0, 0.0, 0], [0, 0, 9.0, 0]]), covariances, motion).round(3).tolist()
+    [0.985, 0.0]
+    """
+    inverses, determinants = inverse(covariances[:, 2:, 2:])
+    velocity = states[:, 2:]
+    squared = (velocity[:, None, :] @ inverses @ velocity[:, :, None])[:, 0, 0]
+    prior = motion.standing_share / (1.0 - motion.standing_share)
+    odds = prior * motion.velocity_std_mps**2 / np.sqrt(determinants) * np.exp(-0.5 * squared)
+    return np.asarray(odds / (1.0 + odds))
+
+
+def settle(states: Floats, covariances: Floats, standing: Floats) -> tuple[Floats, Floats]:
+    """Return states (N, 4) and covariances (N, 4, 4) of tracks that stand with probability ``standing`` (N,).
+
+    Mean and covariance are those of the mixture of *stands where it is* and *moves on*.
+    """
+    moving = 1.0 - standing
+    settled, spread = states.copy(), covariances.copy()
+    settled[:, 2:] *= moving[:, None]
+    spread[:, :, 2:] *= moving[:, None, None]
+    spread[:, 2:, :2] *= moving[:, None, None]
+    velocity = states[:, 2:]
+    spread[:, 2:, 2:] += (moving * standing)[:, None, None] * velocity[:, :, None] * velocity[:, None, :]
+    return settled, spread
+
+
 def squared_distances(states: Floats, covariances: Floats, centers: Floats, noise: Floats) -> tuple[Floats, Floats]:
     """Return squared Mahalanobis distances (N, K) of centers (K, 2), and determinants (N, K) of their covariances.
 
@@ -108,6 +154,11 @@ def squared_distances(states: Floats, covariances: Floats, centers: Floats, nois
     yy = covariances[:, 1, 1, None] + noise[None, :, 1, 1]
     determinants = xx * yy - xy * xy
     return (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / determinants, determinants
+
+
+def center_log_density(squared: Floats, determinants: Floats) -> Floats:
+    """Return the log-densities of centers with squared Mahalanobis distances and determinants of one shape."""
+    return np.asarray(-0.5 * (squared + np.log(determinants)) - np.log(2.0 * np.pi))
 
 
 def update(states: Floats, covariances: Floats, centers: Floats, noise: Floats) -> tuple[Floats, Floats]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from viewshed.tracking.association import assign, volume_overlaps
 from viewshed.tracking.kalman import Motion
-from viewshed.tracking.tracker import TrackTable
+from viewshed.tracking.tracker import Measured, TrackTable
 from viewshed.tracking.views import View
 
 Floats = NDArray[np.float64]
@@ -53,6 +53,7 @@ class PublishedRules:
         duplicate_m: of tracks nearer to each other than this the one with most detections is kept.
         fastest_mps: faster tracks end.
         repairs_empty_view: False is the published bug: a view that covers no track counts as one that covers all.
+        false_odds: is not asked.
         most_tracks, most_detections, longest_m, late_s: as of ``ExistenceRules``; the published code has no limits.
     """
 
@@ -66,6 +67,7 @@ class PublishedRules:
     duplicate_m: float = 1.0
     fastest_mps: float = 60.0
     repairs_empty_view: bool = False
+    false_odds: float = 1.0
     most_tracks: int = 500
     most_detections: int = 1000
     longest_m: float = 30.0
@@ -85,19 +87,21 @@ class PublishedRules:
             tracks.visible = np.ones(len(tracks))
         tracks.detectable = np.ones(len(tracks))
 
-    def match(self, tracks: TrackTable, boxes: Floats, noise: Floats) -> NDArray[np.int32]:
+    def match(self, tracks: TrackTable, measured: Measured) -> NDArray[np.int32]:
         """Return the assignment of greatest overlap, or of least distance."""
         if self.cost == "overlap":
-            shared = volume_overlaps(tracks.boxes, boxes)
+            shared = volume_overlaps(tracks.boxes, measured.boxes)
             return assign(np.where(shared > self.least_overlap, shared, 0.0))
-        off = tracks.boxes[:, None, :2] - boxes[None, :, :2]
+        off = tracks.boxes[:, None, :2] - measured.boxes[None, :, :2]
         return assign(self.radius_m - np.hypot(off[..., 0], off[..., 1]))
 
-    def judge(self, tracks: TrackTable, boxes: Floats, noise: Floats, matched: NDArray[np.int32]) -> None:
+    def judge(self, tracks: TrackTable, measured: Measured, matched: NDArray[np.int32]) -> None:
         """Count the misses of tracks that the view covers."""
         tracks.misses = tracks.misses + ((matched < 0) & (tracks.visible > 0.5)).astype(np.int32)
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+    def begin(
+        self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
+    ) -> TrackTable:
         """Return all: each detection that is left begins a track."""
         return born
 

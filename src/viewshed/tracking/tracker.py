@@ -12,8 +12,8 @@ from viewshed.objects import Detections, ObjectKind
 from viewshed.tracking.association import assign, assignment_solver, inside
 from viewshed.tracking.existence import (
     LEVELS,
-    existence_after_detection,
-    existence_after_miss,
+    after_detection,
+    after_miss,
     forget,
     found_probability,
     levels_after,
@@ -21,10 +21,13 @@ from viewshed.tracking.existence import (
 )
 from viewshed.tracking.kalman import (
     Motion,
+    center_log_density,
     inverse,
     predict,
     quarter_turned,
+    settle,
     squared_distances,
+    standing_probability,
     update,
     update_boxes,
     wrapped,
@@ -39,7 +42,7 @@ Numbers = NDArray[np.int32]
 SAME_TIME_S = 0.02
 """A view further than this from the time of the detections is of another sweep."""
 
-MOTION = Motion()
+MOTION = Motion(standing_share=0.5, outlier_share=0.2)
 """How road users move, and how well boxes about clusters of returns measure them."""
 
 SPREAD_FROM_M = 0.5
@@ -67,6 +70,8 @@ class TrackTable:
         levels: (N, LEVELS) what is known of the number that decides what can be found; see ``existence``.
         updates: (N,) int32 detections so far.
         misses: (N,) int32 sweeps without a detection since the last one, of those that count.
+        lasting: (N,) probability that it is something lasting that only looks like an object.
+        standing: (N,) probability that it has stood since its last detection, 0 while it is detected.
     """
 
     ids: NDArray[np.int64]
@@ -86,6 +91,8 @@ class TrackTable:
     levels: Floats
     updates: Numbers
     misses: Numbers
+    lasting: Floats
+    standing: Floats
 
     @classmethod
     def begun(cls, t_s: float, boxes: Floats, kinds: NDArray[np.uint8], noise: Floats, motion: Motion) -> Self:
@@ -114,6 +121,8 @@ class TrackTable:
             levels=np.full((count, LEVELS), 1.0 / LEVELS),
             updates=np.ones(count, np.int32),
             misses=np.zeros(count, np.int32),
+            lasting=np.zeros(count),
+            standing=np.zeros(count),
         )
 
     def __len__(self) -> int:
@@ -135,12 +144,42 @@ class TrackTable:
         return type(self)(*(np.concatenate(pair) for pair in arrays))
 
 
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The K detections of one sweep, as rules see them.
+
+    Attributes:
+        boxes: (K, 7).
+        kinds: (K,) uint8.
+        noise: (K, 2, 2) covariances of their centers, square meters.
+        false_odds: (K,) false detections like each, for one like it of an object.
+    """
+
+    boxes: Floats
+    kinds: NDArray[np.uint8]
+    noise: Floats
+    false_odds: Floats
+
+    def __len__(self) -> int:
+        """Return the number of detections."""
+        return len(self.boxes)
+
+    def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | Numbers) -> Self:
+        """Return some of them."""
+        return type(self)(self.boxes[chosen], self.kinds[chosen], self.noise[chosen], self.false_odds[chosen])
+
+
 class Rules(Protocol):
     """What a tracker does with what it has predicted: which detection is whose, which tracks begin, and which end."""
 
     @property
     def motion(self) -> Motion:
         """How objects move and are measured."""
+        ...
+
+    @property
+    def false_odds(self) -> float:
+        """False detections for one of an object."""
         ...
 
     @property
@@ -167,16 +206,18 @@ class Rules(Protocol):
         """Write what the view says of each track, and what ``dt_s`` seconds change."""
         ...
 
-    def match(self, tracks: TrackTable, boxes: Floats, noise: Floats) -> Numbers:
+    def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
         """Return the number (N,) of the detection of each track, -1 for none."""
         ...
 
-    def judge(self, tracks: TrackTable, boxes: Floats, noise: Floats, matched: Numbers) -> None:
+    def judge(self, tracks: TrackTable, measured: Measured, matched: Numbers) -> None:
         """Write what hits and misses say of each track; states are those before the detections."""
         ...
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
-        """Return those new tracks that begin, with what is known of them."""
+    def begin(
+        self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
+    ) -> TrackTable:
+        """Return those new tracks that begin, with what is known of them; each has its detection."""
         ...
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
@@ -191,10 +232,12 @@ class ExistenceRules:
     Attributes:
         motion: how objects move and are measured.
         gate: squared Mahalanobis distance beyond which no detection is of a track; 13.8 leaves out one in a thousand.
-        clutter_per_m2: false detections per square meter and sweep.
-        unseen_per_m2: objects per square meter that are not tracked yet, where they could not be seen.
+        objects_per_m2: detected objects per square meter.
+        false_odds: false detections for one of an object, where nothing better is known of a detection.
+        lasting_share: false detections of something new that will come back where it is, for one that will not.
+        unseen_share: part of the detected objects that are not tracked yet, where they could not be seen.
         seen_share: part of these where they would have been seen.
-        recurrence: how often a false detection comes back where it was, against how often an object does.
+        recurrence: how often something lasting is falsely detected, against how often an object is.
         most_found: probability that a detector finds what it can find, at most.
         doubt_s: seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence.
         lifetime_s: mean time that an object exists.
@@ -211,15 +254,17 @@ class ExistenceRules:
 
     motion: Motion = MOTION
     gate: float = 13.8
-    clutter_per_m2: float = 1e-4
-    unseen_per_m2: float = 2e-4
-    seen_share: float = 0.05
-    recurrence: float = 0.6
+    objects_per_m2: float = 1e-3
+    false_odds: float = 0.1
+    lasting_share: float = 0.6
+    unseen_share: float = 0.2
+    seen_share: float = 0.1
+    recurrence: float = 0.8
     most_found: float = 0.98
     doubt_s: float = 0.1
     lifetime_s: float = 60.0
     surest: float = 0.99
-    confirm_from: float = 0.8
+    confirm_from: float = 0.75
     drop_below: float = 0.05
     lost_m: float = 6.0
     spreads: bool = True
@@ -229,10 +274,10 @@ class ExistenceRules:
     late_s: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
+        for name in ("unseen_share", "seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
-        for name in ("gate", "clutter_per_m2", "unseen_per_m2", "lifetime_s", "lost_m", "longest_m"):
+        for name in ("gate", "objects_per_m2", "false_odds", "lifetime_s", "lost_m", "longest_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
@@ -240,41 +285,55 @@ class ExistenceRules:
         """Ask the view of each track, let existence decay, and let what is known of its doubt fade."""
         tracks.visible = _spread_visible(tracks, view) if self.spreads else view.visible(tracks.boxes)
         tracks.detectable = view.detectable(tracks.boxes, tracks.kinds)
-        tracks.existence = tracks.existence * np.exp(-dt_s / self.lifetime_s)
+        kept = np.exp(-dt_s / self.lifetime_s)
+        tracks.existence, tracks.lasting = kept * tracks.existence, kept * tracks.lasting
         tracks.levels = forget(tracks.levels, float(np.exp(-dt_s / self.doubt_s)) if self.doubt_s > 0.0 else 0.0)
 
-    def match(self, tracks: TrackTable, boxes: Floats, noise: Floats) -> Numbers:
+    def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
         """Return the assignment that is most likely: log-likelihood ratios of (track's, false) are added up."""
-        squared, determinants = squared_distances(tracks.states, tracks.covariances, boxes[:, :2], noise)
+        motion, centers, noise = self.motion, measured.boxes[:, :2], measured.noise
+        squared, determinants = squared_distances(tracks.states, tracks.covariances, centers, noise)
+        log_density = center_log_density(squared, determinants)
+        if motion.outlier_share:
+            wide = motion.outlier_noise(noise)
+            squared, determinants = squared_distances(tracks.states, tracks.covariances, centers, wide)
+            log_density = np.logaddexp(
+                np.log1p(-motion.outlier_share) + log_density,
+                np.log(motion.outlier_share) + center_log_density(squared, determinants),
+            )
         # A track that could not be seen may be found all the same: the view may be wrong.
         found = np.clip(self._found(tracks), 1.0 - self.most_found, self.most_found)
         real = tracks.existence * found
-        log_density = -0.5 * (squared + np.log(determinants)) - np.log(2.0 * np.pi)
-        benefit = log_density + np.log(real / (1.0 - real))[:, None] - np.log(self.clutter_per_m2)
+        benefit = log_density + np.log(real / (1.0 - real))[:, None] - np.log(self._clutter_per_m2(measured))
         return assign(np.where(squared <= self.gate, benefit, 0.0))
 
-    def judge(self, tracks: TrackTable, boxes: Floats, noise: Floats, matched: Numbers) -> None:
+    def judge(self, tracks: TrackTable, measured: Measured, matched: Numbers) -> None:
         """Write existence and doubt after hits and misses."""
         is_hit = matched >= 0
         shares = shares_found(tracks.visible * tracks.detectable, self.most_found)
         found = found_probability(tracks.levels, shares)
-        density = np.zeros(len(tracks))
-        density[is_hit] = _center_density(
-            tracks.states[is_hit], tracks.covariances[is_hit], boxes[matched[is_hit]], noise[matched[is_hit]]
-        )
-        hit = existence_after_detection(tracks.existence, found, density, self.clutter_per_m2, self.recurrence)
-        miss = existence_after_miss(tracks.existence, found, self.recurrence)
-        tracks.existence = np.minimum(np.where(is_hit, hit, miss), self.surest)
-        hit_levels = (1.0 - shares) * self.clutter_per_m2 + shares * density[:, None]
+        density, clutter = np.zeros(len(tracks)), np.ones(len(tracks))
+        mine = measured.take(matched[is_hit])
+        density[is_hit] = _densities(tracks.states[is_hit], tracks.covariances[is_hit], mine, self.motion).sum(axis=0)
+        clutter[is_hit] = self._clutter_per_m2(mine)
+        both = tracks.existence, tracks.lasting, found
+        hit = after_detection(*both, density, clutter, self.recurrence)
+        miss = after_miss(*both, self.recurrence)
+        existence, tracks.lasting = (np.where(is_hit, *pair) for pair in zip(hit, miss, strict=True))
+        tracks.existence = np.minimum(existence, self.surest)
+        hit_levels = (1.0 - shares) * clutter[:, None] + shares * density[:, None]
         tracks.levels = levels_after(tracks.levels, np.where(is_hit[:, None], hit_levels, 1.0 - shares))
 
-    def begin(self, born: TrackTable, tracks: TrackTable, view: View, before: View | None) -> TrackTable:
+    def begin(
+        self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
+    ) -> TrackTable:
         """Return new tracks with how plausible it is that they are objects: could they have come unseen?
 
         What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
         """
         is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
-        born = born.take(~is_part & _first_of_doubles(born.boxes))
+        begins = ~is_part & _first_of_doubles(born.boxes)
+        born, clutter = born.take(begins), self._clutter_per_m2(measured.take(begins))
         born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
         unseen = np.ones(len(born))
         if before is not None:
@@ -283,8 +342,11 @@ class ExistenceRules:
             born.born_hidden = before.hides_near(born.boxes, within_m)
             # It may also have been there, in view, and not found.
             unseen = 1.0 - (1.0 - born.born_hidden) * before.detectable(born.boxes, born.kinds)
-        expected = self.unseen_per_m2 * (self.seen_share + (1.0 - self.seen_share) * unseen)
-        born.existence = np.minimum(expected / (expected + self.clutter_per_m2), self.surest)
+        new_per_m2 = self.objects_per_m2 * self.unseen_share
+        expected = new_per_m2 * (self.seen_share + (1.0 - self.seen_share) * unseen)
+        total = expected + (1.0 + self.lasting_share) * clutter
+        born.existence = np.minimum(expected / total, self.surest)
+        born.lasting = self.lasting_share * clutter / total
         shares = shares_found(born.visible * born.detectable, self.most_found)
         born.levels = levels_after(born.levels, shares)
         return born
@@ -294,6 +356,10 @@ class ExistenceRules:
         tracks.confirmed = tracks.confirmed | (tracks.existence >= self.confirm_from)
         variance = np.maximum(tracks.covariances[:, 0, 0], tracks.covariances[:, 1, 1])
         return np.asarray((tracks.existence >= self.drop_below) & (variance <= self.lost_m**2))
+
+    def _clutter_per_m2(self, measured: Measured) -> Floats:
+        """Return how many false detections like each (K,) do not come back, for each square meter."""
+        return self.objects_per_m2 * measured.false_odds
 
     def _found(self, tracks: TrackTable) -> Floats:
         return found_probability(tracks.levels, shares_found(tracks.visible * tracks.detectable, self.most_found))
@@ -332,7 +398,14 @@ class Tracker:
         """Forget all tracks and times; ids go on where they were."""
         self._table, self._last, self._view = _no_tracks(self.rules.motion), None, None
 
-    def step(self, t_s: float, detections: Detections, view: View, noise: Floats | None = None) -> Tracks:
+    def step(
+        self,
+        t_s: float,
+        detections: Detections,
+        view: View,
+        noise: Floats | None = None,
+        false_odds: Floats | None = None,
+    ) -> Tracks:
         """Return all tracks after the detections of one sweep.
 
         Args:
@@ -340,13 +413,15 @@ class Tracker:
             detections: in the frame of the view: the world, or ``level`` where there is no pose.
             view: what could be seen in this sweep.
             noise: (K, 2, 2) covariance of each detection's center in square meters; None is the rules' own.
+            false_odds: (K,) how many false detections there are like each, for one of an object
+                (:meth:`viewshed.perception.detection_table.DetectionTable.false_odds`); None is the rules' own.
 
         Raises:
-            ValueError: there are too many detections, a covariance is not positive definite, or the view is of
-                another time. The tracks are as before, and the next sweep can follow.
+            ValueError: there are too many detections, a covariance is not positive definite, odds are not positive, or
+                the view is of another time. The tracks are as before, and the next sweep can follow.
         """
         rules, notes = self.rules, list[str]()
-        noise = self._checked(t_s, detections, view, noise)
+        measured = self._checked(t_s, detections, view, noise, false_odds)
         late = self._time_note(t_s, view, notes)
         if late is not None:
             return late
@@ -354,26 +429,27 @@ class Tracker:
         if len(numbers) < len(detections):
             refused = len(detections) - len(numbers)
             notes.append(f"{refused} of {len(detections)} boxes left out: longer than {rules.longest_m:g} m")
-        boxes, kinds, noise = detections.boxes[numbers], detections.kinds[numbers], noise[numbers]
+        measured = measured.take(numbers)
 
         # Predict, ask the view, and find which detection is whose.
         tracks, motion = self._table.take(np.arange(len(self._table))), rules.motion  # a copy: a view may raise
         dt_s = 0.0 if self._last is None else t_s - self._last.t_s
         _predict(tracks, dt_s, motion)
         rules.look(tracks, view, dt_s)
-        matched = rules.match(tracks, boxes, noise)
-        rules.judge(tracks, boxes, noise, matched)
-        _update(tracks, t_s, boxes, kinds, noise, matched, motion)
+        matched = rules.match(tracks, measured)
+        rules.judge(tracks, measured, matched)
+        _update(tracks, t_s, measured, matched, motion)
 
         # What is left over begins tracks, as far as there is room.
-        is_left = np.ones(len(boxes), np.bool_)
+        boxes, is_left = measured.boxes, np.ones(len(measured), np.bool_)
         is_left[matched[matched >= 0]] = False
         left = np.flatnonzero(is_left)
         left = left[np.lexsort((boxes[left, 1], boxes[left, 0], -detections.returns[numbers[left]]))]
-        born = TrackTable.begun(t_s, boxes[left], kinds[left], noise[left], motion)
+        new = measured.take(left)
+        born = TrackTable.begun(t_s, new.boxes, new.kinds, new.noise, motion)
         born.detection = left.astype(np.int32)
         if len(born):
-            born = rules.begin(born, tracks, view, self._view)
+            born = rules.begin(born, new, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
         room = max(rules.most_tracks - len(tracks), 0)
         if len(born) > room:
@@ -389,8 +465,10 @@ class Tracker:
         self._last = _shown(tracks, t_s, numbers, view.in_world, tuple(notes))
         return self._last
 
-    def _checked(self, t_s: float, detections: Detections, view: View, noise: Floats | None) -> Floats:
-        """Return the covariances (K, 2, 2) of the detections' centers, or raise ValueError."""
+    def _checked(
+        self, t_s: float, detections: Detections, view: View, noise: Floats | None, false_odds: Floats | None
+    ) -> Measured:
+        """Return the detections with all that is known of them, or raise ValueError."""
         count, most = len(detections), self.rules.most_detections
         if not np.isfinite(t_s):
             raise ValueError(f"t_s must be finite, got {t_s}")
@@ -398,20 +476,21 @@ class Tracker:
             raise ValueError(f"detections must be at most {most}, got {count}; this sweep is refused")
         if not abs(view.t_s - t_s) <= SAME_TIME_S:
             raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
-        if noise is None:
-            return self.rules.motion.center_noise(count)
-        noise = np.asarray(noise, np.float64)
-        if noise.shape != (count, 2, 2):
-            raise ValueError(f"noise must have shape ({count}, 2, 2), got {noise.shape}")
-        determinants = noise[:, 0, 0] * noise[:, 1, 1] - noise[:, 0, 1] * noise[:, 1, 0]
-        is_good = (determinants > 0.0) & (noise[:, 0, 0] > 0.0) & np.isfinite(noise).all(axis=(1, 2))
-        is_good &= np.isclose(noise[:, 0, 1], noise[:, 1, 0])
+        odds = np.full(count, self.rules.false_odds) if false_odds is None else np.asarray(false_odds, np.float64)
+        if odds.shape != (count,) or not (np.isfinite(odds) & (odds > 0.0)).all():
+            raise ValueError(f"false_odds must be {count} positive numbers, got shape {odds.shape} or other numbers")
+        spread = self.rules.motion.center_noise(count) if noise is None else np.asarray(noise, np.float64)
+        if spread.shape != (count, 2, 2):
+            raise ValueError(f"noise must have shape ({count}, 2, 2), got {spread.shape}")
+        determinants = spread[:, 0, 0] * spread[:, 1, 1] - spread[:, 0, 1] * spread[:, 1, 0]
+        is_good = (determinants > 0.0) & (spread[:, 0, 0] > 0.0) & np.isfinite(spread).all(axis=(1, 2))
+        is_good &= np.isclose(spread[:, 0, 1], spread[:, 1, 0])
         if not is_good.all():
             first = int(np.flatnonzero(~is_good)[0])
             raise ValueError(
-                f"noise must be symmetric and positive definite, got {noise[first].tolist()} for detection {first}"
+                f"noise must be symmetric and positive definite, got {spread[first].tolist()} for detection {first}"
             )
-        return noise
+        return Measured(detections.boxes, detections.kinds, spread, odds)
 
     def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
         """Return the last tracks where a sweep is late or doubled; begin anew where the recording did."""
@@ -443,27 +522,35 @@ def _no_tracks(motion: Motion) -> TrackTable:
 
 
 def _predict(tracks: TrackTable, dt_s: float, motion: Motion) -> None:
-    """Move tracks ``dt_s`` seconds on."""
+    """Move tracks ``dt_s`` seconds on; those that are missed and stand stay, and do not begin to move either."""
     noise = motion.process_noise(dt_s)
+    if motion.standing_share:
+        lost = np.flatnonzero((tracks.detection < 0) & (tracks.standing == 0.0))
+        if len(lost):
+            states, covariances = tracks.states[lost], tracks.covariances[lost]
+            tracks.standing[lost] = standing_probability(states, covariances, motion)
+            tracks.states[lost], tracks.covariances[lost] = settle(states, covariances, tracks.standing[lost])
+        noise = noise * (1.0 - tracks.standing)[:, None, None]
     tracks.states, tracks.covariances = predict(tracks.states, tracks.covariances, dt_s, noise)
     tracks.boxes[:, :2] = tracks.states[:, :2]
     tracks.box_variances = tracks.box_variances + np.square(motion.box_drift) * dt_s
 
 
-def _update(
-    tracks: TrackTable, t_s: float, boxes: Floats, kinds: NDArray[np.uint8], noise: Floats, matched: Numbers,
-    motion: Motion,
-) -> None:  # fmt: skip
+def _update(tracks: TrackTable, t_s: float, measured: Measured, matched: Numbers, motion: Motion) -> None:
     """Write states, boxes and kinds of the tracks that were matched with a detection."""
     hit = np.flatnonzero(matched >= 0)
-    of = matched[hit]
+    mine = measured.take(matched[hit])
     tracks.detection = matched
-    tracks.states[hit], tracks.covariances[hit] = update(
-        tracks.states[hit], tracks.covariances[hit], boxes[of, :2], noise[of]
-    )
+    states, covariances, noise = tracks.states[hit], tracks.covariances[hit], mine.noise
+    if motion.outlier_share and len(hit):
+        # An outlier weighs less, by the probability that it is one.
+        usual, outlier = _densities(states, covariances, mine, motion)
+        share = outlier / np.maximum(usual + outlier, 1e-300)
+        noise = noise + share[:, None, None] * (motion.outlier_noise(noise) - noise)
+    tracks.states[hit], tracks.covariances[hit] = update(states, covariances, mine.boxes[:, :2], noise)
     extents, variances = tracks.boxes[hit][:, _EXTENT], tracks.box_variances[hit]
     extents, tracks.box_variances[hit] = update_boxes(
-        extents, variances, boxes[of][:, _EXTENT], np.array(motion.box_std)
+        extents, variances, mine.boxes[:, _EXTENT], np.array(motion.box_std)
     )
     vx, vy = tracks.states[hit, 2], tracks.states[hit, 3]
     turns = np.round(wrapped(np.arctan2(vy, vx) - extents[:, 4]) / (np.pi / 2))
@@ -475,10 +562,10 @@ def _update(
     tracks.boxes[hit[:, None], _EXTENT] = extents
     tracks.boxes[:, :2] = tracks.states[:, :2]
     tracks.votes[hit] *= _KIND_KEPT
-    tracks.votes[hit, kinds[of]] += 1.0
+    tracks.votes[hit, mine.kinds] += 1.0
     tracks.seen_s[hit] = t_s
     tracks.updates[hit] += 1
-    tracks.misses[hit] = 0
+    tracks.misses[hit], tracks.standing[hit] = 0, 0.0
 
 
 def _spread_visible(tracks: TrackTable, view: View) -> Floats:
@@ -502,12 +589,18 @@ def _spread_visible(tracks: TrackTable, view: View) -> Floats:
     return seen
 
 
-def _center_density(states: Floats, covariances: Floats, boxes: Floats, noise: Floats) -> Floats:
-    """Return the density (M,) per square meter of each track's detection (M, 7) under its prediction."""
-    inverses, determinants = inverse(covariances[:, :2, :2] + noise)
-    off = boxes[:, :2] - states[:, :2]
-    squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
-    return np.asarray(np.exp(-0.5 * squared) / (2.0 * np.pi * np.sqrt(determinants)))
+def _densities(states: Floats, covariances: Floats, measured: Measured, motion: Motion) -> Floats:
+    """Return the densities (2, M) per square meter of each track's detection, as a usual one and as an outlier."""
+    off, noise = measured.boxes[:, :2] - states[:, :2], measured.noise
+    densities = []
+    for share, spread in (
+        (1.0 - motion.outlier_share, noise),
+        (motion.outlier_share, motion.outlier_noise(noise)),
+    ):
+        inverses, determinants = inverse(covariances[:, :2, :2] + spread)
+        squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
+        densities.append(share * np.exp(center_log_density(squared, determinants)))
+    return np.stack(densities)
 
 
 def _first_of_doubles(boxes: Floats) -> NDArray[np.bool_]:

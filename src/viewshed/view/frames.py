@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fusion.legend import ShownTracks
 from viewshed.grid import BevGrid
 from viewshed.integrity.report import IntegrityReport
+from viewshed.objects import Detections
 from viewshed.preprocess.leveling import LeveledSweep
 
 MAX_POINTS = 10_000
@@ -41,6 +43,25 @@ _LONGEST_CM = 32_767
 """An int16 reaches 327 m."""
 
 
+@dataclass(frozen=True, slots=True)
+class AgentTrust:
+    """What a center of many agents thinks of one.
+
+    Attributes:
+        agent: its name.
+        trust: probability that it is honest.
+        accused: whether it lies, by the center's limits.
+        disputed: whether it or another one lies.
+        forged: whether somebody is known to forge what it sends.
+    """
+
+    agent: str
+    trust: float
+    accused: bool = False
+    disputed: bool = False
+    forged: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """A sweep as it is shown.
@@ -50,6 +71,10 @@ class Frame:
         estimate: what it could see.
         leveled: the sweep that the estimate was made from; None draws no points.
         report: what a monitor says of it, or None where there is none.
+        detections: objects of this sweep, in ``level``; None where nobody looked for them.
+        tracks: in ``level``; None where objects are not followed.
+        trust: of a center in each agent; empty without one.
+        lies: what the center says of agents that contradict each other, a sentence each.
 
     Raises:
         ValueError: the report's cells are on another grid than the estimate.
@@ -59,6 +84,10 @@ class Frame:
     estimate: FovEstimate
     leveled: LeveledSweep | None = None
     report: IntegrityReport | None = None
+    detections: Detections | None = None
+    tracks: ShownTracks | None = None
+    trust: tuple[AgentTrust, ...] = ()
+    lies: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         grid = None if self.report is None else self.report.grid
@@ -94,7 +123,10 @@ def pack_frame(frame: Frame) -> PackedFrame:
         "points": len(points_cm),
         "deviation_top": top,
         **_about_report(report),
+        **_about_objects(frame),
     }
+    if frame.lies:
+        about["alarms"] = [*about.get("alarms", ()), *({"verdict": "center", "reason": lie} for lie in frame.lies)]
     return PackedFrame(about, _deflated(b"".join(array.tobytes() for array in arrays)))
 
 
@@ -178,6 +210,35 @@ def _about_report(report: IntegrityReport | None) -> dict[str, Any]:
         "alarms": alarms,
         "notes": list(report.notes),
     }
+
+
+def _about_objects(frame: Frame) -> dict[str, Any]:
+    """Return boxes from above, in ``level``, and the trust in agents; nothing where nobody follows them.
+
+    A track is its number, x, y, length, width, yaw, velocity along x and y, place in the legend, existence and reason.
+    """
+    about: dict[str, Any] = {}
+    if frame.detections is not None:
+        about["detections"] = frame.detections.boxes[:, _FROM_ABOVE].round(2).tolist()
+    if frame.tracks is not None:
+        tracks = frame.tracks
+        rows = np.column_stack([tracks.boxes[:, _FROM_ABOVE], tracks.velocities]).round(2).tolist()
+        others = zip(
+            tracks.ids.tolist(), tracks.legend.tolist(), tracks.existence.tolist(), tracks.reasons, strict=True
+        )
+        about["tracks"] = [
+            [number, *row, at, round(existence, 2), reason]
+            for row, (number, at, existence, reason) in zip(rows, others, strict=True)
+        ]
+    if frame.trust:
+        about["trust"] = [
+            [each.agent, round(each.trust, 3), each.accused, each.disputed, each.forged] for each in frame.trust
+        ]
+    return about
+
+
+_FROM_ABOVE = [0, 1, 3, 4, 6]
+"""Columns of a box that a picture from above needs: x, y, length, width, yaw."""
 
 
 def _finite(value: float) -> float | None:

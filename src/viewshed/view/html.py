@@ -18,6 +18,7 @@ from typing import Any
 
 from viewshed._files import open_atomic
 from viewshed.fov.estimate import CellState
+from viewshed.fusion.legend import LEGEND
 from viewshed.plot import COLORS, HEIGHTS_M, WORDS, color_map
 from viewshed.view.frames import DEVIATION_STEPS, PROBABILITY_STEPS, PackedFrame
 
@@ -67,6 +68,7 @@ def _filled_page(title: str) -> tuple[str, str]:
         "script_hash": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "style": _text("page.css"),
         "legend": "\n".join(_legend_item(state) for state in _LEGEND_ORDER),
+        "track_legend": "\n".join(_track_item(at) for at in range(len(LEGEND))),
         "low_m": f"{HEIGHTS_M[0]:g}",
         "high_m": f"{HEIGHTS_M[1]:g}",
         "height_colors": _gradient(_HEIGHT_MAP),
@@ -92,6 +94,7 @@ def _settings() -> dict[str, Any]:
         "heights_m": list(HEIGHTS_M),
         "steps": PROBABILITY_STEPS,
         "deviation_steps": DEVIATION_STEPS,
+        "tracks": [{"word": item.word, "color": f"rgb{tuple(_bytes(item.color))}"} for item in LEGEND],
     }
 
 
@@ -99,6 +102,13 @@ def _legend_item(state: CellState) -> str:
     colors = f"--light: rgb{tuple(_light(state))}; --dark: rgb{tuple(_dark(state))}"
     swatch = f'<span class="state swatch" style="{colors}"></span>'
     return f'        <li data-layer="states">{swatch}<span>{html.escape(WORDS[state])}</span></li>'
+
+
+def _track_item(at: int) -> str:
+    """Return the item of a track's explanation; the page shows those that it has tracks of."""
+    word, color = LEGEND[at]
+    swatch = f'<span class="swatch" style="background: rgb{tuple(_bytes(color))}"></span>'
+    return f'        <li data-layer="tracks" data-track="{at}">{swatch}<span>track: {html.escape(word)}</span></li>'
 
 
 def _gradient(name: str) -> str:

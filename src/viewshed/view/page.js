@@ -7,6 +7,8 @@ const settings = JSON.parse(element("settings").textContent);
 const abouts = [...document.querySelectorAll("script.about")].map((part) => JSON.parse(part.textContent));
 const packed = document.querySelectorAll("script.data");
 const seconds = timesOf(abouts);
+const agents = [...new Set(abouts.flatMap(({ trust }) => (trust ?? []).map(([agent]) => agent)))];
+const agentColor = (agent) => `hsl(${(agents.indexOf(agent) * 137 + 25) % 360} 70% 45%)`;
 const [map, strip, stage, root] = [element("map"), element("strip"), element("stage"), document.documentElement];
 
 let current = 0; // number of the frame that was asked for
@@ -167,6 +169,7 @@ function drawMap() {
     context.restore();
   }
   if (overlays.points) drawPoints(context);
+  if (overlays.tracks) drawTracks(context);
   Object.assign(context, { strokeStyle: color("line"), lineWidth: 1 });
   context.strokeRect(left, top, side, side);
   if (overlays.rings) drawRings(context, half + Math.hypot(x, y));
@@ -182,6 +185,49 @@ function drawPoints(context) {
       const [column, row] = toScreen(shown.x[point] / 100, shown.y[point] / 100);
       context.fillRect(column - size / 2, row - size / 2, size, size);
     }
+  });
+}
+
+// A box from above as a path on the screen: center, length, width, heading.
+function boxPath([x, y, length, width, yaw]) {
+  const path = new Path2D();
+  const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
+  for (const [ahead, left] of [[1, 1], [1, -1], [-1, -1], [-1, 1]]) {
+    const [forward, side] = [(ahead * length) / 2, (left * width) / 2];
+    path.lineTo(...toScreen(x + cos * forward - sin * side, y + sin * forward + cos * side));
+  }
+  path.closePath();
+  return path;
+}
+
+// Detections as thin gray boxes; tracks in the colors of their explanations, with where they are in a second.
+function drawTracks(context) {
+  Object.assign(context, { strokeStyle: color("quiet"), lineWidth: 1 });
+  for (const box of shown.about.detections ?? []) context.stroke(boxPath(box));
+  for (const [id, x, y, length, width, yaw, vx, vy, at] of shown.about.tracks ?? []) {
+    const path = boxPath([x, y, Math.max(length, 1), Math.max(width, 1), yaw]);
+    const ink = settings.tracks[at].color;
+    Object.assign(context, { fillStyle: ink, strokeStyle: color("page"), lineWidth: 4.5 });
+    context.stroke(path);
+    context.globalAlpha = 0.35;
+    context.fill(path);
+    context.globalAlpha = 1;
+    Object.assign(context, { strokeStyle: ink, lineWidth: 2.4 });
+    context.stroke(path);
+    if (Math.hypot(vx, vy) < 0.5) continue;
+    context.beginPath();
+    context.moveTo(...toScreen(x, y));
+    context.lineTo(...toScreen(x + vx, y + vy));
+    context.stroke();
+  }
+}
+
+// The track whose box is under a place of the ground, or undefined; small ones count as a meter wide.
+function trackAt(x, y) {
+  return (shown?.about.tracks ?? []).find(([, tx, ty, length, width, yaw]) => {
+    const [cos, sin, dx, dy] = [Math.cos(yaw), Math.sin(yaw), x - tx, y - ty];
+    const [ahead, left] = [cos * dx + sin * dy, cos * dy - sin * dx];
+    return Math.abs(ahead) <= Math.max(length, 1) / 2 && Math.abs(left) <= Math.max(width, 1) / 2;
   });
 }
 
@@ -255,6 +301,16 @@ function tell() {
     clock: `${seconds[current].toFixed(2)} s of ${seconds[seconds.length - 1].toFixed(2)} s`,
   };
   for (const [id, text] of Object.entries(words)) element(id).textContent = text;
+  element("trust").replaceChildren(...(about.trust ?? []).map(([agent, trust, accused, disputed, forged]) => {
+    const item = document.createElement("li");
+    const [swatch, name, value] = ["swatch", "", ""].map((kind) => Object.assign(document.createElement("span"), { className: kind }));
+    swatch.style.background = agentColor(agent);
+    name.textContent = agent + (forged ? " (forged)" : "");
+    value.textContent = trust.toFixed(2) + (accused ? " accused" : disputed ? " disputed" : "");
+    item.className = accused || disputed ? "doubted" : "";
+    item.append(swatch, name, value);
+    return item;
+  }));
   strip.setAttribute("aria-valuenow", current + 1);
 }
 
@@ -273,6 +329,8 @@ function tip(event) {
   const share = (shown.deviation?.[i * cells + j] ?? 255) / settings.deviation_steps;
   if (share <= 1) lines.push(`deviation ${number(share * shown.about.deviation_top)}`);
   if (byte & 8) lines.push("suspect");
+  const track = overlays.tracks && trackAt(x, y);
+  if (track) lines.push(`track ${track[0]}: ${settings.tracks[track[8]].word}, exists with ${percent(track[9])}`, track[10]);
   output.textContent = lines.join("\n");
   output.style.left = `${Math.min(column + 14, stage.clientWidth - output.offsetWidth - 4)}px`;
   output.style.top = `${Math.min(row + 14, stage.clientHeight - output.offsetHeight - 4)}px`;
@@ -299,6 +357,20 @@ function drawStrip() {
   curve("visible area", " m²", abouts.map((about) => about.visible_m2), color("accent"), "left");
   if (abouts.some((about) => about.score !== undefined)) {
     curve("integrity score", "", abouts.map((about) => about.score ?? NaN), color("suspect"), "right");
+  }
+  for (const agent of agents) {
+    context.strokeStyle = agentColor(agent);
+    context.beginPath();
+    abouts.forEach(({ trust }, k) => {
+      const row = trust?.find(([name]) => name === agent);
+      if (row) context.lineTo(column(k), height - 3 - row[1] * (height - above - 6));
+    });
+    context.stroke();
+  }
+  if (agents.length) {
+    Object.assign(context, { fillStyle: color("text"), textAlign: "center", textBaseline: "top" });
+    context.fillText("trust in each agent, 0 to 1", width / 2, 0);
+    context.fillStyle = color("suspect");
   }
   abouts.forEach((about, k) => about.alarms?.length && context.fillRect(column(k) - 1, height - 6, 3, 6));
   context.fillStyle = color("text");
@@ -390,6 +462,11 @@ function listen() {
 function start() {
   try { new DecompressionStream("deflate-raw"); } catch { return void (element("too_old").hidden = false); }
   strip.setAttribute("aria-valuemax", abouts.length);
+  const explained = new Set(abouts.flatMap(({ tracks }) => (tracks ?? []).map((track) => track[8])));
+  for (const item of document.querySelectorAll("[data-track]")) if (!explained.has(+item.dataset.track)) item.remove();
+  element("if_tracks").hidden = abouts.every(({ tracks, detections }) => !tracks && !detections);
+  element("if_trust").hidden = !agents.length;
+  if (agents.length) strip.style.height = "110px";
   element("if_deviation").hidden = abouts.every((about) => about.deviation_top === null);
   choose();
   listen();

@@ -9,15 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
 from viewshed.fov.estimate import CellState
+from viewshed.fusion.explained import Explanation
+from viewshed.fusion.legend import LEGEND
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import IntegrityReport
 from viewshed.plot import COLORS, HEIGHTS_M, WORDS, color_map
 from viewshed.view.frames import Frame
 
-_VISIBLE_COLOR, _SUSPECT_COLOR = (30, 180, 130), (220, 40, 40)
+_VISIBLE_COLOR, _SUSPECT_COLOR, _FOUND_COLOR = (30, 180, 130), (220, 40, 40), (150, 150, 150)
+_SUSPICIOUS = range(Explanation.MISSING, len(Explanation))
 _HEIGHT_MAP = "viridis"
 
 
@@ -38,21 +42,22 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
         import rerun
     target = Path(path)
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
-    stream, count = rerun.RecordingStream("viewshed"), 0
+    stream, count, has_trust = rerun.RecordingStream("viewshed"), 0, False
     try:
         draft.touch(exist_ok=False)  # says in Python's words what stands in the way
         stream.save(draft)
         stream.send_recording_name(title)
-        stream.send_blueprint(_views())
         stream.log("sweep/states", _state_colors(rerun), static=True)
+        stream.log("level/tracks", _track_colors(rerun), static=True)
         for frame in frames:
             stream.set_time("sweep", sequence=count)
             if frame.estimate.t_ns is not None:
                 stream.set_time("time", duration=np.timedelta64(frame.estimate.t_ns, "ns"))
             _log_frame(rerun, stream, frame)
-            count += 1
+            count, has_trust = count + 1, has_trust or bool(frame.trust)
         if not count:
             raise ValueError(f"frames must be at least one, got none; no file {path} was written")
+        stream.send_blueprint(_views(has_trust=has_trust))
         stream.flush()
         stream.disconnect()
         os.replace(draft, target)  # noqa: PTH105 - as open_atomic does
@@ -68,12 +73,19 @@ def _state_colors(rerun: Any) -> Any:
     )
 
 
-def _views() -> Any:
+def _track_colors(rerun: Any) -> Any:
+    return rerun.AnnotationContext(
+        [(at, item.word, tuple(round(255 * part) for part in item.color)) for at, item in enumerate(LEGEND)]
+    )
+
+
+def _views(*, has_trust: bool) -> Any:
     """Return which views are open: states and probability each by itself, as one would cover the other."""
     from rerun import blueprint
 
     images = [blueprint.Spatial2DView(origin=f"sweep/{name}", name=name) for name in ("states", "probability")]
-    numbers = [blueprint.TimeSeriesView(origin="numbers"), blueprint.TextLogView(origin="alarms")]
+    curves = ("numbers", "trust") if has_trust else ("numbers",)
+    numbers = [*(blueprint.TimeSeriesView(origin=name) for name in curves), blueprint.TextLogView(origin="alarms")]
     level = blueprint.Spatial3DView(origin="level")
     columns = blueprint.Horizontal(level, blueprint.Vertical(*images), blueprint.Vertical(*numbers))
     return blueprint.Blueprint(columns, collapse_panels=True)
@@ -97,13 +109,38 @@ def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
     stream.log("level/visible", _strips(rerun, rings, _VISIBLE_COLOR))
     reach_m = estimate.grid.half_extent_m
     stream.log("level/suspect", _strips(rerun, _suspect_rings(report, reach_m), _SUSPECT_COLOR))
-    # 4. Numbers and sentences.
+    # 4. Detections, and tracks in the colors of their explanations.
+    if frame.detections is not None:
+        boxes = _boxes(rerun, frame.detections.boxes, colors=[_FOUND_COLOR])
+        stream.log("level/detections", boxes)
+    if frame.tracks is not None:
+        tracks = frame.tracks
+        labels = [
+            f"{number} {LEGEND[at].word}"
+            for number, at in zip(tracks.ids.tolist(), tracks.legend.tolist(), strict=True)
+        ]
+        stream.log("level/tracks", _boxes(rerun, tracks.boxes, class_ids=tracks.legend, labels=labels))
+        against = [reason for at, reason in zip(tracks.legend, tracks.reasons, strict=True) if at in _SUSPICIOUS]
+        for reason in against:
+            stream.log("alarms", rerun.TextLog(f"{frame.name}: {reason}", level="WARN"))
+    for each in frame.trust:
+        stream.log(["trust", each.agent], rerun.Scalars(each.trust))
+    for lie in frame.lies:
+        stream.log("alarms", rerun.TextLog(f"{frame.name}: {lie}", level="ERROR"))
+    # 5. Numbers and sentences.
     stream.log("numbers/visible_m2", rerun.Scalars(estimate.area_m2()))
     if report is not None:
         stream.log("numbers/score", rerun.Scalars(report.score))
         level = "ERROR" if report.inconsistent else "WARN" if report.degraded else ""
         for reason in report.reasons if level else ():
             stream.log("alarms", rerun.TextLog(f"{frame.name}: {reason}", level=level))
+
+
+def _boxes(rerun: Any, boxes: NDArray[np.float64], **given: Any) -> Any:
+    """Return boxes (K, 7) as boxes that are not filled."""
+    half = boxes[:, 6] / 2
+    turns = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)])
+    return rerun.Boxes3D(centers=boxes[:, :3], half_sizes=boxes[:, 3:6] / 2, quaternions=turns, radii=0.06, **given)
 
 
 def _suspect_rings(report: IntegrityReport | None, reach_m: float) -> list[Any]:

@@ -1,7 +1,6 @@
 """Foxglove's schemas: read back by the mcap package and by their own definitions in the file."""
 
 import json
-import socket
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -99,38 +98,6 @@ def test_a_triangle_for_each_suspect_sector() -> None:
         atol=1e-9,
     )
     assert sector_corners(np.zeros(SECTORS, np.bool_), 10.0).shape == (0, 2)
-
-
-def test_the_server_advertises_and_sends(drive: list[Moment]) -> None:
-    """A client by hand: the handshake of a WebSocket, then the server's greeting and its channels."""
-    from viewshed.datasets.recorder.foxglove_topics import foxglove_server
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    with foxglove_server(port) as record, socket.create_connection(("127.0.0.1", port), timeout=10) as client:
-        client.sendall(
-            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
-        )
-        stream = client.makefile("rb")
-        assert b"101" in stream.readline()
-        while stream.readline().strip():
-            pass
-        record(drive[0])
-        topics: set[str] = set()
-        while len(topics) < 5:
-            _, size = stream.read(2)
-            length = size & 127
-            if length >= 126:
-                length = int.from_bytes(stream.read(2 if length == 126 else 8), "big")
-            content = stream.read(length)
-            if content[:1] == b"{":
-                said = json.loads(content)
-                topics |= {channel["topic"] for channel in said.get("channels", ())}
-    agent = drive[0].agent
-    assert topics == {"/tf", "/log", *(f"/{agent}/lidar/{part}" for part in ("data", "fov", "scene"))}
 
 
 def test_the_layout_is_the_one_of_its_tool() -> None:

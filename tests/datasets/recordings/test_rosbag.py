@@ -18,6 +18,8 @@ from scipy.spatial import KDTree
 
 from viewshed.datasets.recording import open_recording
 from viewshed.datasets.recordings import open_source
+from viewshed.datasets.recordings.bag_files import open_bag
+from viewshed.datasets.recordings.rosbag import TRANSFORMS
 from viewshed.datasets.recordings.source import each_sweep
 from viewshed.io import read_sweep
 from viewshed.sweep import Sweep
@@ -252,6 +254,22 @@ def test_missing_frames_are_named_with_those_that_exist(tmp_path: Path) -> None:
         "clouds have no pose: frame 'velodyne' hangs from none of map, odom, world, earth; "
         "frames that exist: base_link, map"
     ]
+
+
+@KINDS
+def test_transforms_that_lead_in_a_circle_end_there(tmp_path: Path, ros: Ros, write: Write) -> None:
+    unturned, here = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    circle = [("base_link", "lidar"), ("arm", "base_link"), ("lidar", "arm")]
+    entries: list[Entry] = [
+        *(("/tf", at, ros.tf(S, parent, child, here, unturned)) for at, (parent, child) in enumerate(circle)),
+        ("/tf", 3, ros.tf(S, "map", "map", here, unturned)),
+        ("/points", 4, ros.cloud(S)),
+    ]
+    source = open_source(write(tmp_path / "a", entries))
+    [(_, sweep)] = each_sweep(source)
+    assert sweep.world_from_sensor is None
+    assert any("frame 'lidar' hangs from none of map" in line for line in source.notes())
+    assert any("frame 'map' must have one parent" in line for line in source.damage())
 
 
 @KINDS
@@ -632,6 +650,52 @@ def test_real_bags_of_packets_and_scans(real_data: Path) -> None:
     assert all(sweep.planar is not None and len(sweep) > 300 for sweep in scans)
     with pytest.raises(ValueError, match=r"Hesai packets \(pandar_msgs/msg/PandarScan\), which are not read"):
         open_source(recordings / "tier4__nebula/hesai/qt64/1673401195788312575")
+
+
+_ODD_BAGS = {
+    "foxglove__rosbag/fixtures/empty-file.bag": "is no ROS 1 file",
+    "foxglove__rosbag/fixtures/no-messages.bag": "no topic has .*; topics that exist: none",
+    "foxglove__rosbag/fixtures/example.bag": r"no topic has .*/tf \(tf/msg/tfMessage\)",
+    "foxglove__rosbag/fixtures/example-lz4.bag": r"no topic has .*/tf \(tf/msg/tfMessage\)",
+    "foxglove__rosbag/fixtures/example-bz2.bag": r"no topic has .*/tf \(tf/msg/tfMessage\)",
+    "facontidavide__PlotJuggler/datasamples/rosbag2_test": "no topic has .*BatteryState",
+    "ros2__rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/only_services.mcap": "no topic has .*AddTwoInts_Event",
+    "ros2__rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/topics_and_services.db3": "no topic has .*AddTwoInts_Event",
+    "ros2__rosbag2/rosbag2_py/test/resources/mcap/reindex_test_bags/multiple_files": "no topic has .*/chatter",
+    "ros2__rosbag2/rosbag2_py/test/resources/mcap/wbag": "no topic has .*AAA",
+    "ros2__rosbag2/rosbag2_py/test/resources/sqlite3/wbag": "no topic has .*AAA",
+}
+"""Real bags without returns (empty, packed, split, without index or metadata, services alone): what is said of each."""
+
+
+@pytest.mark.parametrize("name", _ODD_BAGS, ids=lambda name: name.rpartition("/")[2])
+def test_odd_real_bags_are_one_line(name: str, real_data: Path) -> None:
+    place = real_data.parent / "recordings" / name
+    if not place.exists():
+        pytest.skip("no recordings")
+    with pytest.raises(ValueError, match=_ODD_BAGS[name]) as error:
+        open_source(place)
+    assert "\n" not in str(error.value)
+
+
+def test_real_bags_hold_the_same_messages_however_they_are_packed(real_data: Path) -> None:
+    recordings = real_data.parent / "recordings"
+    if not recordings.is_dir():
+        pytest.skip("no recordings")
+    plain, *packed = (
+        [(message.topic, message.t_ns, message.raw) for message in open_bag(recordings, path).messages(TRANSFORMS)]
+        for path in (recordings / f"foxglove__rosbag/fixtures/example{end}.bag" for end in ("", "-lz4", "-bz2"))
+    )
+    assert len(plain) > 100
+    assert packed == [plain, plain]
+    # A split bag: the same messages in five files of MCAP as in five of SQLite.
+    places = [recordings / f"ros2__rosbag2/rosbag2_py/test/resources/{kind}/wbag" for kind in ("mcap", "sqlite3")]
+    split = [
+        sorted((each.topic, each.raw) for each in open_bag(recordings, place).messages(("std_msgs/msg/String",)))
+        for place in places
+    ]
+    assert len(split[0]) > 100
+    assert split[0] == split[1]
 
 
 def test_packets_decoded_by_others_lie_at_the_same_points(real_data: Path) -> None:

@@ -133,6 +133,15 @@ def test_an_empty_cloud_is_an_empty_sweep() -> None:
     assert len(sweep_of_cloud(made)) == 0
 
 
+def test_ten_million_points_are_a_sweep() -> None:
+    count = 10**7
+    data = np.zeros((count, 3), np.float32)
+    data[:, 0], data[::2, 1] = 5.0, np.nan
+    fields = [Field("x", 0, F4), Field("y", 4, F4), Field("z", 8, F4)]
+    made = Cloud(1, count, fields, False, 12, 12 * count, data.view(np.uint8).ravel())
+    assert len(sweep_of_cloud(made)) == count // 2
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -1,7 +1,6 @@
 """What a sensor stores, against the formulas of the page on measurement and plain Monte Carlo."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -239,13 +238,3 @@ def test_bad_numbers_are_refused(make: object, words: str) -> None:
     assert callable(make)
     with pytest.raises(ValueError, match=words):
         make()
-
-
-def test_the_page_has_the_numbers_of_the_code() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "measurement.md").read_text(encoding="utf-8")
-    for name, optics in OPTICS.items():
-        reach = "∞" if np.isinf(optics.reach_m) else f"{optics.reach_m:g}"
-        assert f"| {name} | {1e3 * optics.sigma_m:g} | {reach} | {100 * optics.missing_share:g} % |" in page
-    for name, air in CONDITIONS.items():
-        numbers = (air.extinction_per_m, air.particles_per_m, air.particle_reach, air.wet, air.noise)
-        assert f"| `{name}` | {' | '.join(f'{number:g}' for number in numbers)} |" in page

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from viewshed.sim.assets.street import extent
 from viewshed.sim.terrain import Terrain
 from viewshed.sim.world import AgentPlan, Thing, World
 from viewshed.sim.worlds import WORLDS
+from viewshed.sim.worlds.layout import with_masts_of
 from viewshed.sim.worlds.traffic import Driver, flow, right_turn, straight_lane
 
 OUTDOOR = ("street", "junction", "highway", "parking", "residential")
@@ -173,3 +175,21 @@ def test_extent_leaves_out_what_is_overhead() -> None:
     lamp = Thing("lamp", (Box(0.0, 0.0, 0.2, 0.2, 6.0), Box(1.0, 0.0, 2.0, 0.1, 6.0, 5.9)))
     assert extent(lamp) == pytest.approx((-0.1, 0.1, -0.1, 0.1))
     assert extent(lamp, 10.0)[1] == pytest.approx(2.0)
+
+
+def test_masts_are_made_taller_where_they_stand() -> None:
+    world = made("junction", 4, (2, 3, 8.0))
+    tall = with_masts_of(world, 20.0, np.radians(30.0))
+    assert [agent.name for agent in tall.agents] == [agent.name for agent in world.agents]
+    assert tall.things[:-3] == world.things[:-3]
+    assert tall.agents[:2] == world.agents[:2]
+    for before, after, pole in zip(world.agents[2:], tall.agents[2:], tall.things[-3:], strict=True):
+        place, ahead = after.mount.translation, after.mount.rotation @ np.array([1.0, 0.0, 0.0])
+        assert place[:2] == pytest.approx(before.mount.translation[:2])
+        assert place[2] - tall.terrain.at(place[None])[0] == pytest.approx(20.0)
+        assert ahead[2] == pytest.approx(-0.5)  # 30 degrees down
+        assert after.mount.yaw == pytest.approx(before.mount.yaw)
+        assert pole.parts[0].top_m == pytest.approx(20.3)
+        assert np.hypot(pole.x_m - place[0], pole.y_m - place[1]) == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="must be its 3 masts"):
+        with_masts_of(replace(world, things=world.things[:-1]), 20.0, 0.5)

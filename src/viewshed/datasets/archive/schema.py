@@ -1,9 +1,26 @@
 """The format of an archive: what is common to all frames, what a shard's footer says, what the manifest says.
 
 An archive is a folder (or a prefix of an object store) of Parquet files, the shards, and ``manifest.json``. A shard
-holds frames of one scene, one row group a frame, with the columns of :mod:`viewshed.datasets.archive.columns`; what all
-its frames share is in its footer, :class:`Footer`. The manifest lists the shards, :class:`Manifest`. docs/datasets.md
-has the format in words.
+holds frames of one scene, one row group a frame, zstd level 1, page checksums on. Its columns
+(:mod:`viewshed.datasets.archive.columns`):
+
+- ``about``: JSON: agent, ``t_ns``, sensor (number of a beam table in the footer), height, pose, motion; for points
+  their number, columns and attitude; ``clean`` of an attacked sweep.
+- ``ranges``: uint16 steps of range (C, R): ring by ring the zigzag differences along the columns, all low bytes, then
+  all high bytes; null for points.
+- ``intensity``: uint8 (C, R); null for points.
+- ``points``: of sweeps without a range image, and the rows that an attacker made: x y z float32, then the columns that
+  ``about`` names, each as all first bytes, all second bytes, and so on; else null.
+- ``returns``: uint8 (targets, cells, cells): expected returns up to 255.
+- ``states``: (targets, cells, cells) of 0 to 3, four in a byte, the first in the lowest bits.
+- ``touched``: only of attacked data sets: rows that an attacker made, rows that are gone, the wedge.
+- ``masks``: (definitions + 1, cells, cells), eight in a byte, the first in the highest bit; the last is where the truth
+  is known.
+
+What all its frames share is in its footer, :class:`Footer`, as JSON under ``viewshed``. The manifest lists the shards,
+:class:`Manifest`; while shards are written it says ``"complete": false``, and what had to be left out of a finished
+data set is in ``problems.json``. A damaged shard raises one line that names it; a manifest that does not fit its
+shards is refused. A checksum finds damage, not forgery: who can write the shards can write the manifest.
 """
 
 from __future__ import annotations

@@ -61,9 +61,14 @@ def drive_plan(
     return ScenePlan(one, 0, 0)
 
 
-def drive_sweeps(plan: ScenePlan) -> Iterator[tuple[Sweep, DriveTruth]]:
-    """Yield the sweeps of a drive with what its world tells, agent after agent, then the next time."""
-    world, agents = world_of(plan), plan.preset.agents
+def drive_sweeps(plan: ScenePlan, world: World | None = None) -> Iterator[tuple[Sweep, DriveTruth]]:
+    """Yield the sweeps of a drive with what its world tells, agent after agent, then the next time.
+
+    Args:
+        plan: of the drive.
+        world: takes the place of the plan's own; with the same agents, of other mountings perhaps.
+    """
+    world, agents = world or world_of(plan), plan.preset.agents
     carriers = {agent.carrier for agent in world.agents}
     movable = [
         k for k, thing in enumerate(world.things)
@@ -77,7 +82,7 @@ def drive_sweeps(plan: ScenePlan) -> Iterator[tuple[Sweep, DriveTruth]]:
         t_s, agent = (time + 0.5) * plan.preset.interval_s, world.agents[number]
         if number == 0:
             objects = tuple(object_at(world, k, t_s, *boxes[k]) for k in movable)
-        scan, stored = scan_frame(plan, frame)
+        scan, stored = scan_frame(plan, frame, world=world)
         by_thing = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
         returns = by_thing[movable].astype(np.int32)
         seen = tuple(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 from viewshed._extras import needed_for
 from viewshed.datasets.recorder.bag_writers import Schema
 from viewshed.datasets.recorder.moment import MAP, Moment, ObjectTruth, Verdict
-from viewshed.datasets.recorder.ros_topics import cloud_table
+from viewshed.datasets.recorder.ros_topics import cloud_table, rigid_of_box
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.polygons import star_ring
+from viewshed.fusion.legend import LEGEND, ShownTracks, tracks_of_center
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.io.export.ros import visibility_layer
@@ -63,9 +65,39 @@ def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
     for sentence in moment.alarms() or [moment.summary()]:
         level = getattr(fox.LogLevel, _LEVELS[moment.verdict()])
         made.append(("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name=agent)))
+    if moment.answer.objects is not None:
+        made.append((f"/{agent}/lidar/objects", fox.SceneUpdate(entities=_object_entities(moment))))
+    if moment.round is not None:
+        made.append(("/command_center/objects", fox.SceneUpdate(entities=_joint_entities(moment))))
+        joint = moment.round.joint
+        view = joint.estimate(moment.round.t_ns)
+        made.append(("/command_center/fov", _grid(view, _stamp(moment.round.t_ns), MAP, joint.world_from_grid)))
+        level = fox.LogLevel.Warning
+        made += [
+            ("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name="command_center"))
+            for sentence in moment.round.sentences()
+        ]
     for topic, message in made:
         schema = message.get_schema()
         yield topic, Schema(schema.name, schema.encoding, "protobuf", schema.data), message.encode()
+    yield from _plain_messages(moment)
+
+
+def _plain_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
+    """Yield what has no schema of Foxglove's as JSON: explained tracks, their metrics, trust."""
+    agent, done = moment.agent, moment.round
+    values: dict[str, object] = {
+        f"/{agent}/lidar/explained": None if moment.answer.objects is None else {"tracks": moment.explained()},
+        f"/metrics/{agent}": dict(moment.metrics) or None,
+        f"/trust/{agent}": None if moment.trust is None else {"trust": moment.trust},
+        "/command_center/picture": None if done is None else done.numbers(),
+    }
+    for topic, value in values.items():
+        if value is not None:
+            yield topic, _JSON, json.dumps(value, ensure_ascii=False).encode()
+
+
+_JSON = Schema("viewshed", "jsonschema", "json", b'{"type": "object"}')
 
 
 def _stamp(t_ns: int) -> Any:
@@ -106,13 +138,14 @@ def _cloud(moment: Moment) -> Any:
     )  # fmt: skip
 
 
-def _grid(estimate: FovEstimate, stamp: Any, frame: str) -> Any:
+def _grid(estimate: FovEstimate, stamp: Any, frame: str, frame_from_grid: Rigid | None = None) -> Any:
     """Return all layers as one grid; its columns go along x and its rows along y."""
     fox = foxglove_types()
     grid = estimate.grid
+    corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
     cells = np.stack([visibility_layer(estimate, name).T for name in LAYERS], axis=-1)
     return fox.Grid(
-        timestamp=stamp, frame_id=frame, pose=_pose(Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))),
+        timestamp=stamp, frame_id=frame, pose=_pose(corner if frame_from_grid is None else frame_from_grid @ corner),
         column_count=grid.cells, cell_size=fox.Vector2(x=grid.cell_m, y=grid.cell_m),
         row_stride=grid.cells * len(LAYERS), cell_stride=len(LAYERS),
         fields=_fields(np.dtype([(name, "i1") for name in LAYERS])),
@@ -149,6 +182,46 @@ def _entities(moment: Moment) -> list[Any]:
         cubes = [_cube(each) for each in moment.truth.objects]
         made.append(fox.SceneEntity(timestamp=stamp, frame_id=MAP, id="objects", cubes=cubes))
     return made
+
+
+def _object_entities(moment: Moment) -> list[Any]:
+    """Return detections, and tracks in the colors of their explanations, each with its reason beside it."""
+    fox, objects, tracks = foxglove_types(), moment.answer.objects, moment.tracks()
+    if objects is None or tracks is None:
+        return []
+    stamp = _stamp(moment.t_ns)
+    found = [_box_cube(box, (0.6, 0.6, 0.6, 0.25)) for box in objects.detections.boxes]
+    return [
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="detections", cubes=found),
+        _tracks_entity(tracks, stamp, moment.tracks_frame),
+    ]
+
+
+def _joint_entities(moment: Moment) -> list[Any]:
+    done = moment.round
+    return [] if done is None else [_tracks_entity(tracks_of_center(done.picture), _stamp(done.t_ns), MAP)]
+
+
+def _tracks_entity(tracks: ShownTracks, stamp: Any, frame: str) -> Any:
+    """Return tracks as one entity; those that something speaks against say what."""
+    fox = foxglove_types()
+    cubes, texts = [], []
+    for number, at, box in zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, strict=True):
+        word, color = LEGEND[at]
+        cubes.append(_box_cube(box, (*color, 0.6)))
+        above = Rigid(np.eye(3), box[:3] + np.array([0.0, 0.0, box[5] / 2 + 0.6]))
+        texts.append(
+            fox.TextPrimitive(
+                pose=_pose(above), billboard=True, font_size=0.8, color=_color((*color, 1.0)), text=f"{number} {word}"
+            )
+        )
+    return fox.SceneEntity(timestamp=stamp, frame_id=frame, id="tracks", cubes=cubes, texts=texts)
+
+
+def _box_cube(box: NDArray[np.float64], color: tuple[float, float, float, float]) -> Any:
+    fox = foxglove_types()
+    x, y, z = box[3:6].tolist()
+    return fox.CubePrimitive(pose=_pose(rigid_of_box(box)), size=fox.Vector3(x=x, y=y, z=z), color=_color(color))
 
 
 def sector_corners(suspect: NDArray[np.bool_], reach_m: float) -> NDArray[np.float64]:

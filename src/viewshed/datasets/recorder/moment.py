@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fusion.legend import ShownTracks, explained_rows, tracks_of_agent
+from viewshed.fusion.rounds import Round
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.pipeline import Answer
@@ -89,6 +91,10 @@ class Moment:
         answer: what the pipeline made of it.
         truth: of a simulated drive.
         is_live: whether the latency is written; a recording made as fast as possible has no clock in it.
+        metrics: of its tracks against the truth, by name; empty where there are none.
+        attacked: agents that somebody forges.
+        round: what a center made of all agents, where this sweep ended a round.
+        trust: of the center in this agent after the last round; None without one.
     """
 
     agent: str
@@ -97,6 +103,10 @@ class Moment:
     answer: Answer
     truth: DriveTruth | None = None
     is_live: bool = False
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    attacked: tuple[str, ...] = ()
+    round: Round | None = None
+    trust: float | None = None
 
     @property
     def sensor_frame(self) -> str:
@@ -141,6 +151,21 @@ class Moment:
             Transform(f"{agent}/base_link", f"{agent}/lidar", mount)
             for agent, mount in mounts.items() if mount is not None
         ]  # fmt: skip
+
+    @property
+    def tracks_frame(self) -> str:
+        """Frame of the tracks: the map, or the level frame where the sweep has no pose."""
+        objects = self.answer.objects
+        return MAP if objects is not None and objects.explained.tracks.in_world else self.level_frame
+
+    def tracks(self) -> ShownTracks | None:
+        """Return the agent's tracks as they are shown, in ``tracks_frame``; None where objects are not followed."""
+        return None if self.answer.objects is None else tracks_of_agent(self.answer.objects)
+
+    def explained(self) -> list[dict[str, object]] | None:
+        """Return what is said of each track as plain values; None where objects are not followed."""
+        objects, tracks = self.answer.objects, self.tracks()
+        return None if objects is None or tracks is None else explained_rows(objects, tracks)
 
     def verdict(self) -> Verdict:
         """Return how bad it is: no answer or an alarm is an error, a worse view a warning."""

@@ -1,4 +1,35 @@
-"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment."""
+"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment.
+
+Names are those of the bags that the code of arXiv 2503.07375 writes, with message types that every ROS installation
+has.
+
+- ``/agent_names``, ``/attacked_agents``: String, a JSON list, of simulated drives and of attacked ones.
+- ``/object_truth``: MarkerArray, simulated drives: all objects, a cube each, ``id`` its number, ``ns`` its
+  category.
+- ``/{agent}/state``: Odometry, simulated drives: pose of the vehicle in ``map``, velocity in its own frame.
+- ``/{agent}/lidar/data``: PointCloud2, or LaserScan of a laser in one plane: points as they were read, with
+  intensity, ring, azimuth and time where the sweep has them.
+- ``/{agent}/lidar/object_truth``: MarkerArray, simulated drives: objects that gave this sensor at least five
+  returns.
+- ``/{agent}/lidar/fov``: PolygonStamped, one ring within the visible cells, in straight lines from the sensor in
+  360 wedges.
+- ``/{agent}/lidar/visibility``, ``state``, ``doubt``: OccupancyGrid: percent and -1 where UNKNOWN; UNKNOWN -1, FREE
+  0, HIDDEN 50, SURFACE 100; percent (0 to 50) that the likelier answer is wrong.
+- ``/{agent}/lidar/detections``, ``tracks``, ``explained``: MarkerArray, MarkerArray, String (JSON), with objects:
+  cubes in ``{agent}/level``; cubes in the color of their explanation, which is ``ns``, with the reason as ``text``.
+- ``/{agent}/lidar/alarms``: DiagnosticArray, with a monitor: a status for each reason, only where there is an alarm
+  or a worse view.
+- ``/metrics/{agent}``, ``/metrics/{agent}/gospa``: String, Float64: tracks of simulated drives against the truth.
+- ``/command_center/tracks``, ``visibility``, ``picture``, ``lies``, ``/trust/{agent}``: what several agents put
+  together gives: MarkerArray, OccupancyGrid, String, DiagnosticArray, Float64.
+- ``/diagnostics``: DiagnosticArray: of each sweep what became of it and its numbers.
+- ``/tf``, ``/tf_static``: TFMessage: ``map`` to ``{agent}/base_link`` or ``{agent}/lidar`` where poses are known,
+  ``{agent}/lidar`` to ``{agent}/base_footprint`` where the height is, and to ``{agent}/level``; how sensors are
+  mounted.
+
+Grids and polygons lie in ``{agent}/level``. A sweep of packets is written as a cloud, which says less: of an Ouster
+not the beams that its metadata name. A name that ROS does not take gets ``_`` for what it does not.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +45,18 @@ from numpy.typing import NDArray
 from viewshed._extras import needed_for
 from viewshed.datasets.recorder.moment import MAP, Moment, ObjectTruth, Transform
 from viewshed.fov.polygons import star_ring
+from viewshed.fusion.legend import LEGEND, ShownTracks, tracks_of_center
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.grid import BevGrid
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import scan_of_sweep
+from viewshed.objects import BOX_COLUMNS, Detections, ObjectKind
 from viewshed.sweep import Sweep
 
 CLOUD, FIELD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField", "sensor_msgs/msg/LaserScan"
 GRID, POLYGON = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PolygonStamped"
 ODOMETRY, TF, STRING = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+NUMBER = "std_msgs/msg/Float64"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 _CODES = {"f4": 7, "u2": 4}
@@ -131,10 +165,14 @@ class RosMessages:
             return self.cloud(sweep, t_ns, frame)
         return self.make(SCAN, header=self.header(t_ns, frame), **scan_of_sweep(sweep))
 
-    def grid(self, layer: NDArray[np.int8], grid: BevGrid, t_ns: int, frame: str) -> Any:
+    def grid(
+        self, layer: NDArray[np.int8], grid: BevGrid, t_ns: int, frame: str, frame_from_grid: Rigid | None = None
+    ) -> Any:
         """Return a layer (cells, cells), x first, as a grid, whose data go along x first."""
         header = self.header(t_ns, frame)
         corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
+        if frame_from_grid is not None:
+            corner = frame_from_grid @ corner
         info = self.make(
             "nav_msgs/msg/MapMetaData", map_load_time=header.stamp, resolution=grid.cell_m, width=grid.cells,
             height=grid.cells, origin=self.pose(corner),
@@ -186,6 +224,53 @@ class RosMessages:
                 text=each.category,
             )
             for each in objects
+        ])  # fmt: skip
+
+    def detections(self, found: Detections, t_ns: int, frame: str) -> Any:
+        """Return detections as cubes, by their numbers; the namespace is their kind, the text their returns."""
+        kinds = [ObjectKind(kind).name.lower() for kind in found.kinds]
+        texts = [f"{count} returns" for count in found.returns.tolist()]
+        rows = zip(range(len(found)), kinds, found.boxes, texts, strict=True)
+        return self._cubes([(*row, (0.6, 0.6, 0.6)) for row in rows], t_ns, frame)
+
+    def tracks(self, tracks: ShownTracks, t_ns: int, frame: str) -> Any:
+        """Return tracks as cubes in the color of their explanation, which is the namespace; the text is the reason."""
+        rows = zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, tracks.reasons, strict=True)
+        return self._cubes(
+            [(number, LEGEND[at].word, box, text, LEGEND[at].color) for number, at, box, text in rows], t_ns, frame
+        )
+
+    def _cubes(self, rows: list[tuple[int, str, Any, str, tuple[float, float, float]]], t_ns: int, frame: str) -> Any:
+        """Return cubes (number, namespace, box, text, color) in place of all that were there before."""
+        header, kind = self.header(t_ns, frame), "visualization_msgs/msg/Marker"
+        delete_all = self.make(kind, header=header, action=3)
+        return self.make(MARKERS, markers=[delete_all, *(
+            self.make(
+                kind, header=header, ns=namespace, id=number, type=1, text=text, pose=self.pose(rigid_of_box(box)),
+                scale=self._vector("Vector3", box[3:6]),
+                color=self.make("std_msgs/msg/ColorRGBA", r=color[0], g=color[1], b=color[2], a=0.6),
+            )
+            for number, namespace, box, text, color in rows
+        )])  # fmt: skip
+
+    def number(self, value: float) -> Any:
+        """Return a number."""
+        return self.make(NUMBER, data=float(value))
+
+    def lies(self, moment: Moment) -> Any:
+        """Return a status for each accusation and dispute of the round that a moment ended; None for none."""
+        if moment.round is None or not moment.round.sentences():
+            return None
+        agents = moment.round.numbers()["agents"]
+        return self.make(DIAGNOSTICS, header=self.header(moment.round.t_ns, ""), status=[
+            self.make(
+                "diagnostic_msgs/msg/DiagnosticStatus", level=1, name="viewshed: command_center", message=sentence,
+                values=[
+                    self.make("diagnostic_msgs/msg/KeyValue", key=f"trust of {name}", value=f"{each['trust']:.3f}")
+                    for name, each in agents.items()
+                ],
+            )
+            for sentence in moment.round.sentences()
         ])  # fmt: skip
 
     def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
@@ -261,6 +346,35 @@ def _fov(ros: RosMessages, moment: Moment) -> Any:
     return ros.polygon(star_ring(estimate.visible(), estimate.grid), moment.t_ns, moment.level_frame)
 
 
+def _detections(ros: RosMessages, moment: Moment) -> Any:
+    objects = moment.answer.objects
+    return None if objects is None else ros.detections(objects.detections, moment.t_ns, moment.level_frame)
+
+
+def _tracks(ros: RosMessages, moment: Moment) -> Any:
+    tracks = moment.tracks()
+    return None if tracks is None else ros.tracks(tracks, moment.t_ns, moment.tracks_frame)
+
+
+def _explained(ros: RosMessages, moment: Moment) -> Any:
+    explained = moment.explained()
+    return None if explained is None else ros.text(explained)
+
+
+def _joint_tracks(ros: RosMessages, moment: Moment) -> Any:
+    done = moment.round
+    return None if done is None else ros.tracks(tracks_of_center(done.picture), done.t_ns, MAP)
+
+
+def _joint_view(ros: RosMessages, moment: Moment) -> Any:
+    """Return the joint field of view in the map, whose origin has the height of the ground."""
+    done = moment.round
+    if done is None:
+        return None
+    estimate, pose = done.joint.estimate(done.t_ns), done.joint.world_from_grid
+    return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, done.t_ns, MAP, pose)
+
+
 def _tf(ros: RosMessages, moment: Moment) -> Any:
     transforms = moment.transforms()
     return ros.transforms(transforms, moment.t_ns) if transforms else None
@@ -273,7 +387,7 @@ def _tf_static(ros: RosMessages, moment: Moment) -> Any:
 
 TOPICS = (
     Topic("/agent_names", lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
-    Topic("/attacked_agents", lambda ros, m: m.truth and ros.text([]), latched=True),
+    Topic("/attacked_agents", lambda ros, m: ros.text(m.attacked) if m.truth or m.attacked else None, latched=True),
     Topic("/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
     Topic("/tf_static", _tf_static, latched=True),
     Topic("/tf", _tf),
@@ -285,9 +399,24 @@ TOPICS = (
     Topic("/{agent}/lidar/state", _layer("state")),
     Topic("/{agent}/lidar/doubt", _layer("doubt")),
     Topic("/{agent}/lidar/alarms", lambda ros, m: ros.diagnostics(m, m.alarms())),
+    Topic("/{agent}/lidar/detections", _detections),
+    Topic("/{agent}/lidar/tracks", _tracks),
+    Topic("/{agent}/lidar/explained", _explained),
+    Topic("/metrics/{agent}", lambda ros, m: ros.text(dict(m.metrics)) if m.metrics else None),
+    Topic("/metrics/{agent}/gospa", lambda ros, m: ros.number(m.metrics["gospa_m"]) if m.metrics else None),
+    Topic("/command_center/tracks", _joint_tracks),
+    Topic("/command_center/visibility", _joint_view),
+    Topic("/command_center/picture", lambda ros, m: m.round and ros.text(m.round.numbers())),
+    Topic("/command_center/lies", lambda ros, m: ros.lies(m)),
+    Topic("/trust/{agent}", lambda ros, m: None if m.trust is None else ros.number(m.trust)),
     Topic("/diagnostics", lambda ros, m: ros.diagnostics(m, [m.summary()])),
 )
 """What a bag holds, in the order in which it is written for each sweep."""
+
+
+def rigid_of_box(box: NDArray[np.float64]) -> Rigid:
+    """Return the pose of a box (7,): origin at its center, x along its heading."""
+    return Rigid.from_yaw(float(box[BOX_COLUMNS.index("yaw")]), box[:3])
 
 
 def ros_name(name: str) -> str:

@@ -1,4 +1,16 @@
-"""Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses, see docs/recording.md.
+"""Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses.
+
+- ``recording.json`` (optional): ``axes`` are ``carla`` (the default), ``carla_0.9.9`` (0.9.9 and older: x right,
+  y backward, z down) or ``sensor`` (x forward, y left, z up); ``agents`` has for each folder ``sensor_height_m`` and
+  ``lidar`` with ``channels``, ``upper_fov_deg``, ``lower_fov_deg``, ``range_m``, ``points_per_second`` and
+  ``rotation_hz``.
+- ``actors.jsonl`` (optional), a line a tick: ``frame``, ``t_ns`` and ``actors``, each with ``id``, ``type``, the center
+  ``x``, ``y``, ``z`` of its box, ``roll``, ``pitch``, ``yaw``, ``extent`` (half sizes) and, where it carries a sensor,
+  ``agent``. An agent's own vehicle is not among its boxes.
+- ``AGENT/poses.csv`` (or ``poses.jsonl`` with the same keys): ``frame,t_ns,x,y,z,roll,pitch,yaw``, the number in the
+  file's name, nanoseconds, meters and degrees of the sensor's ``carla.Transform``.
+- ``AGENT/000123.ply``: what ``measurement.save_to_disk`` writes, or an NPY array (N, 3) or (N, 4) of the same. A sweep
+  without a row in the table is read without pose and time.
 
 Poses and actors stand in the tables as CARLA says them, in left-handed frames (x forward, y right, z up; degrees).
 Mirroring y, S = diag(1, -1, 1), turns these into our right-handed ones: a pose (R, t) becomes (S R S, S t).

@@ -1,4 +1,14 @@
-"""Definitions of visible that go by azimuth bins: farthest return, first blocker, line of sight."""
+"""Definitions of visible that go by azimuth bins: farthest return, first blocker, line of sight.
+
+About the sensor, in as many bins as it has columns (1080 at most). A cell counts as
+
+- ``farthest`` if its center is no farther than the farthest return of its bin; glass and absorbers give none;
+- ``first_blocker`` if that holds and its center is less than one cell beyond the nearest stop on a thing in its bin,
+  at any height; the own vehicle does not block;
+- ``line_of_sight`` if a beam of its bin that is aimed between the ground and 1.5 m above the center reaches it, less
+  one cell. Where no ring falls in between, the ring above must reach it (or there is none), and the ring below must
+  reach it or have ended on the ground. Range does not limit it.
+"""
 
 from __future__ import annotations
 

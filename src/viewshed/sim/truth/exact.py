@@ -48,8 +48,11 @@ def exact_truth(
 
     For a cell whose center lies at horizontal range r from the sensor, the target is an upright plate of its width and
     height through the center, across the line of sight, on the ground there. A beam *aims* at it if it crosses it, and
-    *reaches* it if it stops no more than a cell's side before it, measured along the line of sight. ``docs/truth.md``
-    defines the states and the other definitions.
+    *reaches* it if it stops no more than a cell's side before it, measured along the line of sight. It may
+    cross up to 2 cm below the ground of the center, as at a crown of 2 %. A beam that meets nothing stops at the
+    maximum range. FREE: at least ``min_returns`` reach. SURFACE: that, and a stop on a thing lies in the cell, from
+    .2 m above its ground up to the target's top. HIDDEN: enough aim, fewer reach. UNKNOWN: fewer aim. Not known are
+    cells beyond the terrain, nearer than the sensor moves within the revolution, and of the own vehicle.
 
     Args:
         scan: what every beam met.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,6 +95,25 @@ def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Ma
     yaw = np.arctan2(toward_m[1] - y_m, toward_m[0] - x_m) + rng.normal(0.0, 0.15)
     pitch, roll = np.deg2rad(rng.uniform(1.0, 8.0)), np.deg2rad(np.clip(rng.normal(0.0, 1.2), -4, 4))
     return Mast(x_m, y_m, rng.uniform(4.0, 8.0), float(yaw), float(pitch), float(roll))
+
+
+def with_masts_of(world: World, height_m: float, pitch: float) -> World:
+    """Return a world whose masts, where they stand, have another height in meters and pitch down in radians, no roll.
+
+    Raises:
+        ValueError: its masts are not its last things, as :func:`assembled` leaves them.
+    """
+    mounts = [agent.mount for agent in world.agents if agent.carrier is None]
+    kept = len(world.things) - len(mounts)
+    if [thing.kind for thing in world.things[kept:]] != ["mast"] * len(mounts):
+        raise ValueError(f"the last things of a world must be its {len(mounts)} masts, got others")
+    posts = [
+        Mast(float(mount.translation[0]), float(mount.translation[1]), height_m, mount.yaw, pitch, 0.0)
+        for mount in mounts
+    ]
+    poses = iter(post.pose(world.terrain) for post in posts)
+    agents = tuple(agent if agent.carrier is not None else replace(agent, mount=next(poses)) for agent in world.agents)
+    return replace(world, things=(*world.things[:kept], *(post.pole for post in posts)), agents=agents)
 
 
 def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list[tuple[Thing, float]]]:

@@ -12,15 +12,18 @@ from viewshed._files import write_atomic
 from viewshed._jobs import Engine
 from viewshed.datasets.recorder.drive import SEEN_RETURNS
 from viewshed.fusion.claims import SMALL_M, ClaimTable
+from viewshed.fusion.honest import HonestModel, fit_honest
 from viewshed.perception.detector import Detector
 from viewshed.studies.agents.plan import STEPS, AgentsPlan
-from viewshed.studies.agents.runs import claims_of, run_case
+from viewshed.studies.agents.runs import SceneCases, claims_of, honest_examples
 from viewshed.studies.agents.scenes import FOLDER, Scene, scene_path
+from viewshed.studies.cases import generator
 from viewshed.studies.plan import check_names
 from viewshed.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
 
-CLAIMS = "claims.json"
+CLAIMS, HONEST_MODEL = "claims.json", "honest.json"
+"""What claims are worth, and what honest agents report: fitted on the scenes of the first split."""
 
 
 def run_study(
@@ -49,7 +52,9 @@ def run_study(
         scenes = set(store.plan.scene_keys())
         missing = lacking(scenes, "scenes are not made")
         if scenes <= store.keys() and not (store.folder / CLAIMS).exists():
-            write_atomic(store.folder / CLAIMS, fitted_claims(store).to_json().encode())
+            claims = fitted_claims(store)
+            write_atomic(store.folder / HONEST_MODEL, fitted_honest(store, claims).to_json().encode())
+            write_atomic(store.folder / CLAIMS, claims.to_json().encode())
         keys = store.plan.run_keys()
         yield from run_jobs(store, do_job, keys, engine, on_progress, step="runs", missing=missing)
 
@@ -61,6 +66,14 @@ def fitted_claims(store: ResultStore[AgentsPlan]) -> ClaimTable:
     return ClaimTable.fit(*(columns[name] for name in ("prob", "boxes", "range_m", "elevated", "found")))
 
 
+def fitted_honest(store: ResultStore[AgentsPlan], claims: ClaimTable) -> HonestModel:
+    """Return what honest agents report in the scenes of their split."""
+    rng, examples = generator(store.plan.seed, "honest"), []
+    for number in range(store.plan.claims):
+        examples += honest_examples(Scene.load(scene_path(store.folder, "claims", number)), claims, rng)
+    return fit_honest(examples)
+
+
 def do_job(job: Job[AgentsPlan]) -> JobResult:
     """Make a scene, or run one in all of its cases."""
     step, split, number = job.key
@@ -70,9 +83,11 @@ def do_job(job: Job[AgentsPlan]) -> JobResult:
         scene.save(path)
         return JobResult(facts={"file": path.name, "objects": scene.objects.shape[1], "detections": len(scene.found)})
     scene, claims = Scene.load(path), ClaimTable.from_json((job.folder / CLAIMS).read_text("utf-8"))
+    honest = HonestModel.from_json((job.folder / HONEST_MODEL).read_text("utf-8"))
     seed = (job.plan.seed, split, int(number))
-    runs = [asdict(run_case(scene, case, seed, claims)) for case in job.plan.cases_of(split, int(number))]
-    return JobResult(facts={"runs": runs, "coverage": coverage_of(scene)})
+    cases = SceneCases(scene, seed, claims, honest, compared=split == "test")
+    runs = [asdict(cases.run(case)) for case in job.plan.cases_of(split, int(number))]
+    return JobResult(facts={"runs": runs, "coverage": coverage_of(scene) if split == "test" else {}})
 
 
 def coverage_of(scene: Scene) -> dict[str, list[int]]:
@@ -80,7 +95,7 @@ def coverage_of(scene: Scene) -> dict[str, list[int]]:
     columns = claims_of(scene)
     large = columns["boxes"][:, 3:5].max(axis=1, initial=0.0) > SMALL_M
     out = {}
-    for least in (0.5, 0.9, 0.95, 0.98, 0.995):
+    for least in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.995):
         claimed = large & (columns["prob"] >= least)
         out[f"{least:g}"] = [int(claimed.sum()), int((claimed & (columns["returns"] < SEEN_RETURNS)).sum())]
     return out

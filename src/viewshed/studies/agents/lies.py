@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.fusion.many import AgentReport
 from viewshed.objects import Detections, ObjectKind
-from viewshed.threats.view_attacks import VIEW_LIES, ViewLie
+from viewshed.threats.view_attacks import VIEW_LIES, ViewLie, with_objects, without_objects
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +31,9 @@ STEALTHY_M = (0.6, 1.0)
 
 FABRICATED_SIZE_M = (4.4, 1.8, 1.5)
 
+CHANGED = 0.1
+"""Probabilities that differ by more are changed."""
+
 FOLLOW_M = 8.0
 """An object chosen to be forged is followed to the nearest detection within so many meters from time to time."""
 
@@ -44,7 +47,7 @@ class Liars:
         numbers: of the agents that lie; they agree on what.
         victim: agent that is to be expelled, for ``flip``, or -1.
         rng: of their choices.
-        touched: objects, or shares of the area, that they changed, of each time.
+        touched: objects, or shares of the area that the first one saw, that they changed, of each time.
         places: (J, 2 or more) where the objects are, in the world, that they lie about; None before they chose.
     """
 
@@ -122,6 +125,27 @@ def _remove(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
     return out
 
 
+def _with_views(forge: Forge) -> Forge:
+    """Return a lie about objects whose views agree with it, as if the liars' sensors were spoofed as well."""
+
+    def forge_both(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
+        out = forge(liars, reports)
+        for number in liars.numbers:
+            before, after = reports[number].detections.boxes, out[number].detections.boxes
+            gone, new = _not_in(before, after), _not_in(after, before)
+            estimate = with_objects(without_objects(reports[number].estimate, gone), new)
+            out[number] = replace(out[number], estimate=estimate)
+        return out
+
+    return forge_both
+
+
+def _not_in(boxes: Floats, others: Floats) -> Floats:
+    """Return those boxes (K, 7) that are not among others."""
+    same: NDArray[np.bool_] = (boxes[:, None] == others[None]).all(axis=2).any(axis=1)
+    return boxes[~same]
+
+
 def _translate(range_m: tuple[float, float]) -> Forge:
     def forge(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:
         """Report some objects where they are not, all liars at the same false places."""
@@ -156,7 +180,9 @@ def _lie_about_view(name: str) -> Forge:
             views = [before[number].estimate for before in liars._honest]
             out[number] = replace(reports[number], estimate=lie(views, liars._view))
         now, claimed = reports[liars.numbers[0]].estimate, out[liars.numbers[0]].estimate
-        changed = (now.state != claimed.state).mean() + (now.world_from_level is not claimed.world_from_level)
+        area = max(int(now.visible().sum()), 1)
+        other = (now.state != claimed.state) | (np.abs(now.visible_prob - claimed.visible_prob) > CHANGED)
+        changed = other.sum() / area + (now.world_from_level is not claimed.world_from_level)
         liars.touched.append(float(changed))
         return out
 
@@ -193,6 +219,9 @@ LIES: dict[str, Lie] = {
     "remove": Lie("objects", 1, _remove),
     "translate": Lie("objects", 1, _translate(MOVED_M)),
     "translate_stealthy": Lie("objects", 1, _translate(STEALTHY_M)),
+    "fabricate_spoofed": Lie("objects and view", 1, _with_views(_fabricate)),
+    "remove_spoofed": Lie("objects and view", 1, _with_views(_remove)),
+    "translate_spoofed": Lie("objects and view", 1, _with_views(_translate(MOVED_M))),
     "fabricate_together": Lie("objects together", 2, _fabricate),
     "remove_together": Lie("objects together", 2, _remove),
     "translate_together": Lie("objects together", 2, _translate(MOVED_M)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from viewshed.datasets.recorder.drive import SEEN_RETURNS
 from viewshed.fusion.claims import ClaimTable
-from viewshed.fusion.many import FAR_M, AgentReport, CommandCenter
+from viewshed.fusion.honest import HonestExamples, HonestModel, ObjectReports
+from viewshed.fusion.many import FAR_M, GATE_M, AgentReport, CommandCenter, object_reports
 from viewshed.fusion.view_checks import ClaimedView, check_view
 from viewshed.object_metrics import gospa
 from viewshed.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
@@ -21,11 +22,23 @@ from viewshed.studies.agents.scenes import Scene
 from viewshed.studies.cases import generator
 from viewshed.tracking.views import GridView
 
-CHECKED_TIMES = 3
+CENTERS = ("ours", "no trust", "published", "all tracks")
+"""Whose pictures are measured, by what somebody reports now; of no trust also by all of its tracks, seen now or not."""
+
+CHECKED_TIMES = 2
 """Times of a scene, evenly after the onset, at which views are checked."""
 
 FOUND_M = 2.0
 """A detection this near to an object is of it."""
+
+MOVED_M = (0.6, 4.0)
+"""How far boxes are moved to learn what moved ones look like."""
+
+LEARNED_EACH = 2
+"""It is learned what honest agents report from one in so many times of a scene."""
+
+ELSEWHERE_EACH = 2
+"""One in so many boxes is put elsewhere, and one is moved."""
 
 Floats = NDArray[np.float64]
 
@@ -63,44 +76,112 @@ class Run:
     overlap: float
 
 
-def run_case(scene: Scene, case: str, seed: tuple[int, str, int], claims: ClaimTable) -> Run:
-    """Return what a case of a scene comes to."""
-    agents = scene.agents
-    rng = generator(*seed, case)
-    order = [int(number) for number in rng.permutation(len(agents))]
-    lie = LIES.get(case)
-    count = min(lie.liars, (len(agents) - 1) // 2) if lie is not None else 0
-    liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
-    said = list(_said(scene, liars))
+Said = list[list[AgentReport]]
+"""What all agents of a scene say, time after time."""
 
-    centers = {
-        "ours": CommandCenter(agents, claims=claims),
-        "no trust": CommandCenter(agents, claims=claims, trusting=True),
-    }
-    distances: dict[str, list[float]] = {name: [] for name in (*centers, "published")}
-    evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
-    published = PublishedTrust()
-    for time, reports in enumerate(said):
-        truth = seen_objects(scene, time)
-        for name, center in centers.items():
-            picture = center.add(float(scene.times_s[time]), reports)
-            shown = picture.tracks.confirmed if center.trusting else picture.believed
-            distances[name].append(gospa(picture.tracks.boxes[shown, :2], truth[:, :2]).distance_m)
-            if center.trusting:
-                agents_trust, believed = published.add(picture, reports)
-                published_trust.append(agents_trust)
-                distances["published"].append(gospa(picture.tracks.boxes[believed, :2], truth[:, :2]).distance_m)
-            else:
-                evidence.append(picture.verdicts.evidence)
-                doubt.append(picture.verdicts.doubt)
-                trust.append(picture.verdicts.trust)
-                suspects.append(picture.verdicts.suspects)
-    return Run(
-        case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence), _rounded(doubt),
-        _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(), checked(scene, said),
-        {name: _rounded(values) for name, values in distances.items()}, liars.touched if liars else [],
-        overlap_of(scene, liars) if liars else float("nan"),
-    )  # fmt: skip
+
+@dataclass(slots=True)
+class SceneCases:
+    """Runs the cases of one scene; what they share is made once.
+
+    Attributes:
+        scene: to be run.
+        seed: of the study, split and number of the scene.
+        claims: what claims are worth.
+        honest: what honest agents report.
+        compared: whether a center that believes everybody and the published trust are run as well.
+    """
+
+    scene: Scene
+    seed: tuple[int, str, int]
+    claims: ClaimTable
+    honest: HonestModel
+    compared: bool = True
+    _reports: Said = field(init=False, repr=False)
+    _of_honest: set[int] = field(init=False, repr=False)
+    _checks: dict[tuple[int, ...], Floats] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        self._reports = [self.scene.reports(time) for time in range(len(self.scene.times_s))]
+        every = [report for reports in self._reports for report in reports]
+        self._of_honest = {id(part) for report in every for part in (report.estimate, report.detections)}
+
+    def run(self, case: str) -> Run:
+        """Return what a case of the scene comes to."""
+        scene, agents = self.scene, self.scene.agents
+        rng = generator(*self.seed, case)
+        order = [int(number) for number in rng.permutation(len(agents))]
+        lie = LIES.get(case)
+        count = min(lie.liars, (len(agents) - 1) // 2) if lie is not None else 0
+        liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
+        said = self._said(liars)
+
+        centers = {"ours": CommandCenter(agents, claims=self.claims, honest=self.honest)}
+        if self.compared:
+            centers["no trust"] = CommandCenter(agents, claims=self.claims, honest=self.honest, trusting=True)
+        distances: dict[str, list[float]] = {name: [] for name in CENTERS}
+        evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
+        published = PublishedTrust()
+        for time, reports in enumerate(said):
+            truth = seen_objects(scene, time)
+            for name, center in centers.items():
+                picture = center.add(float(scene.times_s[time]), reports)
+                xy_m, now = picture.tracks.boxes[:, :2], picture.reported
+                shown = picture.tracks.confirmed if center.trusting else picture.believed
+                distances[name].append(gospa(xy_m[shown & now], truth[:, :2]).distance_m)
+                if center.trusting:
+                    agents_trust, believed = published.add(picture, reports)
+                    published_trust.append(agents_trust)
+                    distances["published"].append(gospa(xy_m[believed & now], truth[:, :2]).distance_m)
+                    distances["all tracks"].append(gospa(xy_m[shown], truth[:, :2]).distance_m)
+                else:
+                    evidence.append(picture.verdicts.evidence)
+                    doubt.append(picture.verdicts.doubt)
+                    trust.append(picture.verdicts.trust)
+                    suspects.append(picture.verdicts.suspects)
+        return Run(
+            case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence),
+            _rounded(doubt), _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(),
+            self._checked(said),
+            {name: _rounded(values) for name, values in distances.items()}, liars.touched if liars else [],
+            overlap_of(scene, liars) if liars else float("nan"),
+        )  # fmt: skip
+
+    def _said(self, liars: Liars | None) -> Said:
+        """Return what all agents say, time after time."""
+        out = []
+        for reports, t_s in zip(self._reports, self.scene.times_s, strict=True):
+            said = list(reports)
+            if liars is not None:
+                said = liars.forge(said) if t_s >= ONSET_S else liars.look(said)
+            out.append(said)
+        return out
+
+    def _checked(self, said: Said) -> list[list[float | None]]:
+        """Return what every check says of each agent's claims [A][C], the mean over some times after the onset."""
+        first = int(np.searchsorted(self.scene.times_s, ONSET_S)) + 1
+        times = np.unique(np.linspace(first, len(said) - 1, CHECKED_TIMES).round().astype(int))
+        out: list[list[float | None]] = []
+        for number, _ in enumerate(self.scene.agents):
+            rows = [self._check(said[time - 1][number], said[time], number) for time in times.tolist()]
+            known: NDArray[np.bool_] = np.isfinite(np.array(rows))
+            mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+            some: list[bool] = np.asarray(known.any(axis=0)).tolist()
+            out.append(
+                [float(f"{value:.5g}") if is_known else None for value, is_known in zip(mean, some, strict=True)]
+            )
+        return out
+
+    def _check(self, before: AgentReport, now: Sequence[AgentReport], number: int) -> Floats:
+        """Return what every check says of an agent's claim (C,); where only others lie about objects, it is known."""
+        others = tuple(report.estimate for place, report in enumerate(now) if place != number)
+        view = ClaimedView(now[number].estimate, now[number].detections, others, before.estimate)
+        key = tuple(id(part) for part in (view.estimate, view.detections, *others, before.estimate))
+        if not set(key) <= self._of_honest:
+            return check_view(view)
+        if key not in self._checks:
+            self._checks[key] = check_view(view)
+        return self._checks[key]
 
 
 def overlap_of(scene: Scene, liars: Liars) -> float:
@@ -116,36 +197,6 @@ def overlap_of(scene: Scene, liars: Liars) -> float:
     return float(np.sum(see, axis=0).mean())
 
 
-def _said(scene: Scene, liars: Liars | None) -> list[list[AgentReport]]:
-    """Return what all agents say, time after time."""
-    out = []
-    for time, t_s in enumerate(scene.times_s):
-        reports = scene.reports(time)
-        if liars is not None:
-            reports = liars.forge(reports) if t_s >= ONSET_S else liars.look(reports)
-        out.append(reports)
-    return out
-
-
-def checked(scene: Scene, said: Sequence[Sequence[AgentReport]]) -> list[list[float | None]]:
-    """Return what every check says of each agent's claims [A][C], the mean over some times after the onset."""
-    first = int(np.searchsorted(scene.times_s, ONSET_S)) + 1
-    times = np.unique(np.linspace(first, len(said) - 1, CHECKED_TIMES).round().astype(int))
-    out: list[list[float | None]] = []
-    for number, _ in enumerate(scene.agents):
-        rows = []
-        for time in times:
-            now = said[time]
-            others = tuple(report.estimate for place, report in enumerate(now) if place != number)
-            before = said[time - 1][number].estimate
-            rows.append(check_view(ClaimedView(now[number].estimate, now[number].detections, others, before)))
-        known: NDArray[np.bool_] = np.isfinite(np.array(rows))
-        mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        some: list[bool] = np.asarray(known.any(axis=0)).tolist()
-        out.append([float(f"{value:.5g}") if is_known else None for value, is_known in zip(mean, some, strict=True)])
-    return out
-
-
 def seen_objects(scene: Scene, time: int) -> Floats:
     """Return the boxes (K, 7) of the objects that some agent sees at a time, near enough to report them."""
     returns = scene.returns[time].copy()
@@ -156,6 +207,55 @@ def seen_objects(scene: Scene, time: int) -> Floats:
     seen = ((returns >= SEEN_RETURNS) & (away < FAR_M)).any(axis=0)
     boxes: Floats = scene.objects[time, seen]
     return boxes
+
+
+def honest_examples(scene: Scene, claims: ClaimTable, rng: np.random.Generator) -> list[HonestExamples]:
+    """Return what honest agents of a scene report, to fit a model on: of some times, and of boxes put elsewhere."""
+    center = CommandCenter(scene.agents, claims=claims, trusting=True, honest=HonestModel.blank())
+    out = []
+    for time, t_s in enumerate(scene.times_s):
+        reports = scene.reports(time)
+        picture = center.add(float(t_s), reports)
+        if time % LEARNED_EACH:
+            continue
+        boxes = picture.tracks.boxes[picture.tracks.detection >= 0]
+        away = np.linalg.norm(boxes[:, None, :2] - seen_objects(scene, time)[None, :, :2], axis=2)
+        is_object = away.min(axis=1, initial=np.inf) < FOUND_M
+        out.append(HonestExamples.of(picture.said, is_object, *_put_elsewhere(reports, rng)))
+    return out
+
+
+def _put_elsewhere(reports: Sequence[AgentReport], rng: np.random.Generator) -> tuple[ObjectReports, ObjectReports]:
+    """Return honest boxes turned about their sensor to where nobody reports anything, and moved a little."""
+    agents, everything = len(reports), np.concatenate([report.in_world.boxes[:, :2] for report in reports])
+    turned, moved = list[tuple[int, Floats]](), list[tuple[int, Floats]]()
+    for number, report in enumerate(reports):
+        own = report.in_world.boxes[::ELSEWHERE_EACH]
+        way = rng.uniform(-np.pi, np.pi, (2, len(own)))
+        box, range_m = own.copy(), report.range_m(own)
+        box[:, :2] = report.world_from_level.translation[:2] + range_m[:, None] * _ways(way[0])
+        box[:, 6] = way[1]
+        free = np.linalg.norm(box[:, None, :2] - everything[None], axis=2).min(axis=1, initial=np.inf) > GATE_M
+        sees = GridView(report.estimate, 0.0).visible(box) > 0.5
+        turned += [(number, each) for each in box[free & sees]]
+        box = own.copy()
+        box[:, :2] += rng.uniform(*MOVED_M, (len(own), 1)) * _ways(way[0])
+        moved += [(number, each) for each in box]
+    out = []
+    for rows in (turned, moved):
+        boxes = np.array([each for _, each in rows]).reshape(-1, 7)
+        own = np.full((len(rows), agents, 7), np.nan)
+        for line, (number, each) in enumerate(rows):
+            own[line, number] = each
+        nobody = np.full((len(rows), agents), -1, np.int32)
+        out.append(object_reports(
+            reports, np.arange(agents), agents, boxes, nobody, np.zeros(nobody.shape, np.int64), np.ones(len(rows)), own
+        ))  # fmt: skip
+    return out[0], out[1]
+
+
+def _ways(azimuth: Floats) -> Floats:
+    return np.column_stack([np.cos(azimuth), np.sin(azimuth)])
 
 
 def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:

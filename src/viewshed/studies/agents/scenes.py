@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
 from viewshed.datasets.recorder.drive import drive_sweeps
-from viewshed.datasets.recorder.moment import ObjectTruth
+from viewshed.datasets.recorder.moment import DriveTruth, ObjectTruth
 from viewshed.datasets.simulated import ScenePlan
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import Basis, FovEstimate
@@ -23,6 +24,7 @@ from viewshed.grid import GRIDS
 from viewshed.objects import Detections, moved_boxes
 from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
+from viewshed.sweep import Sweep
 
 FOLDER = "scenes"
 
@@ -68,8 +70,16 @@ class Scene:
         return tuple(f"agent{number}" for number in range(len(self.carriers)))
 
     @classmethod
-    def simulate(cls, plan: ScenePlan, detector: Detector) -> Self:
-        """Return a scene: every sweep simulated, leveled, estimated by the default method, and searched for objects."""
+    def simulate(
+        cls, plan: ScenePlan, detector: Detector, sweeps: Iterable[tuple[Sweep, DriveTruth]] | None = None
+    ) -> Self:
+        """Return a scene: every sweep simulated, leveled, estimated by the default method, and searched for objects.
+
+        Args:
+            plan: of the scene.
+            detector: finds the objects.
+            sweeps: in place of the simulated ones: from another world, or attacked.
+        """
         agents, estimator = plan.preset.agents, load_estimator("shadow_map", grid=GRID)
         times = plan.frames // agents
         times_s = np.asarray((np.arange(times) + 0.5) * plan.preset.interval_s, np.float64)
@@ -79,7 +89,7 @@ class Scene:
         objects, returns = list[Floats](), list[NDArray[np.int32]]()
         bases: list[list[dict[str, Any]]] = [[] for _ in range(times)]
         found, found_at = [np.zeros((0, 9))], [np.zeros((0, 2), np.int16)]
-        for frame, (sweep, truth) in enumerate(drive_sweeps(plan)):
+        for frame, (sweep, truth) in enumerate(drive_sweeps(plan) if sweeps is None else sweeps):
             time, agent = divmod(frame, agents)
             leveled = level(sweep, GRID)
             estimate, seen = estimator.estimate(leveled), detector.detect(leveled)

@@ -219,16 +219,6 @@ class MonitorResults:
             (f"{what}, corrected", "≤ 2", float((corrected[benign] <= RATE).sum())),
         ]
 
-    def summary_line(self) -> str:
-        """Return three figures in a sentence each."""
-        found = {what: format_rate(value) for what, _, value in self.targets}
-        three = {
-            "benign sweeps called inconsistent at 1 %": "Benign sweeps of unseen scenes called inconsistent at 1 %",
-            "AUROC of a sweep, family unseen, mean": "Benign sweeps that score below an attacked one, family unseen",
-            "caught at 1 %, mean": "Attacked sweeps that are caught at 1 %, family unseen",
-        }
-        return "\n".join(f"- {words}: **{found[what]}**" for what, words in three.items())
-
     def found_table(self) -> Table:
         """Return what is found of each attack with its own budget, and the mean."""
         header = ["attack", "AUROC", "alone", "five", "caught at 1 %", "five", "at .1 %", "five", "degraded", "delay",
@@ -650,7 +640,6 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "low_rate": f"{LOW_RATE:g}", "hours": f"{HOURS:g} h", "published": plan.published[0],
     }  # fmt: skip
     title, blocks = fill_template("monitor/page.md", values, {
-        "summary": results.summary_line,
         "targets": results.target_table,
         "found": results.found_table,
         "severities": results.severity_table,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.sensor_view import SensorView
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.integrity import IntegrityReport, StreamMonitor
+from viewshed.integrity.over_time import EDetector
+from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.object_metrics import match_objects
 from viewshed.objects import Detections, ObjectKind, moved_boxes
 from viewshed.perception.detection_table import detection_table
@@ -29,11 +32,14 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sim.raycast.scan import ExactScan
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import Agent, World
+from viewshed.studies.tracks.lidar_level import SweepForger
 from viewshed.sweep import Sweep
+from viewshed.tracking.tracker import MOTION, ExistenceRules
 from viewshed.tracking.views import BeamView, DetectionProb, GridView, PolygonView, SeesAll, View, hidden_within
 
-FOVS = ("none", "polygon", "default_hard", "default", "exact")
-"""No field of view; the published polygon; the default method's as a mask; its probability; the exact one."""
+FOVS = ("none", "published", "polygon", "default_hard", "default", "exact")
+"""No field of view; the published tracker with its polygon; that polygon asked by ours; the default method's as a mask;
+its probability; the exact one."""
 
 POLYGON = "paper_concave_hull"
 """The estimator that is the published polygon."""
@@ -85,6 +91,10 @@ class Moment:
         of_object: (K,) int32 number of the object that each is of, -1 for false ones.
         visible: (N,) probability that the default field of view gives for each object of the truth.
         views: by name of ``FOVS``.
+        false_odds: (K,) how many false detections there are like each for one of an object.
+        ghost: (K,) bool, detections of an object that an attack on the LiDAR made.
+        gone: numbers of the objects that an attack on the LiDAR took from the sweep.
+        report: of the monitor of the sensor, where one watches.
     """
 
     t_s: float
@@ -94,6 +104,10 @@ class Moment:
     of_object: NDArray[np.int32]
     visible: Floats
     views: dict[str, SensorView]
+    false_odds: Floats
+    ghost: NDArray[np.bool_]
+    gone: frozenset[int] = frozenset()
+    report: IntegrityReport | None = None
 
 
 SEEN_FROM = 5
@@ -121,9 +135,9 @@ def found_probability(returns: NDArray[Any]) -> Floats:
 class ExactView:
     """A view by exact beams: how many would meet a box without its own returns."""
 
-    def __init__(self, t_s: float, scan: ExactScan, world_from_level: Rigid) -> None:
-        """Make the view of a scan without noise."""
-        self.t_s, self.in_world = t_s, True
+    def __init__(self, t_s: float, scan: ExactScan, world_from_level: Rigid, found: DetectionProb) -> None:
+        """Make the view of a scan without noise; ``found`` says what the detector finds."""
+        self.t_s, self.in_world, self._found = t_s, True, found
         self._level_from_world = world_from_level.inverse()
         self._height_m = float(scan.world_from_sensor.translation[2] - world_from_level.translation[2])
         direction = scan.direction.reshape(-1, 3) @ world_from_level.rotation
@@ -139,7 +153,9 @@ class ExactView:
 
     def detectable(self, boxes: Floats, kinds: NDArray[np.uint8]) -> Floats:
         """Return the probability (K,) that the detector finds an object in each box where it can be seen."""
-        return found_probability(np.maximum(self._counts(boxes), SEEN_FROM))
+        level = moved_boxes(boxes, self._level_from_world)
+        counts = np.maximum(self._counts(boxes), SEEN_FROM).astype(np.float64)
+        return self._found(counts, np.hypot(level[:, 0], level[:, 1]), kinds)
 
     def hides_near(self, boxes: Floats, within_m: Floats) -> Floats:
         """Return 1 (K,) where a box could be somewhere unseen within (K,) meters, else 0."""
@@ -201,22 +217,39 @@ class SimulatedDetector:
         return detections, np.concatenate([truth.numbers[found], np.full(count, -1, np.int32)])
 
 
+RULES = {
+    "simulated": ExistenceRules(
+        motion=replace(MOTION, center_std_m=2 * _CENTER_STD_M, outlier_share=0.0), false_odds=0.03, lasting_share=0.3,
+        doubt_s=0.5, surest=0.998,
+    ),
+    "perception": ExistenceRules(),
+}  # fmt: skip
+"""What the tracker knows of each detector: its errors, how often it errs, and how long its luck lasts."""
+
+
 def simulate_drive(
-    plan: ScenePlan, fovs: tuple[str, ...] = FOVS, detector: str = "simulated", sensor: str = "top"
+    plan: ScenePlan,
+    fovs: tuple[str, ...] = FOVS,
+    detector: str = "simulated",
+    sensor: str = "top",
+    forger: SweepForger | None = None,
 ) -> Iterator[Moment]:
-    """Yield the sweeps of a drive of one vehicle with truth, honest detections and fields of view.
+    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view.
 
     Args:
         plan: of its scene.
         fovs: of ``FOVS``.
         detector: one of ``DETECTORS``.
         sensor: name of the sensor in its views.
+        forger: forges the sweeps before anything is computed from them; the truth stays, and the monitor in the box
+            watches.
     """
     grid, by_tables = GRID, detector == "simulated"
     found = _found if by_tables else detection_table().prob
     world, agent = world_of(plan), world_of(plan).agents[0]
     estimator, polygon = load_estimator(DEFAULT_ESTIMATOR, grid=grid), load_estimator(POLYGON, grid=grid)
     simulated, perception = SimulatedDetector(np.random.Generator(np.random.PCG64(plan.seed(99)))), Detector()
+    monitor = None if forger is None else StreamMonitor(shipped_monitor(), EDetector.for_rate(per_hour=1.0, hz=HZ))
     movable = [
         k for k, thing in enumerate(world.things)
         if k != agent.carrier and (thing.kind in OBJECT_KINDS or thing.track is not None)
@@ -224,39 +257,70 @@ def simulate_drive(
     about = {k: box_of(world.things[k]) for k in movable}
     kinds = np.array([KINDS.get(world.things[k].kind, ObjectKind.OTHER) for k in movable], np.uint8)
     for frame in range(plan.frames):
+        # 1. What stands there, and what each object returned.
         t_s = (frame + 0.5) * plan.preset.interval_s
         scan, stored = scan_frame(plan, frame)
-        counts = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
+        of_return = scan.thing.reshape(-1)[stored.steps.reshape(-1) > 0]
         boxes = [_row(object_at(world, k, t_s, *about[k]).world_from_box, about[k][1]) for k in movable]
+        returns = _counts_of(of_return, len(world.things))[movable]
         truth = ObjectsTruth(
-            np.array(movable, np.int32), np.array(boxes, np.float64).reshape(-1, 7), kinds,
-            counts[movable].astype(np.int32),
-        )  # fmt: skip
-        sweep = stored.sweep()
-        leveled = level(sweep, grid)
-        estimate, hull = estimator.estimate(leveled), polygon.estimate(leveled)
+            np.array(movable, np.int32), np.array(boxes, np.float64).reshape(-1, 7), kinds, returns.astype(np.int32)
+        )
+        clean = stored.sweep()
+        sweep, gone, ghost_at = clean, frozenset[int](), None
+        leveled = level(clean, grid)
         world_from_level = leveled.world_from_level
         if world_from_level is None:
             raise ValueError("a drive must have poses, got a sweep without one")
-        place, yaw = world_from_level.translation[:2], world_from_level.yaw
+        aimed = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
+        visible = probability_of_visible(aimed.astype(np.float32), SEEN_FROM).astype(np.float64)
+        # 2. The sweep that everything else is computed from.
+        if forger is not None:
+            tampered = forger.apply(clean, t_s, truth.numbers, truth.boxes, truth.returns)
+            sweep, ghost_at = tampered.sweep, forger.ghost_at(clean)
+            left = _counts_of(of_return[~tampered.removed], len(world.things))[movable]
+            gone = frozenset(truth.numbers[(returns >= SEEN_FROM) & (left <= _GONE_SHARE * returns)].tolist())
+            leveled = level(sweep, grid)
+        # 3. Fields of view, and detections.
+        estimate = estimator.estimate(leveled)
+        hull = polygon.estimate(leveled) if {"polygon", "published"} & set(fovs) else None
+        pose = leveled.world_from_level or world_from_level
+        place, yaw = pose.translation[:2], pose.yaw
         views: dict[str, SensorView] = {}
         for fov in fovs:
             if fov == "exact":
-                cells, view = _exact_view(scan, sweep, world, agent, grid)
+                cells, view = _exact_view(scan, sweep, world, agent, grid, found)
             else:
-                cells = None if fov in ("none", "polygon") else SeenCells.of(estimate)
+                cells = SeenCells.of(estimate) if fov in ("default", "default_hard") else None
                 view = _view_of(fov, t_s, leveled, estimate, hull, found)
             views[fov] = SensorView(sensor, view, place, cells, yaw=yaw)
-        aimed = expected_returns(leveled, moved_boxes(truth.boxes, world_from_level.inverse()))
-        visible = probability_of_visible(aimed.astype(np.float32), SEEN_FROM).astype(np.float64)
         surface = grid.centers[estimate.state == CellState.SURFACE]
-        surface_xyz = world_from_level @ np.column_stack([surface, np.full(len(surface), 0.75)])
+        surface_xyz = pose @ np.column_stack([surface, np.full(len(surface), 0.75)])
         if by_tables:
             detections, of_object = simulated.detect(truth, surface_xyz, t_s)
+            odds = np.full(len(detections), RULES[detector].false_odds)
         else:
-            detections = perception.detect(leveled).moved(world_from_level)
+            here = perception.detect(leveled)
+            detections = here.moved(pose)
             of_object = _objects_of(detections, truth)
-        yield Moment(t_s, world_from_level.translation, truth, detections, of_object, visible, views)
+            odds = detection_table().false_odds(np.hypot(here.boxes[:, 0], here.boxes[:, 1]), here.kinds)
+        ghost = np.zeros(len(detections), np.bool_)
+        if ghost_at is not None:
+            ghost = (np.hypot(*(detections.boxes[:, :2] - ghost_at).T) < _GHOST_WITHIN_M) & (of_object < 0)
+        report = None if monitor is None else monitor.check(leveled, {DEFAULT_ESTIMATOR: estimate}).now
+        yield Moment(t_s, pose.translation, truth, detections, of_object, visible, views, odds, ghost, gone, report)
+
+
+_GONE_SHARE = 0.3
+"""An object of whose returns an attack leaves no more than this is gone from the sweep."""
+
+_GHOST_WITHIN_M = 2.5
+"""A detection so near to a ghost, and of no object, is of the ghost."""
+
+
+def _counts_of(things: NDArray[Any], count: int) -> NDArray[np.intp]:
+    """Return how many returns (count,) things gave, by the thing (R,) of each return, -1 for none."""
+    return np.bincount(things[things >= 0], minlength=count)
 
 
 def _objects_of(detections: Detections, truth: ObjectsTruth) -> NDArray[np.int32]:
@@ -267,16 +331,14 @@ def _objects_of(detections: Detections, truth: ObjectsTruth) -> NDArray[np.int32
 
 
 def _view_of(
-    fov: str, t_s: float, leveled: LeveledSweep, estimate: FovEstimate, hull: FovEstimate, found: DetectionProb
+    fov: str, t_s: float, leveled: LeveledSweep, estimate: FovEstimate, hull: FovEstimate | None, found: DetectionProb
 ) -> View:
     """Return the view of a field of view by its name."""
-    views: dict[str, Callable[[], View]] = {
-        "none": lambda: SeesAll(t_s),
-        "polygon": lambda: PolygonView.of(hull, t_s),
-        "default_hard": lambda: GridView(estimate, t_s, hard=True),
-        "default": lambda: BeamView(leveled, t_s, found=found),
-    }
-    return views[fov]()
+    if fov == "none":
+        return SeesAll(t_s)
+    if fov == "default_hard":
+        return GridView(estimate, t_s, hard=True)
+    return BeamView(leveled, t_s, found=found) if hull is None or fov == "default" else PolygonView.of(hull, t_s)
 
 
 def _found(counts: Floats, _range_m: Floats, _kinds: NDArray[np.uint8]) -> Floats:
@@ -284,7 +346,7 @@ def _found(counts: Floats, _range_m: Floats, _kinds: NDArray[np.uint8]) -> Float
 
 
 def _exact_view(
-    scan: ExactScan, sweep: Sweep, world: World, agent: Agent, grid: BevGrid
+    scan: ExactScan, sweep: Sweep, world: World, agent: Agent, grid: BevGrid, found: DetectionProb
 ) -> tuple[SeenCells | None, View]:
     """Return what a scan without noise lets be seen: the exact states of the cells, and the view by its beams."""
     pose = scan.world_from_sensor
@@ -292,7 +354,7 @@ def _exact_view(
     world_from_level = Rigid.from_yaw(pose.yaw, pose.translation - below)
     truth, _ = exact_truth(scan, world, grid, (CAR,), agent)
     t_s = (sweep.t_ns or 0) * 1e-9
-    return SeenCells(grid, truth.state[CAR.name], world_from_level), ExactView(t_s, scan, world_from_level)
+    return SeenCells(grid, truth.state[CAR.name], world_from_level), ExactView(t_s, scan, world_from_level, found)
 
 
 def _row(world_from_box: Rigid, size_m: tuple[float, float, float]) -> list[float]:

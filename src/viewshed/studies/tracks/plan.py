@@ -14,10 +14,15 @@ from viewshed.sim.lidar.weather import CONDITIONS
 from viewshed.sim.worlds import WORLDS
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 from viewshed.studies.tracks.drives import DETECTORS, FOVS, HZ
+from viewshed.studies.tracks.lidar_level import LIDAR_ATTACKS
 from viewshed.threats.object_attacks import OBJECT_ATTACKS
 
-STEPS = ("count", "limit", "test", "page")
-"""Count evidence, take limits, attack, write the page: no drive is in two of the first three."""
+STEPS = ("count", "limit", "test", "lidar", "page")
+"""Count evidence, take limits, attack detections, attack sweeps, write the page: no drive is in two of the first three.
+Sweeps are attacked on the drives of ``test``."""
+
+LIDAR_DETECTOR = "perception"
+"""The detector that looks at attacked sweeps."""
 
 BENIGN_CASE = "benign"
 
@@ -31,9 +36,10 @@ class TracksPlan(Plan):
         worlds: kinds of world, in turn.
         sensors: beam tables.
         conditions: weather.
-        detector: one of ``DETECTORS``.
+        detectors: of ``DETECTORS``.
         fovs: fields of view, of ``FOVS``.
         attacks: names of ``OBJECT_ATTACKS``.
+        lidar_attacks: names of ``LIDAR_ATTACKS``; they need the detector of the package.
         objects: that are forged at a time.
         seconds: of a drive; attacks begin after two.
         count: drives that evidence is counted on.
@@ -47,7 +53,11 @@ class TracksPlan(Plan):
     """
 
     FOLDER: ClassVar[str] = "studies/tracks/plans"
-    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"fovs": FOVS, "attacks": OBJECT_ATTACKS}
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
+        "fovs": FOVS,
+        "attacks": OBJECT_ATTACKS,
+        "lidar_attacks": LIDAR_ATTACKS,
+    }
 
     name: str
     about: str
@@ -55,9 +65,10 @@ class TracksPlan(Plan):
     worlds: tuple[str, ...]
     sensors: tuple[str, ...]
     conditions: tuple[str, ...]
-    detector: str
+    detectors: tuple[str, ...]
     fovs: tuple[str, ...]
     attacks: tuple[str, ...]
+    lidar_attacks: tuple[str, ...]
     objects: int
     seconds: float
     count: int
@@ -70,7 +81,10 @@ class TracksPlan(Plan):
         check_names("preset", (self.preset,), preset_names())
         check_names("worlds", self.worlds, WORLDS, once=True)
         check_names("conditions", self.conditions, CONDITIONS, once=True)
-        check_names("detector", (self.detector,), DETECTORS)
+        check_names("detectors", self.detectors, DETECTORS, once=True)
+        check_names("lidar_attacks", self.lidar_attacks, LIDAR_ATTACKS)
+        if self.lidar_attacks and LIDAR_DETECTOR not in self.detectors:
+            raise ValueError(f"detectors must hold {LIDAR_DETECTOR} where sweeps are attacked, got {self.detectors}")
         check_names("fovs", self.fovs, FOVS, once=True)
         check_names("attacks", self.attacks, OBJECT_ATTACKS)
         for sensor in self.sensors:
@@ -84,20 +98,26 @@ class TracksPlan(Plan):
 
     def job_keys(self) -> list[JobKey]:
         """Return the names of all jobs: one a drive."""
-        return [*self.drive_keys("count"), *self.drive_keys("limit"), *self.drive_keys("test")]
+        return [key for step in STEPS[:-1] for key in self.drive_keys(step)]
 
     def drive_keys(self, step: str) -> list[JobKey]:
-        """Return the names of the drives of a step: step, sensor, weather, number."""
+        """Return the drives of a step by name: step, detector, sensor, weather, number, and the attack on sweeps."""
         places = [(sensor, weather) for sensor in self.sensors for weather in self.conditions]
+        tested = [(*place, str(number)) for number in range(self.test) for place in places]
         if step == "test":
-            return [(step, *place, str(number)) for number in range(self.test) for place in places]
+            return [(step, detector, *drive) for detector in self.detectors for drive in tested]
+        if step == "lidar":
+            return [(step, LIDAR_DETECTOR, *drive, attack) for attack in self.lidar_attacks for drive in tested]
         drives = getattr(self, step)
-        return [(step, *places[number % len(places)], str(number)) for number in range(drives)]
+        return [
+            (step, detector, *places[number % len(places)], str(number))
+            for detector in self.detectors for number in range(drives)
+        ]  # fmt: skip
 
     def scene(self, key: JobKey) -> ScenePlan:
         """Return the scene of a drive: a world of its own."""
-        step, sensor, weather, number = key
-        first = {"count": 0, "limit": self.count, "test": self.count + self.limit}[step]
+        step, _, sensor, weather, number = key[:5]
+        first = {"count": 0, "limit": self.count}.get(step, self.count + self.limit)
         place = first + int(number)
         world = self.worlds[place % len(self.worlds)]
         scene = drive_plan(

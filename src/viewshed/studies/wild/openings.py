@@ -15,8 +15,8 @@ LOG = Path("docs/results/wild_openings.md")
 HEADER = """\
 # Openings of the sealed set
 
-The sealed styles, sensors and mountings of [the study in the wild](../wild.md) are for final tables alone. Every run on
-them adds a line here before it starts.
+The sealed styles, sensors and mountings of [the study in the wild](../simulate.md) are for final tables alone. Every
+run on them adds a line here before it starts.
 
 | date | code | reason | methods |
 |---|---|---|---|

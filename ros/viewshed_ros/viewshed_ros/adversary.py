@@ -1,0 +1,119 @@
+"""The adversary: takes clouds or detections from a topic and republishes them forged by an attack of the package.
+
+For trials of what follows; whatever it does not forge passes as it is, bytes and all.
+"""
+
+from __future__ import annotations
+
+import sys
+from array import array
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import PointCloud2, PointField
+from visualization_msgs.msg import MarkerArray
+
+from viewshed.sweep import Sweep
+from viewshed.threats.adversary import Adversary
+from viewshed_ros import parameters
+from viewshed_ros.conversions import INPUTS, nanoseconds_of
+from viewshed_ros.object_layers import detection_cubes, detections_of
+from viewshed_ros.parameters import Parameter
+
+PARAMETERS: dict[str, Parameter] = {
+    "attack": Parameter("far_wall", "Name of an attack: of sweeps for clouds, of objects for detections."),
+    "type": Parameter("cloud", "What is forged.", ("cloud", "detections")),
+    "topic": Parameter("points", "Topic of what is honest."),
+    "forged_topic": Parameter("points_forged", "Topic of what is forged."),
+    "start_s": Parameter(2.0, "Seconds after the first message at which the attack begins."),
+    "end_s": Parameter(0.0, "Seconds after the first message at which it ends; 0 for never."),
+    "reset_s": Parameter(10.0, "Seconds after which other objects, or another place, are attacked."),
+    "count": Parameter(2, "Objects that are forged at a time."),
+    "seed": Parameter(0, "Of all that is random."),
+}
+"""Of the node."""
+
+_FLOAT = PointField.FLOAT32
+
+
+class AdversaryNode(Node):
+    """Forges what comes in, by :data:`PARAMETERS`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("viewshed_adversary", **options)
+        parameters.declare_table(self, PARAMETERS)
+        given: dict[str, Any] = parameters.values_of(self, PARAMETERS)
+        self._adversary = Adversary(
+            given["attack"], start_s=given["start_s"], end_s=given["end_s"] or np.inf, reset_s=given["reset_s"],
+            count=given["count"], seed=given["seed"],
+        )  # fmt: skip
+        kind, take = (PointCloud2, self._take_cloud) if given["type"] == "cloud" else (MarkerArray, self._take_boxes)
+        qos = qos_profile_sensor_data if given["type"] == "cloud" else 5
+        self._forged = self.create_publisher(kind, given["forged_topic"], qos)
+        self.create_subscription(kind, given["topic"], take, qos)
+        self.get_logger().info(f"{given['attack']} on {given['topic']} from {given['start_s']:g} s on")
+
+    def _take_cloud(self, message: PointCloud2) -> None:
+        """Republish a cloud, forged if it is its time."""
+        try:
+            sweep = INPUTS["cloud"].sweep(message)
+            forged = self._adversary.sweep(sweep)
+        except ValueError as error:
+            self.get_logger().warning(f"passed as it is: {error}", throttle_duration_sec=5.0)
+            forged = sweep = None
+        self._forged.publish(message if forged is sweep or forged is None else cloud_of(forged, message))
+
+    def _take_boxes(self, message: MarkerArray) -> None:
+        """Republish detections, forged if it is their time; their frame must stand still for objects to stand."""
+        if not message.markers:
+            self._forged.publish(message)
+            return
+        header = message.markers[0].header
+        t_s = 1e-9 * nanoseconds_of(header.stamp)
+        try:
+            forged = self._adversary.objects(header.frame_id, t_s, detections_of(message), np.zeros(3))
+        except ValueError as error:
+            self.get_logger().warning(f"passed as it is: {error}", throttle_duration_sec=5.0)
+            self._forged.publish(message)
+            return
+        self._forged.publish(detection_cubes(forged, header))
+
+
+def cloud_of(sweep: Sweep, like: PointCloud2) -> PointCloud2:
+    """Return a sweep as a cloud with x, y, z, and with intensity and ring where it has them; the header is kept."""
+    columns = [("x", sweep.points[:, 0]), ("y", sweep.points[:, 1]), ("z", sweep.points[:, 2])]
+    more = (("intensity", sweep.intensity), ("ring", sweep.ring))
+    columns += [(name, values) for name, values in more if values is not None]
+    forms = {"ring": ("<u2", PointField.UINT16)}
+    table = np.zeros(len(sweep), [(name, forms.get(name, ("<f4", _FLOAT))[0]) for name, _ in columns])
+    for name, values in columns:
+        table[name] = values
+    places: dict[str, Any] = dict(table.dtype.fields or {})
+    fields = [
+        PointField(name=name, offset=places[name][1], datatype=forms.get(name, ("", _FLOAT))[1], count=1)
+        for name, _ in columns
+    ]
+    size = table.dtype.itemsize
+    return PointCloud2(
+        header=like.header, height=1, width=len(sweep), fields=fields, point_step=size, row_step=size * len(sweep),
+        is_dense=True, data=array("B", table.tobytes()),
+    )  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node until a signal ends it."""
+    rclpy.init(args=arguments or sys.argv)
+    try:
+        rclpy.spin(AdversaryNode())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""The center of many agents: takes their signed messages, puts them together, and says whom it trusts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import OccupancyGrid
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64, Header, String, UInt8MultiArray
+from visualization_msgs.msg import MarkerArray
+
+from viewshed.fusion.legend import tracks_of_center
+from viewshed.fusion.many import AgentReport
+from viewshed.fusion.rounds import Round, Rounds
+from viewshed.io.export.ros import visibility_layer
+from viewshed.messages.receiver import Receiver
+from viewshed.messages.signing import KeyRing
+from viewshed.objects import Detections
+from viewshed_ros import parameters
+from viewshed_ros.conversions import stamp_of
+from viewshed_ros.layers import grid_message
+from viewshed_ros.object_layers import track_cubes
+from viewshed_ros.parameters import Parameter
+from viewshed_ros.sharing import read_verifying_keys
+
+VIEWS = QoSProfile(depth=64, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Of the messages of agents: what is late is of no use any more."""
+
+PARAMETERS: dict[str, Parameter] = {
+    "agents": Parameter([""], "Names of the agents that are believed to be who they say."),
+    "keys": Parameter([""], "Files of their public keys, 64 hexadecimal digits each, in the same order."),
+    "topic": Parameter("/viewshed/views", "Topic of the messages of all agents."),
+    "world_frame": Parameter("map", "Frame of their poses."),
+    "slop_s": Parameter(0.1, "Seconds by which reports of one round may lie apart."),
+    "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
+}
+"""Of the node."""
+
+
+class CenterNode(Node):
+    """Fuses what agents tell, by :data:`PARAMETERS`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("viewshed_center", **options)
+        parameters.declare_table(self, PARAMETERS)
+        given: dict[str, Any] = parameters.values_of(self, PARAMETERS)
+        agents = list(given["agents"])
+        self._frame = given["world_frame"]
+        ring = KeyRing(read_verifying_keys(agents, list(given["keys"])))
+        self._receiver = Receiver(ring, frozenset({self._frame}))
+        self._rounds = Rounds(tuple(agents), given["slop_s"])
+        self._notes: list[str] = []
+        self._done: Round | None = None
+        self._count = 0
+        self._topics = {
+            name: self.create_publisher(kind, f"center/{name}", 5)
+            for name, kind in (("visibility", OccupancyGrid), ("tracks", MarkerArray), ("picture", String))
+        }
+        self._trust = {
+            agent: self.create_publisher(Float64, f"center/trust/{topic_name(agent)}", 5) for agent in agents
+        }
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 5)
+        self.create_subscription(UInt8MultiArray, given["topic"], self._take, VIEWS)
+        self.create_timer(1.0 / given["diagnostics_hz"], self._diagnose)
+
+    def _take(self, message: UInt8MultiArray) -> None:
+        """Take what an agent tells; what is refused is counted with its reason."""
+        receipt = self._receiver.receive(bytes(message.data), self.get_clock().now().nanoseconds)
+        told = receipt.message
+        if told is None:
+            reason = "" if receipt.reason is None else receipt.reason.value
+            self.get_logger().warning(f"refused: {receipt.agent} {reason} {receipt.detail}", throttle_duration_sec=5.0)
+            return
+        if told.view is None:
+            return
+        try:
+            report = AgentReport.of(told.view, told.detections or Detections.none())
+            done = self._rounds.add(1e-9 * told.t_ns, report)
+        except ValueError as error:
+            self._notes.append(f"{told.agent}: {error}")
+            return
+        self._notes = [*self._notes, *self._rounds.notes][-10:]
+        for each in done:
+            self._publish(each)
+
+    def _publish(self, done: Round) -> None:
+        """Publish a round: where somebody listens, the joint view; tracks, numbers and trust always."""
+        self._done, self._count = done, self._count + 1
+        header = Header(stamp=stamp_of(done.t_ns), frame_id=self._frame)
+        self._topics["picture"].publish(String(data=json.dumps(done.numbers())))
+        self._topics["tracks"].publish(track_cubes(tracks_of_center(done.picture), header))
+        for agent, trust in zip(done.picture.agents, done.picture.verdicts.trust.tolist(), strict=True):
+            self._trust[agent].publish(Float64(data=float(trust)))
+        if self._topics["visibility"].get_subscription_count():
+            joint = done.joint
+            layer = visibility_layer(joint.estimate(done.t_ns), "visibility")
+            self._topics["visibility"].publish(grid_message(layer, joint.grid, header, joint.world_from_grid))
+
+    def _diagnose(self) -> None:
+        """Publish what was taken and refused, whom the center trusts, and who is accused or disputed."""
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        lines = self._receiver.summary()
+        status = DiagnosticStatus(name=f"{self.get_name()}: messages", message=lines[0], hardware_id="center")
+        status.values = [KeyValue(key=str(k), value=line) for k, line in enumerate([*lines[1:], *self._notes])]
+        message.status.append(status)
+        if self._done is not None:
+            said = self._done.sentences()
+            level = DiagnosticStatus.WARN if said else DiagnosticStatus.OK
+            trust = DiagnosticStatus(name=f"{self.get_name()}: trust", level=level, hardware_id="center")
+            trust.message = "; ".join(said) or f"{self._count} rounds, nobody contradicts the others"
+            trust.values = [
+                KeyValue(key=f"trust of {agent}", value=f"{each['trust']:.3f}")
+                for agent, each in self._done.numbers()["agents"].items()
+            ]
+            message.status.append(trust)
+        self._diagnostics.publish(message)
+
+
+def topic_name(agent: str) -> str:
+    """Return an agent's name as a part of a topic.
+
+    >>> topic_name("car-1.top")
+    'car_1_top'
+    """
+    return "".join(letter if letter.isalnum() else "_" for letter in agent)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node until a signal ends it."""
+    rclpy.init(args=arguments or sys.argv)
+    try:
+        rclpy.spin(CenterNode())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,408 @@
+"""What honest agents report, and what they do not: likelihoods from scenes in which nobody lies.
+
+Detectors miss cars, find hedges, and put centers half a meter off. So that one agent reports what another does not is
+no contradiction by itself; it is one where an honest agent would hardly ever do so. Four questions are asked, each
+answered by weights of bins that add up (logistic regression):
+
+- *reported*: others report an object; would an honest agent with this view report it as well? What counts: how many
+  report it and how many see the place and are silent, what the agent's view claims before and in the box, range, size,
+  its next own detection, and whether it reported the object before.
+- *invented*: only one agent reports an object; do its view and those of others look as at objects that honest agents
+  alone report, or as at any place of that range?
+- *displaced*: does the box of a report lie on the surfaces of the agent's own view, or as boxes do that were moved?
+- *there*: given who reports an object and who does not, is it one?
+
+No lie is needed to fit them: what is put elsewhere, or moved, is an honest box put elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fusion.cells import BoxCells
+
+Floats = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]
+
+Columns = NDArray[np.int32]
+
+SEES = 0.7
+"""Probability of visible from which an agent claims to see an object, so that its silence denies it."""
+
+MOST_BEFORE = 3
+"""So many earlier reports of an object are as good as more."""
+
+NO_DETECTION_M = 99.0
+"""Distance to the next detection of an agent that has none."""
+
+_COLUMNS = {name: column for column, name in enumerate(BoxCells._fields)}
+"""Where each measure of cells is."""
+
+_BOUNDS: dict[str, tuple[float, ...]] = {
+    "visible": (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98),
+    "range_m": (6.0, 10.0, 15.0, 25.0, 35.0, 43.0),
+    "size_m": (1.3, 2.4, 6.0),
+    "apart_m": (1.5, 2.5, 3.5, 5.0, 8.0),
+    "surface": (0.001, 0.03, 0.08, 0.15, 0.25, 0.4),
+    "free": (0.05, 0.15, 0.3, 0.5, 0.7, 0.9),
+    "hidden": (0.05, 0.2, 0.5, 0.8, 0.95),
+    "ring": (0.001, 0.03, 0.08, 0.15, 0.3),
+    "ring_free": (0.2, 0.4, 0.6, 0.8, 0.95),
+    "near_free": (0.05, 0.2, 0.4, 0.7, 0.95),
+    "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
+}
+"""Bounds of the bins of each measure."""
+
+MOST_OTHERS, MOST_DENIERS = 4, 2
+"""More agents that report an object, or see its place and are silent, are as good as these."""
+
+_RIDGE = 3.0
+"""Prior of the weights: bins that are rarely seen stay near 0."""
+
+_STEPS = 15
+
+_FILE = "honest.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectReports:
+    """What A agents say of J objects at one time, and what their views claim there.
+
+    Attributes:
+        seen: (J, A) bool, who reports the object.
+        able: (J, A) bool, who could: it speaks now, the object is near enough and is not its own vehicle.
+        visible: (J, A) probability that the object could be seen, as the agent claims.
+        range_m: (J, A) from the agent's sensor.
+        elevated: (A,) bool, whose sensors look over cars.
+        size_m: (J,) longer side of the object.
+        cells: (J, A, 8) ``BoxCells`` of the object's box in the agent's view.
+        own_cells: (J, A, 8) the same of the agent's own box; 0 where it reports none.
+        apart_m: (J, A) from the object to the agent's next detection of another object.
+        before: (J, A) how often the agent reported the object before.
+        existence: (J,) of the object's track.
+    """
+
+    seen: Mask
+    able: Mask
+    visible: Floats
+    range_m: Floats
+    elevated: Mask
+    size_m: Floats
+    cells: Floats
+    own_cells: Floats
+    apart_m: Floats
+    before: NDArray[np.int64]
+    existence: Floats
+
+    @property
+    def sees(self) -> Mask:
+        """(J, A) bool, who could report the object and claims to see it."""
+        return self.able & (self.visible > SEES)
+
+    def others(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return how many others report each object, and how many deny it: (J, A) each."""
+        reporters, deniers = self.seen.astype(np.int64), (self.sees & ~self.seen).astype(np.int64)
+        return reporters.sum(axis=1, keepdims=True) - reporters, deniers.sum(axis=1, keepdims=True) - deniers
+
+    def take(self, chosen: Mask) -> Self:
+        """Return some of the objects, by a mask (J,)."""
+        arrays = (getattr(self, name) if name == "elevated" else getattr(self, name)[chosen] for name in self.__slots__)
+        return type(self)(*arrays)
+
+
+class _Bins:
+    """Columns of features: each is a bin of one measure or of several together."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape, self.size = shape, 0
+        self._columns: list[NDArray[Any]] = []
+
+    def add(self, *codes: tuple[NDArray[Any], int]) -> None:
+        """Add a feature: the bins of measures together, each with their number."""
+        code: NDArray[Any] = np.zeros(self.shape, np.int32)
+        count = 1
+        for bins, of in codes:
+            code, count = code * of + bins, count * of
+        self._columns.append(code + self.size)
+        self.size += count
+
+    def columns(self) -> Columns:
+        """Return the columns (…, F) of all features."""
+        return np.stack(self._columns, axis=-1).astype(np.int32)
+
+
+def _bin(name: str, values: Floats) -> tuple[NDArray[np.intp], int]:
+    bounds = _BOUNDS[name]
+    return np.searchsorted(np.array(bounds), values, side="right"), len(bounds) + 1
+
+
+def _add_cells(bins: _Bins, cells: Floats, range_m: Floats, size_m: Floats, elevated: Mask) -> None:
+    """Add what the cells of a view say of a box."""
+    surface, free = _bin("surface", cells[..., _COLUMNS["surface"]]), _bin("free", cells[..., _COLUMNS["free"]])
+    ranges = _bin("range_m", range_m)
+    kind = (np.broadcast_to(elevated, range_m.shape).astype(np.int32), 2)
+    bins.add(ranges, _bin("size_m", np.broadcast_to(size_m[:, None], range_m.shape)), kind)
+    bins.add(surface, kind)
+    bins.add(ranges, surface)
+    bins.add(surface, free)
+    for name in ("hidden", "ring", "near_free", "first_m", "ring_free"):
+        bins.add(_bin(name, cells[..., _COLUMNS[name]]))
+
+
+def reported_columns(said: ObjectReports) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of *reported*, without the numbers of others, and how many columns there are."""
+    bins = _Bins(said.seen.shape)
+    _add_cells(bins, said.cells, said.range_m, said.size_m, said.elevated)
+    kind = (np.broadcast_to(said.elevated, said.seen.shape).astype(np.int32), 2)
+    bins.add(_bin("visible", said.visible), _bin("surface", said.cells[..., _COLUMNS["surface"]]))
+    bins.add((np.minimum(said.before, MOST_BEFORE), MOST_BEFORE + 1), kind)
+    bins.add(_bin("apart_m", said.apart_m), _bin("size_m", np.broadcast_to(said.size_m[:, None], said.seen.shape)))
+    return bins.columns(), bins.size
+
+
+def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any]:
+    """Return the column of so many others that report an object, and so many that deny it."""
+    column: NDArray[Any] = np.minimum(reporters, MOST_OTHERS) * (MOST_DENIERS + 1) + np.minimum(deniers, MOST_DENIERS)
+    return column
+
+
+def displaced_columns(said: ObjectReports) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of *displaced*: what the agent's own view says of its own box."""
+    bins = _Bins(said.seen.shape)
+    _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.elevated)
+    return bins.columns(), bins.size
+
+
+def invented_columns(said: ObjectReports) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of *invented*: the agent's own view, and the views of others that see the place."""
+    bins = _Bins(said.seen.shape)
+    _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.elevated)
+    others = ~np.eye(said.seen.shape[1], dtype=np.bool_)[None] & said.sees[:, None]
+    count = others.sum(axis=2)
+    bins.add((np.minimum(count, 3), 4))
+    for name in ("free", "surface", "near_free"):
+        most = np.where(others, said.cells[:, None, :, _COLUMNS[name]], 0.0).max(axis=2, initial=0.0)
+        binned, size = _bin(name, most)
+        bins.add((np.where(count > 0, 1 + binned, 0), size + 1))
+    return bins.columns(), bins.size
+
+
+def there_columns(said: ObjectReports) -> tuple[Columns, int, Columns]:
+    """Return the columns (J, A, F) of *there* for each agent, how many there are, and those (J, F') of the object.
+
+    Those of agents that could not report the object are -1.
+    """
+    bins, seen = _Bins(said.seen.shape), (said.seen.astype(np.int32), 2)
+    size = _bin("size_m", np.broadcast_to(said.size_m[:, None], said.seen.shape))
+    kind = (np.broadcast_to(said.elevated, said.seen.shape).astype(np.int32), 2)
+    bins.add(seen, _bin("visible", said.visible), kind)
+    bins.add(seen, _bin("surface", said.cells[..., _COLUMNS["surface"]]))
+    bins.add(seen, _bin("range_m", said.range_m), size)
+    bins.add(seen, (np.minimum(said.before, MOST_BEFORE), MOST_BEFORE + 1))
+    bins.add(seen, _bin("near_free", said.cells[..., _COLUMNS["near_free"]]))
+    of_agents = np.where((said.able | said.seen)[..., None], bins.columns(), -1).astype(np.int32)
+    count = bins.size
+    whole = _Bins(said.size_m.shape)
+    whole.size = count
+    whole.add(_bin("size_m", said.size_m))
+    whole.add((np.searchsorted([0.2, 0.5, 0.8, 0.95], said.existence), 5))
+    return of_agents, whole.size, whole.columns()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Log-odds that add up.
+
+    Attributes:
+        of_bins: (W,) weights.
+        bias: that is always added.
+    """
+
+    of_bins: Floats
+    bias: float
+
+    def __call__(self, columns: Columns) -> Floats:
+        """Return the log-odds (…,) of features with columns (…, F); columns of -1 add nothing."""
+        padded = np.append(self.of_bins, 0.0)
+        total: Floats = padded[columns].sum(axis=-1) + self.bias
+        return total
+
+    @classmethod
+    def fit(cls, columns: Columns, count: int, label: NDArray[Any], share: Floats | None = None) -> Self:
+        """Return the weights of N rows of columns (N, F) out of ``count``, by logistic regression with a ridge.
+
+        Args:
+            columns: -1 is no column.
+            count: of all columns.
+            label: (N,) bool.
+            share: (N,) weights of the rows; None is 1 each.
+
+        Raises:
+            ValueError: there is no row of one of the classes.
+        """
+        label, rows = np.asarray(label, np.float64), np.asarray(columns)
+        if not 0 < label.sum() < len(label):
+            raise ValueError(f"rows must be of both classes, got {int(label.sum())} of {len(label)} of one")
+        share = np.ones(len(label)) if share is None else share
+        # A further column is that of the bias, the one after it stands for no column.
+        rows = np.column_stack([np.where(rows < 0, count + 1, rows), np.full(len(rows), count)])
+        size = count + 2
+        ridge = np.full(size, _RIDGE)
+        ridge[count], ridge[count + 1] = 1e-6, 1e12
+        weights = np.zeros(size)
+        for _ in range(_STEPS):
+            prob = 1.0 / (1.0 + np.exp(-weights[rows].sum(axis=1)))
+            error, worth = share * (label - prob), share * prob * (1.0 - prob)
+            slope, curve = -ridge * weights, np.zeros(size * size)
+            for place, one in enumerate(rows.T):
+                slope += np.bincount(one, error, size)
+                # Newton's matrix of one-hot rows: how often two columns occur together.
+                for other in rows.T[place:]:
+                    pair = np.bincount(one * size + other, worth, size * size).reshape(size, size)
+                    curve += (pair if other is one else pair + pair.T).ravel()
+            weights = weights + np.linalg.solve(curve.reshape(size, size) + np.diag(ridge), slope)
+        return cls(weights[:count], float(weights[count]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HonestModel:
+    """What honest agents report; see the module.
+
+    Attributes:
+        reported: log-odds that an agent reports what others report; the last columns are those of the others.
+        invented: log-ratio of places elsewhere over what honest agents alone report.
+        displaced: log-ratio of boxes that were moved over honest ones.
+        there: log-odds that an object is one.
+    """
+
+    reported: Weights
+    invented: Weights
+    displaced: Weights
+    there: Weights
+
+    @classmethod
+    def blank(cls) -> Self:
+        """Return a model that knows nothing: all weights are 0."""
+        return cls(*(Weights(np.zeros(count), 0.0) for count in _counts().values()))
+
+    @property
+    def of_others(self) -> Floats:
+        """(others, deniers) log-odds that *reported* adds for them."""
+        count = (MOST_OTHERS + 1) * (MOST_DENIERS + 1)
+        return self.reported.of_bins[-count:].reshape(MOST_OTHERS + 1, MOST_DENIERS + 1)
+
+    def to_json(self) -> str:
+        """Return the model as text."""
+        table = {
+            name: {"of_bins": getattr(self, name).of_bins.round(3).tolist(), "bias": round(getattr(self, name).bias, 3)}
+            for name in self.__slots__
+        }
+        return json.dumps({"bounds": _BOUNDS} | table) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Return the model in a text of :meth:`to_json`.
+
+        Raises:
+            ValueError: it has other bins.
+        """
+        table = json.loads(text)
+        if table["bounds"] != {name: list(bounds) for name, bounds in _BOUNDS.items()}:
+            raise ValueError("bounds must be those of this version; fit the model again")
+        return cls(*(Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in cls.__slots__))
+
+
+@lru_cache(maxsize=1)
+def honest_model() -> HonestModel:
+    """Return the model in the box, of the default estimate and our detector (docs/results/agents.md)."""
+    return HonestModel.from_json(resources.files("viewshed.fusion").joinpath(_FILE).read_text("utf-8"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HonestExamples:
+    """Rows that a model is fitted on, of one scene in which nobody lies.
+
+    Attributes:
+        reported: columns (N, F + 1) with those of others, then whether the agent reported the object.
+        invented: columns (N, F), then whether the place is one elsewhere.
+        displaced: columns (N, F), then whether the box was moved.
+        there: columns (N, A F + F'), then whether the track is an object.
+    """
+
+    reported: Columns
+    invented: Columns
+    displaced: Columns
+    there: Columns
+
+    @classmethod
+    def of(cls, said: ObjectReports, is_object: Mask, elsewhere: ObjectReports, moved: ObjectReports) -> HonestExamples:
+        """Return the examples of one time.
+
+        Args:
+            said: of honest agents, about the objects that somebody reports.
+            is_object: (J,) bool, which are objects in truth.
+            elsewhere: places at which nobody reports anything, as if each were reported by one agent (``seen``).
+            moved: boxes of detections that were moved, as if they were reported there.
+        """
+        reporters, deniers = said.others()
+        columns, count = reported_columns(said)
+        chosen = said.able & (reporters > 0)
+        reported = np.concatenate([columns, count + others_column(reporters, deniers)[..., None]], axis=-1)
+        alone = said.seen & (reporters == 0)
+        of_agents, _, whole = there_columns(said)
+        return cls(
+            _labeled(reported[chosen], said.seen[chosen]),
+            np.concatenate([
+                _labeled(invented_columns(said)[0][alone], np.zeros(int(alone.sum()))),
+                _labeled(invented_columns(elsewhere)[0][elsewhere.seen], np.ones(int(elsewhere.seen.sum()))),
+            ]),
+            np.concatenate([
+                _labeled(displaced_columns(said)[0][said.seen], np.zeros(int(said.seen.sum()))),
+                _labeled(displaced_columns(moved)[0][moved.seen], np.ones(int(moved.seen.sum()))),
+            ]),
+            _labeled(np.concatenate([of_agents.reshape(len(whole), -1), whole], axis=1), is_object),
+        )  # fmt: skip
+
+
+def fit_honest(examples: Sequence[HonestExamples]) -> HonestModel:
+    """Return the model of many scenes.
+
+    Raises:
+        ValueError: there are too few.
+    """
+    rows = {name: np.concatenate([getattr(one, name) for one in examples]) for name in HonestExamples.__slots__}
+    fitted = {}
+    for name, count in _counts().items():
+        columns, label = rows[name][:, :-1], rows[name][:, -1]
+        # Elsewhere and moved there are as many as one likes: both classes weigh the same.
+        even = np.where(label == 1, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1)) * len(label)
+        fitted[name] = Weights.fit(columns, count, label, even if name in ("invented", "displaced") else None)
+    return HonestModel(**fitted)
+
+
+def _labeled(columns: Columns, label: NDArray[Any]) -> Columns:
+    return np.column_stack([columns, np.asarray(label, np.int32)]).astype(np.int32)
+
+
+@lru_cache(maxsize=1)
+def _counts() -> dict[str, int]:
+    """Return how many columns each question has."""
+    nothing = ObjectReports(
+        *(np.zeros((0, 1), np.bool_),) * 2, *(np.zeros((0, 1)),) * 2, np.zeros(1, np.bool_), np.zeros(0),
+        *(np.zeros((0, 1, len(BoxCells._fields))),) * 2, np.zeros((0, 1)), np.zeros((0, 1), np.int64), np.zeros(0),
+    )  # fmt: skip
+    return {
+        "reported": reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1),
+        "invented": invented_columns(nothing)[1],
+        "displaced": displaced_columns(nothing)[1],
+        "there": there_columns(nothing)[1],
+    }

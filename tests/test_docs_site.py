@@ -1,0 +1,138 @@
+"""The site: what it takes from the code, the pages that quote the code, and the notebooks."""
+
+import ast
+import json
+import re
+import shutil
+from pathlib import Path
+
+import docs_site
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+
+
+def test_every_mark_on_a_page_is_generated() -> None:
+    marks = {mark for page in PAGES for mark in docs_site.MARK.findall(page.read_text("utf-8"))}
+    assert marks == set(docs_site.GENERATED)
+
+
+def test_generated_tables_hold_the_program() -> None:
+    from viewshed.sensors import sensor_names
+    from viewshed.sim.worlds import WORLDS
+    from viewshed.threats.attacks import ATTACKS
+    from viewshed.threats.corruptions import SEVERITIES
+
+    for table, names in (
+        ("sensors", sensor_names()),
+        ("worlds", WORLDS),
+        ("attacks", ATTACKS),
+        ("corruptions", SEVERITIES),
+    ):
+        text = docs_site.GENERATED[table]()
+        assert [name for name in names if f"`{name}`" not in text] == []
+        assert len({line.count("|") for line in text.splitlines()}) == 1
+
+
+def test_the_command_line_page_has_every_command_and_option() -> None:
+    text = docs_site.commands()
+    assert "## viewshed estimate\n" in text
+    assert "## viewshed study robustness\n" in text
+    assert "reproduce" not in text
+    estimate = text.split("## viewshed estimate\n")[1].split("\n## ")[0]
+    assert "--require-confirmation" in estimate
+    assert "Example: viewshed estimate" in estimate
+
+
+def test_every_export_is_on_its_page() -> None:
+    from viewshed.io.export import EXPORTERS
+
+    page = (DOCS / "export.md").read_text("utf-8")
+    assert [name for name in EXPORTERS if f"| `{name}`" not in page] == []
+
+
+def test_commands_and_options_of_the_pages_exist() -> None:
+    offered = {name: set(re.findall(r"--[a-z0-9-]+", text)) for name, text in _helps().items()}
+    for page in [ROOT / "README.md", *DOCS.glob("*.md")]:
+        blocks = re.findall(r"^```(?:sh|console|bash)\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+        lines = "\n".join(line.split("#")[0] for line in "\n".join(blocks).splitlines())
+        for words in re.findall(r"^(?:\$ |[A-Z_]+=\S+ | +)?viewshed (\S.*)", lines, re.MULTILINE):
+            first, second = [*words.split(), ""][:2]
+            name = f"{first} {second}" if f"{first} {second}" in offered else first
+            assert name in offered, f"{page.name}: viewshed {words}"
+            assert set(re.findall(r"--[a-z0-9-]+", words)) <= offered[name], f"{page.name}: viewshed {words}"
+
+
+def _helps() -> dict[str, str]:
+    """What ``--help`` prints of every command."""
+    parts = docs_site.commands().removeprefix("## viewshed ").split("\n## viewshed ")
+    return {name: text for name, _, text in (part.partition("\n") for part in parts)}
+
+
+def test_figures_of_the_methods_are_those_of_the_results() -> None:
+    page = (DOCS / "which_method.md").read_text("utf-8")
+    assert docs_site.methods() in page, "python tools/docs_site.py writes them"
+
+
+def _literals() -> str:
+    """All texts of the package; what is filled in is …"""
+    texts = []
+    for path in sorted((ROOT / "src" / "viewshed").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                texts.append(
+                    "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(node.value)
+    return "\n".join(texts)
+
+
+def test_messages_of_the_questions_page_are_those_of_the_code() -> None:
+    cells = re.findall(r"^\| (.*?) \|", (DOCS / "faq.md").read_text("utf-8"), re.MULTILINE)
+    quotes = [quote for cell in cells for quote in re.findall(r"`([^`]+)`", cell) if " " in quote]
+    parts = {part.strip(" ,;.") for quote in quotes for part in quote.split("…")}
+    words = _literals()
+    assert len(parts) > 30
+    assert [part for part in parts if len(part) > 8 and part not in words] == []
+
+
+@pytest.mark.slow
+def test_the_tutorial_prints_what_it_says(real_data: Path, tmp_path: Path) -> None:
+    text = (DOCS / "tutorial.md").read_text("utf-8")
+    shutil.copy(real_data / docs_site.TUTORIAL_SWEEP, tmp_path)
+    fresh = docs_site.transcript(text, tmp_path)
+    assert _without_times(fresh) == _without_times(text), "python tools/docs_site.py writes it"
+
+
+def _without_times(text: str) -> str:
+    """A page without times, and of a monitor's line no more than its verdict: its calibration comes anew more often."""
+    text = re.sub(r"(INCONSISTENT|DEGRADED|nothing found) .*(\n  .*)*", r"\1", text)
+    return re.sub(r"[\d.]+ (?=ms|\|$)", "", text, flags=re.MULTILINE)
+
+
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
+
+
+def test_notebooks_are_clean() -> None:
+    assert len(NOTEBOOKS) == 2
+    for notebook in NOTEBOOKS:
+        cells = json.loads(notebook.read_text("utf-8"))["cells"]
+        outputs = [output for cell in cells for output in cell.get("outputs", [])]
+        assert outputs, f"{notebook.name} has no outputs: jupyter execute --inplace {notebook.name}"
+        assert [output for output in outputs if output["output_type"] == "error"] == []
+        assert notebook.stat().st_size < 600_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run_and_say_the_same(notebook: Path) -> None:
+    """Runs a notebook in a kernel of its own and compares what it prints with what is stored."""
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    stored = nbformat.read(notebook, as_version=4)
+    fresh = nbclient.NotebookClient(nbformat.read(notebook, as_version=4), timeout=300).execute()
+    kept = [k for k, cell in enumerate(stored.cells) if "varies" not in cell.metadata.get("tags", [])]
+    printed, before = ([docs_site.printed_by(book.cells[k]) for k in kept] for book in (fresh, stored))
+    assert printed == before, f"jupyter execute --inplace docs/notebooks/{notebook.name}"

@@ -1,0 +1,96 @@
+"""Pages of results begin with three numbers of their own, end with how they were made, and stand in the overview."""
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from viewshed._page import page, table
+from viewshed._results import KeyNumber, page_files, result_pages, shortened, write_page
+
+FOLDER = Path(__file__).parents[1] / "docs" / "results"
+NAMES = [name for each in result_pages().values() for name in each.files]
+INDEX: Any = import_module("results_index")
+RATES = table(["method", "P / R", "F1"], [["`a`", ".9 / .8", "**.85**"], ["`a`, past", ".7 / .6", ".65 [.6, .7]"]])
+MORE = table(["method", "", "F1"], [["a", "1", ".1"], ["b", "2", ".2"]])
+TEXT = f"## Rates\n\nabout\n\n{RATES}\n\nbetween\n\n{MORE}\n\n## Times\n\n### Apart\n\n{MORE}\n\n31 MB in all"
+
+
+@pytest.mark.parametrize(
+    ("number", "found"),
+    [
+        (KeyNumber("x", "Rates", "a |", "F1"), ".85"),
+        (KeyNumber("x", "Rates", "a, past", "F1"), ".65 [.6, .7]"),
+        (KeyNumber("x", "Rates", "a |", "P / R", 1), ".8"),
+        (KeyNumber("x", "Rates #2", "b", "F1"), ".2"),
+        (KeyNumber("x", "Apart", "a", 1), "1"),
+        (KeyNumber("x", text=r"(\d+) MB"), "31"),
+        (KeyNumber("x", "Rates", "c", "F1"), None),
+        (KeyNumber("x", "Rates", "a |", "recall"), None),
+        (KeyNumber("x", "Times", "a", "F1"), None),
+        (KeyNumber("x", text=r"(\d+) GB"), None),
+    ],
+)
+def test_a_key_number_is_a_cell_of_the_page(number: KeyNumber, found: str | None) -> None:
+    assert number.find(TEXT) == found
+
+
+def _worlds() -> str:
+    """A page whose title is in the table, with what it leaves out: sections, tables and rows."""
+    heading = "road, car"
+    header = ["method", "other: precision / recall", "other: F1"]
+    rows = [["continuous", ".8 / .7", ".75"], ["quantized", ".8 / .6", ".69"], ["shadow_map", ".9 / .8", ".85"]]
+    four = "\n\n".join(f"told {k}\n\n{table(header, rows)}" for k in range(4))
+    return page(
+        "In the wild", {"seed": "3"}, f"## {heading}\n\n{four}\n\n## indoor, car\n\n{table(header, rows)}", "end"
+    )
+
+
+def test_numbers_on_top_facts_at_the_foot() -> None:
+    text = _worlds()
+    assert text.split("\n\n")[1] == (
+        "- **.85** F1 of `shadow_map`, the default, on roads it was not made for\n"
+        "- **.9 / .8** precision / recall of the same"
+    )
+    assert text.endswith("end\n\n## How it was made\n\n- seed: 3\n")
+
+
+def test_what_is_left_out_stands_in_the_file_beside(tmp_path: Path) -> None:
+    text = _worlds()
+    write_page(tmp_path / "new" / "wild.md", text)
+    assert (tmp_path / "new" / "wild_full.md").read_text("utf-8") == text
+    short = (tmp_path / "new" / "wild.md").read_text("utf-8")
+    assert "indoor, car" not in short
+    assert "quantized" not in short
+    assert "`wild_full.md`" in short
+    assert [k for k in range(4) if f"told {k}" in short] == [0, 1, 2]  # the fourth table goes, with its words
+    assert (short.count("| shadow_map |"), short.count("| continuous |")) == (3, 3)
+    assert short.endswith("## How it was made\n\n- seed: 3\n")
+
+
+def test_a_page_of_another_title_is_as_it_is() -> None:
+    text = page("Mine", {"seed": "3"}, TEXT)
+    assert shortened("mine", text) == text
+    assert list(page_files("mine", text)) == ["mine.md"]
+    assert text.startswith("# Mine\n\n## Rates")
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != INDEX.LOG])
+def test_each_published_page_has_its_numbers_and_how_it_was_made(name: str) -> None:
+    text = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
+    title = text.partition("\n")[0].removeprefix("# ")
+    body = "\n\n".join(text.split("\n\n")[2:])
+    numbers = [f"- **{found}** {one.of}" for one in result_pages()[title].numbers if (found := one.find(body))]
+    top = text.split("\n\n")[1]
+    if result_pages()[title].numbers:
+        assert top == "\n".join(numbers[:3])
+    assert len(re.findall(r"^- .*\*\*", top, re.MULTILINE)) == (1 if name == "planted_faults" else 3)
+    assert re.search(r"\n## How it was made\n\n- (?:.*\n)+\Z", text), name
+
+
+def test_the_overview_names_every_page_with_its_number() -> None:
+    assert {path.stem for path in FOLDER.glob("*.md")} - {"index"} == set(NAMES)
+    index = (FOLDER / "index.md").read_text(encoding="utf-8")
+    assert index.partition(INDEX.MARK)[2].strip() == INDEX.overview(FOLDER).strip()

@@ -1,0 +1,127 @@
+"""A clip of what several agents see: the frames of a page of ``viewshed view``, agents side by side, as animated WebP.
+
+    viewshed record sim --world junction --agents 3 --seconds 30 --hz 2 --to drive.mcap
+    viewshed view drive.mcap --html run.html
+    python tools/clip.py run.html docs/assets/agents.webp [--seconds 30] [--side 320]
+
+The page draws every frame itself, in a headless Chromium, and its canvas is what the clip shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import io
+import json
+import sys
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from browser import Browser, open_browser
+from PIL import Image
+
+from viewshed._canvas import Canvas
+
+_HEAD = 46
+"""Pixels above a picture for its two lines."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A frame of the page.
+
+    Attributes:
+        number: of the frame on the page.
+        agent: whose sweep it is.
+        time_s: since the first frame.
+        visible_m2: of the estimate.
+    """
+
+    number: int
+    agent: str
+    time_s: float
+    visible_m2: float
+
+
+def frames_of(browser: Browser) -> list[Shown]:
+    """Return the frames of the open page, in its order."""
+    told = json.loads(
+        browser.value("JSON.stringify(abouts.map((about, k) => [about.agent, seconds[k], about.visible_m2]))")
+    )
+    return [Shown(number, *each) for number, each in enumerate(told)]
+
+
+def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:
+    """Return for each moment the latest frame of each agent, from the first moment at which all have one.
+
+    >>> a, b, c = Shown(0, "x", 0.0, 1.0), Shown(1, "y", 0.1, 1.0), Shown(2, "x", 1.0, 1.0)
+    >>> [[shown.number for shown in step.values()] for step in steps([a, b, c], 30.0)]
+    [[0, 1], [2, 1]]
+    """
+    agents = {frame.agent for frame in frames}
+    latest: dict[str, Shown] = {}
+    found = []
+    for frame in frames:
+        latest[frame.agent] = frame
+        if len(latest) == len(agents) and frame.time_s <= longest_s:
+            found.append(dict(sorted(latest.items())))
+    # Agents measure within a revolution of each other: one step for each turn of the first of them.
+    return [step for k, step in enumerate(found) if k == 0 or _first(step).number != _first(found[k - 1]).number]
+
+
+def _first(step: dict[str, Shown]) -> Shown:
+    return next(iter(step.values()))
+
+
+def picture(browser: Browser, frame: Shown, side: int) -> Image.Image:
+    """Return what the page draws of a frame, with agent, time and visible area above it."""
+    browser.value(f"show({frame.number})")
+    browser.wait_for(f"current === {frame.number} && element('sweep').textContent.startsWith('{frame.number + 1} of')")
+    address = str(browser.value("map.toDataURL('image/png')"))
+    drawn = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
+    # The grid is the square in the middle of the canvas, which has no background of its own.
+    edge = min(drawn.size)
+    left, top = (drawn.width - edge) // 2, (drawn.height - edge) // 2
+    square = drawn.crop((left, top, left + edge, top + edge)).resize((side, side), Image.Resampling.LANCZOS)
+    page = Canvas.blank(side, side + _HEAD)
+    page.text((6, 18), frame.agent.partition("/")[0], 10, bold=True)
+    page.text((6, 38), f"{frame.time_s:.1f} s · sees {frame.visible_m2:,.0f} m²", 9)
+    whole = Image.fromarray(page.pixels())
+    whole.paste(square, (0, _HEAD), square if square.mode == "RGBA" else None)
+    return whole
+
+
+def main() -> int:
+    """Write the clip; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("page", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--side", type=int, default=320)
+    given = parser.parse_args()
+    pictures = []
+    with open_browser() as browser:
+        browser.window(1200, 900)
+        browser.open(given.page.resolve().as_uri())
+        browser.wait_for("typeof abouts !== 'undefined' && element('sweep').textContent !== ''")
+        chosen = steps(frames_of(browser), given.seconds)
+        for step in chosen:
+            tiles = [picture(browser, frame, given.side) for frame in step.values()]
+            whole = Image.new("RGB", ((given.side + 8) * len(tiles) - 8, given.side + _HEAD), "white")
+            for number, tile in enumerate(tiles):
+                whole.paste(tile, (number * (given.side + 8), 0))
+            pictures.append(whole)
+    times_ms = [round(1000 * _first(step).time_s) for step in chosen]
+    lasts_ms = [after - before for before, after in pairwise(times_ms)] or [1000]
+    lasts_ms.append(lasts_ms[-1])
+    first, *more = pictures
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    first.save(given.out, save_all=True, append_images=more, duration=lasts_ms[: len(pictures)], quality=60, loop=0)
+    size = given.out.stat().st_size / 1e6
+    print(f"{given.out}: {len(pictures)} pictures, {sum(lasts_ms[: len(pictures)]) / 1000:.1f} s, {size:.2f} MB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

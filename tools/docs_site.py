@@ -1,0 +1,295 @@
+"""Hooks of mkdocs: what the site takes from the code, so that no page repeats it.
+
+A line ``<!-- generated: NAME -->`` of a page becomes the table of that name in ``GENERATED``, and each notebook a page
+with its stored outputs. The site's name shows the version, and its header the repository, where the checkout has one.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import viewshed
+from viewshed._page import table
+
+ROOT = Path(__file__).resolve().parents[1]
+MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
+"""The real sweep of the tutorial, in the folder of real sweeps."""
+ELSEWHERE = {
+    "contribute/contributing.md": "CONTRIBUTING.md",
+    "contribute/core.md": "src/core/README.md",
+    "contribute/changes.md": "CHANGELOG.md",
+    "reference/ros_node.md": "ros/viewshed_ros/README.md",
+}
+"""Pages of the site that stand elsewhere in the repository."""
+
+
+# What mkdocs calls.
+
+
+def on_config(config: Any) -> Any:
+    """Name the version, and link the repository that the checkout comes from."""
+    config.site_name = f"viewshed {viewshed.__version__}"
+    command = ["git", "-C", str(ROOT), "remote", "get-url", "origin"]
+    origin = subprocess.run(command, check=False, capture_output=True, text=True).stdout.strip()
+    if origin.startswith("https://"):
+        config.repo_url = origin.removesuffix(".git")
+    return config
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Put a page in place of each notebook, and its pictures beside it."""
+    from mkdocs.structure.files import File
+
+    for file in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        text, pictures = page_of_notebook(Path(file.abs_src_path))
+        files.append(File.generated(config, file.src_uri.replace(".ipynb", ".md"), content=text))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"{Path(file.src_uri).parent}/{name}", content=content))
+    for page, path in ELSEWHERE.items():
+        text = re.sub(r"\]\((\.\./)*docs/", "](../", (ROOT / path).read_text(encoding="utf-8"))
+        for other, place in ELSEWHERE.items():
+            text = text.replace(f"]({place})", f"](../{other})")
+        files.append(File.generated(config, page, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Write generated tables into a page, and turn its links to files elsewhere into those to their pages."""
+    for page, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{path})", f"]({page})")
+    return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
+
+
+# Notebooks.
+
+
+def page_of_notebook(path: Path) -> tuple[str, dict[str, bytes]]:
+    """Return a notebook as Markdown with its stored outputs, and its pictures by name."""
+    blocks: list[str] = []
+    pictures: dict[str, bytes] = {}
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        blocks.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            if "image/png" in output.get("data", {}):
+                name = f"{path.stem}_{len(pictures)}.png"
+                pictures[name] = base64.b64decode(output["data"]["image/png"])
+                blocks.append(f"![Output of the cell above]({name})")
+        if printed := printed_by(cell):
+            blocks.append(f"```text\n{printed.rstrip()}\n```")
+    return "\n\n".join(blocks) + "\n", pictures
+
+
+def printed_by(cell: Any) -> str:
+    """Return what a cell of a notebook prints or returns as text; nothing for a picture."""
+    outputs = [output for output in cell.get("outputs", []) if "image/png" not in output.get("data", {})]
+    return "".join("".join(o.get("text") or o.get("data", {}).get("text/plain", "")) for o in outputs)
+
+
+# Tables.
+
+
+def command_names() -> list[str]:
+    """Return the commands that ``--help`` lists, those of groups with the group's name before them."""
+    from typer.main import get_command
+
+    from viewshed.cli import app
+
+    return list(_names(get_command(app)))
+
+
+def _names(group: Any, prefix: str = "") -> Iterator[str]:
+    for name, command in group.commands.items():
+        if getattr(command, "commands", None):
+            yield from () if command.hidden else _names(command, f"{prefix}{name} ")
+        elif not command.hidden:
+            yield f"{prefix}{name}"
+
+
+def commands() -> str:
+    """Return every command with what its ``--help`` prints."""
+    from typer.testing import CliRunner
+
+    from viewshed.cli import app
+
+    runner = CliRunner()
+    shown = {
+        name: runner.invoke(app, [*name.split(), "--help"], prog_name="viewshed").stdout for name in command_names()
+    }
+    return "\n\n".join(f"## viewshed {name}\n\n```text\n{text.strip()}\n```" for name, text in shown.items())
+
+
+def attacks() -> str:
+    """Return the table of attacks: family, name, mode, what it does, its own parameters with their defaults."""
+    from viewshed import Sweep
+    from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, Knowledge
+
+    common = {"spoofer", "mode", "earlier", "first", "first_ns"}
+    knowledge = Knowledge((Sweep([[1.0, 0.0, 0.0]]),))  # type: ignore[arg-type]
+    rows = []
+    for name, make in (ATTACKS | INFORMED).items():
+        attack: Any = make(None, knowledge)
+        defaults = ", ".join(
+            f"`{f.name}` {_text(getattr(attack, f.name))}" for f in fields(attack) if f.name not in common
+        )
+        what = str(type(attack).__doc__).splitlines()[0].split(": ")[0].removesuffix(".")
+        mode = "free-form" if name in FREE_FORM else "–" if name == "pose_spoof" else "on beams"
+        rows.append([str(FAMILY[name]), f"`{name}`", mode, what, defaults])
+    return table(("family", "name", "mode", "what", "defaults"), rows)
+
+
+def corruptions() -> str:
+    """Return the parameters of each corruption in its five severities."""
+    from viewshed.threats.corruptions import SEVERITIES, Weather
+
+    weather = ("extinction_per_m", "particles_per_m", "particle_reach", "wet", "noise")
+    rows = []
+    for name, steps in SEVERITIES.items():
+        values: list[Any] = [step.conditions if isinstance(step, Weather) else step for step in steps]
+        keys = weather if isinstance(steps[0], Weather) else [field.name for field in fields(values[0])]
+        rows += [[f"`{name}`", f"`{key}`", *(_text(getattr(value, key)) for value in values)] for key in keys]
+    return table(("name", "parameter", "1", "2", "3", "4", "5"), rows)
+
+
+def defenses() -> str:
+    """Return the parameters of each defense."""
+    from viewshed.threats.defenses import DEFENSES
+
+    rows = []
+    for name, make in DEFENSES.items():
+        defense: Any = make()
+        values = {field.name: getattr(defense, field.name) for field in fields(defense) if field.init}
+        rows += [[f"`{name}`", f"`{k}`", f"{v:g}"] for k, v in values.items() if isinstance(v, int | float)]
+    return table(("name", "parameter", "default"), rows)
+
+
+def worlds() -> str:
+    """Return the kinds of simulated worlds, each with the first line of its module."""
+    from viewshed.sim.worlds import WORLDS
+
+    return table(("kind", "what is there"), [[f"`{name}`", _first_line(make)] for name, make in WORLDS.items()])
+
+
+def _first_line(make: Any) -> str:
+    from importlib import import_module
+
+    return str(import_module(make.__module__).__doc__).splitlines()[0].removesuffix(".")
+
+
+def materials() -> str:
+    """Return the materials of simulated worlds."""
+    from viewshed.sim.assets.shapes import MATERIALS
+
+    rows = [
+        [one.name, f"{one.reflectivity:g}", "–" if math.isinf(one.per_m) else f"{one.per_m:g}"] for one in MATERIALS
+    ]
+    return table(("material", "reflectivity", "stops per meter"), rows)
+
+
+def weather() -> str:
+    """Return the weather and faults of the simulator by name."""
+    from viewshed.sim.lidar.weather import CONDITIONS
+
+    keys = ("extinction_per_m", "particles_per_m", "particle_reach", "wet", "noise")
+    rows = [[f"`{name}`", *(f"{getattr(air, key):g}" for key in keys)] for name, air in CONDITIONS.items()]
+    return table(("name", *(f"`{key}`" for key in keys)), rows)
+
+
+def sensors() -> str:
+    """Return the beam tables: beams, elevations, range, reach, how the simulator measures with each, and the source."""
+    from viewshed.sensors import lidar_model, sensor_names
+    from viewshed.sim.lidar.optics import optics_of
+
+    rows = []
+    for name in sensor_names():
+        model, optics = lidar_model(name), optics_of(lidar_model(name))
+        low, high = (round(math.degrees(elevation), 1) for elevation in model.elevation[[0, -1]])
+        rows.append([
+            f"`{name}`", str(model.rings) if model.fires_rings else "no rings", f"{low:g}…{high:g}°",
+            f"{model.min_range_m:g}–{model.max_range_m:g}", "–" if model.reach_m is None else f"{model.reach_m:g}",
+            f"{1e3 * optics.sigma_m:g}", "yes" if model.inferred else "no", model.source,
+        ])  # fmt: skip
+    header = ("name", "rings", "elevations", "range, m", "reach, m", "noise, mm", "inferred", "from")
+    return table(header, rows)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return "(" + ", ".join(_text(part) for part in value) + ")"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+GENERATED: dict[str, Callable[[], str]] = {
+    make.__name__: make for make in (commands, attacks, corruptions, defenses, worlds, materials, weather, sensors)
+}
+
+
+# Figures of pages, from results.
+
+
+def methods() -> str:
+    """Return precision, recall and F1 of every method on other worlds and own ones, from the page in the wild."""
+    text = (ROOT / "docs" / "results" / "wild.md").read_text(encoding="utf-8")
+    cars = text.split("## road, car\n")[1].split("\n## ")[0].split("**Told ring")[1]
+    rows = re.findall(
+        r"^\| (\w+) \| (\.\d+) / (\.\d+) \| (\.\d+) .*?\| (\.\d+) / (\.\d+) \| (\.\d+) ", cars, re.MULTILINE
+    )
+    seen: dict[str, list[str]] = {}
+    for name, *figures in rows:
+        seen.setdefault(name, figures)
+    ranked = sorted(seen.items(), key=lambda row: -float(row[1][5]))
+    header = ("method", "own: precision", "recall", "F1", "other: precision", "recall", "F1")
+    return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
+
+
+# The tutorial.
+
+
+def transcript(text: str, folder: Path) -> str:
+    """Return a page with what its commands print: lines of console blocks that begin with ``$``, run in a folder."""
+    return re.sub(
+        r"(?<=^```console\n).*?(?=^```)", lambda block: _run(block[0], folder), text, flags=re.MULTILINE | re.DOTALL
+    )
+
+
+def _run(block: str, folder: Path) -> str:
+    program = [sys.executable, "-c", "import sys; from viewshed.cli import main; sys.argv[0] = 'viewshed'; main()"]
+    printed = ""
+    for line in re.findall(r"^\$ .*", block, re.MULTILINE):
+        command = [*program, *shlex.split(line)[2:]]
+        done = subprocess.run(
+            command, cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        printed += f"{line}\n{done.stdout.replace(f'{folder}/', '')}"
+    return printed
+
+
+def main() -> None:
+    """Write anew what pages take from results and from commands; the tutorial where its real sweep is to be had."""
+    page = ROOT / "docs" / "which_method.md"
+    kept = re.compile(r"(<!-- methods: .*? -->\n).*?(<!-- end of methods -->)", re.DOTALL)
+    page.write_text(kept.sub(rf"\g<1>{methods()}\n\g<2>", page.read_text(encoding="utf-8")), encoding="utf-8")
+    sweep = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT / ".." / "shared" / "data"), TUTORIAL_SWEEP)
+    if sweep.is_file():
+        page = ROOT / "docs" / "tutorial.md"
+        with tempfile.TemporaryDirectory() as folder:
+            shutil.copy(sweep, folder)
+            page.write_text(transcript(page.read_text(encoding="utf-8"), Path(folder)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
