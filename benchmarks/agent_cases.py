@@ -24,7 +24,7 @@ from viewshed._page import facts, page, table
 from viewshed.datasets.recorder.drive import drive_sweeps
 from viewshed.datasets.simulated import world_of
 from viewshed.fusion.many import AgentReport, CommandCenter
-from viewshed.fusion.trust import trust_limits
+from viewshed.fusion.rounds import judged
 from viewshed.object_metrics import gospa
 from viewshed.perception.detector import Detector
 from viewshed.studies.agents.plan import AgentsPlan
@@ -48,7 +48,7 @@ TEN = replace(PLAN, moving=9, seed=SEED + 1)
 COUNTS = (2, 3, 5, 10)
 """Agents that report, the mast among them."""
 
-DRAWS = 4
+DRAWS = 3
 """Monte Carlo runs of each scene."""
 
 ON = 0.7
@@ -232,8 +232,7 @@ def drawn(rng: np.random.Generator) -> dict[int, list[RunningAttack]]:
 def run(number: int, scene: Scene, attacked: Attacked) -> Outcome:
     """Return what becomes of a scene whose agents are attacked."""
     centers = {OURS: CommandCenter(scene.agents), NOBODY: CommandCenter(scene.agents, trusting=True)}
-    published, limits = PublishedTrust(), trust_limits()
-    rate = max(0.01, limits.least_rate)
+    published = PublishedTrust()
     trust: dict[str, list[Floats]] = {OURS: [], MATE: []}
     distance, false = ({name: list[float]() for name in (OURS, MATE, NOBODY)} for _ in range(2))
     accused, disputed = (np.zeros(len(scene.agents), np.bool_) for _ in range(2))
@@ -243,8 +242,8 @@ def run(number: int, scene: Scene, attacked: Attacked) -> Outcome:
         of_agents, believed = published.add(pictures[NOBODY], reports)
         trust[MATE].append(of_agents)
         trust[OURS].append(pictures[OURS].verdicts.trust)
-        accused |= limits.accused(pictures[OURS].verdicts, rate)
-        disputed |= limits.disputed(pictures[OURS].verdicts, rate)
+        now_accused, now_disputed = judged(pictures[OURS].verdicts)
+        accused, disputed = accused | now_accused, disputed | now_disputed
         shown = {
             OURS: pictures[OURS].tracks.boxes[pictures[OURS].believed],
             MATE: pictures[NOBODY].tracks.boxes[believed],

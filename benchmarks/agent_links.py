@@ -24,6 +24,7 @@ from viewshed._page import facts, page, table
 from viewshed.datasets.simulated import scan_frame
 from viewshed.estimators import load_estimator
 from viewshed.fusion.claims import ClaimTable
+from viewshed.fusion.honest import HonestModel
 from viewshed.fusion.many import AgentReport, CommandCenter
 from viewshed.fusion.view_checks import VIEW_CHECKS, ClaimedView, check_view
 from viewshed.geometry import Rigid
@@ -31,7 +32,7 @@ from viewshed.messages.transport import Radio, RadioFaults
 from viewshed.objects import Detections
 from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
-from viewshed.studies.agents.jobs import CLAIMS
+from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL
 from viewshed.studies.agents.lies import LIES, Liars
 from viewshed.studies.agents.page import AgentsResults, ScoredRun
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
@@ -46,7 +47,14 @@ from viewshed.threats.attacks.ghosts import GhostCar
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "results" / "agent_links.md"
 
-CASES = ("fabricate", "remove", "translate", "over_claim", "under_claim", "shifted_pose", "turned_pose")
+GROUPS = {
+    "objects": ("fabricate", "remove", "translate"),
+    "views": ("over_claim", "under_claim"),
+    "poses": ("shifted_pose", "turned_pose"),
+}
+"""Lies that are told of together."""
+
+CASES = tuple(name for names in GROUPS.values() for name in names)
 
 FALSE_ALARMS = 0.03
 """Share of honest agents at which detection of false objects is stated, as by CAD."""
@@ -59,6 +67,9 @@ NEAR_OBJECT_M = 2.5
 _NS = 1_000_000_000
 
 Floats = NDArray[np.float64]
+
+Learned = tuple[ClaimTable, HonestModel]
+"""What claims are worth and what honest agents report, from scenes of the study."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,26 +105,30 @@ def main() -> None:
     parser.add_argument("--study", type=Path, required=True, help="folder of viewshed study agents")
     parser.add_argument("--preset", default="small", help="of that study")
     parser.add_argument("--scenes", type=int, default=48, help="test scenes of it that are run")
+    parser.add_argument("--spoofed", type=int, default=48, help="of them, those in which LiDARs are spoofed")
     parser.add_argument("--work", type=Path, default=Path("agent_links"), help="where runs are kept")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
     store = ResultStore.open(chosen.study, AgentsPlan.load(chosen.preset))
     chosen.work.mkdir(parents=True, exist_ok=True)
     study = store.results("run")
-    claims = ClaimTable.from_json((chosen.study / CLAIMS).read_text("utf-8"))
+    learned = (
+        ClaimTable.from_json((chosen.study / CLAIMS).read_text("utf-8")),
+        HonestModel.from_json((chosen.study / HONEST_MODEL).read_text("utf-8")),
+    )
     found: dict[str, dict[int, list[Run]]] = {name: {} for name in (*LINKS, *SPOOFED)}
-    for number in range(min(chosen.scenes, store.plan.test)):
+    for number in range(min(max(chosen.scenes, chosen.spoofed), store.plan.test)):
         scene = Scene.load(scene_path(store.folder, "test", number))
         seed = (store.plan.seed, "test", number)
         # Each scene is tried with nobody lying, and with two of the lies in turn.
         cases = (HONEST, CASES[number % len(CASES)], CASES[(number + 3) % len(CASES)])
-        for name, link in LINKS.items():
+        for name, link in LINKS.items() if number < chosen.scenes else ():
             path = chosen.work / f"{name.replace(' ', '_')}-{number:04d}.json"
-            found[name][number] = kept(path, partial(run_cases, scene, cases, seed, claims, link, None))
-        for who in SPOOFED:
+            found[name][number] = kept(path, partial(run_cases, scene, cases, seed, learned, link, None))
+        for who in SPOOFED if number < chosen.spoofed else ():
             path = chosen.work / f"spoofed_{who or 'nobody'}-{number:04d}.json"
             spoofing = Spoofing(store.plan, number, who)
-            found[who][number] = kept(path, partial(run_cases, scene, ("fabricate",), seed, claims, Link(), spoofing))
+            found[who][number] = kept(path, partial(run_cases, scene, ("fabricate",), seed, learned, Link(), spoofing))
         print(f"scene {number}", flush=True)
     scored = {name: scored_runs(store.plan, study, runs) for name, runs in found.items()}
     text = page_of(scored, AgentsResults(store.plan, study))
@@ -179,15 +194,15 @@ def with_car(sweep: Sweep, place: Floats, rng: np.random.Generator) -> Sweep:
 
 
 def run_cases(
-    scene: Scene, cases: Sequence[str], seed: tuple[int, str, int], claims: ClaimTable, link: Link,
+    scene: Scene, cases: Sequence[str], seed: tuple[int, str, int], learned: Learned, link: Link,
     spoofing: Spoofing | None,
 ) -> list[Run]:  # fmt: skip
     """Return what the cases of a scene come to over a link."""
-    return [run_case(scene, case, seed, claims, link, spoofing) for case in cases]
+    return [run_case(scene, case, seed, learned, link, spoofing) for case in cases]
 
 
 def run_case(
-    scene: Scene, case: str, seed: tuple[int, str, int], claims: ClaimTable, link: Link, spoofing: Spoofing | None
+    scene: Scene, case: str, seed: tuple[int, str, int], learned: Learned, link: Link, spoofing: Spoofing | None
 ) -> Run:
     """Return what a case of a scene comes to over a link; liars and lies are those of the study."""
     rng, noise = generator(*seed, case), generator(*seed, case, "link")
@@ -196,7 +211,7 @@ def run_case(
     liars = None if lie is None else Liars(lie, tuple(order[: lie.liars]), -1, rng)
     radio = Radio(noise, RadioFaults(loss=link.loss, delay_s=link.late_s))
     here, ends = radio.join("center"), [radio.join(agent) for agent in scene.agents]
-    center = CommandCenter(scene.agents, claims=claims)
+    center = CommandCenter(scene.agents, claims=learned[0], honest=learned[1])
     said: list[dict[int, AgentReport]] = []
     evidence, doubt, trust, suspects = [], [], [], []
     for time, t_s in enumerate(scene.times_s.tolist()):
@@ -289,29 +304,39 @@ def page_of(scored: dict[str, list[ScoredRun]], study: AgentsResults) -> str:
     honest = {name: np.concatenate([one.score for one in runs]) for name, runs in benign.items() if runs}
     clear = next(iter(LINKS))
 
-    def area(name: str, case: str, against: str) -> float:
-        runs = [one for one in scored[name] if one.run.case == case]
+    def area(name: str, cases: Sequence[str], against: str) -> float:
+        runs = [one for one in scored[name] if one.run.case in cases]
         scores = [one.score[one.run.liars] for one in runs]
         return auroc(np.concatenate(scores), honest[against]) if scores else float("nan")
 
     rows, means = [], {}
     for name in LINKS:
         accused = [float(study.accused(one).any()) for one in benign[name]]
-        areas = [area(name, case, name) for case in CASES]
-        means[name] = float(np.mean(areas))
+        areas = [area(name, cases, name) for cases in (*GROUPS.values(), CASES)]
+        means[name] = areas[-1]
         rows.append([
-            name, *(f"{one:.3f}" for one in areas), f"{means[name]:.3f}", f"{means[clear] - means[name]:+.3f}",
+            name, *(f"{one:.3f}" for one in areas), f"{means[clear] - means[name]:+.3f}",
             share(accused, [1.0] * len(accused)),
         ])  # fmt: skip
     limit = float(np.quantile(honest[clear], 1.0 - FALSE_ALARMS))
     spoofed = []
     for who, words in SPOOFED.items():
+        if not scored[who]:
+            continue
         caught = [float((one.score[one.run.liars] > limit).any()) for one in scored[who]]
         accused = [float(np.delete(study.accused(one), one.run.liars).any()) for one in scored[who]]
         spoofed.append([
-            words, f"{area(who, 'fabricate', clear):.3f}", share(caught, [1.0] * len(caught)),
+            words, f"{area(who, ('fabricate',), clear):.3f}", share(caught, [1.0] * len(caught)),
             share(accused, [1.0] * len(accused)),
         ])  # fmt: skip
+    of_spoofed = (
+        "## False objects, with LiDARs spoofed",
+        f"""One of five reports three cars that are not there; from the same time on the LiDAR of the liar, or of the
+honest agent that is nearest to one of them (within {WITHIN_M:g} m), is spoofed with the returns of a car at that place.
+*Found*: the liar scores higher than 97 % of the honest agents of scenes without lies; to reach: ≥ .95 at 3 % false
+alarms, CAD .915.""",
+        table(["false objects", "AUROC", "found at 3 %", "honest ones accused"], spoofed),
+    )
     scenes = len(benign[clear])
     return page(
         "Many agents with poor poses and poor links",
@@ -324,16 +349,11 @@ limits are the study's own, from scenes without these faults.""",
         f"""*Poses*: of each report anew, standard deviation of x, y and heading. *Lost*: at random, by the radio of
 `viewshed.messages.transport`. Reports carry their times: a center that waits 200 ms puts late ones together by these,
 and the delay costs nothing but the wait. *Taken as new*: it does not, and all reports but the first car's are of 200 ms
-ago. AUROC of a liar against honest agents with the same fault; the mean over lies is to lose ≤ .03, and an honest agent
+ago. AUROC of a liar against honest agents with the same fault; over all lies it is to lose ≤ .03, and an honest agent
 is to be accused (at {100 * study.rate:.3g} %, nobody lies) in ≤ .015 of the scenes. In brackets 95 % intervals over
 scenes.""",
-        table(["fault", *CASES, "mean", "loss", "honest accused"], rows),
-        "## False objects, with LiDARs spoofed",
-        f"""One of five reports three cars that are not there; from the same time on the LiDAR of the liar, or of the
-honest agent that is nearest to one of them (within {WITHIN_M:g} m), is spoofed with the returns of a car at that place.
-*Found*: the liar scores higher than 97 % of the honest agents of scenes without lies; to reach: ≥ .95 at 3 % false
-alarms, CAD .915.""",
-        table(["false objects", "AUROC", "found at 3 %", "honest ones accused"], spoofed),
+        table(["fault", *(f"lies about {name}" for name in GROUPS), "all", "loss", "honest accused"], rows),
+        *(of_spoofed if spoofed else ()),
     )
 
 

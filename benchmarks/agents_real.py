@@ -19,7 +19,7 @@ from viewshed._page import facts, page, table
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fusion.many import AgentReport, CommandCenter, joint_fov, match_agents
-from viewshed.fusion.trust import trust_limits
+from viewshed.fusion.rounds import judged
 from viewshed.fusion.view_checks import ClaimedView, misplaced
 from viewshed.geometry import Rigid
 from viewshed.io import read_index, read_indexed, read_sweep
@@ -121,14 +121,12 @@ def report_of(sweep: Sweep, agent: str, pose: Rigid | None = None) -> AgentRepor
 
 def found_in(rounds: Sequence[Round]) -> Found:
     """Return what a center and the pairs of agents make of some rounds."""
-    names, limits = tuple(report.agent for report in rounds[0]), trust_limits()
-    rate = max(0.01, limits.least_rate)
-    found, center = Found(), CommandCenter(names)
+    found, center = Found(), CommandCenter(tuple(report.agent for report in rounds[0]))
     for number, reports in enumerate(rounds):
-        picture = center.add(0.5 * number, reports)
+        accused, disputed = judged(center.add(0.5 * number, reports).verdicts)
         found.rounds += 1
-        found.accused += bool(limits.accused(picture.verdicts, rate).any())
-        found.disputed += bool(limits.disputed(picture.verdicts, rate).any())
+        found.accused += bool(accused.any())
+        found.disputed += bool(disputed.any())
         joint = joint_fov(
             [report.estimate for report in reports], reports[0].estimate.grid, reports[0].world_from_level
         )
