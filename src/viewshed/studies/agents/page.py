@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from scipy.stats import binomtest
 from viewshed._page import Table, facts, to_markdown
 from viewshed.fusion.trust import TrustLimits, Verdicts
 from viewshed.fusion.view_checks import VIEW_CHECKS, ViewScale, view_doubt
-from viewshed.integrity.score import SurpriseScale
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
@@ -39,7 +38,7 @@ class ScoredRun:
     Attributes:
         scene: number of the scene.
         run: what it came to.
-        score: (A,) surprise of the evidence of the reports and of the doubt of the view, their odds added.
+        score: (A,) surprise of the evidence of the reports or of the doubt of the view, the larger one.
         by_time: (T, A) the same up to each time; the doubt of the view is that of the whole scene.
         views: (A,) doubt of the view alone.
         evidence: (A,) evidence of the reports alone, the largest over time.
@@ -51,6 +50,37 @@ class ScoredRun:
     by_time: Floats
     views: Floats
     evidence: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tail:
+    """How rare a number is among honest ones: as counted, and beyond one in ten by an exponential tail.
+
+    So that what is far beyond all honest numbers is ever more surprising, in whichever unit it is measured.
+
+    Attributes:
+        values: (N,) honest numbers, ascending.
+        begin: where one in ten is larger.
+        excess: mean of what these are beyond it.
+    """
+
+    values: Floats
+    begin: float
+    excess: float
+
+    @classmethod
+    def fit(cls, values: Floats) -> Self:
+        """Return the tail of honest numbers (N,)."""
+        begin = float(np.quantile(values, 0.9))
+        beyond = values[values > begin] - begin
+        return cls(np.sort(values), begin, max(float(beyond.mean()) if beyond.size else 0.0, 1e-6))
+
+    def __call__(self, values: Floats) -> Floats:
+        """Return -log10 of the share of honest numbers that are as large as each of the values (…,)."""
+        share = (1.0 + len(self.values) - np.searchsorted(self.values, values, "left")) / (1.0 + len(self.values))
+        beyond = 1.0 + np.maximum(values - self.begin, 0.0) / (self.excess * np.log(10.0))
+        surprise: Floats = np.where(values > self.begin, beyond, np.minimum(-np.log10(share), 1.0))
+        return surprise
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,23 +121,26 @@ class AgentsResults:
         return np.maximum.accumulate(np.array(run.evidence), axis=0), np.where(self.elevated, elevated, low)
 
     @cached_property
-    def surprises(self) -> tuple[SurpriseScale, SurpriseScale]:
-        """How rare evidence of reports and doubt of views are where nobody lies."""
+    def tails(self) -> tuple[tuple[Tail, Tail], tuple[Tail, Tail]]:
+        """How rare evidence of reports and doubt of views are where nobody lies, of low and of elevated sensors."""
         found = [self._numbers(run) for _, run in self.runs("claims")]
-        evidence, views = np.concatenate([one[-1] for one, _ in found]), np.concatenate([two for _, two in found])
-        return SurpriseScale.fit(evidence[:, None, None]), SurpriseScale.fit(views[:, None, None])
+        evidence, views = np.stack([one[-1] for one, _ in found]), np.stack([two for _, two in found])
+        low, elevated = (
+            (Tail.fit(evidence[:, kind].ravel()), Tail.fit(views[:, kind].ravel()))
+            for kind in (~self.elevated, self.elevated)
+        )
+        return low, elevated
 
     def scored(self, split: str) -> list[ScoredRun]:
         """Return the runs of a split with their scores."""
-        of_reports, of_views = self.surprises
+        (of_reports, of_views), elevated = self.tails
         out = []
         for scene, run in self.runs(split):
             evidence, views = self._numbers(run)
-            # What is rarer counts: odds are added.
-            by_time = np.logaddexp(
-                np.log(10.0) * of_reports(evidence.reshape(-1, 1, 1)).reshape(evidence.shape),
-                np.log(10.0) * of_views(views[:, None, None])[:, 0, 0],
-            ) / np.log(10.0)  # fmt: skip
+            reports = np.where(self.elevated, elevated[0](evidence), of_reports(evidence))
+            seen = np.where(self.elevated, elevated[1](views), of_views(views))
+            # The rarer of both counts: a lie about objects leaves the view as it was, and the other way round.
+            by_time = np.maximum(reports, seen)
             out.append(ScoredRun(scene, run, by_time[-1], by_time, views, evidence[-1]))
         return out
 
