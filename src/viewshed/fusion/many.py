@@ -339,7 +339,7 @@ class CommandCenter:
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
             model.invented(invented_columns(said)[0]), model.displaced(displaced_columns(said)[0]), there, prior, xy_m,
-            std_m,
+            std_m, said.elevated,
         )  # fmt: skip
 
 

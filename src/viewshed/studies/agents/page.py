@@ -54,32 +54,35 @@ class ScoredRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tail:
-    """How rare a number is among honest ones: as counted, and beyond one in ten by an exponential tail.
+    """How rare a number is among honest ones: as counted, and straight on beyond what half of the scenes reach.
 
-    So that what is far beyond all honest numbers is ever more surprising, in whichever unit it is measured.
+    So that what is far beyond all honest numbers is ever more surprising, in whichever unit it is measured. The unit is
+    the distance from the median of the scenes' largest numbers to one in ten of them: no single scene decides on it.
 
     Attributes:
         values: (N,) honest numbers, ascending.
-        begin: where one in ten is larger.
-        excess: mean of what these are beyond it.
+        begin: median of the largest ones of each scene.
+        unit: from there to what one scene in ten reaches.
     """
 
     values: Floats
     begin: float
-    excess: float
+    unit: float
 
     @classmethod
     def fit(cls, values: Floats) -> Self:
-        """Return the tail of honest numbers (N,)."""
-        begin = float(np.quantile(values, 0.9))
-        beyond = values[values > begin] - begin
-        return cls(np.sort(values), begin, max(float(beyond.mean()) if beyond.size else 0.0, 1e-6))
+        """Return the tail of the honest numbers (S, A) of several scenes."""
+        begin, tenth = np.quantile(values.max(axis=1), (0.5, 0.9))
+        return cls(np.sort(values, axis=None), float(begin), max(float(tenth - begin), 1e-6))
 
     def __call__(self, values: Floats) -> Floats:
-        """Return -log10 of the share of honest numbers that are as large as each of the values (…,)."""
+        """Return -log10 of the share of honest numbers that are as large as each of the values (…,), at most 1, ...
+
+        ... and a unit more for each unit beyond.
+        """
         share = (1.0 + len(self.values) - np.searchsorted(self.values, values, "left")) / (1.0 + len(self.values))
-        beyond = 1.0 + np.maximum(values - self.begin, 0.0) / (self.excess * np.log(10.0))
-        surprise: Floats = np.where(values > self.begin, beyond, np.minimum(-np.log10(share), 1.0))
+        beyond = np.maximum(values - self.begin, 0.0) / self.unit
+        surprise: Floats = np.minimum(-np.log10(share), 1.0) + beyond
         return surprise
 
 
@@ -126,8 +129,7 @@ class AgentsResults:
         found = [self._numbers(run) for _, run in self.runs("claims")]
         evidence, views = np.stack([one[-1] for one, _ in found]), np.stack([two for _, two in found])
         low, elevated = (
-            (Tail.fit(evidence[:, kind].ravel()), Tail.fit(views[:, kind].ravel()))
-            for kind in (~self.elevated, self.elevated)
+            (Tail.fit(evidence[:, kind]), Tail.fit(views[:, kind])) for kind in (~self.elevated, self.elevated)
         )
         return low, elevated
 
@@ -156,22 +158,27 @@ class AgentsResults:
 
     @cached_property
     def limits(self) -> TrustLimits:
-        """Who is accused: limits of the most suspicious agent of each calibration scene."""
-        evidence = np.array([one.score.max() for one in self.calibration])
-        return TrustLimits.of(evidence, np.array([max(one.run.doubt) for one in self.calibration]))
+        """Who is accused: limits of the most suspicious agent of each kind of each calibration scene."""
+        scores = np.array([one.score for one in self.calibration])
+        doubt = np.array([max(one.run.doubt) for one in self.calibration])
+        return TrustLimits.of(scores[:, ~self.elevated].max(axis=1), scores[:, self.elevated].max(axis=1), doubt)
 
     @property
     def rate(self) -> float:
         """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
         return max(RATE, self.limits.least_rate)
 
+    def _verdicts(self, one: ScoredRun, score: Floats, doubt: float) -> Verdicts:
+        agents, suspects = len(score), np.array(one.run.suspects[-1], np.bool_)
+        return Verdicts(score, doubt, np.ones(agents), np.zeros(0, np.int64), np.zeros(0), suspects, self.elevated)
+
     def accused(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is accused (A,) in a run at ``rate``, at any time."""
-        return self.limits.accused(_verdicts(one.score, max(one.run.doubt), one), self.rate)
+        return self.limits.accused(self._verdicts(one, one.score, max(one.run.doubt)), self.rate)
 
     def disputed(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is disputed (A,) in a run at its end."""
-        return self.limits.disputed(_verdicts(one.score, max(one.run.doubt), one), self.rate)
+        return self.limits.disputed(self._verdicts(one, one.score, max(one.run.doubt)), self.rate)
 
     @cached_property
     def benign(self) -> list[ScoredRun]:
@@ -246,7 +253,7 @@ class AgentsResults:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
         for time, score in enumerate(np.maximum.accumulate(one.by_time, axis=0)):
             t_s = (time + 0.5) / self.plan.hz
-            if t_s >= ONSET_S and self.limits.accused(_verdicts(score, 0.0, one), self.rate)[one.run.liars].any():
+            if t_s >= ONSET_S and self.limits.accused(self._verdicts(one, score, 0.0), self.rate)[one.run.liars].any():
                 return t_s - ONSET_S
         return float("inf")
 
@@ -402,12 +409,6 @@ class AgentsResults:
                 sign = "≤" if below else "≥"
                 lines.append([what, f"{sign} {bound:g}", format_rate(figure), "met" if met else "missed"])
         return Table(("what", "target", "reached", ""), lines)
-
-
-def _verdicts(score: Floats, doubt: float, one: ScoredRun) -> Verdicts:
-    agents = len(score)
-    suspects = np.array(one.run.suspects[-1], np.bool_)
-    return Verdicts(score, doubt, np.ones(agents), np.zeros(0, np.int64), np.zeros(0), suspects)
 
 
 def _counts(run: Run, plan: AgentsPlan) -> bool:
