@@ -6,12 +6,15 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fusion.cells import SeenCells
+from viewshed.fusion.evidence import EvidenceModel
 from viewshed.fusion.explained import ExplainedTracks
 from viewshed.fusion.sensor_view import Observed, SensorView
 from viewshed.fusion.single import SingleFusion
@@ -58,8 +61,8 @@ class SeenObjects:
 
 @dataclass(slots=True, eq=False)
 class _Agent:
+    fusion: SingleFusion
     tracker: Tracker = field(default_factory=Tracker)
-    fusion: SingleFusion = field(default_factory=SingleFusion)
     last_s: float = -PERIOD_S
 
 
@@ -78,6 +81,7 @@ class ObjectStream:
     Args:
         detector: finds the objects; None is the usual one.
         tamper: an attack on the detections, for trials; None for none.
+        model: what evidence is worth for this detector; None is the table in the box.
         clock: of the time that it takes.
 
     Raises:
@@ -88,10 +92,12 @@ class ObjectStream:
         self,
         detector: Detector | None = None,
         tamper: Tamper | None = None,
+        model: EvidenceModel | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._detector = Detector() if detector is None else detector
         self._tamper, self._clock, self._found = tamper, clock, detection_table().prob
+        self._model = stream_model() if model is None else model
         self._agents: OrderedDict[str, _Agent] = OrderedDict()
         self._agent("")  # what is not installed is said now
         self.reset()
@@ -149,8 +155,15 @@ class ObjectStream:
         return detections, (tracks, found, (seen,))
 
     def _agent(self, name: str) -> _Agent:
-        agent = self._agents.pop(name, None) or _Agent()
+        agent = self._agents.pop(name, None) or _Agent(SingleFusion(self._model))
         self._agents[name] = agent
         while len(self._agents) > AGENTS:
             self._agents.popitem(last=False)
         return agent
+
+
+@lru_cache(maxsize=1)
+def stream_model() -> EvidenceModel:
+    """Return the model in the box: of benign drives with the package's detector (``tools/fit_object_stream.py``)."""
+    with resources.as_file(resources.files("viewshed.fusion").joinpath("object_stream.json")) as path:
+        return EvidenceModel.load(path)
