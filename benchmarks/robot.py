@@ -41,6 +41,9 @@ PAGE = ROOT / "docs" / "results" / "robot.md"
 COSTMAP = PAGE.with_name("costmap.png")
 SEED = 20_261_123
 REPLAY_S, HZ = 30.0, 10.0
+MOST_DROPPED = 0.01
+"""Of the clouds at a rate that a node keeps up with."""
+
 STEP_NS = 100_000_000
 
 Found = dict[str, Any]
@@ -86,8 +89,8 @@ def main() -> None:
 
 
 _NODE_TEXT = """From publishing a cloud to receiving `visibility`, in two processes, default QoS. *Under way* is how
-many clouds are on their way at once: with one, the latency; with more, the rate that the node keeps up with;
-*dropped* are those that newer ones replaced before their turn, or that the profile of sensor data lost.
+many clouds are on their way at once; *dropped* are those that newer ones replaced before their turn, or that the
+profile of sensor data lost. The node keeps up with the highest rate at which at most 1 % is dropped.
 *Processor* is the time that the node's process uses for a sweep, all its threads together; it tells what a machine
 that others use would reach without them."""
 _NODE_HEADER = [
@@ -224,7 +227,7 @@ def _node_rows(node: Sequence[Found]) -> Iterator[list[str]]:
                 found["case"], found["monitor"], str(found["under_way"]), f"{found['hz']:.0f}",
                 f"{found['p50_ms']:.1f}",
                 f"{found['p99_ms']:.1f}", f"{found['worst_ms']:.1f}", f"{found['processor_ms']:.1f}",
-                f"{found['memory_mb']:.0f}", _share(found),
+                f"{found['memory_mb']:.0f}", f"{_share(found):.1%}",
             ]  # fmt: skip
         elif "cores" in found:
             hz = f"{found['hz']:.1f} to {found['hz_most']:.1f}"
@@ -235,9 +238,15 @@ def _node_rows(node: Sequence[Found]) -> Iterator[list[str]]:
             ]  # fmt: skip
 
 
-def _share(found: Found) -> str:
-    """Return how many of the clouds were dropped, in percent."""
-    return f"{100 * found['dropped'] / (found['dropped'] + len(found['taken_ms'])):.1f} %"
+def _share(found: Found) -> float:
+    """Return the share of the clouds that were dropped."""
+    return float(found["dropped"] / max(found["dropped"] + len(found["taken_ms"]), 1))
+
+
+def _kept_up(node: Sequence[Found], case: str, monitor: str) -> float:
+    """Return the highest rate of a case at which at most one in a hundred is dropped; 0 where there is none."""
+    runs = [each for each in node if (each["case"], each.get("monitor")) == (case, monitor)]
+    return max((float(each["hz"]) for each in runs if _share(each) <= MOST_DROPPED), default=0.0)
 
 
 def _histograms(node: Sequence[Found]) -> Iterator[str]:
@@ -302,14 +311,14 @@ def _targets(node: Sequence[Found], replayed: Found) -> Iterator[list[str]]:
         for monitor, most in (("always", {"35k": 100, "120k": 60}), ("never", {"35k": 200, "120k": 100})):
             words = "with monitor" if monitor == "always" else "without monitor"
             for size, hz in most.items():
-                reached = by_case[size, monitor, 3]["hz"]
+                reached = _kept_up(node, size, monitor)
                 yield _target(f"node, {size}, {words}", f"≥ {hz} Hz", f"{reached:.0f} Hz", reached >= hz)
         for size in ("35k", "120k"):
             found = by_case[size, "always", 1]
             ratio = found["p99_ms"] / found["p50_ms"]
             yield _target(f"node, {size}: 99 % of the latencies", "≤ 2 × median", f"{ratio:.1f} ×", ratio <= 2.0)
         for monitor, words in (("never", "without monitor"), ("always", "with monitor")):
-            reached = by_case["LaserScan", monitor, 3]["hz"]
+            reached = _kept_up(node, "LaserScan", monitor)
             yield _target(f"LaserScan of 1,080 beams, {words}", "≥ 500 Hz", f"{reached:.0f} Hz", reached >= 500)
         vlp16, agents = by_case["VLP-16", None, None], by_case["10 agents", None, None]
         share, memory = 100.0 * vlp16["cores"], vlp16["memory_mb"]

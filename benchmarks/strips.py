@@ -26,6 +26,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fusion.cells import SeenCells
 from viewshed.fusion.claims import claim_table
 from viewshed.fusion.explained import ExplainedTracks
+from viewshed.fusion.honest import honest_model
 from viewshed.fusion.legend import LEGEND
 from viewshed.fusion.many import joint_fov
 from viewshed.fusion.object_stream import ObjectStream
@@ -40,7 +41,7 @@ from viewshed.perception.matching import corners_of
 from viewshed.plot import COLORS
 from viewshed.preprocess.leveling import level
 from viewshed.studies.agents.plan import ONSET_S, AgentsPlan
-from viewshed.studies.agents.runs import Run, run_case
+from viewshed.studies.agents.runs import Run, SceneCases
 from viewshed.studies.agents.scenes import Scene
 from viewshed.threats.adversary import Adversary
 from viewshed.tracking.published import PublishedRules
@@ -273,7 +274,7 @@ def _flipped(plan: AgentsPlan, work: Path) -> tuple[Scene, Run]:
     if not path.exists():
         Scene.simulate(plan.scene("test", 0), Detector()).save(path)
     scene = Scene.load(path)
-    return scene, run_case(scene, FLIP, (plan.seed, "test", 0), claim_table())
+    return scene, SceneCases(scene, (plan.seed, "test", 0), claim_table(), honest_model()).run(FLIP)
 
 
 def _trusts(run: Run) -> dict[str, Floats]:

@@ -3,6 +3,7 @@
 import ast
 import json
 import re
+import shutil
 from pathlib import Path
 
 import docs_site
@@ -96,6 +97,20 @@ def test_messages_of_the_questions_page_are_those_of_the_code() -> None:
     words = _literals()
     assert len(parts) > 30
     assert [part for part in parts if len(part) > 8 and part not in words] == []
+
+
+@pytest.mark.slow
+def test_the_tutorial_prints_what_it_says(real_data: Path, tmp_path: Path) -> None:
+    text = (DOCS / "tutorial.md").read_text("utf-8")
+    shutil.copy(real_data / docs_site.TUTORIAL_SWEEP, tmp_path)
+    fresh = docs_site.transcript(text, tmp_path)
+    assert _without_times(fresh) == _without_times(text), "python tools/docs_site.py writes it"
+
+
+def _without_times(text: str) -> str:
+    """A page without times, and of a monitor's line no more than its verdict: its calibration comes anew more often."""
+    text = re.sub(r"(INCONSISTENT|DEGRADED|nothing found) .*(\n  .*)*", r"\1", text)
+    return re.sub(r"[\d.]+ (?=ms|\|$)", "", text, flags=re.MULTILINE)
 
 
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))

@@ -40,7 +40,7 @@ NEEDS = [
     Need("velodyne_decoder", "info v.pcap",
          r"v.pcap: reading Velodyne packets needs velodyne-decoder: pip install 'viewshed\[packets\]'"),
     Need("rosbags", "record v.pcap --to made.bag", r"writing a bag needs rosbags: pip install 'viewshed\[bags\]'"),
-    Need("mcap", "record v.pcap --to made.mcap", r"writing MCAP needs mcap: pip install 'viewshed\[bags\]'"),
+    Need("lz4", "record v.pcap --to made.mcap", r"writing MCAP needs lz4: pip install 'viewshed\[bags\]'"),
     Need("foxglove", "replay v.pcap --as-fast --to made.mcap --schemas foxglove",
          r"writing Foxglove's schemas needs foxglove-sdk: pip install 'viewshed\[foxglove\]'"),
     Need("foxglove", "view v.pcap --foxglove 8765",

@@ -79,12 +79,16 @@ def picture(browser: Browser, frame: Shown, side: int) -> Image.Image:
     browser.value(f"show({frame.number})")
     browser.wait_for(f"current === {frame.number} && element('sweep').textContent.startsWith('{frame.number + 1} of')")
     address = str(browser.value("map.toDataURL('image/png')"))
-    drawn = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))).convert("RGB")
+    drawn = Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2])))
+    # The grid is the square in the middle of the canvas, which has no background of its own.
+    edge = min(drawn.size)
+    left, top = (drawn.width - edge) // 2, (drawn.height - edge) // 2
+    square = drawn.crop((left, top, left + edge, top + edge)).resize((side, side), Image.Resampling.LANCZOS)
     page = Canvas.blank(side, side + _HEAD)
-    page.text((6, 18), frame.agent, 10, bold=True)
+    page.text((6, 18), frame.agent.partition("/")[0], 10, bold=True)
     page.text((6, 38), f"{frame.time_s:.1f} s · sees {frame.visible_m2:,.0f} m²", 9)
     whole = Image.fromarray(page.pixels())
-    whole.paste(drawn.resize((side, side), Image.Resampling.LANCZOS), (0, _HEAD))
+    whole.paste(square, (0, _HEAD), square if square.mode == "RGBA" else None)
     return whole
 
 

@@ -9,8 +9,13 @@ from __future__ import annotations
 import base64
 import json
 import math
+import os
 import re
+import shlex
+import shutil
 import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -21,8 +26,15 @@ from viewshed._page import table
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
-ELSEWHERE = {"contributing": "CONTRIBUTING.md", "core": "src/core/README.md", "changes": "CHANGELOG.md"}
-"""Pages below ``contribute/`` that stand elsewhere in the repository."""
+TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
+"""The real sweep of the tutorial, in the folder of real sweeps."""
+ELSEWHERE = {
+    "contribute/contributing.md": "CONTRIBUTING.md",
+    "contribute/core.md": "src/core/README.md",
+    "contribute/changes.md": "CHANGELOG.md",
+    "reference/ros_node.md": "ros/viewshed_ros/README.md",
+}
+"""Pages of the site that stand elsewhere in the repository."""
 
 
 # What mkdocs calls.
@@ -47,18 +59,18 @@ def on_files(files: Any, config: Any) -> Any:
         files.append(File.generated(config, file.src_uri.replace(".ipynb", ".md"), content=text))
         for name, content in pictures.items():
             files.append(File.generated(config, f"{Path(file.src_uri).parent}/{name}", content=content))
-    for name, path in ELSEWHERE.items():
+    for page, path in ELSEWHERE.items():
         text = re.sub(r"\]\((\.\./)*docs/", "](../", (ROOT / path).read_text(encoding="utf-8"))
         for other, place in ELSEWHERE.items():
-            text = text.replace(f"]({place})", f"]({other}.md)")
-        files.append(File.generated(config, f"contribute/{name}.md", content=text))
+            text = text.replace(f"]({place})", f"](../{other})")
+        files.append(File.generated(config, page, content=text))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Write generated tables into a page, and turn its links to files elsewhere into those to their pages."""
-    for name, path in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{path})", f"](contribute/{name}.md)")
+    for page, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{path})", f"]({page})")
     return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
 
 
@@ -244,7 +256,40 @@ def methods() -> str:
     return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
 
 
-if __name__ == "__main__":
+# The tutorial.
+
+
+def transcript(text: str, folder: Path) -> str:
+    """Return a page with what its commands print: lines of console blocks that begin with ``$``, run in a folder."""
+    return re.sub(
+        r"(?<=^```console\n).*?(?=^```)", lambda block: _run(block[0], folder), text, flags=re.MULTILINE | re.DOTALL
+    )
+
+
+def _run(block: str, folder: Path) -> str:
+    program = [sys.executable, "-c", "import sys; from viewshed.cli import main; sys.argv[0] = 'viewshed'; main()"]
+    printed = ""
+    for line in re.findall(r"^\$ .*", block, re.MULTILINE):
+        command = [*program, *shlex.split(line)[2:]]
+        done = subprocess.run(
+            command, cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        printed += f"{line}\n{done.stdout.replace(f'{folder}/', '')}"
+    return printed
+
+
+def main() -> None:
+    """Write anew what pages take from results and from commands; the tutorial where its real sweep is to be had."""
     page = ROOT / "docs" / "which_method.md"
     kept = re.compile(r"(<!-- methods: .*? -->\n).*?(<!-- end of methods -->)", re.DOTALL)
     page.write_text(kept.sub(rf"\g<1>{methods()}\n\g<2>", page.read_text(encoding="utf-8")), encoding="utf-8")
+    sweep = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT / ".." / "shared" / "data"), TUTORIAL_SWEEP)
+    if sweep.is_file():
+        page = ROOT / "docs" / "tutorial.md"
+        with tempfile.TemporaryDirectory() as folder:
+            shutil.copy(sweep, folder)
+            page.write_text(transcript(page.read_text(encoding="utf-8"), Path(folder)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,10 +1,11 @@
 """The first hour of a user, run word for word in an empty home: install, the README's questions, a sweep of one's own.
 
-    python tools/first_hour.py [--wheel FILE] [--times 3] [--page docs/first_hour.md]
+    python tools/first_hour.py [--wheel FILE | --installed BIN] [--times 3] [--page docs/first_hour.md]
 
 Each time begins with an empty home and nothing of the caller's environment. Without ``--wheel`` a fresh copy of the
 checkout is taken and ``make demo`` is run in it, as the README says; with it, the wheel is installed into an empty
-environment. Then come the README's other commands as they stand there. The transcript of the last time is the page.
+environment; ``--installed`` names the folder of an environment's programs and installs nothing. Then come the README's
+other commands as they stand there, on a terminal. The transcript of the last time is the page.
 Exit code 1 where a command failed, printed a traceback or left out a file that it named.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import pty
 import re
 import subprocess
 import sys
@@ -49,21 +51,41 @@ class Home:
     typed: list[Typed] = field(default_factory=list)
 
     def type(self, command: str, cwd: Path) -> Typed:
-        """Run a command as a shell would, with nothing in its environment but HOME and PATH."""
+        """Run a command on a terminal as a shell would, with nothing in its environment but HOME and PATH."""
         words = ["bash", "-c", command]
-        env = {"HOME": str(self.folder), "PATH": self.path, "LANG": "C.UTF-8", "COLUMNS": "100"}
+        env = {"HOME": str(self.folder), "PATH": self.path, "LANG": "C.UTF-8", "TERM": "xterm"}
         began = last = time.monotonic()
         silent, parts = 0.0, []
-        with subprocess.Popen(words, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as running:
-            assert running.stdout is not None
-            while piece := os.read(running.stdout.fileno(), 65536):
+        ours, theirs = pty.openpty()
+        with subprocess.Popen(words, cwd=cwd, env=env, stdin=theirs, stdout=theirs, stderr=theirs) as running:
+            os.close(theirs)
+            while piece := _piece(ours):
                 silent, last = max(silent, time.monotonic() - last), time.monotonic()
                 parts.append(piece)
+        os.close(ours)
         silent, ended = max(silent, time.monotonic() - last), time.monotonic()
-        text = b"".join(parts).decode(errors="replace").replace(str(self.folder), "~")
+        text = shown(b"".join(parts).decode(errors="replace")).replace(str(self.folder), "~")
         done = Typed(command, text.rstrip(), running.returncode, ended - began, silent)
         self.typed.append(done)
         return done
+
+
+def _piece(terminal: int) -> bytes:
+    """Return what was printed, or nothing when the program has ended."""
+    try:
+        return os.read(terminal, 65536)
+    except OSError:  # how Linux says that nobody has the other end
+        return b""
+
+
+def shown(printed: str) -> str:
+    r"""Return what stays on a terminal: no escapes, and of a line that was written anew the last.
+
+    >>> shown("at work\r\x1b[Kdone\r\nnext\r\n")
+    'done\nnext\n'
+    """
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", printed).replace("\r\n", "\n")
+    return "\n".join(line.rpartition("\r")[2] for line in plain.split("\n"))
 
 
 def readme_commands() -> list[str]:
@@ -83,28 +105,30 @@ def faults(typed: Typed, cwd: Path) -> list[str]:
     return [f"{typed.command}: {one}" for one in found]
 
 
-def one_hour(wheel: Path | None, python: str) -> tuple[Home, list[str]]:
+def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[Home, list[str]]:
     """Run the first hour in a new home; return it and what went wrong."""
     home = Home(Path(tempfile.mkdtemp(prefix="home")), f"{Path(python).parent}:/usr/local/bin:/usr/bin:/bin")
     work, wrong = home.folder / "work", []
     work.mkdir()
     commands = [command for command in readme_commands() if not command.startswith("make ")]
-    if wheel is None:
+    if installed is not None:
+        home.path = f"{installed.resolve()}:{home.path}"
+    elif wheel is None:
         checkout = home.folder / "viewshed"
         checkout.mkdir()
         archived = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
         subprocess.run(["tar", "x"], input=archived, cwd=checkout, check=True)
         wrong += faults(home.type(f"make demo PYTHON={Path(python).name}", checkout), checkout)
-        install = f"{checkout}/.venv/bin/python -m pip install --quiet --disable-pip-version-check '{checkout}[sim]'"
+        install = f"{checkout}/.venv/bin/python -m pip install --disable-pip-version-check '{checkout}[sim]'"
         wrong += faults(home.type(install, work), work)
         home.path = f"{checkout}/.venv/bin:{home.path}"
     else:
         wrong += faults(home.type(f"{Path(python).name} -m venv ~/env", work), work)
-        install = f"~/env/bin/python -m pip install --quiet --disable-pip-version-check '{wheel}[sim]'"
+        install = f"~/env/bin/python -m pip install --disable-pip-version-check '{wheel}[sim]'"
         wrong += faults(home.type(install, work), work)
         home.path = f"{home.folder}/env/bin:{home.path}"
     own = ["viewshed info demo/sweep.pcd.bin.gz", "viewshed compare demo/sweep.pcd.bin.gz --out demo/compare.png",
-           "viewshed export demo/sweep.pcd.bin.gz --to nav2 --out demo", "viewshed"]  # fmt: skip
+           "viewshed export demo/sweep.pcd.bin.gz --to nav2_map --out demo", "viewshed"]  # fmt: skip
     for command in [*commands, *own]:
         wrong += faults(home.type(command, work), work)
     return home, wrong
@@ -123,13 +147,14 @@ def main() -> int:
     """Run the first hours and write the page; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--wheel", type=Path)
+    parser.add_argument("--installed", type=Path, help="programs of an environment that has viewshed already")
     parser.add_argument("--times", type=int, default=1)
     parser.add_argument("--python", default=sys.executable, help="the Python that the user has")
     parser.add_argument("--page", type=Path)
     given = parser.parse_args()
     wrong: list[str] = []
     for number in range(given.times):
-        home, found = one_hour(given.wheel and given.wheel.resolve(), given.python)
+        home, found = one_hour(given.wheel and given.wheel.resolve(), given.installed, given.python)
         wrong += found
         silent = [one.command for one in home.typed if one.silent_s > SILENT_S]
         print(f"time {number + 1} of {given.times}: {len(home.typed)} commands, {len(found)} wrong, "

@@ -32,6 +32,19 @@ The lines above say how high the sensor stands, how that is known, and how much 
 not seen. Scales are the same in all pictures."""
 
 
+_CLIP = """## Three vehicles at a junction
+
+![Thirty seconds of what each of three vehicles sees, side by side](assets/agents.webp)
+
+Simulated, thirty seconds. The commands that made it:
+
+```sh
+viewshed record sim --world junction --agents 3 --seconds 30 --hz 2 --to drive.mcap
+viewshed view drive.mcap --html run.html
+python tools/clip.py run.html docs/assets/agents.webp --side 300
+```"""
+
+
 @dataclass(frozen=True, slots=True)
 class Situation:
     """One picture of the gallery.
@@ -106,6 +119,7 @@ def main() -> int:
                 f"![{situation.title} on a dark page](assets/gallery/{situation.name}_dark.png)",
             ]
         print(f"{situation.name}: {line}", flush=True)
+    parts.append(_CLIP)
     text = page("Gallery: ten real situations", facts(command="`python tools/gallery.py FOLDER`"), *parts)
     write_atomic(given.out / "gallery.md", text.encode())
     return 0

@@ -30,7 +30,9 @@ from viewshed_ros.layers import LAYERS, View
 from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
-UNDER_WAY = 3
+UNDER_WAY = (1, 2, 3)
+"""Of one sensor at a time: with three, one for each thread that works and one that waits."""
+
 TOPIC_MESSAGES = 30
 SENSOR_HZ = 10.0
 
@@ -70,7 +72,7 @@ def _sweep(path: Path) -> Sweep:
 
 
 def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:
-    """Yield latency with one message under way, and the rate with three: one for each thread and one that waits."""
+    """Yield latencies and rates with so many messages under way."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
     if is_scan:
         parameters |= {"lidar.type": "scan", "grid": "indoor"}
@@ -80,7 +82,7 @@ def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan:
         load.wait_for_node()
         load.first_answer()
         load.run_closed(1.0, 2)
-        for under_way in (1, UNDER_WAY):
+        for under_way in UNDER_WAY:
             load.forget()
             before_s = processor_s(node.pid)
             passed_s = load.run_closed(seconds, under_way)

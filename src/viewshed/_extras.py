@@ -9,7 +9,7 @@ EXTRAS = {
     "numba": "sim", "scipy": "sim", "matplotlib": "sim",
     "pyarrow": "data",
     "torch": "train", "lightning": "train", "onnx": "train", "optuna": "train",
-    "rosbags": "bags", "mcap": "bags", "lz4": "bags", "zstandard": "bags",
+    "rosbags": "bags", "lz4": "bags", "zstandard": "bags",
     "rasterio": "geo",
     "foxglove": "foxglove", "rerun": "view",
     "velodyne_decoder": "packets",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.fusion.by_hand import CAR, GHOST, cells, model, tracks, view
+from tests.fusion.by_hand import CAR, GHOST, HandView, cells, model, tracks, view
 
 from viewshed.fusion.calibration import limits_of
 from viewshed.fusion.cells import SeenCells
@@ -155,6 +156,32 @@ def test_bad_input_is_refused_in_one_line() -> None:
     many = tracks(1.0, [CAR] * 2001, [False] * 2001)
     with pytest.raises(ValueError, match="tracks must be at most 2000 in one message, got 2001"):
         fusion.explain(*many, [view(1.0)])
+
+
+def test_without_poses_less_is_explained_and_it_says_so() -> None:
+    """A parked car jumps by 2.5 m: that may be the vehicle's own motion. A ghost is seen through all the same."""
+    fusion = SingleFusion(model())
+    for k, t_s in enumerate(TIMES[:20]):
+        box = CAR.copy()
+        box[1] += 2.5 if k >= 15 else 0.0
+        shown, found = tracks(t_s, [box, GHOST], [True, True])
+        here = replace(view(t_s), view=HandView(t_s, in_world=False))
+        explained = fusion.explain(replace(shown, in_world=False), found, [here])
+    assert explained.accused.tolist() == [False, True]
+    assert explained.notes == (
+        "no poses: nothing is said of sudden moves, and tracks that the tracker gave up are not held",
+    )
+    with pytest.raises(ValueError, match="views must be in the tracks' frame, the sensor's level frame, got another"):
+        fusion.explain(replace(shown, in_world=False), found, [view(shown.t_s)])
+
+
+def test_a_flood_of_tracks_is_bounded_work() -> None:
+    """As many tracks as are taken, in one place: each is explained, in less than a second of the processor."""
+    boxes = [CAR + np.array([0.01 * k, 0, 0, 0, 0, 0, 0]) for k in range(2000)]
+    fusion, began = SingleFusion(model()), time.thread_time()
+    explained = fusion.explain(*tracks(0.0, boxes, [k % 2 == 0 for k in range(2000)]), [view(0.0)])
+    assert len(explained) == len(explained.reasons) == 2000
+    assert time.thread_time() - began < 1.0
 
 
 def test_time_that_goes_back_begins_anew() -> None:

@@ -15,18 +15,19 @@ STD_M = 0.3
 def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | None = None, first: int = 0) -> Reports:
     """Return reports about objects that stand 20 m apart, with the noise of an honest detector.
 
-    Boxes lie on the surfaces of their views, as honest ones do; ``chance`` is that of an honest agent to report what
-    another one reports.
+    Boxes lie on the surfaces of their views, as honest ones do, and what one agent alone reports is as little odd as
+    that the others are silent; ``chance`` is that of an honest agent to report what another one reports.
     """
     count, agents = seen.shape
     xy_m = np.zeros((count, agents, 2)) + 20.0 * np.arange(first, first + count)[:, None, None]
     if rng is not None:
         xy_m += rng.normal(0.0, STD_M, xy_m.shape)
     able, odds = (chance > 0) | seen, np.clip(chance, 0.01, 0.99)
+    invented = np.full(seen.shape, -np.log(2 * (1 - TrustRules().false_report)))
+    there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
     return Reports(
-        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)), np.zeros((5, 3)),
-        np.zeros(seen.shape), np.full(seen.shape, -3.0), np.where(seen, 2.0, np.where(able, -2.0, 0.0)),
-        np.zeros(count), xy_m, np.full(seen.shape, STD_M),
+        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)), np.zeros((5, 3)), invented,
+        np.full(seen.shape, -3.0), there, np.zeros(count), xy_m, np.full(seen.shape, STD_M),
     )  # fmt: skip
 
 
@@ -93,15 +94,26 @@ def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
     assert after(4, [[1, 1, 1, 0]] * 3, seconds=60).evidence.max() > rules.most_of_object
 
 
-def test_a_box_that_its_own_view_does_not_know_convicts() -> None:
-    """Nobody contradicts: one agent's boxes lie where its own view has no surface."""
+def test_objects_that_look_invented_convict_where_nobody_contradicts() -> None:
     trust, seen = Trust(3), np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
     reports = reports_of(seen, np.where(seen, 0.95, 0.0))
-    displaced = np.where(seen & (np.arange(3) == 1), 4.0, -3.0)
+    invented = np.where(seen & (np.arange(3) == 1), 4.0, -2.0)
     for _ in range(3):
-        verdicts = trust.add(replace(reports, displaced=displaced), 1.0)
+        verdicts = trust.add(replace(reports, invented=invented), 1.0)
     assert verdicts.evidence.argmax() == 1
     assert verdicts.suspects.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("ratio", [-3.0, 5.0])
+def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_there(ratio: float) -> None:
+    reports = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95))
+    xy_m = reports.xy_m.copy()
+    xy_m[:, 1, 0] += 1.0
+    displaced = np.where(np.arange(3) == 1, ratio, reports.displaced)
+    trust = Trust(3)
+    for _ in range(3):
+        verdicts = trust.add(replace(reports, xy_m=xy_m, displaced=displaced), 1.0)
+    assert verdicts.suspects.tolist() == [False, ratio > 0, False]
 
 
 def test_many_mild_errors_count_less_than_few_gross_ones() -> None:

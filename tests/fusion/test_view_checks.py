@@ -28,7 +28,7 @@ from viewshed.fusion.view_checks import (
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections
-from viewshed.threats.view_attacks import VIEW_LIES, ViewLie
+from viewshed.threats.view_attacks import VIEW_LIES, ViewLie, with_objects, without_objects
 
 GRID = BevGrid(128, 32.0)
 
@@ -163,3 +163,22 @@ def test_lies_are_valid_views_and_change_what_they_say(name: str) -> None:
     assert moved == pytest.approx(1.0 if name == "shifted_pose" else 0.0, abs=1e-9)
     visible = (false.state == CellState.FREE) | (false.state == CellState.SURFACE)
     assert (false.visible() == visible).all()
+
+
+def test_a_forged_object_has_a_near_side_and_a_shadow_and_can_be_taken_away() -> None:
+    view = FovEstimate(GRID, np.full(GRID.shape, 0.9, np.float32), np.full(GRID.shape, CellState.FREE, np.uint8))
+    box = np.array([[10.0, 0.0, 0.8, 4.0, 2.0, 1.5, 0.0]])
+    forged = with_objects(view, box)
+
+    def at(x_m: float, y_m: float, of: FovEstimate = forged) -> int:
+        cells, _ = GRID.index(np.array([x_m, y_m]))
+        return int(of.state[cells[0], cells[1]])
+
+    # It stands from x = 8 to 12 m: its near side is seen, the rest and what lies behind is not.
+    assert at(8.2, 0.2) == CellState.SURFACE
+    assert at(11.2, 0.2) == at(20.2, 0.2) == CellState.HIDDEN
+    assert at(6.2, 0.2) == at(10.2, 4.2) == at(-10.2, 0.2) == CellState.FREE
+    assert not forged.visible()[forged.state == CellState.HIDDEN].any()
+    gone = without_objects(forged, box)
+    assert at(8.2, 0.2, gone) == at(11.2, 0.2, gone) == CellState.FREE
+    assert at(20.2, 0.2, gone) == CellState.HIDDEN  # nobody knows what it hid

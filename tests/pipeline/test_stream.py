@@ -228,3 +228,46 @@ def test_objects_are_followed_for_each_agent_and_an_error_costs_only_them() -> N
     assert car is not None
     assert truck is not None
     assert car.shown.sum() > truck.shown.sum()
+
+
+def test_an_agent_that_a_center_accuses_is_believed_only_where_it_is_confirmed() -> None:
+    answers: list[Answer] = []
+    answered = threading.Semaphore(0)
+
+    def publish(answer: Answer) -> None:
+        answers.append(answer)
+        answered.release()
+
+    with Pipeline(shadow_map(), publish, lossless=True) as pipeline:
+        for n in range(4):
+            pipeline.accuse({"liar"} if n in (1, 2) else ())
+            for agent in ("car", "liar"):
+                pipeline.put(at(0.1 * n), agent)
+                assert answered.acquire(timeout=30)
+    cautions = {agent: [a.reaction.caution for a in answers if a.agent == agent] for agent in ("car", "liar")}
+    assert set(cautions["car"]) == {Caution.KEEP}
+    assert cautions["liar"] == [Caution.KEEP, Caution.CONFIRMED, Caution.CONFIRMED, Caution.CONFIRMED]
+    accused = next(a for a in answers if a.agent == "liar" and a.reaction.caution == Caution.CONFIRMED)
+    assert accused.estimate is not None
+    assert accused.estimate.area_m2() == 0.0
+
+
+def test_a_suspicious_track_is_a_reason_to_ask() -> None:
+    pytest.importorskip("scipy", reason="scipy is not installed: nothing is tracked")
+    from viewshed.fusion.object_stream import ObjectStream
+    from viewshed.threats.adversary import Adversary
+
+    answers: list[Answer] = []
+    adversary = Adversary("fabricate_static", start_s=0.3, count=6, seed=1)
+    objects = ObjectStream(tamper=adversary.detections)
+    with Pipeline(shadow_map(), answers.append, objects=objects, lossless=True) as pipeline:
+        for n in range(12):
+            pipeline.put(at(0.1 * n, SWEEP))
+    suspicious = [
+        a.objects is not None and bool((a.objects.shown & a.objects.explained.accused).any()) for a in answers
+    ]
+    assert any(suspicious)
+    assert [a.reaction.caution == Caution.ASK for a, flag in zip(answers, suspicious, strict=True) if flag] == [
+        True
+    ] * sum(suspicious)
+    assert answers[0].reaction.caution == Caution.KEEP

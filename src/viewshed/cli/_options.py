@@ -28,14 +28,17 @@ GridName = Annotated[
 ]
 
 SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
-FormatName = Annotated[str, typer.Option("--format", help="File format; auto knows it by content and name.")]
-FrameName = Annotated[str | None, typer.Option("--file-frame", help="Axes of the file: sensor, nuscenes, carla, …")]
+FormatName = Annotated[str, typer.Option("--format", help="File format; auto tells it by content and name.")]
+FrameName = Annotated[
+    str | None,
+    typer.Option("--file-frame", help="Axes of the file's points: sensor (x forward, y left), nuscenes, carla, …"),
+]
 Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
 Origin = Annotated[
     str | None, typer.Option("--origin", help="Where the sensor stands in the file's frame, X,Y,Z in meters.")
 ]
 Topic = Annotated[
-    str | None, typer.Option("--topic", help="Of a bag with several: the topic whose clouds or scans are read.")
+    str | None, typer.Option("--topic", help="In a bag with several topics of clouds or scans: the one to read.")
 ]
 Poses = Annotated[
     Path | None,
@@ -45,20 +48,30 @@ Crs = Annotated[
     str | None,
     typer.Option("--crs", help="Reference system of the poses, or of the points with --origin: EPSG:25832."),
 ]
-Number = Annotated[int, typer.Option("--number", min=0, help="Which sweep of a file or recording of several, from 0.")]
-RingSource = Annotated[str, typer.Option("--ring", help="file: the ring column, where there is one; none: without it.")]
+Number = Annotated[
+    int, typer.Option("--number", min=0, help="In a file or recording of several sweeps: which one, counted from 0.")
+]
+RingSource = Annotated[
+    str,
+    typer.Option("--ring", help="file: take the rings of the file, if it has any; none: find them from the points."),
+]
 VehicleYaw = Annotated[
     float | None,
     typer.Option("--vehicle-yaw", help="Heading of the own vehicle in the sensor's frame, in degrees, if known."),
 ]
-Attitude = Annotated[str | None, typer.Option("--attitude", help="Unit quaternion W,X,Y,Z of level_from_sensor.")]
+Attitude = Annotated[
+    str | None,
+    typer.Option("--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that turns its axes level."),
+]
 Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
 TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
-Profile = Annotated[str, typer.Option("--profile", help="sound, or paper: the published parameters.")]
+Profile = Annotated[
+    str, typer.Option("--profile", help="Parameters of the method: sound (ours) or paper (as published).")
+]
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
-Workers = Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")]
-EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
+Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
+EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
 AUTO = "auto"
 
 NO_SENSOR = "none"
@@ -409,7 +422,10 @@ def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexE
         yield file, entry
 
 
-Weights = Annotated[str | None, typer.Option("--weights", help="Of a network: a file, or the name of shipped weights.")]
+Weights = Annotated[
+    str | None,
+    typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
+]
 Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
 Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
 
@@ -424,7 +440,8 @@ HistorySweeps = Annotated[
 RequireConfirmation = Annotated[
     bool,
     typer.Option(
-        "--require-confirmation", help="With --history: claim only what an earlier sweep would have seen as well."
+        "--require-confirmation",
+        help="With --history: call visible only what an earlier sweep would have seen as well.",
     ),
 ]
 
@@ -435,7 +452,8 @@ WithMonitor = Annotated[
 MonitorFile = Annotated[
     Path | None,
     typer.Option(
-        "--monitor-file", help="File of viewshed monitor calibrate: monitor with it, in place of the one in the box."
+        "--monitor-file",
+        help="Monitor made by viewshed monitor calibrate; without it, the one that comes with viewshed.",
     ),
 ]
 
@@ -445,7 +463,7 @@ AbstainBelow = Annotated[
     float | None,
     typer.Option(
         "--abstain-below",
-        help="Of a network: claim from this probability, deny up to 1 less it, leave the rest unknown.",
+        help="For a network: cells are visible from this probability, hidden below 1 minus it, else unknown.",
     ),
 ]
 

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 ProfileName = Annotated[
     str | None,
-    typer.Option("--profile", help="Settings by use: robot, infrastructure, mapping, contested; other options win."),
+    typer.Option(
+        "--profile",
+        help="Settings for a use: robot, infrastructure, mapping or contested; other options win over them.",
+    ),
 ]
 
 Value = TypeVar("Value")

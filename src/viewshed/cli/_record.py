@@ -66,6 +66,8 @@ class Listener:
         self._center = Center(adversary) if following.fuse else None
         self._adversary, self._forged = adversary, set[str]()
         self._metrics: TrackMetrics | None = None
+        self.on_accused: Callable[[frozenset[str]], None] = lambda agents: None
+        """Is given the agents that the center accuses, after each round."""
 
     def expect(self, number: int, awaited: Awaited) -> None:
         """Keep a sweep until its answer comes, or that of a later one of its agent."""
@@ -85,6 +87,8 @@ class Listener:
             said += "" if answer.objects is None else objects_line(answer.objects)
             typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{said}")
         done = None if self._center is None else self._center.take(answer)
+        if done is not None and self._center is not None:
+            self.on_accused(self._center.accused)
         if self._records:
             self._record(answer, awaited, done)
 
@@ -125,6 +129,8 @@ class Center:
         self._rounds, self._adversary = Rounds(), adversary
         self.trust: dict[str, float] = {}
         """In each agent, after the last round."""
+        self.accused: frozenset[str] = frozenset()
+        """Agents that lie by the center's limits, after the last round."""
 
     def take(self, answer: Answer) -> Round | None:
         """Return the last round that an answer ended, if it did."""
@@ -151,7 +157,9 @@ class Center:
             note(line)
         for each in done:
             typer.echo(f"center: {line_of(each)}")
-            self.trust |= dict(zip(each.picture.agents, each.picture.verdicts.trust.tolist(), strict=True))
+            agents = each.picture.agents
+            self.trust |= dict(zip(agents, each.picture.verdicts.trust.tolist(), strict=True))
+            self.accused = frozenset(name for name, flag in zip(agents, each.accused, strict=True) if flag)
         return done[-1] if done else None
 
 
@@ -205,7 +213,7 @@ def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adver
     from viewshed.pipeline import prepare_process
 
     prepare_process()
-    count = 0
+    count, listener.on_accused = 0, pipeline.accuse
     try:
         with pipeline:
             for each in sweeps:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from typing import Any, TextIO, cast
 
-QUIET_S = 2.0
+QUIET_S = 1.0
 """A terminal that was silent for so long gets a line."""
 
 _PERIOD_S = 0.2
@@ -75,7 +75,7 @@ class _Watched:
 
 @contextmanager
 def status_line(command: str) -> Iterator[None]:
-    """Show on a terminal that a command is at work, whenever it has printed nothing for two seconds.
+    """Show on a terminal that a command is at work, whenever it has printed nothing for a second.
 
     Nothing is shown where standard error is no terminal.
     """

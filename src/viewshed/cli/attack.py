@@ -24,18 +24,27 @@ Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
 
 def attack(
     sources: options.Sources,
-    attack: Annotated[str, typer.Option(help="Name of an attack, or paper for the paper's mixture.")],
+    attack: Annotated[
+        str, typer.Option(help="far_wall, relay, jamming, … (a wrong name lists all), or paper: the published mixture.")
+    ],
     out: Out,
-    budget: Annotated[str | None, typer.Option(help="Most returns, or full; the attack's own if not given.")] = None,
-    mode: Annotated[str | None, typer.Option(help="free_form or beam_constrained, where an attack has both.")] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(help="How many returns the attacker may change, or full; the attack's own limit if not given."),
+    ] = None,
+    mode: Annotated[
+        str | None,
+        typer.Option(help="Where false points may lie: free_form (anywhere) or beam_constrained (on beams)."),
+    ] = None,
     placement: Annotated[
         str | None,
-        typer.Option(
-            help="random, behind_nearest_obstacle or largest_hidden_area, where an attack aims a wedge at obstacles."
-        ),
+        typer.Option(help="Where a wedge is aimed: random, behind_nearest_obstacle or largest_hidden_area."),
     ] = None,
     victim: Annotated[
-        str | None, typer.Option(help="Estimator that an attacker who adapts asks; shadow_map if not given.")
+        str | None,
+        typer.Option(
+            help="For attacks that adapt: the method whose answers the attacker sees; shadow_map if not given."
+        ),
     ] = None,
     seed: Seed = 0,
     split: options.Split = None,
@@ -76,7 +85,7 @@ def _attack_plan(
 
 def corrupt(
     sources: options.Sources,
-    corruption: Annotated[str, typer.Option(help="Name of a corruption.")],
+    corruption: Annotated[str, typer.Option(help="rain, fog, snow, fewer_beams, … (a wrong name lists all).")],
     out: Out,
     severity: Annotated[int, typer.Option(help="From 1, mild, to 5.")] = 3,
     seed: Seed = 0,
@@ -86,7 +95,9 @@ def corrupt(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Corrupt every sweep of a data set as weather and faults do; truth stays as it was. Else as attack.
+    """Corrupt every sweep of a data set as weather and faults do; truth stays as it was.
+
+    As with viewshed attack, stopped runs go on, and a sweep that cannot be read is left out.
 
     Example: viewshed corrupt sweeps --corruption fog --severity 4 --out foggy
     """

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def compare(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, in any known format.")],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every one but the networks.")
+        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")
     ] = "shadow_map,majority_vote,first_blocker",
     grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,

@@ -34,7 +34,7 @@ Files = Annotated[
 
 Method = Annotated[
     str | None,
-    typer.Option(help="Estimator; shadow_map if not given."),
+    typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …"),
 ]
 
 Threshold = Annotated[
@@ -45,7 +45,7 @@ Threshold = Annotated[
 Batch = Annotated[
     int,
     typer.Option(
-        min=1, max=1024, help="Sweeps that are taken at once, one a core; above 1 for archives, and nothing is timed."
+        min=1, max=1024, help="Sweeps estimated at the same time, one on each core; above 1 no times are printed."
     ),
 ]
 

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 _ALL = "all"
 
-evaluate_app = typer.Typer(help="Figures against truth that no estimator made.")
+evaluate_app = typer.Typer(help="Measure estimators: against exact truth, or against other sweeps of the same scene.")
 
 
 @evaluate_app.callback()
 def evaluate() -> None:
-    """Figures against truth that no estimator made."""
+    """Measure estimators: against exact truth, or against other sweeps of the same scene."""
 
 
 @evaluate_app.command()
@@ -34,11 +34,11 @@ def truth(
         typer.Argument(metavar="ARCHIVE…", help="Folders or URIs of simulated data sets.", show_default=False),
     ],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet, mcd and viewnet by name.")
+        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks unet, mcd and viewnet.")
     ] = _ALL,
     weights: Weights = None,
     target: TargetName = "car",
-    limit: Annotated[int, typer.Option(min=1, help="Samples at most, spread evenly over each data set.")] = 200,
+    limit: Annotated[int, typer.Option(min=1, help="At most so many samples, spread evenly over each data set.")] = 200,
     split: Annotated[str | None, typer.Option(help="Only this split: train, test, …")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
@@ -94,18 +94,18 @@ def crossview(
         Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
     ],
     methods: Annotated[
-        str, typer.Option(help="Estimators, with commas; 'all' for every classical one, unet, mcd and viewnet by name.")
+        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks unet, mcd and viewnet.")
     ] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
     ] = None,
     attacks: Annotated[
-        str, typer.Option(help="Attacks with 150 points that the sweeps are shown under as well, with commas.")
+        str, typer.Option(help="Attacks, separated by commas: the sweeps are tried with 150 moved points as well.")
     ] = "",
     floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
 ) -> None:
-    """Over- and under-claim against what other sweeps of the same scene saw.
+    """Measure what is claimed though hidden, and hidden though seen, against other sweeps of the scene.
 
     Example: viewshed evaluate crossview data/index.json --out crossview.md
     """

@@ -20,10 +20,8 @@ def export(
     to: Annotated[
         str, typer.Option(help="geojson, geotiff, nav2_map, nav2_mask, occupancy_grid, grid_map, osi, cpm, npz.")
     ] = "geojson",
-    sectors: Annotated[int, typer.Option(help="Sectors of a cpm region.")] = 16,
-    method: Annotated[
-        str | None, typer.Option(help="Estimator, where FILE is a sweep; as for estimate if not given.")
-    ] = None,
+    sectors: Annotated[int, typer.Option(help="For cpm: number of sectors.")] = 16,
+    method: Annotated[str | None, typer.Option(help="Method, where FILE is a sweep; shadow_map if not given.")] = None,
     grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,

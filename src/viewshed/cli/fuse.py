@@ -33,7 +33,7 @@ def fuse(
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     slop: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Seconds by which sweeps of one time may lie apart.")
+        float, typer.Option(min=0.0, max=1.0, help="Sweeps at most so many seconds apart count as of the same time.")
     ] = 0.1,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
@@ -127,7 +127,7 @@ def line_of(done: Round) -> str:
         f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
         for word, flags in (("ACCUSED", done.accused), ("disputed", done.disputed)) if flags.any()
     )  # fmt: skip
-    objects = f"{picture.believed.sum()} of {picture.tracks.confirmed.sum()} objects believed"
+    objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"
 
 

@@ -24,7 +24,7 @@ def info(
     index: options.Index = None,
     number: options.Number = 0,
 ) -> None:
-    """Tell what a file holds: points, rings, sensor, ground, coverage.
+    """Say what a file holds: points, rings, sensor, ground, coverage.
 
     Example: viewshed info sweep.pcd.bin
     """

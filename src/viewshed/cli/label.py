@@ -21,7 +21,10 @@ def label(
     ] = None,
     out: Annotated[str, typer.Option(help="Folder or URI of the data set of labels.")] = "labels",
     definition: Annotated[
-        str, typer.Option(help="Where labels are marked as known: for probe, farthest or first_blocker.")
+        str,
+        typer.Option(
+            help="Definition of visible for which cells are marked as known: probe, farthest or first_blocker."
+        ),
     ] = "probe",
     target: options.TargetName = "car",
     neighbors: Annotated[
@@ -31,7 +34,9 @@ def label(
         str | None, typer.Option(help="A name, or CELLSxHALF_EXTENT_M; road, or that of SRC, if not given.")
     ] = None,
     index: options.Index = None,
-    kind: Annotated[str, typer.Option(help="auto, archive, or a layout: nuscenes, kitti, carla, …")] = AUTO,
+    kind: Annotated[
+        str, typer.Option(help="What SRC is: auto, archive (a data set of viewshed), nuscenes, kitti, carla, …")
+    ] = AUTO,
     sensor: options.SensorName = AUTO,
     every: Annotated[bool, typer.Option("--every", help="Label sweeps between keyframes as well.")] = False,
     workers: options.Workers = None,

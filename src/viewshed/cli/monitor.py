@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from viewshed.sweep import Sweep
 
 
-monitor_app = typer.Typer(help="Is a sweep inconsistent or degraded, where and why.")
+monitor_app = typer.Typer(help="Say whether a sweep is inconsistent or degraded, where and why.")
 
 
 @monitor_app.callback()
 def monitor() -> None:
-    """Is a sweep inconsistent or degraded, where and why."""
+    """Say whether a sweep is inconsistent or degraded, where and why."""
 
 
 @monitor_app.command()
@@ -170,7 +170,8 @@ def check(
 ) -> None:
     """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
 
-    The monitor in the box, if no file is given. Sweeps of a recording are judged with those before them. A sweep that
+    Without --monitor-file it is the monitor that comes with viewshed. Sweeps of a recording are judged with those
+    before them. A sweep that
     cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2. An alarm
     does not change the exit code.
 
@@ -202,7 +203,8 @@ def explain(
 ) -> None:
     """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
 
-    The monitor in the box, if no file is given. A sweep of a recording is judged with those before it.
+    Without --monitor-file it is the monitor that comes with viewshed. A sweep of a recording is judged with those
+    before it.
 
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """

@@ -45,7 +45,9 @@ SIMULATED = "sim"
 
 def record(
     ctx: typer.Context,
-    files: Annotated[list[Path], typer.Argument(metavar="sim|SRC...", help="sim, or recordings and files.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="sim|SRC...", help="sim for a simulated drive, or recordings and files.")
+    ],
     to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
     schemas: SchemaNames = "ros",
     profile: ProfileName = None,
@@ -59,15 +61,17 @@ def record(
     following: Following = NOT_FOLLOWED,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
     preset: Annotated[
-        str, typer.Option(help="Of sim: brings sensors and heights: drives, nuscenes, ugv, …")
+        str, typer.Option(help="For sim: preset of sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",
     world: Annotated[
-        str | None, typer.Option(help="Of sim: street, junction, …; the preset's first if not given.")
+        str | None, typer.Option(help="For sim: street, junction, …; the preset's first if not given.")
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Of sim: how long the drive lasts.")] = 10.0,
-    hz: Annotated[float, typer.Option(help="Of sim: sweeps of each agent a second.")] = 10.0,
-    agents: Annotated[int, typer.Option(help="Of sim: vehicles that measure.")] = 1,
-    seed: Annotated[int | None, typer.Option(help="Of sim: of everything random; the preset's if not given.")] = None,
+    seconds: Annotated[float, typer.Option(help="For sim: how long the drive lasts.")] = 10.0,
+    hz: Annotated[float, typer.Option(help="For sim: sweeps of each agent a second.")] = 10.0,
+    agents: Annotated[int, typer.Option(help="For sim: vehicles that measure.")] = 1,
+    seed: Annotated[
+        int | None, typer.Option(help="For sim: seed of everything random; the preset's if not given.")
+    ] = None,
 ) -> None:
     """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
 

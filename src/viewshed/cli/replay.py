@@ -90,8 +90,10 @@ def replay(
     index: options.Index = None,
     target: options.TargetName = "car",
     history: HistorySweeps = 0,
-    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Times as fast as it was measured.")] = 1.0,
-    as_fast: Annotated[bool, typer.Option("--as-fast", help="Wait for nothing, whatever --rate.")] = False,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Pace: 1 as measured, 2 twice as fast.")] = 1.0,
+    as_fast: Annotated[
+        bool, typer.Option("--as-fast", help="Do not wait between sweeps; --rate does not count.")
+    ] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
     to: To = None,
     schemas: SchemaNames = "ros",

@@ -24,9 +24,14 @@ Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of th
 
 
 def simulate(
-    preset: Annotated[str, typer.Argument(metavar="PRESET", help="carla, nuscenes, ugv, each also as NAME-small, …")],
+    preset: Annotated[
+        str,
+        typer.Argument(
+            metavar="PRESET", help="carla, nuscenes or ugv, each also as NAME-small; roads, rooms, drives; release."
+        ),
+    ],
     out: Annotated[
-        str | None, typer.Option(help="Folder or URI (s3://bucket/data); its own name if not given.")
+        str | None, typer.Option(help="Folder or URI (s3://bucket/data); named as the preset if not given.")
     ] = None,
     sweeps: Annotated[int | None, typer.Option(help="Number of sweeps; the preset's own if not given.")] = None,
     workers: options.Workers = None,
@@ -120,12 +125,17 @@ def verify(place: Place) -> None:
 
 @dataset_app.command()
 def wild(
-    set_name: Annotated[str, typer.Argument(metavar="SET", help="own, training or development; sealed is not made.")],
+    set_name: Annotated[
+        str,
+        typer.Argument(metavar="SET", help="Set of worlds: own, training or development; the sealed one is not made."),
+    ],
     domain: Annotated[str, typer.Argument(metavar="GRID", help="road or indoor.")],
     out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,
-    told: Annotated[str, typer.Option(help="What sweeps say, in turn: table, rings, nothing.")] = "rings,nothing",
+    told: Annotated[
+        str, typer.Option(help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing.")
+    ] = "rings,nothing",
     scenes: Annotated[int | None, typer.Option(help="The first so many scenes; all if not given.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Shards under way at a time; one a core if not given.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")] = None,
 ) -> None:
     """Make a set of worlds, sensors and mountings in the wild. Stopped runs go on; the same bytes for any --workers.
 

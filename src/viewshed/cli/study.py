@@ -17,15 +17,15 @@ from viewshed.cli.evaluate import crossview
 if TYPE_CHECKING:
     from viewshed.studies.runner import Progress
 
-study_app = typer.Typer(help="Studies: they run, go on where they were stopped, and write their pages.")
+study_app = typer.Typer(help="Run a study and write its page; a stopped study goes on.")
 
 report_app = typer.Typer(help="Studies and their reports.")
 
 Out = Annotated[Path | None, typer.Option(help="Folder of data, models, results and pages; the study's name.")]
 
-Workers = Annotated[int | None, typer.Option(help="Jobs under way at a time; one a core if not given.")]
+Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
 
-EngineName = Annotated[str, typer.Option(help="local, or ray for a cluster.")]
+EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
 
 Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the page.")]
 
@@ -36,7 +36,7 @@ _BOTH = "both"
 
 @study_app.callback()
 def study() -> None:
-    """Studies: they run, go on where they were stopped, and write their pages."""
+    """Run a study and write its page; a stopped study goes on."""
 
 
 @report_app.callback()
@@ -47,7 +47,7 @@ def report() -> None:
 @study_app.command()
 def robustness(
     out: Out = None,
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
     workers: Workers = None,
     engine: EngineName = "local",
     run: Run = True,
@@ -79,11 +79,14 @@ def robustness(
 
 @study_app.command()
 def paper(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, paper.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, paper.")] = "small",
     out: Out = None,
     only: Annotated[
         str | None,
-        typer.Option(metavar="STEPS", help="With commas: data, models, pairs, strict, trade, monitor, pages."),
+        typer.Option(
+            metavar="STEPS",
+            help="Only these steps, separated by commas: data, models, pairs, strict, trade, monitor, pages.",
+        ),
     ] = None,
     protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,
     device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
@@ -114,10 +117,13 @@ def paper(
 
 @study_app.command()
 def ablation(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
     out: Out = None,
     only: Annotated[
-        str | None, typer.Option(metavar="STEPS", help="With commas: models, validation, test, chosen, page.")
+        str | None,
+        typer.Option(
+            metavar="STEPS", help="Only these steps, separated by commas: models, validation, test, chosen, page."
+        ),
     ] = None,
     workers: Workers = None,
     page: Pages = None,
@@ -141,7 +147,7 @@ def ablation(
 
 @study_app.command()
 def deviation(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
     out: Out = None,
     workers: Workers = None,
     run: Run = True,
@@ -167,10 +173,11 @@ def deviation(
 
 @study_app.command()
 def monitor(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
     out: Out = None,
     only: Annotated[
-        str | None, typer.Option(metavar="STEPS", help="With commas: drives, published, score, page.")
+        str | None,
+        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: drives, published, score, page."),
     ] = None,
     workers: Workers = None,
     engine: EngineName = "local",
@@ -204,9 +211,11 @@ def monitor(
 
 @study_app.command()
 def agents(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
     out: Out = None,
-    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: scenes, runs, page.")] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas: scenes, runs, page.")
+    ] = None,
     workers: Workers = None,
     engine: EngineName = "local",
     page: Pages = None,
@@ -231,9 +240,12 @@ def agents(
 
 @study_app.command()
 def tracks(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, quick, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, quick, small, full.")] = "small",
     out: Out = None,
-    only: Annotated[str | None, typer.Option(metavar="STEPS", help="With commas: count, limit, test, page.")] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: count, limit, test, page."),
+    ] = None,
     workers: Workers = None,
     engine: EngineName = "local",
     page: Pages = None,
@@ -260,15 +272,17 @@ def tracks(
 
 @study_app.command()
 def wild(
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small (the development set), sealed.")] = "small",
+    preset: Annotated[
+        str, typer.Option(help="Size of the study: tiny, small (the development set), sealed.")
+    ] = "small",
     out: Out = None,
     workers: Workers = None,
     run: Run = True,
     page: Pages = None,
     open_sealed: Annotated[
-        str, typer.Option(metavar="REASON", help="Opens the sealed set; the reason is logged first.")
+        str, typer.Option(metavar="REASON", help="Open the sealed set for this reason, which is logged first.")
     ] = "",
-    log: Annotated[Path, typer.Option(help="Log of openings, which is committed.")] = Path(
+    log: Annotated[Path, typer.Option(help="File that logs the openings of the sealed set.")] = Path(
         "docs/results/wild_openings.md"
     ),
     network: Annotated[list[Path] | None, typer.Option(help="File of a network that is tried as well.")] = None,
@@ -307,9 +321,11 @@ report_app.command(name="vulnerability")(robustness)
 
 def reproduce(
     study: Annotated[str, typer.Argument(help="paper, or successor, which is now called ablation.")] = "paper",
-    preset: Annotated[str, typer.Option(help="What is run: tiny, small, paper; of successor tiny, small.")] = "small",
+    preset: Annotated[
+        str, typer.Option(help="Size of the study: tiny, small, paper; of successor tiny, small.")
+    ] = "small",
     out: Annotated[Path, typer.Option(help="Folder of data, models and results.")] = Path("reproduce"),
-    only: Annotated[str | None, typer.Option(metavar="STEPS", help="Steps, with commas.")] = None,
+    only: Annotated[str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas.")] = None,
     protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,
     device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
     workers: Workers = None,

@@ -55,7 +55,7 @@ def crossval(
     config: Config,
     out: Annotated[str, typer.Option(help="Folder of this cross-validation; one that was stopped goes on.")],
     sampler: Annotated[str, typer.Option(help="grid, or optuna.")] = "grid",
-    trials: Annotated[int | None, typer.Option(help="Settings that are tried; all 36 if not given.")] = None,
+    trials: Annotated[int | None, typer.Option(help="How many settings are tried; all 36 if not given.")] = None,
     folds: Annotated[int, typer.Option(help="Folds of whole scenes.")] = 5,
     device: Device = "cpu",
 ) -> None:

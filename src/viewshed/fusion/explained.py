@@ -73,6 +73,7 @@ class ExplainedTracks:
         moved_m: (N, 2) by which a moved track jumped; 0 for all others.
         held: (N,) bool, the tracker has given it up.
         reasons: (N,) a sentence each.
+        notes: what could not be asked of this sweep, and why, in sentences.
     """
 
     tracks: Tracks
@@ -84,6 +85,7 @@ class ExplainedTracks:
     moved_m: Floats
     held: Mask
     reasons: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of tracks."""

@@ -102,7 +102,7 @@ def explained_rows(seen: SeenObjects, shown: ShownTracks) -> list[dict[str, obje
 
 def tracks_of_center(picture: CommonPicture) -> ShownTracks:
     """Return the confirmed joint tracks of many agents, in the world."""
-    tracks, chosen = picture.tracks, np.flatnonzero(picture.tracks.confirmed)
+    tracks, chosen = picture.tracks, np.flatnonzero(picture.tracks.confirmed | picture.believed)
     names = np.array(picture.agents)
     reported = [", ".join(names[picture.reporters[k]]) for k in chosen]
     return ShownTracks(

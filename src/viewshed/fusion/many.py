@@ -200,8 +200,13 @@ class CommonPicture:
 
     @property
     def believed(self) -> Mask:
-        """(N,) bool, confirmed tracks that exist whoever lies."""
-        return self.tracks.confirmed & (self.existence >= BELIEVED)
+        """(N,) bool, tracks that exist whoever lies."""
+        return np.asarray(self.existence >= BELIEVED)
+
+    @property
+    def reported(self) -> Mask:
+        """(N,) bool, tracks that somebody reports now."""
+        return np.asarray(self.tracks.detection >= 0)
 
 
 @dataclass(slots=True)
@@ -269,12 +274,14 @@ class CommandCenter:
             self._reported[number] = self._reported[number] + seen
         self._existence |= dict(zip(verdicts.ids.tolist(), verdicts.existence.tolist(), strict=True))
         self._existence = {number: self._existence.get(number, 1.0) for number in held}
-        believed = np.ones(len(tracks)) if self.trusting else np.array([self._existence[number] for number in held])
+        # What nobody reports now exists as far as it did, and as far as views allow.
+        existence = np.array(tracks.existence)
+        if not self.trusting:
+            existence = np.minimum(existence, [self._existence[number] for number in held])
+            existence[reported] = verdicts.existence
         reporters = np.zeros((len(tracks), len(self.agents)), np.bool_)
         reporters[reported] = said.seen
-        return CommonPicture(
-            t_s, self.agents, tracks, verdicts, tracks.existence * believed, reporters, said, tuple(tracks.notes)
-        )
+        return CommonPicture(t_s, self.agents, tracks, verdicts, existence, reporters, said, tuple(tracks.notes))
 
     def _columns(self, reports: Sequence[AgentReport]) -> NDArray[np.intp]:
         names = [report.agent for report in reports]

@@ -6,14 +6,17 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fusion.cells import SeenCells
+from viewshed.fusion.evidence import EvidenceModel
 from viewshed.fusion.explained import ExplainedTracks
-from viewshed.fusion.sensor_view import SensorView
+from viewshed.fusion.sensor_view import Observed, SensorView
 from viewshed.fusion.single import SingleFusion
 from viewshed.geometry import Rigid
 from viewshed.integrity.report import IntegrityReport
@@ -58,8 +61,8 @@ class SeenObjects:
 
 @dataclass(slots=True, eq=False)
 class _Agent:
+    fusion: SingleFusion
     tracker: Tracker = field(default_factory=Tracker)
-    fusion: SingleFusion = field(default_factory=SingleFusion)
     last_s: float = -PERIOD_S
 
 
@@ -78,6 +81,7 @@ class ObjectStream:
     Args:
         detector: finds the objects; None is the usual one.
         tamper: an attack on the detections, for trials; None for none.
+        model: what evidence is worth for this detector; None is the table in the box.
         clock: of the time that it takes.
 
     Raises:
@@ -88,10 +92,12 @@ class ObjectStream:
         self,
         detector: Detector | None = None,
         tamper: Tamper | None = None,
+        model: EvidenceModel | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._detector = Detector() if detector is None else detector
         self._tamper, self._clock, self._found = tamper, clock, detection_table().prob
+        self._model = stream_model() if model is None else model
         self._agents: OrderedDict[str, _Agent] = OrderedDict()
         self._agent("")  # what is not installed is said now
         self.reset()
@@ -114,6 +120,20 @@ class ObjectStream:
             ValueError: a number of the sweep or of the estimate is out of range.
         """
         begun_s = self._clock()
+        detections, (tracks, found, views) = self.observe(leveled, estimate, report)
+        # 4. Why each is detected or not.
+        explained = self._agent(leveled.sweep.agent).fusion.explain(tracks, found, views)
+        pose = leveled.world_from_level or Rigid.identity()
+        return SeenObjects(detections, explained, pose, self._clock() - begun_s)
+
+    def observe(
+        self, leveled: LeveledSweep, estimate: FovEstimate, report: IntegrityReport | None = None
+    ) -> tuple[Detections, Observed]:
+        """Return the detections of an agent's next sweep in ``level``, and what fusion is given of it.
+
+        Raises:
+            ValueError: a number of the sweep or of the estimate is out of range.
+        """
         sweep, pose = leveled.sweep, leveled.world_from_level
         agent = self._agent(sweep.agent)
         t_s = agent.last_s + PERIOD_S if sweep.t_ns is None else sweep.t_ns / 1e9
@@ -128,16 +148,22 @@ class ObjectStream:
         # 2. Tracks, by what the beams of this sweep could have seen.
         view = BeamView(leveled, t_s, found=self._found)
         tracks = agent.tracker.step(t_s, found, view)
-        # 3. Why each is detected or not.
+        # 3. What the field of view says of them.
         seen = SensorView(
             sweep.agent, view, tracks_from_level.translation[:2], SeenCells.of(estimate), report, tracks_from_level.yaw
         )
-        explained = agent.fusion.explain(tracks, found, [seen])
-        return SeenObjects(detections, explained, tracks_from_level, self._clock() - begun_s)
+        return detections, (tracks, found, (seen,))
 
     def _agent(self, name: str) -> _Agent:
-        agent = self._agents.pop(name, None) or _Agent()
+        agent = self._agents.pop(name, None) or _Agent(SingleFusion(self._model))
         self._agents[name] = agent
         while len(self._agents) > AGENTS:
             self._agents.popitem(last=False)
         return agent
+
+
+@lru_cache(maxsize=1)
+def stream_model() -> EvidenceModel:
+    """Return the model in the box: of benign drives with the package's detector (``tools/fit_object_stream.py``)."""
+    with resources.as_file(resources.files("viewshed.fusion").joinpath("object_stream.json")) as path:
+        return EvidenceModel.load(path)

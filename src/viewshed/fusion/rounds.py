@@ -100,7 +100,7 @@ class Round:
                 "existence": round(float(picture.existence[k]), 4), "believed": bool(picture.believed[k]),
                 "reported_by": [picture.agents[n] for n in picture.reporters[k].nonzero()[0]],
             }
-            for k in tracks.confirmed.nonzero()[0]
+            for k in (tracks.confirmed | picture.believed).nonzero()[0]
         ]  # fmt: skip
         return {"t_s": round(picture.t_s, 6), "agents": agents, "doubt": round(verdicts.doubt, 3), "objects": objects}
 

@@ -63,13 +63,16 @@ Observed = tuple[Tracks, Detections, Sequence[SensorView]]
 
 
 def check_views(tracks: Tracks, views: Sequence[SensorView]) -> None:
-    """Raise a ValueError unless there are views of the tracks' time, each sensor once, and not too many tracks."""
+    """Raise a ValueError unless views are of the tracks' time and frame, each sensor once, and tracks not too many."""
     if len(tracks) > MOST_TRACKS:
         raise ValueError(f"tracks must be at most {MOST_TRACKS} in one message, got {len(tracks)}")
     names = [view.sensor for view in views]
     if not names or len(set(names)) != len(names):
         raise ValueError(f"views must be of one sensor at least, each once, got {names}; name each sensor differently")
     for view in views:
+        if view.view.in_world != tracks.in_world:
+            frame = "the world" if tracks.in_world else "the sensor's level frame"
+            raise ValueError(f"views must be in the tracks' frame, {frame}, got another one of {view.sensor}")
         if not abs(view.view.t_s - tracks.t_s) <= SAME_TIME_S:
             raise ValueError(
                 f"views must be of the tracks' time {tracks.t_s:.3f} s, got {view.view.t_s:.3f} s of {view.sensor}"

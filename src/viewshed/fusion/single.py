@@ -81,7 +81,7 @@ class SingleFusion:
             ValueError: there is no view or one of another time, two have one name, or there are too many tracks.
         """
         check_views(tracks, views)
-        if self._last is not None and tracks.t_s < self._last.t_s:
+        if self._last is not None and (tracks.t_s < self._last.t_s or tracks.in_world != self._last.in_world):
             self.reset()
         dt_s = 0.1 if self._last is None else max(tracks.t_s - self._last.t_s, 0.0)
         model = self.model
@@ -105,7 +105,9 @@ class SingleFusion:
         missed = 1.0 / ((1.0 - model.gone) * (1.0 - found) + model.gone * still)
         ratios[:, REMOVED] = np.where(is_matched, model.still_found / np.maximum(found, model.still_found), missed)
         deviations, vectors = memory.sightings.jumps()
-        jumped = np.where(is_matched, ratios_of(model.jump, jump_bins(deviations)), 1.0)
+        # Without poses whatever the vehicle itself does looks like a move of theirs.
+        can_jump = is_matched & both.in_world
+        jumped = np.where(can_jump, ratios_of(model.jump, jump_bins(deviations)), 1.0)
         ratios[is_matched, MOVED] = 1.0 - model.jump_share + model.jump_share * jumped[is_matched]
         larger = (jumped > 1.0) & (np.hypot(*vectors.T) > np.hypot(*memory.offset.T))
         memory.offset[larger] = vectors[larger]
@@ -141,6 +143,7 @@ class SingleFusion:
         return ExplainedTracks(
             both, explanations, e_values, memory.wealth.copy(), suspicions, accused,
             np.where(moved[:, None], memory.offset, 0.0), np.arange(count) >= len(tracks), reasons,
+            () if both.in_world else (_NO_POSES,),
         )  # fmt: skip
 
     def _remembered(
@@ -154,7 +157,9 @@ class SingleFusion:
         places = detections.boxes[tracks.detection[is_matched], :2]
         memory.note(np.arange(len(tracks)), tracks.visible, is_matched, tracks.t_s, places)
         given_up = rows_of(last.ids, tracks.ids) < 0
-        given_up &= last.confirmed & (tracks.t_s - last.seen_s <= MEMORY_S) & (self._memory.bare_s <= _BARE_S)
+        given_up &= (
+            tracks.in_world & last.confirmed & (tracks.t_s - last.seen_s <= MEMORY_S) & (self._memory.bare_s <= _BARE_S)
+        )
         # One that is detected again under another id is found.
         honest = tracks.boxes[is_matched & (memory.wealth[:, FABRICATED] < self.model.limits[FABRICATED])]
         apart = np.hypot(*(last.boxes[:, None, :2] - honest[None, :, :2]).transpose(2, 0, 1))
@@ -196,6 +201,8 @@ def _explanations(
         np.uint8
     )
 
+
+_NO_POSES = "no poses: nothing is said of sudden moves, and tracks that the tracker gave up are not held"
 
 _MOST_WEALTH = 1e6
 """Wealth is held below this, so that a track can be acquitted again."""

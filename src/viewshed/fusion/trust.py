@@ -225,8 +225,8 @@ class Trust:
         ratio = np.exp(np.clip(reports.displaced, -rules.most_ratio, rules.most_ratio))
         displaced = np.log(rules.agreeing + (1.0 - rules.agreeing) * ratio)[:, None]
         invented = np.clip(reports.invented, -rules.most_ratio / 2, rules.most_ratio)[:, None]
-        # Who alone reports an object errs seldom where others see; where they do not, only its own view can tell.
-        alone = np.where(denied > 0, np.log(rules.false_report) - invented, np.log(0.5) - displaced)
+        # Who alone reports an object errs seldom where others see; where they do not, it is as likely as not.
+        alone = np.where(denied > 0, np.log(rules.false_report), np.log(0.5)) - invented
         with_others = np.where(
             seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
         )

@@ -39,9 +39,9 @@ class Finding:
     """What was found in one sweep, as far as reactions ask.
 
     Attributes:
-        degraded: the view is worse than usual, or there is none.
+        degraded: the view is worse than usual, there is none, or an object of it is suspicious.
         inconsistent: something is impossible in this sweep, or in the stream.
-        lasting: it is the stream as a whole that is impossible.
+        lasting: it is the stream as a whole that is impossible, or a center of many agents accuses this one.
         suspect: (SECTORS,) bool, where; nowhere where that is not known.
     """
 

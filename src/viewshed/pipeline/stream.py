@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from queue import Queue
 from threading import Lock, Thread
@@ -177,6 +177,7 @@ class Pipeline:
         self._reactions: OrderedDict[str, ReactionState] = OrderedDict()
         self._lock, self._put, self._answered = Lock(), 0, 0
         self._refused: Counter[str] = Counter()
+        self._accused: frozenset[str] = frozenset()
         self._latencies, self._objects_took, self._objects_failed = Latencies(), Latencies(), 0
         self._failure: BaseException | None = None
         self._began = (0.0, 0.0)
@@ -200,6 +201,14 @@ class Pipeline:
                 self._began = now_s, time.process_time()
             number, self._put = self._put, self._put + 1
         self._inbox.put(agent, _Step(agent, number, now_s, source))
+
+    def accuse(self, agents: Iterable[str]) -> None:
+        """Take what these agents see for inconsistent as a whole, as a center of many agents does that accuses them.
+
+        From the next sweep on only what earlier ones confirm holds of their views; agents that are not named any more
+        are believed again, as fast as caution falls.
+        """
+        self._accused = frozenset(agents)
 
     def statistics(self) -> Statistics:
         """Return what was done so far."""
@@ -296,7 +305,7 @@ class Pipeline:
             objects = self._follow(leveled, estimate, report, notes)
         # 3. React: caution follows from the report, and what does not hold any more is withdrawn.
         before = self._reactions.get(step.agent, ReactionState())
-        found = _finding(estimate, report)
+        found = _finding(estimate, report, objects, is_accused=step.agent in self._accused)
         reaction = react(found, before, self._rules)
         _remember(self._reactions, step.agent, reaction)
         if estimate is not None and reaction.caution >= Caution.WIDEN:
@@ -348,14 +357,20 @@ class Pipeline:
                     self._inbox.close()
 
 
-def _finding(estimate: FovEstimate | None, report: StreamReport | None) -> Finding:
-    """Return what is reacted to: no answer is a worse view, and where nobody looks nothing is found."""
+def _finding(
+    estimate: FovEstimate | None, report: StreamReport | None, objects: SeenObjects | None, *, is_accused: bool
+) -> Finding:
+    """Return what is reacted to: no answer is a worse view, and where nobody looks nothing is found.
+
+    A suspicious track is a reason to ask others; an agent that a center accuses is inconsistent as a whole.
+    """
     if estimate is None:
         return Finding(degraded=True)
+    suspicious = objects is not None and bool((objects.shown & objects.explained.accused).any())
     if report is None:
-        return Finding()
-    now = report.now
-    return Finding(now.degraded, now.inconsistent or report.alarm, report.alarm, now.suspect)
+        return Finding(suspicious, is_accused, is_accused)
+    now, lasting = report.now, report.alarm or is_accused
+    return Finding(now.degraded or suspicious, now.inconsistent or lasting, lasting, now.suspect)
 
 
 def _remember(known: OrderedDict[str, Value], agent: str, value: Value) -> None:

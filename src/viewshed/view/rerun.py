@@ -42,12 +42,11 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
         import rerun
     target = Path(path)
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
-    stream, count = rerun.RecordingStream("viewshed"), 0
+    stream, count, has_trust = rerun.RecordingStream("viewshed"), 0, False
     try:
         draft.touch(exist_ok=False)  # says in Python's words what stands in the way
         stream.save(draft)
         stream.send_recording_name(title)
-        stream.send_blueprint(_views())
         stream.log("sweep/states", _state_colors(rerun), static=True)
         stream.log("level/tracks", _track_colors(rerun), static=True)
         for frame in frames:
@@ -55,9 +54,10 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
             if frame.estimate.t_ns is not None:
                 stream.set_time("time", duration=np.timedelta64(frame.estimate.t_ns, "ns"))
             _log_frame(rerun, stream, frame)
-            count += 1
+            count, has_trust = count + 1, has_trust or bool(frame.trust)
         if not count:
             raise ValueError(f"frames must be at least one, got none; no file {path} was written")
+        stream.send_blueprint(_views(has_trust=has_trust))
         stream.flush()
         stream.disconnect()
         os.replace(draft, target)  # noqa: PTH105 - as open_atomic does
@@ -79,15 +79,13 @@ def _track_colors(rerun: Any) -> Any:
     )
 
 
-def _views() -> Any:
+def _views(*, has_trust: bool) -> Any:
     """Return which views are open: states and probability each by itself, as one would cover the other."""
     from rerun import blueprint
 
     images = [blueprint.Spatial2DView(origin=f"sweep/{name}", name=name) for name in ("states", "probability")]
-    numbers = [
-        blueprint.TimeSeriesView(origin="numbers"), blueprint.TimeSeriesView(origin="trust"),
-        blueprint.TextLogView(origin="alarms"),
-    ]  # fmt: skip
+    curves = ("numbers", "trust") if has_trust else ("numbers",)
+    numbers = [*(blueprint.TimeSeriesView(origin=name) for name in curves), blueprint.TextLogView(origin="alarms")]
     level = blueprint.Spatial3DView(origin="level")
     columns = blueprint.Horizontal(level, blueprint.Vertical(*images), blueprint.Vertical(*numbers))
     return blueprint.Blueprint(columns, collapse_panels=True)

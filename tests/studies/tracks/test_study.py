@@ -10,19 +10,25 @@ import pytest
 
 from viewshed._config import preset_names
 from viewshed._jobs import LocalEngine
+from viewshed.fusion.sensor_view import SensorView
+from viewshed.fusion.single import shipped_model
+from viewshed.objects import Detections
 from viewshed.studies.store import ResultStore
 from viewshed.studies.tracks.drives import FOVS, Moment, ObjectsTruth, SimulatedDetector, simulate_drive
-from viewshed.studies.tracks.evaluate import compare
-from viewshed.studies.tracks.jobs import MODELS, run_study, save_models
+from viewshed.studies.tracks.evaluate import compare, evaluate, track_drive
+from viewshed.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_study, save_models
+from viewshed.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
 from viewshed.studies.tracks.page import page_of
 from viewshed.studies.tracks.plan import TracksPlan
+from viewshed.tracking.published import PublishedRules
+from viewshed.tracking.views import SeesAll
 
 TINY = TracksPlan.load("tiny")
 
 
 @pytest.fixture(scope="module")
 def moments() -> list[Moment]:
-    scene = replace(TINY, seconds=1.0, fovs=FOVS).scene(("count", "hdl32e", "clear", "0"))
+    scene = replace(TINY, seconds=1.0, fovs=FOVS).scene(("count", "simulated", "hdl32e", "clear", "0"))
     return list(simulate_drive(scene))
 
 
@@ -34,7 +40,7 @@ def test_every_plan_is_sound_and_no_drive_is_in_two_steps() -> None:
         assert len(set(keys)) == len(keys)
         steps = {step: {plan.scene(key).preset.seed for key in plan.drive_keys(step)} for step in ("count", "limit")}
         assert not steps["count"] & steps["limit"]
-        tested = {plan.scene(key).preset.seed for key in plan.drive_keys("test")}
+        tested = {plan.scene(key).preset.seed for key in plan.drive_keys("test") + plan.drive_keys("lidar")}
         assert not tested & (steps["count"] | steps["limit"])
 
 
@@ -43,6 +49,7 @@ def test_every_plan_is_sound_and_no_drive_is_in_two_steps() -> None:
     [
         ({"fovs": ("best",)}, "fovs must be among"), ({"accused": 0.0}, r"accused must lie in \(0, 1\)"),
         ({"seconds": 0.5}, "seconds must lie in"), ({"test": 0}, "test must be at least 1"),
+        ({"detectors": ("simulated",)}, "detectors must hold perception where sweeps are attacked"),
     ],
 )  # fmt: skip
 def test_bad_plans_are_refused(changed: dict[str, object], message: str) -> None:
@@ -71,7 +78,7 @@ def test_moments_hold_what_their_world_tells(moments: list[Moment]) -> None:
 
 def test_the_detector_of_the_package_can_be_asked() -> None:
     """On returns of one sweep it finds objects with many of them, and each detection lies at its object."""
-    scene = replace(TINY, seconds=1.0).scene(("count", "hdl32e", "clear", "0"))
+    scene = replace(TINY, seconds=1.0).scene(("count", "simulated", "hdl32e", "clear", "0"))
     moment = next(simulate_drive(scene, ("default",), "perception"))
     numbers = moment.truth.numbers.tolist()
     is_object = moment.of_object >= 0
@@ -108,7 +115,10 @@ def test_tracks_at_objects_that_do_not_count_are_neither_right_nor_false(moments
 
 def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     """Stopped after its first step and gone on, it ends with a page and a model for each field of view."""
-    plan = replace(TINY, seconds=3.2, fovs=("default",), attacks=("fabricate_static",), accused=0.2, count=1, limit=2)
+    plan = replace(
+        TINY, seconds=3.2, fovs=("published", "default"), attacks=("fabricate_static",), accused=0.3, count=1, limit=2,
+        detectors=("perception",), lidar_attacks=("ghost_car_clean",),
+    )  # fmt: skip
     store, engine = ResultStore.open(tmp_path, plan), LocalEngine(1)
     waiting = list(run_study(store, engine, ("test",)))
     assert len(waiting) == 1
@@ -116,7 +126,56 @@ def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     assert not list(run_study(store, engine, ("count",)))
     assert not list(run_study(store, engine))
     save_models(store)
-    assert (tmp_path / MODELS / "default.json").exists()
+    assert (tmp_path / MODELS / "perception-default.json").exists()
+    assert rules_of(tmp_path, "perception", "published") in [PublishedRules(coast_s=each) for each in COASTING_S]
     page = page_of(store)
-    assert "| fabricate_static |" in page
+    assert "| of the package | fabricate_static |" in page
+    assert "| ghost_car_clean | default, probability |" in page
     assert "fabricated found within 1 s" in page
+
+
+def test_an_object_behind_another_keeps_its_track_or_is_dropped(moments: list[Moment]) -> None:
+    """By hand: hidden for half a second; with rules that forget after .2 s it comes back under another id."""
+    first = moments[0]
+    box = np.array([[10.0, 0.0, 0.75, 4.0, 2.0, 1.5, 0.0]]) + np.array([*first.ground, 0, 0, 0, 0])
+    kept = []
+    for coast_s in (3.0, 0.2):
+        drive = []
+        for k in range(40):
+            is_hidden = 20 <= k < 25
+            truth = ObjectsTruth(np.array([7]), box, np.array([3], np.uint8), np.array([0 if is_hidden else 50]))
+            rows = np.zeros(0, np.intp) if is_hidden else np.zeros(1, np.intp)
+            found = Detections(box, truth.kinds, truth.returns).take(rows)
+            view = SensorView("top", SeesAll(0.1 * k), first.ground[:2])
+            drive.append(
+                Moment(
+                    0.1 * k, first.ground, truth, found, np.array([7], np.int32)[rows], np.ones(1), {"none": view},
+                    np.full(len(rows), 0.1), np.zeros(len(rows), bool),
+                )
+            )  # fmt: skip
+        rules = PublishedRules(cost="center", coast_s=coast_s)
+        kept.append(evaluate(list(track_drive(drive, "none", rules=rules)), shipped_model()).occluded)
+    assert kept == [[False], [True]]
+
+
+@pytest.mark.parametrize("name", LIDAR_ATTACKS)
+def test_a_forged_sweep_has_a_ghost_or_lacks_an_object(name: str) -> None:
+    """After two seconds; what is forged is told: detections of the ghost, objects that are gone."""
+    scene = replace(TINY, seconds=2.6).scene(("lidar", "perception", "hdl32e", "clear", "0"))
+    forger = SweepForger(name, np.random.default_rng(3))
+    forged = list(simulate_drive(scene, ("default",), "perception", forger=forger))
+    assert all(moment.report is not None for moment in forged)
+    assert not any(moment.ghost.any() or moment.gone for moment in forged[:20])
+    if name.startswith("ghost"):
+        assert sum(moment.ghost.any() for moment in forged[20:]) >= (1 if name == "ghost_car_clean" else 0)
+        assert not any(moment.gone for moment in forged)
+    else:
+        assert any(moment.gone for moment in forged[20:])
+        # What is gone is not detected.
+        for moment in forged[20:]:
+            assert not moment.gone & set(moment.of_object.tolist())
+
+
+def test_attacks_on_the_sweep_are_named() -> None:
+    with pytest.raises(ValueError, match="name must be among ghost_car"):
+        SweepForger("magic", np.random.default_rng(0))

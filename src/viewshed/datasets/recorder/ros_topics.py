@@ -1,4 +1,35 @@
-"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment."""
+"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment.
+
+Names are those of the bags that the code of arXiv 2503.07375 writes, with message types that every ROS installation
+has.
+
+- ``/agent_names``, ``/attacked_agents``: String, a JSON list, of simulated drives and of attacked ones.
+- ``/object_truth``: MarkerArray, simulated drives: all objects, a cube each, ``id`` its number, ``ns`` its
+  category.
+- ``/{agent}/state``: Odometry, simulated drives: pose of the vehicle in ``map``, velocity in its own frame.
+- ``/{agent}/lidar/data``: PointCloud2, or LaserScan of a laser in one plane: points as they were read, with
+  intensity, ring, azimuth and time where the sweep has them.
+- ``/{agent}/lidar/object_truth``: MarkerArray, simulated drives: objects that gave this sensor at least five
+  returns.
+- ``/{agent}/lidar/fov``: PolygonStamped, one ring within the visible cells, in straight lines from the sensor in
+  360 wedges.
+- ``/{agent}/lidar/visibility``, ``state``, ``doubt``: OccupancyGrid: percent and -1 where UNKNOWN; UNKNOWN -1, FREE
+  0, HIDDEN 50, SURFACE 100; percent (0 to 50) that the likelier answer is wrong.
+- ``/{agent}/lidar/detections``, ``tracks``, ``explained``: MarkerArray, MarkerArray, String (JSON), with objects:
+  cubes in ``{agent}/level``; cubes in the color of their explanation, which is ``ns``, with the reason as ``text``.
+- ``/{agent}/lidar/alarms``: DiagnosticArray, with a monitor: a status for each reason, only where there is an alarm
+  or a worse view.
+- ``/metrics/{agent}``, ``/metrics/{agent}/gospa``: String, Float64: tracks of simulated drives against the truth.
+- ``/command_center/tracks``, ``visibility``, ``picture``, ``lies``, ``/trust/{agent}``: what several agents put
+  together gives: MarkerArray, OccupancyGrid, String, DiagnosticArray, Float64.
+- ``/diagnostics``: DiagnosticArray: of each sweep what became of it and its numbers.
+- ``/tf``, ``/tf_static``: TFMessage: ``map`` to ``{agent}/base_link`` or ``{agent}/lidar`` where poses are known,
+  ``{agent}/lidar`` to ``{agent}/base_footprint`` where the height is, and to ``{agent}/level``; how sensors are
+  mounted.
+
+Grids and polygons lie in ``{agent}/level``. A sweep of packets is written as a cloud, which says less: of an Ouster
+not the beams that its metadata name. A name that ROS does not take gets ``_`` for what it does not.
+"""
 
 from __future__ import annotations
 

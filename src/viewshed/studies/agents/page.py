@@ -154,7 +154,9 @@ class AgentsResults:
         """Return what happens where nobody lies."""
         accused = [bool(self.accused(one).any()) for one in self.benign]
         disputed = [bool(self.disputed(one).any()) for one in self.benign]
-        ours, other = (float(np.mean([_gospa(one, name) for one in self.benign])) for name in ("ours", "no trust"))
+        ours, other, every = (
+            float(np.mean([_gospa(one, name) for one in self.benign])) for name in ("ours", "no trust", "all tracks")
+        )
         rows = (
             ("scenes", str(len(accused))),
             ("of these with an honest agent accused", _share(accused)),
@@ -162,6 +164,8 @@ class AgentsResults:
             ("GOSPA of the common picture, mean over times", f"{ours:.2f} m"),
             ("the same where everybody is believed alike", f"{other:.2f} m"),
             ("ratio", f"{ours / other:.3f}"),
+            ("where everybody is believed, with tracks that nobody reports now", f"{every:.2f} m"),
+            ("ratio", f"{ours / every:.3f}"),
         )
         return Table(("where nobody lies", ""), rows)
 
@@ -199,6 +203,11 @@ class AgentsResults:
         values = np.concatenate([getattr(one, part)[one.run.liars] for one in runs])
         below = np.searchsorted(benign, values, "left") + np.searchsorted(benign, values, "right")
         return float((below / (2.0 * len(benign))).mean())
+
+    def _at_3_percent(self, name: str) -> float:
+        """Return the share of the liars of a lie that score above 97 % of the honest agents of the calibration."""
+        limit = np.quantile(np.concatenate([one.score for one in self.calibration]), 0.97)
+        return mean(float((one.score[one.run.liars] > limit).mean()) for one in self.of(name))
 
     def _delay_s(self, one: ScoredRun) -> float:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
@@ -266,19 +275,30 @@ class AgentsResults:
         )  # fmt: skip
         return Table(header, rows)
 
-    def claims_table(self) -> Table:
-        """Return how often agents claim to see a car or a larger object that gave fewer than five returns."""
+    def _claimed(self) -> dict[str, NDArray[np.int64]]:
+        """Return how many objects were claimed with so much probability, and how many of these wrongly."""
         totals: dict[str, NDArray[np.int64]] = {}
         for key, found in self.results.facts.items():
             if key[:2] == ("run", "test"):
                 for least, counts in found["coverage"].items():
                     totals[least] = totals.get(least, np.zeros(2, np.int64)) + np.array(counts)
+        return totals
+
+    def claims_table(self) -> Table:
+        """Return how often agents claim to see a car or a larger object that gave fewer than five returns."""
+        totals = self._claimed()
         most = totals["0.5"][0]
         rows = [
             [least, str(claimed), format_rate(claimed / most), format_rate(wrong / max(claimed, 1), 4)]
             for least, (claimed, wrong) in totals.items()
         ]
         return Table(("claimed with at least", "objects", "of those at .5", "with fewer than five returns"), rows)
+
+    def wrongly_expected(self) -> float:
+        """Return the least share of claimed objects with fewer than five returns, at 90 % of what .5 claims or more."""
+        totals = self._claimed()
+        most = totals["0.5"][0]
+        return min((wrong / claimed for claimed, wrong in totals.values() if claimed >= 0.9 * most), default=np.nan)
 
     def checks_table(self) -> Table:
         """Return the AUROC of each check alone for the lies about views."""
@@ -319,18 +339,26 @@ class AgentsResults:
         victims = [float(self.accused(one)[one.run.victim]) for one in lied if one.run.victim >= 0]
         others = [float(np.delete(self.accused(one), one.run.liars).any()) for one in lied]
         quiet = [float(self.accused(one).any()) for one in self.benign]
+        delays = [delay for delay in map(self._delay_s, of_alone) if np.isfinite(delay)]
         # What, the bound, whether the figure must lie below it, and the figure.
         rows = (
+            ("objects wrongly expected of an honest agent", 0.01, True, self.wrongly_expected()),
             ("scenes with an honest agent accused, nobody lies", 0.01, True, mean(quiet)),
             ("the same, others lie", 0.01, True, mean(others)),
             ("one of five lies about objects, AUROC", 0.97, False, area(*alone)),
             ("accused at 1 %", 0.85, False, mean(float(self.accused(one)[one.run.liars].mean()) for one in of_alone)),
+            ("seconds until then, median", 2.0, True, float(np.median(delays)) if delays else np.nan),
             ("two lie together, AUROC", 0.88, False, area(*together)),
+            (
+                "fabricated, with a spoofed view, found at 3 % false alarms", 0.95, False,
+                self._at_3_percent("fabricate_spoofed"),
+            ),
             ("over-claim of 20 % of the area, AUROC", 0.92, False, area("over_claim")),
             ("under-claim of 30 %, AUROC", 0.80, False, area("under_claim")),
             ("pose shifted by 1 m or turned by 2°, AUROC", 0.95, False, area("shifted_pose", "turned_pose")),
             ("victims of others accused", 0.05, True, mean(victims)),
             ("GOSPA under lies about objects, of no trust", 0.70, True, ratio(of_alone)),
+            ("the same, of no trust with tracks out of sight", 0.70, True, ratio(of_alone, "all tracks")),
             ("the same, of the published trust", 0.70, True, ratio(of_alone, "published")),
             ("GOSPA where nobody lies, of no trust", 1.02, True, ratio(self.benign)),
         )  # fmt: skip

@@ -22,6 +22,9 @@ from viewshed.studies.agents.scenes import Scene
 from viewshed.studies.cases import generator
 from viewshed.tracking.views import GridView
 
+CENTERS = ("ours", "no trust", "published", "all tracks")
+"""Whose pictures are measured, by what somebody reports now; of no trust also by all of its tracks, seen now or not."""
+
 CHECKED_TIMES = 2
 """Times of a scene, evenly after the onset, at which views are checked."""
 
@@ -116,19 +119,21 @@ class SceneCases:
         centers = {"ours": CommandCenter(agents, claims=self.claims, honest=self.honest)}
         if self.compared:
             centers["no trust"] = CommandCenter(agents, claims=self.claims, honest=self.honest, trusting=True)
-        distances: dict[str, list[float]] = {name: [] for name in ("ours", "no trust", "published")}
+        distances: dict[str, list[float]] = {name: [] for name in CENTERS}
         evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
         published = PublishedTrust()
         for time, reports in enumerate(said):
             truth = seen_objects(scene, time)
             for name, center in centers.items():
                 picture = center.add(float(scene.times_s[time]), reports)
+                xy_m, now = picture.tracks.boxes[:, :2], picture.reported
                 shown = picture.tracks.confirmed if center.trusting else picture.believed
-                distances[name].append(gospa(picture.tracks.boxes[shown, :2], truth[:, :2]).distance_m)
+                distances[name].append(gospa(xy_m[shown & now], truth[:, :2]).distance_m)
                 if center.trusting:
                     agents_trust, believed = published.add(picture, reports)
                     published_trust.append(agents_trust)
-                    distances["published"].append(gospa(picture.tracks.boxes[believed, :2], truth[:, :2]).distance_m)
+                    distances["published"].append(gospa(xy_m[believed & now], truth[:, :2]).distance_m)
+                    distances["all tracks"].append(gospa(xy_m[shown], truth[:, :2]).distance_m)
                 else:
                     evidence.append(picture.verdicts.evidence)
                     doubt.append(picture.verdicts.doubt)

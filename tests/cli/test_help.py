@@ -1,0 +1,33 @@
+"""Every command and option says in plain words what it does."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from typer.main import get_command
+
+from viewshed.cli import app
+
+ODD = ("in the box", "else as", "in bytes", "told", "asked for", "of sim:", "less it", "every so many", "of a network:")
+"""Words that a reader of the first hour stumbled over, and the like."""
+
+
+def _commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
+    yield name, command
+    for word, child in getattr(command, "commands", {}).items():
+        yield from _commands(child, f"{name} {word}")
+
+
+COMMANDS = dict(_commands(get_command(app), "viewshed"))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_plain(name: str) -> None:
+    command = COMMANDS[name]
+    texts = {"": command.help or ""} | {one.name: getattr(one, "help", None) or "" for one in command.params}
+    for option, text in texts.items():
+        if option in ("help", "version", "install_completion", "show_completion"):
+            continue
+        assert re.match(r"[\w'(]", text), f"{name} {option}: no help"
+        assert [word for word in ODD if word in text.lower()] == [], f"{name} {option}: {text}"

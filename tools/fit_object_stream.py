@@ -1,0 +1,192 @@
+"""Fit what evidence is worth where the package's own detector finds the objects: ``python tools/fit_object_stream.py``.
+
+``single.json`` is calibrated with a detector by tables, whose boxes stand where the objects do. Those of
+``viewshed.perception`` move as the car that they are about is seen from another side, and a limit for the one accuses
+honest tracks of the other. This fits tables and limits on benign simulated drives that go through
+``viewshed.fusion.object_stream``: even ones for the tables, odd ones for the limits; then it counts, on further drives,
+how many honest tracks are accused by either, and how many forged objects are found. Writes
+src/viewshed/fusion/object_stream.json and docs/results/object_stream.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from viewshed import load_estimator
+from viewshed._page import facts, page, table
+from viewshed.datasets.presets import preset_named
+from viewshed.datasets.recorder.drive import drive_plan, drive_sweeps
+from viewshed.fusion.calibration import count_drive, highest_e_values, limits_of, model_of_counts
+from viewshed.fusion.evidence import EvidenceCounts, EvidenceModel
+from viewshed.fusion.object_stream import ObjectStream, SeenObjects, stream_model
+from viewshed.fusion.sensor_view import Observed
+from viewshed.fusion.single import shipped_model
+from viewshed.objects import Detections
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sweep import Sweep
+from viewshed.threats.adversary import Adversary
+
+PLACE = Path(__file__).resolve().parents[1] / "src" / "viewshed" / "fusion" / "object_stream.json"
+
+WORLDS, SENSORS = ("street", "junction", "parking"), ("hdl32e", "os1_64", "vlp32c", "hdl64e")
+
+SEED, ACCUSED, START_S = 20_261_123, 0.03, 2.0
+"""Of all that is random; share of honest tracks that may be accused; when attacks begin."""
+
+NEAR_M = 2.0
+"""A track so near to a forged object is of it."""
+
+PAGE = PLACE.parents[3] / "docs" / "results" / "object_stream.md"
+
+INTRODUCTION = f"""\
+Simulated drives with the package's detector, tracker and fusion, as `--objects` runs them, with four sensors in three
+kinds of world. Honest: share of the confirmed tracks of benign drives that are accused at any time; at most
+{ACCUSED:g} is what the limits are taken for, on other drives. Forged: three detections are fabricated anywhere about
+the sensor, or three objects are removed, from {START_S:g} s on. Named: accused within a second. Not shown: not accused,
+and not among the confirmed tracks at the end of it; of removed ones that is a miss, the object is forgotten.
+`single.json` is the model of the study of tracks, of a detector whose boxes stand where the objects do."""
+
+
+def sweeps_of(number: int, seconds: float) -> Iterator[Sweep]:
+    """Yield the sweeps of a simulated drive of one vehicle."""
+    preset = replace(preset_named("drives"), sensors=(SENSORS[number // len(WORLDS) % len(SENSORS)],))
+    world = WORLDS[number % len(WORLDS)]
+    plan = drive_plan(preset, seconds=seconds, hz=10.0, agents=1, world=world, seed=SEED + number)
+    return (sweep for sweep, _ in drive_sweeps(plan))
+
+
+def observed(number: int, seconds: float) -> Iterator[Observed]:
+    """Yield what fusion is given of a benign drive."""
+    estimator, objects = load_estimator("shadow_map"), ObjectStream()
+    for sweep in sweeps_of(number, seconds):
+        leveled = level(sweep, estimator.grid)
+        yield objects.observe(leveled, estimator.estimate(leveled))[1]
+
+
+def accused_share(drives: range, seconds: float, model: EvidenceModel) -> tuple[int, int]:
+    """Return how many honest confirmed tracks of drives a model accuses at any time, of how many."""
+    highest = [row for k in drives for row in highest_e_values(observed(k, seconds), model).values()]
+    over = np.asarray((np.array(highest) >= np.array(model.limits)).any(axis=1))
+    return int(over.sum()), len(over)
+
+
+def found_share(drives: range, seconds: float, attack: str, model: EvidenceModel) -> tuple[int, int, int]:
+    """Return how many forged objects of drives are named, or never shown, within a second; of how many."""
+    named = hidden = total = 0
+    for number in drives:
+        for is_named, is_shown in forged_after(number, seconds, attack, model):
+            named, hidden, total = named + is_named, hidden + (not is_named and not is_shown), total + 1
+    return named, hidden, total
+
+
+def forged_after(number: int, seconds: float, attack: str, model: EvidenceModel) -> list[tuple[bool, bool]]:
+    """Return of each forged object whether it was accused within a second, and whether its track is shown at its end.
+
+    Of fabricated ones the track is one within 2 m of it; of removed ones it is that of a detection that is gone.
+    """
+    adversary = Adversary(attack, start_s=START_S, count=3, seed=number)
+    honest: list[Detections] = []
+
+    def tamper(leveled: LeveledSweep, detections: Detections) -> Detections:
+        honest.append(detections)
+        return adversary.detections(leveled, detections)
+
+    objects, estimator = ObjectStream(tamper=tamper, model=model), load_estimator("shadow_map")
+    forged: dict[int, tuple[np.ndarray, bool, bool]] = {}
+    first_s = None
+    for sweep in sweeps_of(number, seconds):
+        leveled = level(sweep, estimator.grid)
+        seen = objects.follow(leveled, estimator.estimate(leveled))
+        t_s = 1e-9 * (sweep.t_ns or 0)
+        first_s = t_s if first_s is None else first_s
+        since_s = t_s - first_s - START_S
+        if since_s < -1e-6 or since_s > 1.0 + 1e-6:
+            continue
+        tracks, shown = seen.explained.tracks, seen.shown
+        if not forged:
+            forged = _forged_at_first(attack, honest[-1], seen)
+        for key, (place, was_named, _) in forged.items():
+            near = (
+                np.hypot(*(tracks.boxes[:, :2] - place).T) < 2.0
+                if attack.startswith("fabricate")
+                else tracks.ids == key
+            )
+            is_named = was_named or bool((near & seen.explained.accused).any())
+            forged[key] = place, is_named, bool((near & shown & ~seen.explained.accused).any())
+    return [(is_named, is_shown) for _, is_named, is_shown in forged.values()]
+
+
+def _forged_at_first(attack: str, honest: Detections, seen: SeenObjects) -> dict[int, tuple[np.ndarray, bool, bool]]:
+    """Return the forged objects of the first attacked sweep: places of fabricated ones, ids of removed ones' tracks."""
+    pose = seen.tracks_from_level
+    if attack.startswith("fabricate"):
+        places = seen.detections.moved(pose).boxes[len(honest) :, :2]
+        return {k: (place, False, False) for k, place in enumerate(places)}
+    kept = {tuple(row) for row in seen.detections.boxes[:, :2].round(6).tolist()}
+    gone = [k for k, row in enumerate(honest.boxes[:, :2].round(6).tolist()) if tuple(row) not in kept]
+    tracks, out = seen.explained.tracks, dict[int, tuple[np.ndarray, bool, bool]]()
+    for place in honest.take(np.array(gone, np.intp)).moved(pose).boxes[:, :2]:
+        apart = np.where(tracks.confirmed, np.hypot(*(tracks.boxes[:, :2] - place).T), np.inf)
+        if len(apart) and apart.min() < NEAR_M:
+            out[int(tracks.ids[apart.argmin()])] = place, False, False
+    return out
+
+
+def main() -> None:
+    """Fit where it is wanted, check, and write the page."""
+    parser = argparse.ArgumentParser(prog="fit_object_stream.py", description=__doc__)
+    parser.add_argument("--keep", action="store_true", help="keep the model in the box, and only check it")
+    parser.add_argument(
+        "--drives", type=int, default=16, help="benign drives, half of them for limits"
+    )
+    parser.add_argument("--checks", type=int, default=6, help="further drives on which accusations are counted")
+    parser.add_argument("--seconds", type=float, default=6.0, help="of each drive")
+    parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
+    chosen = parser.parse_args()
+    if not chosen.keep:
+        fit(chosen.drives, chosen.seconds).save(PLACE)
+        stream_model.cache_clear()
+    checks = range(chosen.drives, chosen.drives + chosen.checks)
+    models = {"object_stream.json": stream_model(), "single.json": shipped_model()}
+    rows = []
+    for name, model in models.items():
+        over, count = accused_share(checks, chosen.seconds, model)
+        cells = [f"{over / count:.3f} ({over} of {count})"]
+        for attack in ("fabricate_static", "remove_trajectory"):
+            named, hidden, total = found_share(checks, START_S + 1.2, attack, model)
+            cells += [f"{named / max(total, 1):.2f}", f"{hidden / max(total, 1):.2f}", str(total)]
+        rows.append([f"`{name}`", *cells])
+        print(rows[-1], flush=True)
+    content = page(
+        "Objects while it runs",
+        facts(command="`python tools/fit_object_stream.py`", seed=str(SEED)),
+        INTRODUCTION,
+        table(
+            ["model", "honest tracks accused", "fabricated: named", "not shown", "of", "removed: named",
+             "not shown", "of"], rows,
+        ),
+    )  # fmt: skip
+    chosen.page.write_text(content, encoding="utf-8")
+
+
+def fit(drives: int, seconds: float) -> EvidenceModel:
+    """Return the model of benign drives."""
+    rng, counts, highest = np.random.default_rng(SEED), EvidenceCounts(), list[np.ndarray]()
+    for number in range(0, drives, 2):
+        count_drive(observed(number, seconds), counts, rng)
+        print(f"drive {number} counted", flush=True)
+    model = model_of_counts(counts, ACCUSED)
+    for number in range(1, drives, 2):
+        highest += highest_e_values(observed(number, seconds), model).values()
+        print(f"drive {number}: {len(highest)} honest tracks", flush=True)
+    limits = limits_of(np.array(highest).reshape(-1, 3), ACCUSED)
+    return replace(model, limits=limits, tracks=len(highest))
+
+
+if __name__ == "__main__":
+    main()
