@@ -161,7 +161,8 @@ def main() -> int:
               f"{len(silent)} silent for more than {SILENT_S:g} s {silent or ''}", flush=True)  # fmt: skip
         print("\n".join(found), flush=True)
     if given.page:
-        about = facts(command="`python tools/first_hour.py`", times=str(given.times), wrong=str(len(wrong)))
+        load = f"{os.getloadavg()[1]:.0f} in the five minutes before the end, on {os.cpu_count()} cores"
+        about = facts(command="`python tools/first_hour.py`", times=str(given.times), wrong=str(len(wrong)), load=load)
         given.page.write_text(page("The first hour", about, _ABOUT, transcript(home)), encoding="utf-8")
     return 1 if wrong else 0
 
