@@ -48,7 +48,7 @@ TEN = replace(PLAN, moving=9, seed=SEED + 1)
 COUNTS = (2, 3, 5, 10)
 """Agents that report, the mast among them."""
 
-DRAWS = 4
+DRAWS = 3
 """Monte Carlo runs of each scene."""
 
 ON = 0.7

@@ -47,7 +47,14 @@ from viewshed.threats.attacks.ghosts import GhostCar
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "results" / "agent_links.md"
 
-CASES = ("fabricate", "remove", "translate", "over_claim", "under_claim", "shifted_pose", "turned_pose")
+GROUPS = {
+    "objects": ("fabricate", "remove", "translate"),
+    "views": ("over_claim", "under_claim"),
+    "poses": ("shifted_pose", "turned_pose"),
+}
+"""Lies that are told of together."""
+
+CASES = tuple(name for names in GROUPS.values() for name in names)
 
 FALSE_ALARMS = 0.03
 """Share of honest agents at which detection of false objects is stated, as by CAD."""
@@ -98,6 +105,7 @@ def main() -> None:
     parser.add_argument("--study", type=Path, required=True, help="folder of viewshed study agents")
     parser.add_argument("--preset", default="small", help="of that study")
     parser.add_argument("--scenes", type=int, default=48, help="test scenes of it that are run")
+    parser.add_argument("--spoofed", type=int, default=48, help="of them, those in which LiDARs are spoofed")
     parser.add_argument("--work", type=Path, default=Path("agent_links"), help="where runs are kept")
     parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
@@ -109,15 +117,15 @@ def main() -> None:
         HonestModel.from_json((chosen.study / HONEST_MODEL).read_text("utf-8")),
     )
     found: dict[str, dict[int, list[Run]]] = {name: {} for name in (*LINKS, *SPOOFED)}
-    for number in range(min(chosen.scenes, store.plan.test)):
+    for number in range(min(max(chosen.scenes, chosen.spoofed), store.plan.test)):
         scene = Scene.load(scene_path(store.folder, "test", number))
         seed = (store.plan.seed, "test", number)
         # Each scene is tried with nobody lying, and with two of the lies in turn.
         cases = (HONEST, CASES[number % len(CASES)], CASES[(number + 3) % len(CASES)])
-        for name, link in LINKS.items():
+        for name, link in LINKS.items() if number < chosen.scenes else ():
             path = chosen.work / f"{name.replace(' ', '_')}-{number:04d}.json"
             found[name][number] = kept(path, partial(run_cases, scene, cases, seed, learned, link, None))
-        for who in SPOOFED:
+        for who in SPOOFED if number < chosen.spoofed else ():
             path = chosen.work / f"spoofed_{who or 'nobody'}-{number:04d}.json"
             spoofing = Spoofing(store.plan, number, who)
             found[who][number] = kept(path, partial(run_cases, scene, ("fabricate",), seed, learned, Link(), spoofing))
@@ -296,29 +304,39 @@ def page_of(scored: dict[str, list[ScoredRun]], study: AgentsResults) -> str:
     honest = {name: np.concatenate([one.score for one in runs]) for name, runs in benign.items() if runs}
     clear = next(iter(LINKS))
 
-    def area(name: str, case: str, against: str) -> float:
-        runs = [one for one in scored[name] if one.run.case == case]
+    def area(name: str, cases: Sequence[str], against: str) -> float:
+        runs = [one for one in scored[name] if one.run.case in cases]
         scores = [one.score[one.run.liars] for one in runs]
         return auroc(np.concatenate(scores), honest[against]) if scores else float("nan")
 
     rows, means = [], {}
     for name in LINKS:
         accused = [float(study.accused(one).any()) for one in benign[name]]
-        areas = [area(name, case, name) for case in CASES]
-        means[name] = float(np.mean(areas))
+        areas = [area(name, cases, name) for cases in (*GROUPS.values(), CASES)]
+        means[name] = areas[-1]
         rows.append([
-            name, *(f"{one:.3f}" for one in areas), f"{means[name]:.3f}", f"{means[clear] - means[name]:+.3f}",
+            name, *(f"{one:.3f}" for one in areas), f"{means[clear] - means[name]:+.3f}",
             share(accused, [1.0] * len(accused)),
         ])  # fmt: skip
     limit = float(np.quantile(honest[clear], 1.0 - FALSE_ALARMS))
     spoofed = []
     for who, words in SPOOFED.items():
+        if not scored[who]:
+            continue
         caught = [float((one.score[one.run.liars] > limit).any()) for one in scored[who]]
         accused = [float(np.delete(study.accused(one), one.run.liars).any()) for one in scored[who]]
         spoofed.append([
-            words, f"{area(who, 'fabricate', clear):.3f}", share(caught, [1.0] * len(caught)),
+            words, f"{area(who, ('fabricate',), clear):.3f}", share(caught, [1.0] * len(caught)),
             share(accused, [1.0] * len(accused)),
         ])  # fmt: skip
+    of_spoofed = (
+        "## False objects, with LiDARs spoofed",
+        f"""One of five reports three cars that are not there; from the same time on the LiDAR of the liar, or of the
+honest agent that is nearest to one of them (within {WITHIN_M:g} m), is spoofed with the returns of a car at that place.
+*Found*: the liar scores higher than 97 % of the honest agents of scenes without lies; to reach: ≥ .95 at 3 % false
+alarms, CAD .915.""",
+        table(["false objects", "AUROC", "found at 3 %", "honest ones accused"], spoofed),
+    )
     scenes = len(benign[clear])
     return page(
         "Many agents with poor poses and poor links",
@@ -331,16 +349,11 @@ limits are the study's own, from scenes without these faults.""",
         f"""*Poses*: of each report anew, standard deviation of x, y and heading. *Lost*: at random, by the radio of
 `viewshed.messages.transport`. Reports carry their times: a center that waits 200 ms puts late ones together by these,
 and the delay costs nothing but the wait. *Taken as new*: it does not, and all reports but the first car's are of 200 ms
-ago. AUROC of a liar against honest agents with the same fault; the mean over lies is to lose ≤ .03, and an honest agent
+ago. AUROC of a liar against honest agents with the same fault; over all lies it is to lose ≤ .03, and an honest agent
 is to be accused (at {100 * study.rate:.3g} %, nobody lies) in ≤ .015 of the scenes. In brackets 95 % intervals over
 scenes.""",
-        table(["fault", *CASES, "mean", "loss", "honest accused"], rows),
-        "## False objects, with LiDARs spoofed",
-        f"""One of five reports three cars that are not there; from the same time on the LiDAR of the liar, or of the
-honest agent that is nearest to one of them (within {WITHIN_M:g} m), is spoofed with the returns of a car at that place.
-*Found*: the liar scores higher than 97 % of the honest agents of scenes without lies; to reach: ≥ .95 at 3 % false
-alarms, CAD .915.""",
-        table(["false objects", "AUROC", "found at 3 %", "honest ones accused"], spoofed),
+        table(["fault", *(f"lies about {name}" for name in GROUPS), "all", "loss", "honest accused"], rows),
+        *(of_spoofed if spoofed else ()),
     )
 
 

@@ -63,7 +63,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     if len(reports) == len(agents):
         picture = center.add((t_ns - EPOCH_NS) / 1e9, reports)
         trust = ", ".join(f"{agent} {one:.2f}" for agent, one in zip(agents, picture.verdicts.trust, strict=True))
-        print(f"{picture.t_s:.2f} s: {picture.believed.sum():2} of {picture.tracks.confirmed.sum():2} objects; {trust}")
+        print(f"{picture.t_s:.2f} s: {picture.believed.sum():2} of {len(picture.tracks):2} objects; {trust}")
         last, reports = reports, []
 
 joint = joint_fov([one.estimate for one in last], estimator.grid, last[0].world_from_level, picture.verdicts.trust)

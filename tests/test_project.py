@@ -20,7 +20,7 @@ import viewshed
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src" / "viewshed").rglob("*.py"))
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-RUN = ("index", "tutorial", "conventions", "simulate", "attacks")
+RUN = ("index", "tutorial", "conventions", "simulate", "attacks", "agents", "messages")
 """Pages whose Python blocks are run."""
 HEAVY = ("numpy", "numba", "matplotlib", "PIL", "shapely", "onnxruntime", "pyarrow", "scipy", "typer")
 
@@ -151,12 +151,13 @@ def test_python_in_the_pages_runs(page: str, tmp_path: Path, monkeypatch: pytest
     assert blocks, f"{page} shows no Python"
     monkeypatch.chdir(tmp_path)
     scope: dict[str, object] = {}
-    for line in "".join(blocks).splitlines():
-        code, _, said = line.partition("# →")
+    code = "".join(blocks)
+    for statement in ast.parse(code).body:
+        said = code.splitlines()[statement.end_lineno - 1].partition("# →")[2] if statement.end_lineno else ""
         if said:
-            assert str(eval(code, scope)) == said.strip(), line
+            assert str(eval(ast.unparse(statement), scope)) == said.strip(), ast.unparse(statement)
         else:
-            exec(code, scope)
+            exec(ast.unparse(statement), scope)
 
 
 def test_shell_scripts_parse() -> None:

@@ -108,7 +108,7 @@ def faults(typed: Typed, cwd: Path) -> list[str]:
 def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[Home, list[str]]:
     """Run the first hour in a new home; return it and what went wrong."""
     home = Home(Path(tempfile.mkdtemp(prefix="home")), f"{Path(python).parent}:/usr/local/bin:/usr/bin:/bin")
-    work, wrong = home.folder / "work", []
+    work, wrong = home.folder / "try", []
     work.mkdir()
     commands = [command for command in readme_commands() if not command.startswith("make ")]
     if installed is not None:

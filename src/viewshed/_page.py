@@ -147,7 +147,7 @@ def _markdown(block: PageBlock) -> str:
 def to_html(title: str, provenance: Mapping[str, str], blocks: Sequence[PageBlock]) -> str:
     """Return the report as one HTML page; pictures are in it, and nothing is fetched."""
     listed = Text("\n".join(f"- {name}: {value}" for name, value in provenance.items()))
-    made = [Heading(2, "How it was made"), listed]
+    made: tuple[PageBlock, ...] = (Heading(2, "How it was made"), listed)
     body = "\n".join(_html(block) for block in [Heading(1, title), *blocks, *made])
     return f"<!DOCTYPE html>\n<html lang=en><meta charset=utf-8><title>{html.escape(title)}</title>{_STYLE}\n{body}\n"
 

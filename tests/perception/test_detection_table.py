@@ -87,6 +87,18 @@ def test_clutter_is_a_density_of_its_ring() -> None:
     assert density == pytest.approx([30 / 50 / (np.pi * (20**2 - 10**2)), 0.0])
 
 
+def test_odds_of_false_detections_are_their_counts_and_lean_on_their_kind() -> None:
+    """Three false for seven right; ranges without counts lean on their kind, kinds without counts on all."""
+    table = empty()
+    false, matched = table.false.copy(), table.matched.copy()
+    false[ObjectKind.CAR, 1], matched[ObjectKind.CAR, 1] = 300_000, 700_000
+    counted = replace(table, false=false, matched=matched)
+    middles, cars = np.array([15.0, 47.5]), np.full(2, ObjectKind.CAR, np.uint8)
+    assert counted.false_odds(middles, cars) == pytest.approx([3 / 7] * 2, rel=1e-3)
+    assert counted.false_odds(middles, np.full(2, ObjectKind.TRUCK, np.uint8)) == pytest.approx([3 / 7] * 2, rel=1e-3)
+    assert (detection_table().false_odds(np.array([1.0, 30.0, 1e6]), np.full(3, ObjectKind.CAR, np.uint8)) > 0.01).all()
+
+
 def test_it_is_read_as_it_was_written(tmp_path: Path) -> None:
     table = detection_table()
     table.save(tmp_path / "table.json")

@@ -52,8 +52,9 @@ class Memory:
         count = len(birth)
         wealth = np.zeros((count, 3))
         wealth[:, FABRICATED] = birth
-        zeros = [np.zeros(count) for _ in range(6)]
-        return cls(wealth, birth, zeros[0], zeros[1], np.zeros((count, 2)), *zeros[2:], sightings=Sightings.none(count))
+        log_mean, looked_s, bare_s, hits, looks, looks_at_hit = np.zeros((6, count))
+        offset, sightings = np.zeros((count, 2)), Sightings.none(count)
+        return cls(wealth, birth, log_mean, looked_s, offset, bare_s, hits, looks, looks_at_hit, sightings)
 
     def take(self, rows: Rows | Mask) -> Self:
         """Return some of the tracks, as a copy."""

@@ -122,8 +122,8 @@ def standing_probability(states: Floats, covariances: Floats, motion: Motion) ->
     inverses, determinants = inverse(covariances[:, 2:, 2:])
     velocity = states[:, 2:]
     squared = (velocity[:, None, :] @ inverses @ velocity[:, :, None])[:, 0, 0]
-    odds = motion.standing_share / (1.0 - motion.standing_share)
-    odds = odds * motion.velocity_std_mps**2 / np.sqrt(determinants) * np.exp(-0.5 * squared)
+    prior = motion.standing_share / (1.0 - motion.standing_share)
+    odds = prior * motion.velocity_std_mps**2 / np.sqrt(determinants) * np.exp(-0.5 * squared)
     return np.asarray(odds / (1.0 + odds))
 
 

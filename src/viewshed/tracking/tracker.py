@@ -164,7 +164,7 @@ class Measured:
         """Return the number of detections."""
         return len(self.boxes)
 
-    def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+    def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | Numbers) -> Self:
         """Return some of them."""
         return type(self)(self.boxes[chosen], self.kinds[chosen], self.noise[chosen], self.false_odds[chosen])
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks import ATTACKS, CLEAN_SPOOFER, FarWall, GhostCar
+from viewshed.threats.attacks import ATTACKS, CLEAN_SPOOFER
 from viewshed.threats.attacks.base import Attack, Tampered
+from viewshed.threats.attacks.ghosts import FarWall, GhostCar
 from viewshed.threats.attacks.removal import PhysicalRemoval
 from viewshed.threats.attacks.spoofer import MEASURED_SPOOFER, random_open_azimuth
 

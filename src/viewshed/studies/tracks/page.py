@@ -58,13 +58,18 @@ class TracksResults:
         return [one for name in names for one in self.outcomes(detector, fov, name, place)]
 
     @cached_property
+    def detectors(self) -> list[str]:
+        """The detectors whose drives were attacked."""
+        return [name for name in self.plan.detectors if any(key[1] == name for key in self.drives)]
+
+    @cached_property
     def main(self) -> str:
         """The field of view that targets are held against."""
         return "default" if "default" in self.plan.fovs else self.plan.fovs[-1]
 
     def target_table(self) -> Table:
         """Return what was aimed at beside what was reached with each detector."""
-        reached = [self._reached(detector) for detector in self.plan.detectors]
+        reached = [self._reached(detector) for detector in self.detectors]
         rows = []
         for number, (what, sign, aim) in enumerate(TARGETS):
             cells = []
@@ -73,7 +78,7 @@ class TracksResults:
                 met = value <= aim + 1e-9 if sign == "≤" else value >= aim - 1e-9
                 cells.append("–" if np.isnan(value) else f"{format_rate(value)}{'' if met else ' **missed**'}")
             rows.append((what, f"{sign} {format_rate(aim, 2)}", *cells))
-        return Table(("what", "target", *(DETECTOR_NAMES[name] for name in self.plan.detectors)), rows)
+        return Table(("what", "target", *(DETECTOR_NAMES[name] for name in self.detectors)), rows)
 
     def _reached(self, detector: str) -> list[float]:
         """Return the values of ``TARGETS`` with a detector; NaN where nothing was run."""
@@ -83,7 +88,6 @@ class TracksResults:
             one for family in ("fabricate", "remove", "translate") for one in self.family(detector, fov, family)
         ]
         quiet = self.outcomes(detector, fov, BENIGN_CASE)
-        accused, honest = np.sum([one["honest"] for one in quiet], axis=0)
         dropped = {name: _share(self.outcomes(detector, name, BENIGN_CASE), "occluded") for name in self.plan.fovs}
         lidar = [one for key in self.sweeps for one in self._lidar(key[5], fov)] if detector == LIDAR_DETECTOR else []
         loss = self._auroc(detector, "exact", "fabricate") - self._auroc(detector, fov, "fabricate")
@@ -93,7 +97,7 @@ class TracksResults:
             benign[fov] / benign.get("none", np.nan),
             dropped[fov] / dropped["published"] if dropped.get("published") else np.nan,
             _ratio(attacked),
-            accused / honest if honest else np.nan,
+            _share(quiet, "honest"),
             _found(self.family(detector, fov, "fabricate"), "ghosts", WITHIN_S),
             _found(lidar, "ghosts"),
             _found(self.family(detector, fov, "remove"), "removed"),
@@ -105,7 +109,7 @@ class TracksResults:
     def benign_table(self) -> Table:
         """Return GOSPA, honest tracks accused, calibration and tracks dropped of benign drives by field of view."""
         rows = []
-        for detector in self.plan.detectors:
+        for detector in self.detectors:
             for fov in self.plan.fovs:
                 every = self.outcomes(detector, fov, BENIGN_CASE)
                 before, after = _gospa(every)
@@ -122,14 +126,14 @@ class TracksResults:
         """Return the shares found by attack and field of view."""
         rows = [
             (DETECTOR_NAMES[detector], name, *(_shares(self.outcomes(detector, fov, name)) for fov in self.plan.fovs))
-            for detector in self.plan.detectors for name in self.plan.attacks
+            for detector in self.detectors for name in self.plan.attacks
         ]  # fmt: skip
         return Table(("detector", "attack", *(NAMES[fov] for fov in self.plan.fovs)), rows)
 
     def known_table(self) -> Table:
         """Return what was found of removed objects, by whether they had been known."""
         rows = []
-        for detector in self.plan.detectors:
+        for detector in self.detectors:
             every = [row for one in self.family(detector, self.main, "remove") for row in one["removed"]]
             for is_known, name in ((1.0, "tracked before"), (0.0, "never, or hardly, tracked")):
                 for sure, seen in ((True, f"p ≥ {format_rate(SURE, 1)}"), (False, "less visible")):
@@ -141,7 +145,7 @@ class TracksResults:
     def gospa_table(self) -> Table:
         """Return GOSPA by attack and field of view."""
         rows = []
-        for detector in self.plan.detectors:
+        for detector in self.detectors:
             for name in self.plan.attacks:
                 cells = []
                 for fov in self.plan.fovs:
@@ -189,7 +193,7 @@ class TracksResults:
     def auroc_table(self) -> Table:
         """Return how well what speaks against tracks tells forged objects from honest ones, whatever the limit."""
         rows = []
-        for detector in self.plan.detectors:
+        for detector in self.detectors:
             for fov in self.plan.fovs:
                 cells = (format_rate(self._auroc(detector, fov, family)) for family in FAMILIES)
                 rows.append((DETECTOR_NAMES[detector], NAMES[fov], *cells))
