@@ -15,6 +15,7 @@ import argparse
 import os
 import pty
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -124,7 +125,8 @@ def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[H
         home.path = f"{checkout}/.venv/bin:{home.path}"
     else:
         wrong += faults(home.type(f"{Path(python).name} -m venv ~/env", work), work)
-        install = f"~/env/bin/python -m pip install --disable-pip-version-check '{wheel}[sim]'"
+        shutil.copy2(wheel, home.folder)
+        install = f"~/env/bin/python -m pip install --disable-pip-version-check ~/{wheel.name}'[sim]'"
         wrong += faults(home.type(install, work), work)
         home.path = f"{home.folder}/env/bin:{home.path}"
     own = ["viewshed info demo/sweep.pcd.bin.gz", "viewshed compare demo/sweep.pcd.bin.gz --out demo/compare.png",
