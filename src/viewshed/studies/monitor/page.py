@@ -661,6 +661,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
     drives = [f"{len(table.drives)} {word}" for word, table in tables.items()]
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domains=", ".join(plan.domains),
-        drives=f"{sum(plan.train)} + {sum(plan.unattacked)} train, {', '.join(drives)}", commits=commits(store.results("score")),
+        drives=f"{sum(plan.train)} + {sum(plan.unattacked)} train, {', '.join(drives)}",
+        commits=commits(store.results("score")),
     )  # fmt: skip
     return to_markdown(title, about, blocks)
