@@ -66,7 +66,7 @@ def test_scales_are_the_same_in_every_picture_and_doubt_shows_beside_the_probabi
     found = [[_count(image, color) for color in (brightest, darker)] for image in shown]
     assert found[0][0] > 10_000 > found[1][0]  # the map of doubt, and not the bars beside the maps
     assert found[1][1] - found[0][1] > 10_000
-    again = _image(draw(Panel(replace(unsure, visible_prob=sure, std=std / 2), "x")))
+    again = _image(draw(Panel(replace(unsure, visible_prob=sure, std=std / np.float32(2)), "x")))
     np.testing.assert_array_equal(shown[1][:450], again[:450])  # another deviation changes no other scale
 
 

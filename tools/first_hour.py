@@ -15,6 +15,7 @@ import argparse
 import os
 import pty
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -108,7 +109,7 @@ def faults(typed: Typed, cwd: Path) -> list[str]:
 def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[Home, list[str]]:
     """Run the first hour in a new home; return it and what went wrong."""
     home = Home(Path(tempfile.mkdtemp(prefix="home")), f"{Path(python).parent}:/usr/local/bin:/usr/bin:/bin")
-    work, wrong = home.folder / "work", []
+    work, wrong = home.folder / "try", []
     work.mkdir()
     commands = [command for command in readme_commands() if not command.startswith("make ")]
     if installed is not None:
@@ -124,7 +125,8 @@ def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[H
         home.path = f"{checkout}/.venv/bin:{home.path}"
     else:
         wrong += faults(home.type(f"{Path(python).name} -m venv ~/env", work), work)
-        install = f"~/env/bin/python -m pip install --disable-pip-version-check '{wheel}[sim]'"
+        shutil.copy2(wheel, home.folder)
+        install = f"~/env/bin/python -m pip install --disable-pip-version-check ~/{wheel.name}'[sim]'"
         wrong += faults(home.type(install, work), work)
         home.path = f"{home.folder}/env/bin:{home.path}"
     own = ["viewshed info demo/sweep.pcd.bin.gz", "viewshed compare demo/sweep.pcd.bin.gz --out demo/compare.png",
@@ -161,7 +163,8 @@ def main() -> int:
               f"{len(silent)} silent for more than {SILENT_S:g} s {silent or ''}", flush=True)  # fmt: skip
         print("\n".join(found), flush=True)
     if given.page:
-        about = facts(command="`python tools/first_hour.py`", times=str(given.times), wrong=str(len(wrong)))
+        load = f"{os.getloadavg()[1]:.0f} in the five minutes before the end, on {os.cpu_count()} cores"
+        about = facts(command="`python tools/first_hour.py`", times=str(given.times), wrong=str(len(wrong)), load=load)
         given.page.write_text(page("The first hour", about, _ABOUT, transcript(home)), encoding="utf-8")
     return 1 if wrong else 0
 
