@@ -396,7 +396,8 @@ probability {ON:g} that it is attacked at all: {len(some)} of {len(outcomes)} ru
         table(HEADER, rows),
         "## By the number of agents",
         """The first case, two false objects that stand on one car, where fewer or more agents report; the mast is
-always one of them. With two nobody can say who lies.""",
+always one of them. With two it is word against word: what is doubted is what the model of honest errors makes
+unlikely.""",
         table(COUNT_HEADER, count_rows(by_count)),
         "## What was run",
         ABOUT,

@@ -197,9 +197,10 @@ def draw_ghost(out: Path, work: Path) -> None:
         plain = published.step(t_s, seen.detections.moved(pose), polygon)
         if k not in columns:
             continue
-        rows = (
+        held = np.flatnonzero(~seen.explained.held | seen.explained.accused)
+        rows: tuple[list[Drawn], list[Drawn]] = (
             [(int(plain.ids[n]), plain.boxes[n], "0.25", "as any other") for n in np.flatnonzero(plain.confirmed)],
-            [_named(seen.explained, n) for n in np.flatnonzero(~seen.explained.held | seen.explained.accused)],
+            [_named(seen.explained, int(n)) for n in held],
         )
         for axes, shown in zip(columns[k], rows, strict=True):
             draw_states(axes, estimate)
@@ -225,7 +226,11 @@ def draw_ghost(out: Path, work: Path) -> None:
     plt.close(figure)
 
 
-def _named(explained: ExplainedTracks, n: int) -> tuple[int, Floats, tuple[float, float, float] | None, str]:
+Drawn = tuple[int, Floats, str | tuple[float, float, float] | None, str]
+"""Of a track: number, box in the world, color or None where it is drawn only if it is the ghost's, and a word."""
+
+
+def _named(explained: ExplainedTracks, n: int) -> Drawn:
     """Return number, box, color and word of a track; no color where it is not confirmed."""
     item, tracks = LEGEND[explained.explanations[n]], explained.tracks
     if not tracks.confirmed[n]:

@@ -1,4 +1,4 @@
-"""Write docs/assets/foxglove_layout.json: map, points, outline and alarms of the agent ``ego`` in Foxglove."""
+"""Write docs/assets/foxglove_layout.json: map, points, outline, tracks and alarms of the agent ``ego`` in Foxglove."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ def layout(agent: str = "ego") -> dict[str, Any]:
                 f"/{agent}/lidar/fov": grid,
                 f"/{agent}/lidar/data": points,
                 f"/{agent}/lidar/scene": fox.BaseRendererSceneUpdateTopicSettings(visible=True),
+                f"/{agent}/lidar/objects": fox.BaseRendererSceneUpdateTopicSettings(visible=True),
+                "/command_center/objects": fox.BaseRendererSceneUpdateTopicSettings(visible=True),
             },
         ),
     )  # fmt: skip

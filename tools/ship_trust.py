@@ -23,12 +23,14 @@ FUSION = Path(__file__).parents[1] / "src/viewshed/fusion"
 
 
 def limits_of(study: Path) -> TrustLimits:
-    """Return the limits of the calibration scenes of a study: of each the most suspicious agent."""
+    """Return the limits of the calibration scenes of a study: of each the most suspicious agent of each kind."""
     head = json.loads((study / FILE).open(encoding="utf-8").readline())
     plan = AgentsPlan.from_json(head["plan"])
-    runs = [run for _, run in AgentsResults(plan, ResultStore.open(study, plan).results("run")).runs("calibration")]
-    evidence = [float(np.max(run.evidence)) for run in runs]
-    return TrustLimits.of(np.array(evidence), np.array([max(run.doubt) for run in runs]))
+    results = AgentsResults(plan, ResultStore.open(study, plan).results("run"))
+    runs = [run for _, run in results.runs("calibration")]
+    evidence, elevated = np.array([np.max(run.evidence, axis=0) for run in runs]), results.elevated
+    doubt = np.array([max(run.doubt) for run in runs])
+    return TrustLimits.of(evidence[:, ~elevated].max(axis=1), evidence[:, elevated].max(axis=1), doubt)
 
 
 def main() -> None:
@@ -38,7 +40,9 @@ def main() -> None:
     write_atomic(FUSION / "limits.json", limits.to_json().encode())
     for name in (CLAIMS, HONEST_MODEL):
         write_atomic(FUSION / name, (study / name).read_bytes())
-    print(f"limits of {len(limits.evidence)} scenes, largest evidence {limits.evidence[-1]:.2f} nats")
+    print(
+        f"limits of {len(limits.low)} scenes, largest evidence {limits.low[-1]:.2f} and {limits.elevated[-1]:.2f} nats"
+    )
 
 
 if __name__ == "__main__":

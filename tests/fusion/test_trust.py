@@ -28,6 +28,7 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     return Reports(
         np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)), np.zeros((5, 3)), invented,
         np.full(seen.shape, -3.0), there, np.zeros(count), xy_m, np.full(seen.shape, STD_M),
+        np.zeros(agents, bool),
     )  # fmt: skip
 
 
@@ -49,7 +50,7 @@ def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
     assert verdicts.doubt > 1.0
     assert verdicts.evidence[0] == pytest.approx(verdicts.evidence[1], abs=0.7)
     assert verdicts.evidence.max() < 0.7  # neither can be told from the other
-    limits = TrustLimits.of(np.linspace(-1.0, 0.7, 999), np.linspace(0.0, 1.0, 999))
+    limits = TrustLimits.of(*(np.linspace(-1.0, 0.7, 999),) * 2, np.linspace(0.0, 1.0, 999))
     assert limits.disputed(verdicts, 0.01).tolist() == [True, True]
     assert not limits.accused(verdicts, 0.01).any()
 
@@ -153,12 +154,19 @@ def test_old_reports_fade_and_memory_stays_bounded() -> None:
     assert len(trust._of_objects) < 250
 
 
-def test_limits_hold_their_rate_and_refuse_what_they_cannot() -> None:
-    rng = np.random.default_rng(8)
-    limits = TrustLimits.of(rng.normal(size=(999, 5)).max(axis=1), rng.normal(size=999))
+@pytest.mark.parametrize("masts", [0, 2])
+def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
+    """Of five agents some are elevated, which err three times as much."""
+    rng, elevated = np.random.default_rng(8), np.arange(5) >= 5 - masts
+    scale = np.where(np.arange(5) >= 3, 3.0, 1.0)
+    benign = rng.normal(size=(999, 5)) * scale
+    limits = TrustLimits.of(benign[:, : 5 - masts].max(axis=1), benign[:, 3:].max(axis=1), rng.normal(size=999))
     accused = [
         limits.accused(
-            Verdicts(rng.normal(size=5), 0.0, np.ones(5), np.zeros(0, int), np.zeros(0), np.zeros(5, bool)), 0.05
+            Verdicts(
+                rng.normal(size=5) * scale, 0.0, np.ones(5), np.zeros(0, int), np.zeros(0), np.zeros(5, bool), elevated
+            ),
+            0.05,
         )
         for _ in range(2000)
     ]

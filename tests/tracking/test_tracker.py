@@ -106,6 +106,23 @@ def test_a_hidden_track_whose_place_is_lost_ends() -> None:
     assert len(tracks) == 0
 
 
+def test_a_hidden_track_whose_place_is_vague_is_not_shown_until_it_is_detected_again() -> None:
+    """It drives, so that its place grows vague within seconds; found again it is the same track, and shown."""
+    tracker = Tracker()
+    _drive(tracker, 20)
+    shown = []
+    for k in range(20, 50):
+        tracks = tracker.step(0.1 * k, Detections.none(), ScriptedView(0.1 * k, everywhere(0.0)))
+        std_m = np.sqrt(tracks.covariances[0, 0, 0])
+        assert tracks.confirmed[0] == (std_m <= 2.5)
+        shown.append(bool(tracks.confirmed[0]))
+    assert shown[0]
+    assert not shown[-1]
+    tracks = _drive(tracker, 1, start=50)
+    assert tracks.ids.tolist() == [0]
+    assert tracks.confirmed.all()
+
+
 def test_what_appears_where_all_was_seen_free_is_doubted() -> None:
     """From a place hidden a moment ago it is likely at once; in the middle of what was seen it takes longer."""
 

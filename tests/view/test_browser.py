@@ -3,6 +3,7 @@
 import io
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def _frames() -> Iterator[PackedFrame]:
             "by hand", 0.1 * k, 0.25, grid=GRID, suspect_cells=suspect, reasons=("a wall <b>is</b> missing",)
         )
         estimate = FovEstimate(GRID, visible * np.float32(0.9), state, std=std, t_ns=10**18 + 50_000_000 * k)
-        found, tracks, trust, lies = None, None, (), ()
+        frame = Frame(f"frame {k} </script>", estimate, None, report)
         if k == 2:
             box = np.array([[8.0, -8.0, 0.8, 8.0, 4.0, 1.5, 0.0], [-16.0, 10.0, 0.8, 8.0, 4.0, 1.5, np.pi / 2]])
             reasons = ("missing for 1.0 s <b>", "hidden")
@@ -52,8 +53,10 @@ def _frames() -> Iterator[PackedFrame]:
             tracks = ShownTracks(np.array([7, 9]), box, np.zeros((2, 2)), np.array([0.9, 0.8]), legend, reasons)
             found = Detections(box[:1], np.array([3]), np.array([40]))
             trust = (AgentTrust("car", 0.21, accused=True, forged=True), AgentTrust("mast", 0.98))
-            lies = ("car contradicts the others",)
-        yield pack_frame(Frame(f"frame {k} </script>", estimate, None, report, found, tracks, trust, lies))
+            frame = replace(
+                frame, detections=found, tracks=tracks, trust=trust, lies=("car contradicts the others",)
+            )  # fmt: skip
+        yield pack_frame(frame)
 
 
 @pytest.fixture(scope="module")

@@ -37,11 +37,11 @@ from viewshed.fusion.trust import Reports, Trust, TrustRules, Verdicts
 from viewshed.fusion.view_checks import ELEVATED_M
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.objects import Detections, moved_boxes
+from viewshed.objects import Detections
 from viewshed.tracking.association import assign
 from viewshed.tracking.tracker import Tracker
 from viewshed.tracking.tracks import Tracks
-from viewshed.tracking.views import GridView, hidden_within
+from viewshed.tracking.views import GridView, hidden_within, points_before
 
 Floats = NDArray[np.float64]
 
@@ -129,23 +129,58 @@ class AgentReport:
         away = boxes[:, :2] - self.world_from_level.translation[:2]
         return np.hypot(away[:, 0], away[:, 1])
 
+    @cached_property
+    def view(self) -> GridView:
+        """Its field of view, to be asked in the world."""
+        return GridView(self.estimate, 0.0)
+
     def chance(self, boxes: Floats, claims: ClaimTable) -> Floats:
         """Return the chance (K,) that an honest agent in its place reports each box (K, 7) of the world."""
-        if not len(boxes):
-            return np.zeros(0)
-        range_m = self.range_m(boxes)
-        near = np.flatnonzero((range_m <= FAR_M) & ~self.is_own(boxes))
-        chance = np.zeros(len(boxes))
-        visible = GridView(self.estimate, 0.0).visible(boxes[near])
-        chance[near] = claims(visible, boxes[near], range_m[near], elevated=self.elevated)
-        return chance
+        return chances([self], boxes, claims)[:, 0]
 
     def is_own(self, boxes: Floats) -> Mask:
         """Return which boxes (K, 7) of the world are its own vehicle."""
         if self.own_box is None:
             return np.zeros(len(boxes), np.bool_)
-        own = moved_boxes(self.own_box[None], self.world_from_level)[0]
-        return np.asarray(np.hypot(boxes[:, 0] - own[0], boxes[:, 1] - own[1]) < own[3] / 2)
+        x_m, y_m = self._own_place
+        return np.asarray(np.hypot(boxes[:, 0] - x_m, boxes[:, 1] - y_m) < self.own_box[3] / 2)
+
+    @cached_property
+    def _own_place(self) -> Floats:
+        assert self.own_box is not None
+        place: Floats = (self.world_from_level @ self.own_box[:3])[:2]
+        return place
+
+
+def chances(reports: Sequence[AgentReport], boxes: Floats, claims: ClaimTable) -> Floats:
+    """Return the chance (K, R) that each honest agent in its place reports each box (K, 7) of the world."""
+    out = np.zeros((len(boxes), len(reports)))
+    range_m = np.array([report.range_m(boxes) for report in reports]).reshape(len(reports), len(boxes))
+    near = [
+        np.flatnonzero((away <= FAR_M) & ~report.is_own(boxes)) for report, away in zip(reports, range_m, strict=True)
+    ]
+    for column, (report, chosen, visible) in enumerate(
+        zip(reports, near, visible_to(reports, [boxes[chosen] for chosen in near]), strict=True)
+    ):
+        out[chosen, column] = claims(visible, boxes[chosen], range_m[column, chosen], elevated=report.elevated)
+    return out
+
+
+def visible_to(reports: Sequence[AgentReport], boxes: Sequence[Floats]) -> list[Floats]:
+    """Return the probability (K,) that each agent could see its boxes (K, 7) of the world, as it claims.
+
+    Lines of sight of all agents whose grids are alike are followed at once: that is most of the work.
+    """
+    levels = [report.view.in_level(some) for report, some in zip(reports, boxes, strict=True)]
+    steps = {report.estimate.grid.cell_m for report in reports}
+    if len(steps) == 1:
+        ends = np.cumsum([len(some) for some in boxes])[:-1]
+        points = np.split(points_before(np.concatenate(levels), steps.pop()), ends)
+    else:
+        points = [
+            points_before(level, report.estimate.grid.cell_m) for report, level in zip(reports, levels, strict=True)
+        ]
+    return [report.view.visible_at(some) for report, some in zip(reports, points, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,9 +195,7 @@ class JointView:
 
     def visible(self, boxes: Floats) -> Floats:
         """Return the chance (K,) that any trusted agent reports each box."""
-        missed = np.ones(len(boxes))
-        for report, trust in zip(self.reports, self.trust, strict=True):
-            missed *= 1.0 - trust * report.chance(boxes, self.claims)
+        missed: Floats = (1.0 - self.trust * chances(self.reports, boxes, self.claims)).prod(axis=1)
         return 1.0 - missed
 
     def detectable(self, boxes: Floats, kinds: NDArray[np.uint8]) -> Floats:
@@ -306,7 +339,7 @@ class CommandCenter:
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
             model.invented(invented_columns(said)[0]), model.displaced(displaced_columns(said)[0]), there, prior, xy_m,
-            std_m,
+            std_m, said.elevated,
         )  # fmt: skip
 
 
@@ -341,7 +374,7 @@ def object_reports(
         range_m[:, column] = report.range_m(boxes)
         near = range_m[:, column] <= FAR_M
         able[:, column] = near & ~report.is_own(boxes)
-        visible[near, column] = GridView(report.estimate, 0.0).visible(boxes[near])
+        visible[near, column] = report.view.visible(boxes[near])
         # One look at the objects that are near, and at the agent's own boxes.
         looked = SeenCells.of(report.estimate).look(
             np.concatenate([boxes[near], theirs[hit]]), report.world_from_level.translation[:2], LOOKED_AT

@@ -147,7 +147,9 @@ class ObjectStream:
         found = detections.moved(tracks_from_level)
         # 2. Tracks, by what the beams of this sweep could have seen.
         view = BeamView(leveled, t_s, found=self._found)
-        tracks = agent.tracker.step(t_s, found, view)
+        range_m = np.hypot(detections.boxes[:, 0], detections.boxes[:, 1])
+        odds = detection_table().false_odds(range_m, detections.kinds)
+        tracks = agent.tracker.step(t_s, found, view, false_odds=odds)
         # 3. What the field of view says of them.
         seen = SensorView(
             sweep.agent, view, tracks_from_level.translation[:2], SeenCells.of(estimate), report, tracks_from_level.yaw

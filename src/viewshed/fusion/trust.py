@@ -104,6 +104,7 @@ class Reports:
         prior: (J,) log-odds that it is one, without them.
         xy_m: (J, A, 2) where it is reported, in the world; NaN where it is not.
         std_m: (J, A) standard deviation of an honest report's position along each axis.
+        elevated: (A,) bool, whose sensors look over the traffic.
 
     Raises:
         ValueError: the shapes do not fit, or a number is missing.
@@ -121,6 +122,7 @@ class Reports:
     prior: Floats
     xy_m: Floats
     std_m: Floats
+    elevated: Mask
 
     def __post_init__(self) -> None:
         shape = self.seen.shape
@@ -150,6 +152,7 @@ class Verdicts:
         ids: (J,) of the objects of the last reports.
         existence: (J,) probability that each exists, whoever lies.
         suspects: (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars.
+        elevated: (A,) bool, whose sensors look over the traffic.
     """
 
     evidence: Floats
@@ -158,6 +161,7 @@ class Verdicts:
     ids: NDArray[np.int64]
     existence: Floats
     suspects: Mask
+    elevated: Mask
 
 
 @dataclass(slots=True)
@@ -280,7 +284,7 @@ class Trust:
         existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
             evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
-            self._lies[best].any(axis=0),
+            self._lies[best].any(axis=0), reports.elevated,
         )  # fmt: skip
 
 
@@ -288,47 +292,54 @@ class Trust:
 class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
-    The unit is the scene: whoever is accused must be more suspicious than the most suspicious agent of nearly all
-    benign scenes. If the scene at hand is one like them (exchangeable), somebody is accused in at most the stated share
-    of benign scenes, however the agents of one scene depend on each other. That promises more than a false discovery
-    rate over agents (Benjamini and Hochberg, 1995), and needs fewer scenes: 99 for 1 %, where one random agent of each
-    scene, among five, needed 499.
+    The unit is the scene: whoever is accused must be more suspicious than the most suspicious agent of its kind, low or
+    elevated, of nearly all benign scenes; an elevated sensor misses what stands beneath it, and errs more. Each kind in
+    a scene gets its part of the rate (Bonferroni). If the scene at hand is one like the others (exchangeable), somebody
+    is accused in at most the stated share of benign scenes, however the agents of one scene depend on each other. That
+    promises more than a false discovery rate over agents (Benjamini and Hochberg, 1995), and needs fewer scenes: 199
+    for 1 % and two kinds, where one random agent of each scene, among five, needed 499.
 
     Attributes:
-        evidence: (N,) largest evidence, over time, against any agent of each benign scene, ascending.
+        low: (N,) largest evidence, over time, against any low sensor of each benign scene, ascending.
+        elevated: (N,) the same against any elevated one.
         doubt: (N,) largest doubt of each benign scene, ascending.
     """
 
-    evidence: Floats
+    low: Floats
+    elevated: Floats
     doubt: Floats
 
     @classmethod
-    def of(cls, evidence: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]) -> TrustLimits:
-        """Return the limits of N benign scenes: largest evidence against any agent, largest doubt.
+    def of(
+        cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]
+    ) -> TrustLimits:
+        """Return the limits of N benign scenes: largest evidence against agents of each kind, largest doubt.
 
         Raises:
             ValueError: there are none, or a number is not finite.
         """
-        if evidence.shape != doubt.shape or evidence.ndim != 1 or not len(evidence):
-            raise ValueError(f"evidence and doubt must be (N,) of benign scenes, got {evidence.shape}, {doubt.shape}")
-        if not (np.isfinite(evidence).all() and np.isfinite(doubt).all()):
+        columns = [np.asarray(one, np.float64) for one in (low, elevated, doubt)]
+        if any(one.shape != (len(low),) for one in columns) or not len(low):
+            shapes = ", ".join(str(one.shape) for one in columns)
+            raise ValueError(f"low, elevated and doubt must be (N,) of benign scenes, got {shapes}")
+        if not all(np.isfinite(one).all() for one in columns):
             raise ValueError("evidence and doubt must be finite; leave out scenes without reports")
-        return cls(np.sort(evidence.astype(np.float64)), np.sort(doubt.astype(np.float64)))
+        return cls(*(np.sort(one) for one in columns))
 
     def to_json(self) -> str:
         """Return the limits as text."""
-        return json.dumps({name: getattr(self, name).round(4).tolist() for name in ("evidence", "doubt")}) + "\n"
+        return json.dumps({name: getattr(self, name).round(4).tolist() for name in self.__slots__}) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> TrustLimits:
         """Return the limits in a text of :meth:`to_json`."""
         table = json.loads(text)
-        return cls.of(np.array(table["evidence"]), np.array(table["doubt"]))
+        return cls.of(*(np.array(table[name]) for name in cls.__slots__))
 
     @property
     def least_rate(self) -> float:
-        """The smallest rate that so many scenes support."""
-        return 1.0 / (len(self.evidence) + 1.0)
+        """The smallest rate that so many scenes support, with sensors of both kinds."""
+        return 2.0 / (len(self.doubt) + 1.0)
 
     def accused(self, verdicts: Verdicts, rate: float) -> Mask:
         """Return who is accused (A,): somebody in at most this share of benign scenes.
@@ -336,8 +347,10 @@ class TrustLimits:
         Raises:
             ValueError: so few scenes support no such rate.
         """
-        self._check(rate)
-        return np.asarray(_p_values(self.evidence, verdicts.evidence) <= rate)
+        kinds = len(np.unique(verdicts.elevated))
+        self._check(rate / max(kinds, 1))
+        low, elevated = (_p_values(benign, verdicts.evidence) for benign in (self.low, self.elevated))
+        return np.asarray(kinds * np.where(verdicts.elevated, elevated, low) <= rate * (1.0 + 1e-9))
 
     def disputed(self, verdicts: Verdicts, rate: float) -> Mask:
         """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.
@@ -349,11 +362,9 @@ class TrustLimits:
         return verdicts.suspects & ~self.accused(verdicts, rate) if somebody else np.zeros_like(verdicts.suspects)
 
     def _check(self, rate: float) -> None:
-        need = int(np.ceil(1.0 / rate)) - 1 if 0 < rate < 1 else -1
-        if need < 0 or len(self.evidence) < need:
-            raise ValueError(
-                f"rate must be in (0, 1), and {rate:g} needs {need} benign scenes, got {len(self.evidence)}"
-            )
+        need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
+        if need < 0 or len(self.doubt) < need:
+            raise ValueError(f"rate must be in (0, 1), and {rate:g} needs {need} benign scenes, got {len(self.doubt)}")
 
 
 @lru_cache(maxsize=1)

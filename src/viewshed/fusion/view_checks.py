@@ -45,8 +45,8 @@ ELEVATED_M = 4.0
 SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
 
-USUAL = 0.5
-"""Surprise up to which a check says nothing: three honest views in ten are as suspicious."""
+USUAL, MOST = 0.5, 4.0
+"""Surprise up to which a check says nothing, as suspicious as three honest views in ten, and the most that one says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +304,10 @@ class ViewScale:
 def view_doubt(surprises: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Return one number of the surprises (…, C) of several checks: what each is beyond the usual, added up.
 
+    One check alone says no more than ``MOST``: an honest view may be odd in one way.
+
     >>> view_doubt(np.array([[0.3, 0.2, 0.4], [2.5, 0.1, 1.5]])).tolist()
     [0.0, 3.0]
     """
-    return np.asarray(np.maximum(np.asarray(surprises) - USUAL, 0.0).sum(axis=-1), np.float64)
+    beyond = np.clip(np.asarray(surprises, np.float64), USUAL, MOST) - USUAL
+    return np.asarray(beyond.sum(axis=-1))

@@ -244,6 +244,7 @@ class ExistenceRules:
         surest: existence is never above this.
         confirm_from: a track is confirmed when its existence reaches this.
         drop_below: a track ends when its existence is lower.
+        vague_m: a track is not confirmed while the standard deviation of its place is larger.
         lost_m: a track ends when the standard deviation of its place is larger.
         spreads: ask the view at five places of a track's distribution where its mean is not enough.
         most_tracks: the most tracks that are held; further detections begin none, and a note says so.
@@ -266,6 +267,7 @@ class ExistenceRules:
     surest: float = 0.99
     confirm_from: float = 0.75
     drop_below: float = 0.05
+    vague_m: float = 2.5
     lost_m: float = 6.0
     spreads: bool = True
     most_tracks: int = 500
@@ -277,7 +279,7 @@ class ExistenceRules:
         for name in ("unseen_share", "seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
-        for name in ("gate", "objects_per_m2", "false_odds", "lifetime_s", "lost_m", "longest_m"):
+        for name in ("gate", "objects_per_m2", "false_odds", "lifetime_s", "vague_m", "lost_m", "longest_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
@@ -353,8 +355,9 @@ class ExistenceRules:
 
     def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
         """Keep what is likely enough and whose place is known."""
-        tracks.confirmed = tracks.confirmed | (tracks.existence >= self.confirm_from)
         variance = np.maximum(tracks.covariances[:, 0, 0], tracks.covariances[:, 1, 1])
+        tracks.confirmed = tracks.confirmed | (tracks.existence >= self.confirm_from)
+        tracks.confirmed &= variance <= self.vague_m**2
         return np.asarray((tracks.existence >= self.drop_below) & (variance <= self.lost_m**2))
 
     def _clutter_per_m2(self, measured: Measured) -> Floats:

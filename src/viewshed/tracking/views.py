@@ -154,9 +154,15 @@ class GridView:
 
     def visible(self, boxes: Floats) -> Floats:
         """Return the probability (K,) of the cells before each box; 0 outside the grid."""
-        level = moved_boxes(boxes, self._level_from_tracks)
-        grid = self._estimate.grid
-        cells, is_inside = grid.index(points_before(level, grid.cell_m))
+        return self.visible_at(points_before(self.in_level(boxes), self._estimate.grid.cell_m))
+
+    def in_level(self, boxes: Floats) -> Floats:
+        """Return boxes (K, 7) in the ``level`` frame of the estimate."""
+        return moved_boxes(boxes, self._level_from_tracks)
+
+    def visible_at(self, points: Floats) -> Floats:
+        """Return the mean probability (K,) of the cells at points (K, P, 2) of ``level``; 0 outside the grid."""
+        cells, is_inside = self._estimate.grid.index(points)
         prob = np.where(is_inside, self._prob[cells[..., 0], cells[..., 1]], 0.0)
         return np.asarray(prob.mean(axis=1))
 

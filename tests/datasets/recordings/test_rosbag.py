@@ -4,6 +4,7 @@ import pickle
 import struct
 import zlib
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -513,6 +514,14 @@ def test_one_damaged_cloud_does_not_stop_the_others(tmp_path: Path) -> None:
     source = open_source(write_ros2(tmp_path / "a", entries))
     assert [ref.t_ns for ref, _ in each_sweep(source, on_damage=lambda _, line: told.append(line))] == [S, 3 * S]
     assert sum("/points at 2000000000 ns: a cloud is cut off" in line for line in told) == 1
+
+
+def test_a_bag_may_be_closed_by_another_thread(tmp_path: Path) -> None:
+    entries: list[Entry] = [("/points", 0, ROS2.cloud(0))]
+    bag = open_bag(tmp_path, write_ros2(tmp_path / "a", entries))
+    assert len(list(bag.messages(("sensor_msgs/msg/PointCloud2",)))) == 1
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(bag.close).result()
 
 
 def test_reading_leaves_no_file_behind(tmp_path: Path) -> None:

@@ -423,7 +423,8 @@ class SqliteBag:
         self._budget = budget
         self._rows_left = (len(content) if isinstance(content, bytes) else content.stat().st_size) // _ROW_BYTES_MIN
         where = ":memory:" if isinstance(content, bytes) else f"{content.absolute().as_uri()}?mode=ro&immutable=1"
-        self._base = sqlite3.connect(where, uri=True)
+        # A bag that nobody holds any more is closed by whichever thread collects it.
+        self._base = sqlite3.connect(where, uri=True, check_same_thread=False)
         self._steps_left = 100 + self._rows_left // 100
         self._base.set_progress_handler(self._step, 10_000)
         try:

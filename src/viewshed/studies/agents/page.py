@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from scipy.stats import binomtest
 from viewshed._page import Table, facts, to_markdown
 from viewshed.fusion.trust import TrustLimits, Verdicts
 from viewshed.fusion.view_checks import VIEW_CHECKS, ViewScale, view_doubt
-from viewshed.integrity.score import SurpriseScale
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
@@ -39,7 +38,7 @@ class ScoredRun:
     Attributes:
         scene: number of the scene.
         run: what it came to.
-        score: (A,) surprise of the evidence of the reports and of the doubt of the view, their odds added.
+        score: (A,) surprise of the evidence of the reports or of the doubt of the view, the larger one.
         by_time: (T, A) the same up to each time; the doubt of the view is that of the whole scene.
         views: (A,) doubt of the view alone.
         evidence: (A,) evidence of the reports alone, the largest over time.
@@ -51,6 +50,40 @@ class ScoredRun:
     by_time: Floats
     views: Floats
     evidence: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tail:
+    """How rare a number is among honest ones: as counted, and straight on beyond what half of the scenes reach.
+
+    So that what is far beyond all honest numbers is ever more surprising, in whichever unit it is measured. The unit is
+    the distance from the median of the scenes' largest numbers to one in ten of them: no single scene decides on it.
+
+    Attributes:
+        values: (N,) honest numbers, ascending.
+        begin: median of the largest ones of each scene.
+        unit: from there to what one scene in ten reaches.
+    """
+
+    values: Floats
+    begin: float
+    unit: float
+
+    @classmethod
+    def fit(cls, values: Floats) -> Self:
+        """Return the tail of the honest numbers (S, A) of several scenes."""
+        begin, tenth = np.quantile(values.max(axis=1), (0.5, 0.9))
+        return cls(np.sort(values, axis=None), float(begin), max(float(tenth - begin), 1e-6))
+
+    def __call__(self, values: Floats) -> Floats:
+        """Return -log10 of the share of honest numbers that are as large as each of the values (…,), at most 1, ...
+
+        ... and a unit more for each unit beyond.
+        """
+        share = (1.0 + len(self.values) - np.searchsorted(self.values, values, "left")) / (1.0 + len(self.values))
+        beyond = np.maximum(values - self.begin, 0.0) / self.unit
+        surprise: Floats = np.minimum(-np.log10(share), 1.0) + beyond
+        return surprise
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,23 +124,25 @@ class AgentsResults:
         return np.maximum.accumulate(np.array(run.evidence), axis=0), np.where(self.elevated, elevated, low)
 
     @cached_property
-    def surprises(self) -> tuple[SurpriseScale, SurpriseScale]:
-        """How rare evidence of reports and doubt of views are where nobody lies."""
+    def tails(self) -> tuple[tuple[Tail, Tail], tuple[Tail, Tail]]:
+        """How rare evidence of reports and doubt of views are where nobody lies, of low and of elevated sensors."""
         found = [self._numbers(run) for _, run in self.runs("claims")]
-        evidence, views = np.concatenate([one[-1] for one, _ in found]), np.concatenate([two for _, two in found])
-        return SurpriseScale.fit(evidence[:, None, None]), SurpriseScale.fit(views[:, None, None])
+        evidence, views = np.stack([one[-1] for one, _ in found]), np.stack([two for _, two in found])
+        low, elevated = (
+            (Tail.fit(evidence[:, kind]), Tail.fit(views[:, kind])) for kind in (~self.elevated, self.elevated)
+        )
+        return low, elevated
 
     def scored(self, split: str) -> list[ScoredRun]:
         """Return the runs of a split with their scores."""
-        of_reports, of_views = self.surprises
+        (of_reports, of_views), elevated = self.tails
         out = []
         for scene, run in self.runs(split):
             evidence, views = self._numbers(run)
-            # What is rarer counts: odds are added.
-            by_time = np.logaddexp(
-                np.log(10.0) * of_reports(evidence.reshape(-1, 1, 1)).reshape(evidence.shape),
-                np.log(10.0) * of_views(views[:, None, None])[:, 0, 0],
-            ) / np.log(10.0)  # fmt: skip
+            reports = np.where(self.elevated, elevated[0](evidence), of_reports(evidence))
+            seen = np.where(self.elevated, elevated[1](views), of_views(views))
+            # The rarer of both counts: a lie about objects leaves the view as it was, and the other way round.
+            by_time = np.maximum(reports, seen)
             out.append(ScoredRun(scene, run, by_time[-1], by_time, views, evidence[-1]))
         return out
 
@@ -123,22 +158,27 @@ class AgentsResults:
 
     @cached_property
     def limits(self) -> TrustLimits:
-        """Who is accused: limits of the most suspicious agent of each calibration scene."""
-        evidence = np.array([one.score.max() for one in self.calibration])
-        return TrustLimits.of(evidence, np.array([max(one.run.doubt) for one in self.calibration]))
+        """Who is accused: limits of the most suspicious agent of each kind of each calibration scene."""
+        scores = np.array([one.score for one in self.calibration])
+        doubt = np.array([max(one.run.doubt) for one in self.calibration])
+        return TrustLimits.of(scores[:, ~self.elevated].max(axis=1), scores[:, self.elevated].max(axis=1), doubt)
 
     @property
     def rate(self) -> float:
         """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
         return max(RATE, self.limits.least_rate)
 
+    def _verdicts(self, one: ScoredRun, score: Floats, doubt: float) -> Verdicts:
+        agents, suspects = len(score), np.array(one.run.suspects[-1], np.bool_)
+        return Verdicts(score, doubt, np.ones(agents), np.zeros(0, np.int64), np.zeros(0), suspects, self.elevated)
+
     def accused(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is accused (A,) in a run at ``rate``, at any time."""
-        return self.limits.accused(_verdicts(one.score, max(one.run.doubt), one), self.rate)
+        return self.limits.accused(self._verdicts(one, one.score, max(one.run.doubt)), self.rate)
 
     def disputed(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is disputed (A,) in a run at its end."""
-        return self.limits.disputed(_verdicts(one.score, max(one.run.doubt), one), self.rate)
+        return self.limits.disputed(self._verdicts(one, one.score, max(one.run.doubt)), self.rate)
 
     @cached_property
     def benign(self) -> list[ScoredRun]:
@@ -213,7 +253,7 @@ class AgentsResults:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
         for time, score in enumerate(np.maximum.accumulate(one.by_time, axis=0)):
             t_s = (time + 0.5) / self.plan.hz
-            if t_s >= ONSET_S and self.limits.accused(_verdicts(score, 0.0, one), self.rate)[one.run.liars].any():
+            if t_s >= ONSET_S and self.limits.accused(self._verdicts(one, score, 0.0), self.rate)[one.run.liars].any():
                 return t_s - ONSET_S
         return float("inf")
 
@@ -369,12 +409,6 @@ class AgentsResults:
                 sign = "≤" if below else "≥"
                 lines.append([what, f"{sign} {bound:g}", format_rate(figure), "met" if met else "missed"])
         return Table(("what", "target", "reached", ""), lines)
-
-
-def _verdicts(score: Floats, doubt: float, one: ScoredRun) -> Verdicts:
-    agents = len(score)
-    suspects = np.array(one.run.suspects[-1], np.bool_)
-    return Verdicts(score, doubt, np.ones(agents), np.zeros(0, np.int64), np.zeros(0), suspects)
 
 
 def _counts(run: Run, plan: AgentsPlan) -> bool:

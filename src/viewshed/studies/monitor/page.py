@@ -182,6 +182,7 @@ class MonitorResults:
             ("the most at a single sensor", "≤ .02", self._most_at_a_sensor(inconsistent, benign)),
             ("sweeps corrupted at severity 5 called degraded", "≥ .90", _mean(degraded[worst])),
             ("false alarms an hour, over time", "≤ 1", self.false_alarms[0][1]),
+            ("median delay over time, in sweeps (6: more than five)", "≤ 3", self._median_delay()),
             ("suspect sectors: overlap, mean of the attacks", "≥ .60", self._located_means()[0][0]),
             ("false discoveries, mean of their sweeps", "≤ .10", self._located_means()[1][1]),
             *self._recorded_targets(),
@@ -200,6 +201,13 @@ class MonitorResults:
         sensors = self.whole.tested.sensors
         return max(_mean(alarms[benign & (sensors == sensor)]) for sensor in np.unique(sensors))
 
+    def _median_delay(self) -> float:
+        """Return the median number of sweeps until a detector over time finds a measured spoofer's attacks."""
+        attacked = self.attacked
+        counted = np.array([name not in APART and _kind_of(name) == MEASURED for name in attacked.attack], np.bool_)
+        delays = delays_of(EDetector.for_rate(PER_HOUR, round(1.0 / INTERVAL_S)), attacked.streams(counted))
+        return float(np.median(np.where(delays > 0, delays, FRAMES - ONSET + 1))) if len(delays) else float("nan")
+
     def _recorded_targets(self) -> list[tuple[str, str, float]]:
         found = self.recorded
         if found is None:
@@ -210,16 +218,6 @@ class MonitorResults:
             (f"{what}, calibrated in simulation", "≤ 4", float((found.p[benign] <= RATE).sum())),
             (f"{what}, corrected", "≤ 2", float((corrected[benign] <= RATE).sum())),
         ]
-
-    def summary_line(self) -> str:
-        """Return three figures in a sentence each."""
-        found = {what: format_rate(value) for what, _, value in self.targets}
-        three = {
-            "benign sweeps called inconsistent at 1 %": "Benign sweeps of unseen scenes called inconsistent at 1 %",
-            "AUROC of a sweep, family unseen, mean": "Benign sweeps that score below an attacked one, family unseen",
-            "caught at 1 %, mean": "Attacked sweeps that are caught at 1 %, family unseen",
-        }
-        return "\n".join(f"- {words}: **{found[what]}**" for what, words in three.items())
 
     def found_table(self) -> Table:
         """Return what is found of each attack with its own budget, and the mean."""
@@ -642,7 +640,6 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "low_rate": f"{LOW_RATE:g}", "hours": f"{HOURS:g} h", "published": plan.published[0],
     }  # fmt: skip
     title, blocks = fill_template("monitor/page.md", values, {
-        "summary": results.summary_line,
         "targets": results.target_table,
         "found": results.found_table,
         "severities": results.severity_table,

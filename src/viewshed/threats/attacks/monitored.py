@@ -26,6 +26,10 @@ BITS = (1, 2, 5, 10, 20, 50, 100, 200)
 class MonitorScore:
     """What a monitor of sweeps makes of one that an attacker might send: the ``score`` of ``Trip`` and ``Evade``.
 
+    The search stands for the attacker who knows all: it is given the exact score of every plan. The score has a
+    gradient in the evidence, but the evidence has none in the points: counts, quantiles and thresholds are flat almost
+    everywhere and jump where one more return passes one, so that a slope by small random moves is 0 or their noise.
+
     Attributes:
         score: from what the monitor is handed to the number that it alarms on.
         grid: of the victim.
