@@ -27,6 +27,7 @@ from viewshed._page import facts, page
 
 ROOT = Path(__file__).resolve().parents[1]
 SILENT_S = 3.0
+_MOST_LINES = 50
 
 _ABOUT = """A transcript: what a newcomer types, and all that is printed, in a home that was empty before. Seconds are
 those of this machine, whatever else it did; *silent* is the longest wait without a line."""
@@ -139,10 +140,16 @@ def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[H
 def transcript(home: Home) -> str:
     """Return what was typed and printed as Markdown."""
     return "\n\n".join(
-        f"```console\n$ {one.command.replace(str(home.folder), '~')}\n{one.output}\n```\n\n"
+        f"```console\n$ {one.command.replace(str(home.folder), '~')}\n{_shortened(one.output)}\n```\n\n"
         f"{one.seconds:.1f} s, silent for {one.silent_s:.1f} s."
         for one in home.typed
     )
+
+
+def _shortened(output: str) -> str:
+    """Return what was printed, of an install only its last line."""
+    lines = output.splitlines()
+    return output if len(lines) <= _MOST_LINES else f"… {len(lines) - 1} lines …\n{lines[-1]}"
 
 
 def main() -> int:
