@@ -169,6 +169,7 @@ def main() -> int:
         print(f"time {number + 1} of {given.times}: {len(home.typed)} commands, {len(found)} wrong, "
               f"{len(silent)} silent for more than {SILENT_S:g} s {silent or ''}", flush=True)  # fmt: skip
         print("\n".join(found), flush=True)
+        shutil.rmtree(home.folder, ignore_errors=True)
     if given.page:
         load = f"{os.getloadavg()[1]:.0f} in the five minutes before the end, on {os.cpu_count()} cores"
         about = facts(command="`python tools/first_hour.py`", times=str(given.times), wrong=str(len(wrong)), load=load)
