@@ -353,6 +353,8 @@ ago. AUROC of a liar against honest agents with the same fault; over all lies it
 is to be accused (at {100 * study.rate:.3g} %, nobody lies) in ≤ .015 of the scenes. In brackets 95 % intervals over
 scenes.""",
         table(["fault", *(f"lies about {name}" for name in GROUPS), "all", "loss", "honest accused"], rows),
+        """The covariance of a pose, which messages carry, is not used by the center: an honest agent that is half a
+degree off contradicts others as a dishonest one does.""",
         *(of_spoofed if spoofed else ()),
     )
 

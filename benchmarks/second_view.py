@@ -52,7 +52,7 @@ LOOKED_AT_S = (5.25, 7.25, 9.25, 11.25)
 ALONE = "alone"
 ROWS: dict[str, str] = {
     ALONE: "",
-    "one honest view, each of four": "",
+    "one honest view, each of four": "≥ .95",
     "one honest view, the nearest car": "≥ .95",
     "one honest view, the mast": "",
     "four honest views, one agrees": "≥ .95",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fusion.claims import EDGES, RANGES_M, ClaimTable, claim_table
 from viewshed.fusion.many import AgentReport, CommandCenter, CommonPicture, confirmed, joint_fov, match_agents
 from viewshed.geometry import Rigid
@@ -125,6 +125,14 @@ def test_an_agent_that_says_nothing_for_a_time_is_no_liar() -> None:
         picture = center.add(0.5 * time, [report(agent, CARS) for agent in AGENTS[: 3 if time < 3 else 2]])
     assert not picture.verdicts.suspects.any()
     assert picture.verdicts.trust[2] > 0.8
+
+
+def test_a_mast_that_says_nothing_for_a_time_is_judged_as_a_mast() -> None:
+    mast = replace(AGENTS[1], basis=Basis(8.0, "estimated", 0.9, 0.0, 0.0, 60.0))
+    center = CommandCenter(("a", "b"))
+    both = center.add(0.0, [report(AGENTS[0], CARS), report(mast, CARS)])
+    alone = center.add(0.5, [report(AGENTS[0], CARS)])
+    assert both.verdicts.elevated.tolist() == alone.verdicts.elevated.tolist() == [False, True]
 
 
 def test_the_joint_view_is_what_any_trusted_agent_sees() -> None:

@@ -264,6 +264,7 @@ class CommandCenter:
     _existence: dict[int, float] = field(default_factory=dict, repr=False)
     _reported: dict[int, NDArray[np.int64]] = field(default_factory=dict, repr=False)
     _weights: Floats = field(init=False, repr=False)
+    _elevated: Mask = field(init=False, repr=False)
     _last_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -271,6 +272,7 @@ class CommandCenter:
             raise ValueError(f"agents must be different names, got {', '.join(self.agents)}")
         self._trust = Trust(len(self.agents), self.rules)
         self._weights = np.ones(len(self.agents))
+        self._elevated = np.zeros(len(self.agents), np.bool_)
 
     def add(self, t_s: float, reports: Sequence[AgentReport]) -> CommonPicture:
         """Return the picture after the reports of one time, at most one of each agent.
@@ -297,11 +299,11 @@ class CommandCenter:
             reports, columns, len(self.agents), tracks.boxes[reported], members, before.reshape(-1, len(self.agents)),
             tracks.existence[reported],
         )  # fmt: skip
+        # An agent that is silent now stays of its kind: it is judged by what it said before.
+        self._elevated[columns] = said.elevated[columns]
         seconds = 0.5 if self._last_s is None else t_s - self._last_s
-        verdicts, self._last_s = (
-            self._trust.add(self._judged(tracks.ids[reported], said, reports, columns, members), seconds),
-            t_s,
-        )
+        judged = self._judged(tracks.ids[reported], said, reports, columns, members)
+        verdicts, self._last_s = self._trust.add(judged, seconds), t_s
         self._weights = np.maximum(verdicts.trust, LEAST_TRUST)
         for number, seen in zip(tracks.ids[reported].tolist(), said.seen, strict=True):
             self._reported[number] = self._reported[number] + seen
@@ -339,7 +341,7 @@ class CommandCenter:
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
             model.invented(invented_columns(said)[0]), model.displaced(displaced_columns(said)[0]), there, prior, xy_m,
-            std_m, said.elevated,
+            std_m, self._elevated.copy(),
         )  # fmt: skip
 
 

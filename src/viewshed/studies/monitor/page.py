@@ -191,7 +191,7 @@ class MonitorResults:
     def target_table(self) -> Table:
         """Return what was aimed at beside what was reached."""
         rows = [
-            [what, target, f"{value:.3g}" if value > 1 else format_rate(value), _is_met(target, value)]
+            [what, target, f"{value:.3g}" if value > 1 or value == 0 else format_rate(value), _is_met(target, value)]
             for what, target, value in self.targets
         ]
         return Table(["what", "target", "reached", ""], rows)
@@ -661,6 +661,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
     drives = [f"{len(table.drives)} {word}" for word, table in tables.items()]
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domains=", ".join(plan.domains),
-        drives=f"{sum(plan.train)} train, {', '.join(drives)}", commits=commits(store.results("score")),
+        drives=f"{sum(plan.train)} + {sum(plan.unattacked)} train, {', '.join(drives)}",
+        commits=commits(store.results("score")),
     )  # fmt: skip
     return to_markdown(title, about, blocks)
