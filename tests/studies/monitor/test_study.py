@@ -231,8 +231,9 @@ def test_the_command_runs_and_the_bytes_do_not_depend_on_the_engine(tmp_path: Pa
     with pytest.raises(SystemExit) as stop:
         main(["study", "monitor", "--preset", "tiny", "--out", str(tmp_path / "one"), "--workers", "1"])
     assert not stop.value.code
-    text = (tmp_path / "one" / "monitor.md").read_text("utf-8")
-    assert all(f"\n| {word} " in text for word in ("ghost_wall (6)", "replay, frozen (11)", "rain", "**all**"))
+    text, full = ((tmp_path / "one" / name).read_text("utf-8") for name in ("monitor.md", "monitor_full.md"))
+    assert all(f"\n| {word} " in text for word in ("ghost_wall (6)", "replay, frozen (11)", "**all**"))
+    assert "\n| rain " in full and "\n| rain " not in text  # the published page is the short one
     store = ResultStore.open(tmp_path / "two", TINY)
     assert list(run_study(store, LocalEngine(2), ("drives",))) == []
     files = sorted(path.name for path in (tmp_path / "one" / FOLDER).iterdir())
