@@ -23,7 +23,6 @@ from std_msgs.msg import UInt8MultiArray
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.geometry import Rigid
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.stream_monitor import StreamMonitor
 from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
 from viewshed.pipeline import Answer, Pipeline, prepare_process
@@ -38,9 +37,6 @@ from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """Each event of each publisher would be waited for anew at every message, which takes longer than a laser scan;
 subscribers still say themselves where their quality of service does not fit."""
-
-FALSE_ALARM_SWEEPS = 36_000.0
-"""Mean number of sweeps between false alarms of a stream: an hour at 10 Hz."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Reliable, and who comes late is given the last message."""
@@ -194,7 +190,8 @@ class FieldOfView(LifecycleNode):
             self.get_logger().warning("nobody watches the streams: no monitor is in the box, and monitor_file is empty")
             return None
         path = Path(settings.monitor_file) if settings.monitor_file else SHIPPED
-        return StreamMonitor(load_sweep_monitor(path), EDetector(FALSE_ALARM_SWEEPS))
+        monitor = load_sweep_monitor(path)
+        return StreamMonitor(monitor, monitor.detector())
 
     def _pose_source(self, settings: Settings) -> poses.Poses | None:
         if settings.pose_source == "none":

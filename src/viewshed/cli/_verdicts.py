@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from viewshed.integrity.sweep_monitor import SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
 
-FALSE_ALARMS_PER_HOUR, HZ = 1.0, 10.0
-"""Stated rate of false alarms over time, for a sensor that turns so often a second; of files without drives."""
+HZ = 10.0
+"""How often a second a sensor turns, as far as alarms over time are counted in hours."""
 
 SCENE_NS = 20_000_000_000
 """A longer drive counts as several scenes."""
@@ -40,7 +40,7 @@ def stream_monitor(file: Path | None) -> StreamMonitor:
     from viewshed.integrity import StreamMonitor
 
     monitor = monitor_of(file)
-    return StreamMonitor(monitor, monitor.detector(FALSE_ALARMS_PER_HOUR, HZ))
+    return StreamMonitor(monitor, monitor.detector(hz=HZ))
 
 
 @dataclass(slots=True)

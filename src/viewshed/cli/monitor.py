@@ -16,7 +16,7 @@ from viewshed.cli._options import AUTO, BAD_INPUTS, MonitorFile, Passes, Reading
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import place_of_result
 from viewshed.cli._stream import placed_sweeps, poses_of
-from viewshed.cli._verdicts import Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
+from viewshed.cli._verdicts import HZ, Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -97,11 +97,9 @@ def calibrate(
         list[str] | None,
         typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
     ] = None,
-    drives: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="More sources, none of them given before: what their 20 s add up to limits alarms over time."
-        ),
+    per_hour: Annotated[
+        float | None,
+        typer.Option(help="False alarms an hour over time; as few as these drives support, but not below 1."),
     ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
@@ -113,8 +111,8 @@ def calibrate(
 
     What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
     of one recording are alike; the rate then holds for that place and time. Inconsistent is calibrated on all of them,
-    degraded on those that are not given by --worse. Alarms over time keep the rate per 20 s if --drives are given; else
-    their limit is that of independent sweeps, which those of a drive are not.
+    degraded on those that are not given by --worse. Alarms over time keep --per-hour on sweeps that come ten times a
+    second: one an hour needs an hour of drives.
 
     Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
     """
@@ -124,7 +122,7 @@ def calibrate(
 
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
-    refuse_inputs((out,), map(Path, (*sources, *(worse or ()), *(drives or ()))))
+    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
     base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
 
@@ -141,8 +139,8 @@ def calibrate(
             base.score, benign, rng, rates=Rates(rate, rate), promise="confident" if confident else "expected",
             per="drive" if per == "scene" else "sweep", estimates=base.estimates, facts=base.facts,
         )  # fmt: skip
-    if drives:
-        made = made.limited_per_drive(measured(drives), rate)
+    made = replace(made, per_hour=per_hour)
+    made.detector(hz=HZ)
     save_sweep_monitor(made, out)
     for warning in made.warnings:
         complain(f"warning: {warning}")
@@ -150,8 +148,6 @@ def calibrate(
     typer.echo(f"{out}: calibrated on {len(benign)} sweeps of {scenes} scenes")
     for line in made.promises():
         typer.echo(f"  {line}")
-    if drives:
-        typer.echo(f"  over time: at most {rate:.3%} of drives of 20 s alarm, whatever lies between their sweeps")
     if failures.count:
         raise typer.Exit(2)
 
