@@ -97,13 +97,13 @@ def test_an_unknown_sensor_takes_the_most_cautious_group_and_says_so() -> None:
     evidence, _ = _attacked()
     report = _monitor().report(evidence, Group("OS1-64", "none"), kinds=KINDS)
     assert report.threshold == max(_monitor().inconsistent.limit(group) for group in (VLP, HDL))
-    assert report.notes[0].startswith("OS1-64, single sweeps was not calibrated: judged by the most cautious of VLP-16")
+    said = "OS1-64, single sweeps was not calibrated, no rate is promised: judged by the most cautious of 2 sensors"
+    assert report.notes == (said,)
 
 
 def test_the_same_sweeps_give_the_same_file_and_the_file_the_same_monitor(tmp_path: Path) -> None:
     real = [replace(sweep, scene=f"real {number}") for number, sweep in enumerate(benign_sweeps(9, 3, each=1))]
-    lenient = {name: replace(getattr(_monitor(), name), rate=0.1) for name in ("inconsistent", "degraded")}
-    corrected = replace(_monitor(), **lenient).corrected(real, np.random.default_rng(0))
+    corrected = _monitor().corrected(real, np.random.default_rng(0), rates=Rates(0.1, 0.1, 0.1))
     for monitor in (_monitor(), corrected):
         save_sweep_monitor(monitor, tmp_path / "one.npz")
         save_sweep_monitor(monitor, tmp_path / "two.npz")

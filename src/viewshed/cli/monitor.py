@@ -122,6 +122,8 @@ def calibrate(
 
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
+    if correct and per == "scene":
+        raise ValueError("--per scene must go with scenes that replace the calibration, got --correct; leave one out")
     refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
     base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
@@ -132,12 +134,13 @@ def calibrate(
 
     benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
               for sweep in measured(places)]  # fmt: skip
+    rates, promise = Rates(rate, rate), ("confident" if confident else "expected")
     if correct:
-        made = base.corrected(benign, rng)
+        made = base.corrected(benign, rng, rates=rates, promise=promise)
     else:
         made = SweepMonitor.calibrate(
-            base.score, benign, rng, rates=Rates(rate, rate), promise="confident" if confident else "expected",
-            per="drive" if per == "scene" else "sweep", estimates=base.estimates, facts=base.facts,
+            base.score, benign, rng, rates=rates, promise=promise, per="drive" if per == "scene" else "sweep",
+            estimates=base.estimates, facts=base.facts,
         )  # fmt: skip
     made = replace(made, per_hour=per_hour)
     made.detector(hz=HZ)
@@ -167,9 +170,8 @@ def check(
     """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
 
     Without --monitor-file it is the monitor that comes with viewshed. Sweeps of a recording are judged with those
-    before them. A sweep that
-    cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2. An alarm
-    does not change the exit code.
+    before them. What a verdict cannot rest on is said where it is new. A sweep that cannot be checked costs one line on
+    standard error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -347,6 +349,7 @@ class _SweepRun:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
     scene: str = ""
+    notes: tuple[str, ...] = ()
     estimator: Estimator | None = None
 
     def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
@@ -365,7 +368,8 @@ class _SweepRun:
 
         try:
             leveled, report = self.check(seen)
-            line = f"{seen.name}: {stream_verdicts(report)}"
+            line = f"{seen.name}: {stream_verdicts(report, self.notes)}"
+            self.notes = report.now.notes
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
                 write_atomic(place, self.picture(leveled, report.now, line))

@@ -201,10 +201,19 @@ class SweepMonitor:
             tuple(estimates), dict(facts or {}), tuple(dict.fromkeys(line for line in found if line)),
         )  # fmt: skip
 
-    def corrected(self, real: Iterable[BenignSweep], rng: np.random.Generator) -> Self:
+    def corrected(
+        self, real: Iterable[BenignSweep], rng: np.random.Generator, *, rates: Rates = RATES,
+        promise: Promise = "expected",
+    ) -> Self:  # fmt: skip
         """Return the monitor, calibrated in simulation, corrected by real scenes: see ``calibration.RealScores``.
 
         Both verdicts are corrected. Sectors, reasons and runs stay those of the simulated scenes.
+
+        Args:
+            real: sweeps of real scenes that nobody attacked.
+            rng: draws one sweep of each scene.
+            rates: of false alarms.
+            promise: whether the expected rate is kept, or the rate with probability .9.
 
         Raises:
             ValueError: there are none, one is of another evidence or history, or they leave no limit for a rate.
@@ -215,11 +224,12 @@ class SweepMonitor:
                 [scene for scene, _ in of_group], np.array([row for _, row in of_group]), self.per, rng
             )
             scores += [(group, row) for row in chosen[1]]
-        return replace(
-            self,
-            inconsistent=self.inconsistent.corrected((group, float(row[0])) for group, row in scores),
-            degraded=self.degraded.corrected((group, float(row[1])) for group, row in scores),
+        verdicts = (self.inconsistent, rates.inconsistent), (self.degraded, rates.degraded)
+        inconsistent, degraded = (
+            replace(one, rate=rate, promise=promise, real=one.real_scores((group, row[place]) for group, row in scores))
+            for place, (one, rate) in enumerate(verdicts)
         )
+        return replace(self, inconsistent=inconsistent, degraded=degraded, discovery_rate=rates.discoveries)
 
     def detector(self, per_hour: float | None = None, hz: float = 10.0) -> EDetector:
         """Return what adds up doubt over a stream: its expected false alarms an hour are at most the chosen ones.
@@ -289,8 +299,8 @@ class SweepMonitor:
         """
         row = _row(self.score, evidence)
         if group not in self.benign:
-            like = "; ".join(map(str, self.inconsistent.alike(group)))
-            notes = (*notes, f"{group} was not calibrated: judged by the most cautious of {like}; no rate is promised")
+            like = len(self.inconsistent.alike(group))
+            notes = (*notes, f"{group} was not calibrated, no rate is promised: judged by the most cautious of {like} sensors")
         inconsistent, threshold = float(row[0]), self.inconsistent.limit(group)
         suspect = np.zeros(SECTORS, np.bool_)
         if inconsistent > threshold:
