@@ -50,6 +50,17 @@ def test_a_replay_as_fast_as_possible_writes_the_same_bytes(files: list[Path], t
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
 
 
+def test_what_cannot_be_read_or_written_is_a_line_each(files: list[Path], tmp_path: Path) -> None:
+    code, out, err = run("replay", tmp_path / "none.pcd", "--as-fast")
+    assert (code, out) == (2, "")
+    assert err == f"viewshed: {tmp_path / 'none.pcd'}: No such file or directory\n"
+    for name in ("a.mcap", "a.bag", "a"):
+        code, _, err = run("record", *files, "--to", tmp_path / "nowhere" / name)
+        assert code == 2
+        assert err.endswith(f"must lie in a folder that exists, got {tmp_path / 'nowhere'}; make it first\n")
+    assert not list(tmp_path.iterdir())
+
+
 def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> None:
     assert run("replay", *files, "--as-fast", "--to", tmp_path / "a.bag")[0] == 0
     assert run("record", *files, "--to", tmp_path / "b.bag")[0] == 0

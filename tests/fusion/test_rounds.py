@@ -72,3 +72,6 @@ def test_who_contradicts_two_others_is_told() -> None:
     joint = last.joint
     assert joint.agents == ("a", "b", "c")
     assert joint.seen_by.max() in {2, 3}
+    # It lies about the middle of the agents, turned like the world, and holds the views of all.
+    np.testing.assert_allclose(joint.world_from_grid.translation[:2], [-1 / 3, -13 / 3], atol=1e-9)
+    np.testing.assert_array_equal(joint.world_from_grid.rotation, np.eye(3))

@@ -126,7 +126,7 @@ def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
     read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises where links lead in a circle
     for place in places:
         if os.path.realpath(place) in read:
-            raise ValueError(f"{place} is an input and would be replaced; choose another --out")
+            raise ValueError(f"{place} is an input and would be replaced; choose another place")
 
 
 class Named(NamedTuple):

@@ -223,7 +223,8 @@ def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adver
                 pipeline.put(sent.sweep, sent.agent)
                 count += 1
     finally:
-        typer.echo(pipeline.statistics().line())
+        if count:
+            typer.echo(pipeline.statistics().line())
     note_unmet(adversary)
     return count
 

@@ -102,9 +102,8 @@ def rounds(streams: list[Iterator[Named]], slop: float, failures: Failures) -> I
 def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Iterator[tuple[int, int, int, Named]]:
     for place, named in enumerate(stream):
         if named.sweep.t_ns is None or named.sweep.world_from_sensor is None:
-            failures.report(
-                named.name, ValueError("a sweep must have a time and a pose to be put together with others")
-            )
+            problem = "sweeps must have a time and a pose to be put together with others; give --poses FILE"
+            failures.report(named.file, ValueError(problem))
         else:
             yield named.sweep.t_ns, number, place, named
 

@@ -60,6 +60,7 @@ _NOT_READ = {
     b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.datasets.recordings.open_source",
     b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.datasets.recordings.open_source",
     b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.datasets.recordings.open_source",
+    b"LASF": "is a LAS file; convert it to PLY or PCD",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
@@ -96,7 +97,10 @@ def _format_by_name(source: InputFile) -> str:
     for name, known in FORMATS.items():
         if source.name.endswith(known.suffixes):
             raise ValueError(f"is named like {name} but does not begin like it; it is damaged or of another format")
-    raise ValueError(f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format")
+    raise ValueError(
+        f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format, or save the points"
+        " (N, 3) as NPY"
+    )
 
 
 def _maker_of_capture(source: InputFile) -> str:

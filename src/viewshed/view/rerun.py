@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
+from viewshed._files import require_parent
 from viewshed.fov.estimate import CellState
 from viewshed.fusion.explained import Explanation
 from viewshed.fusion.legend import LEGEND
@@ -43,6 +44,7 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
     stream, count, has_trust = rerun.RecordingStream("viewshed"), 0, False
     try:
+        require_parent(target)
         draft.touch(exist_ok=False)  # says in Python's words what stands in the way
         stream.save(draft)
         stream.send_recording_name(title)
