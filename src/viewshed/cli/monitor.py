@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, MonitorFile, Passes, Reading, Seed, Weights, complain
+from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
-from viewshed.cli._places import place_of_result
+from viewshed.cli._places import chosen_files, is_data_set, place_of_result
 from viewshed.cli._stream import placed_sweeps, poses_of
+from viewshed.cli._terminal import BAD_INPUTS, complain
 from viewshed.cli._verdicts import Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
@@ -249,7 +250,7 @@ class _Source:
 
     def __iter__(self) -> Iterator[Seen]:
         for place in self.places:
-            if options.is_data_set(place):
+            if is_data_set(place):
                 yield from self._archived(place)
             elif self.split is not None:
                 raise ValueError(f"--split goes with a data set that has splits, got {place}")
@@ -265,7 +266,7 @@ class _Source:
 
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
-        jobs = list(options.chosen([Path(place)], None))
+        jobs = list(chosen_files([Path(place)], None))
         poses, count = poses_of(reading, jobs), 0
         for job in jobs:
             path = job[0]
