@@ -332,7 +332,7 @@ def _sweep() -> Sweep:
 
 def _monitor() -> StreamMonitor:
     shipped = shipped_monitor()
-    return StreamMonitor(shipped, shipped.detector())
+    return StreamMonitor(shipped, shipped.detector(hz=10.0))
 
 
 def _soak_node(seconds: float) -> Soaked | None:
