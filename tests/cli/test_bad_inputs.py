@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.cli.test_cli import run
 from tests.datasets.recordings.test_rosbag import ROS2, S, write_mcap, write_ros2
+from tests.io.test_bad_input import BAD
 
 from viewshed import Sweep, write_sweep
 from viewshed.io.samples import junction_path
@@ -240,6 +241,46 @@ OPTIONS = [
     Case("two pages at once", lambda f: ("view", *good(f), "--html", f / "a", "--rerun", f / "b"), "name one of"),
     Case("bag to a picture", lambda f: ("record", *good(f), "--to", f / "a.png"), "a.png"),
 ]  # fmt: skip
+COMMANDS = [
+    Case("replay of nothing", lambda f: ("replay", f / "no.mcap"), "no.mcap: no such file"),
+    Case("replay to a picture", lambda f: ("replay", bag(f), "--as-fast", "--to", f / "a.png"), "a.png"),
+    Case("pace of nothing", lambda f: ("replay", *good(f), "--rate", 0), "rate"),
+    Case("fusing without poses", lambda f: ("fuse", *good(f)), "must have a time and a pose"),
+    Case("attack of nobody", lambda f: ("attack", *good(f), "--attack", "laser", "--out", f / "o"), "attack must be"),
+    Case("attack of an empty folder", lambda f: ("attack", folder(f, "s"), "--attack", "relay", "--out", f / "o"),
+         "folder"),
+    Case("budget in words", lambda f: ("attack", *good(f), "--attack", "relay", "--budget", "much", "--out", f / "o"),
+         "budget must be"),
+    Case("corruption of nobody", lambda f: ("corrupt", *good(f), "--corruption", "lava", "--out", f / "o"),
+         "corruption must be"),
+    Case("severity of 9", lambda f: ("corrupt", *good(f), "--corruption", "fog", "--severity", 9, "--out", f / "o"),
+         "severity must"),
+    Case("preset of nobody", lambda f: ("simulate", "mars", "--out", f / "o"), "preset must be one of"),
+    Case("no sweeps at all", lambda f: ("simulate", "nuscenes-small", "--sweeps", 0, "--out", f / "o"), "sweeps must"),
+    Case("a folder that is no data set", lambda f: ("dataset", "info", f), "must be a data set"),
+    Case("a data set that is nowhere", lambda f: ("dataset", "verify", f / "no"), "no"),
+    Case("labels of nothing", lambda f: ("label", f / "no", "--out", f / "o"), "no"),
+    Case("a config of nobody", lambda f: ("train", "best", "--out", f / "o"), "best"),
+    Case("a config of another key", lambda f: ("train", toml(f, "speed = 3\n"), "--out", f / "o"), "speed"),
+    Case("a network that is none", lambda f: ("quantize", "viewnet_road", put(f / "n.onnx", "x"), "--out", f / "o"),
+         "n.onnx"),
+    Case("methods of nobody", lambda f: ("compare", *good(f), "--methods", "lidar"), "method"),
+    Case("grid of words", lambda f: ("info", *good(f), "--grid", "large"), "grid must be one of road"),
+    Case("grid of no cells", lambda f: ("info", *good(f), "--grid", "0x64"), "cells must"),
+    Case("target of nobody", lambda f: ("estimate", *good(f), "--target", "bus"), "target must be one of car"),
+    Case("height in the sky", lambda f: ("info", *good(f), "--height", "nan"), "height"),
+    Case("tilt that is no rotation", lambda f: ("info", *good(f), "--attitude", "0,0,0,0"), "quaternion must have norm 1"),
+    Case("probability of 3", lambda f: ("estimate", *good(f), "--threshold", 3), "threshold must lie in (0, 1]"),
+    Case("rate of 2", lambda f: ("monitor", "calibrate", *good(f), "--rate", 2, "--out", f / "m.npz"), "rate"),
+    Case("index for crossview that is none", lambda f: ("evaluate", "crossview", put(f / "i.json", "{")), "i.json"),
+    Case("a study's step of nobody", lambda f: ("study", "agents", "--only", "guess", "--out", f / "o"), "--only must be some of scenes, runs, page"),
+    Case("a study's size of nobody", lambda f: ("study", "robustness", "--preset", "huge", "--out", f / "o"), "preset"),
+]  # fmt: skip
+BOMBS = {"bomb.npz", "bomb.bin.gz"}
+"""Larger than a test's limit, not than a user's."""
+DAMAGED = [
+    Case(name, lambda f, name=name: ("estimate", put(f / name, BAD[name][0])), name) for name in BAD.keys() - BOMBS
+]
 GROUPS = {
     "files that are not what they are named": NAMED,
     "files that are cut off or hold something else": CUT_OFF,
@@ -248,12 +289,14 @@ GROUPS = {
     "poses and reference systems": POSES,
     "where results go": OUTPUTS,
     "options that contradict the file": OPTIONS,
+    "other commands": COMMANDS,
+    "damaged files of each format": DAMAGED,
 }
 CASES = [case for cases in GROUPS.values() for case in cases]
 
 
 def test_no_two_cases_are_the_same() -> None:
-    assert len({case.name for case in CASES}) == len(CASES) >= 60
+    assert len({case.name for case in CASES}) == len(CASES) >= 148
 
 
 def fault_of(case: Case, place: Path) -> str:

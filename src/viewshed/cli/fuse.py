@@ -71,7 +71,7 @@ def fuse(
         if "png" in kinds:
             write_atomic(out / f"fused_{times:04}.png", picture_of(done))
         times += 1
-    if "jsonl" in kinds:
+    if "jsonl" in kinds and times:
         write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
     if times:
         typer.echo(f"{times} times → {out}")

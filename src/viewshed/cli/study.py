@@ -371,7 +371,10 @@ def _folder(out: Path | None, name: str) -> Path:
 
 
 def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
-    return every if only is None else tuple(only.split(","))
+    chosen = every if only is None else tuple(only.split(","))
+    if unknown := [step for step in chosen if step not in every]:
+        raise ValueError(f"--only must be some of {', '.join(every)}, got {unknown[0]!r}")
+    return chosen
 
 
 def _require_results(folder: Path, *, run: bool) -> None:
