@@ -94,7 +94,12 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(INTERRUPTED)
 
 
-_FORMER_OPTIONS = {"--past": "--history", "--wary": "--require-confirmation", "--sure": "--abstain-below"}
+_FORMER_OPTIONS = {
+    "--past": "--history",
+    "--wary": "--require-confirmation",
+    "--sure": "--abstain-below",
+    "--told": "--known",
+}
 """Options of version 0.3, taken as well for one version."""
 
 

@@ -25,10 +25,19 @@ if TYPE_CHECKING:
 
 
 GridName = Annotated[
-    str, typer.Option("--grid", help="road, indoor, paper, paper_indoor, or CELLSxHALF_EXTENT_M (256x64).")
+    str,
+    typer.Option(
+        "--grid",
+        help="Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m.",
+    ),
 ]
 
-SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
+SensorName = Annotated[
+    str,
+    typer.Option(
+        "--sensor", help="The LiDAR: auto (from the points), none, a model (hdl32e), or a TOML file of beams."
+    ),
+]
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto tells it by content and name.")]
 FrameName = Annotated[
     str | None,
@@ -47,7 +56,9 @@ Poses = Annotated[
 ]
 Crs = Annotated[
     str | None,
-    typer.Option("--crs", help="Reference system of the poses, or of the points with --origin: EPSG:25832."),
+    typer.Option(
+        "--crs", help="Reference system that the poses, or the points with --origin, lie in, such as EPSG:25832."
+    ),
 ]
 Number = Annotated[
     int, typer.Option("--number", min=0, help="In a file or recording of several sweeps: which one, counted from 0.")
@@ -64,8 +75,10 @@ Attitude = Annotated[
     str | None,
     typer.Option("--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that turns its axes level."),
 ]
-Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
-TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
+Index = Annotated[
+    Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
+]
+TargetName = Annotated[str, typer.Option("--target", help="What a cell counts as visible for: car or pedestrian.")]
 Profile = Annotated[
     str, typer.Option("--profile", help="Parameters of the method: sound (ours) or paper (as published).")
 ]
@@ -224,13 +237,17 @@ class Following:
         bool, typer.Option("--fuse", help="Put several agents together as well: joint tracks, trust, disputes.")
     ] = False
     attack: Annotated[
-        str | None, typer.Option("--attack", help="Forge sweeps, objects or claimed views: name of an attack.")
+        str | None,
+        typer.Option("--attack", help="Forge sweeps, objects or claimed views: an attack (a wrong name lists all)."),
     ] = None
     attacked: Annotated[
         str | None, typer.Option("--attacked", help="Agents that are attacked, AGENT,AGENT; all if not given.")
     ] = None
     attack_from: Annotated[
-        float, typer.Option("--attack-from", min=0.0, help="Seconds after its first sweep at which it begins.")
+        float,
+        typer.Option(
+            "--attack-from", min=0.0, help="Seconds after the first sweep of an agent at which the attack begins."
+        ),
     ] = 2.0
 
     def __post_init__(self) -> None:
@@ -358,8 +375,8 @@ Weights = Annotated[
     str | None,
     typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
 ]
-Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
-Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
+Passes = Annotated[int | None, typer.Option("--passes", help="Passes of the method mc_dropout; 20 if not given.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the method mc_dropout; 0 if not given.")]
 
 HistorySweeps = Annotated[
     int,
@@ -378,7 +395,11 @@ RequireConfirmation = Annotated[
 ]
 
 WithMonitor = Annotated[
-    bool, typer.Option("--monitor", help="Say of each sweep whether it is inconsistent or degraded, and why.")
+    bool,
+    typer.Option(
+        "--monitor",
+        help="Say whether each sweep is inconsistent (as forged ones are) or degraded (rain, dirt), and why.",
+    ),
 ]
 
 MonitorFile = Annotated[

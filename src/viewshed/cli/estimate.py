@@ -79,7 +79,7 @@ def estimate(
     dark: Annotated[bool, typer.Option("--dark", help="Pictures on a dark page.")] = False,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
-    """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
+    """Estimate what each sweep could see: picture, GeoJSON and NPZ.
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 

@@ -39,7 +39,7 @@ def fuse(
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
 ) -> None:
-    """Put together what several agents see: joint tracks, joint field of view, and who contradicts whom.
+    """Put together what several agents see; who contradicts whom.
 
     Agents are those of a recording, or one for each file; their sweeps need times and poses in one world. One line for
     each time, all numbers in fused.jsonl, and the joint field of view as a picture.
@@ -72,7 +72,7 @@ def fuse(
         if "png" in kinds:
             write_atomic(out / f"fused_{times:04}.png", picture_of(done))
         times += 1
-    if "jsonl" in kinds:
+    if "jsonl" in kinds and times:
         write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
     if times:
         typer.echo(f"{times} times → {out}")

@@ -23,7 +23,7 @@ def label(
     definition: Annotated[
         str,
         typer.Option(
-            help="Definition of visible for which cells are marked as known: probe, farthest or first_blocker."
+            help="Meaning of visible: probe (enough beams on the target), farthest or first_blocker (as others say)."
         ),
     ] = "probe",
     target: options.TargetName = "car",
@@ -31,7 +31,7 @@ def label(
         int, typer.Option(min=0, help="Sweeps before and after that help, where poses exist; 0 for none.")
     ] = 20,
     grid: Annotated[
-        str | None, typer.Option(help="A name, or CELLSxHALF_EXTENT_M; road, or that of SRC, if not given.")
+        str | None, typer.Option(help="Cells around the sensor, as for estimate; road, or those of SRC, if not given.")
     ] = None,
     index: options.Index = None,
     kind: Annotated[
@@ -42,10 +42,10 @@ def label(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Label benign sweeps with what the sensor could have seen, using those before and after where poses exist.
+    """Label benign sweeps with what the sensor could have seen.
 
-    A sweep that cannot be read costs one line on standard error and is left out; the exit code is then 2. Stopped runs
-    go on where they were; the same bytes for any --workers.
+    Where poses exist, the sweeps before and after help. A sweep that cannot be read costs one line on standard error
+    and is left out; the exit code is then 2. Stopped runs go on where they were; the same bytes for any --workers.
 
     Example: viewshed label /data/nuscenes --definition probe --out labels
     """

@@ -74,9 +74,10 @@ def record(
         int | None, typer.Option(help="For sim: seed of everything random; the preset's if not given.")
     ] = None,
 ) -> None:
-    """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
+    """Write a bag: a simulated drive, or sweeps and what they saw.
 
-    As viewshed replay --as-fast --to: every sweep is answered, and the same command gives the same bytes.
+    A simulated drive comes with its truth. As viewshed replay --as-fast --to: every sweep is answered, and the same
+    command gives the same bytes.
 
     Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
     """

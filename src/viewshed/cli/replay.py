@@ -102,10 +102,11 @@ def replay(
     monitor_file: MonitorFile = None,
     following: Following = NOT_FOLLOWED,
 ) -> None:
-    """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
+    """Estimate the sweeps of a recording as they would come in live.
 
-    A sweep that is not begun when the next one is due is dropped and counted, unless --as-fast. With --to the sweeps
-    and what came of them are written to a bag; with --as-fast the same bytes each time.
+    Each is a line: time, visible area and latency. A sweep that is not begun when the next one is due is dropped and
+    counted, unless --as-fast. With --to the sweeps and what came of them are written to a bag; with --as-fast the same
+    bytes each time.
 
     Example: viewshed replay drive.mcap --rate 2
     """

@@ -86,10 +86,10 @@ def view(
     sweeps: MostSweeps = None,
     following: Following = NOT_FOLLOWED,
 ) -> None:
-    """Show what each sweep could see: as a page for any browser, as a file for Rerun, or live in Foxglove.
+    """Show what sweeps could see: a page, a file for Rerun, or live.
 
-    The page has a map and a timeline and needs no network. Live the sweeps come at the pace at which they were
-    measured, again and again unless --sweeps ends it, and late ones are dropped.
+    The page is for any browser, has a map and a timeline and needs no network. Live, in Foxglove, the sweeps come at
+    the pace at which they were measured, again and again unless --sweeps ends it, and late ones are dropped.
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 

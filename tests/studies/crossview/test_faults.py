@@ -5,6 +5,8 @@ import pytest
 from scipy.stats import binom
 
 from viewshed import BevGrid
+from viewshed.sensors import lidar_model
+from viewshed.sim.scene import junction
 from viewshed.studies.crossview.faults import (
     KNOWN_FAULTS,
     SmallestDifference,
@@ -13,8 +15,8 @@ from viewshed.studies.crossview.faults import (
     misses,
     smallest_share,
 )
-from viewshed.studies.crossview.rates import CrossViewRules, SeenColumns
-from viewshed.studies.crossview.simulated import evaluate_floor
+from viewshed.studies.crossview.rates import CrossViewRow, CrossViewRules, SeenColumns, evaluate_crossview
+from viewshed.studies.crossview.simulated import POSES, ExactMask, drive, evaluate_floor
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(128, 32.0)
@@ -39,13 +41,18 @@ def test_faults_do_what_they_say() -> None:
     assert np.array_equal(false_blobs(5)(everything, GRID, _rng()), everything)
 
 
+@pytest.fixture(scope="module")
+def floor() -> dict[str, CrossViewRow]:
+    """The exact mask, and each known fault."""
+    return {row.method.removeprefix("exact mask, "): row for row in evaluate_floor({}, rng=_rng())}
+
+
 @pytest.mark.slow
-def test_the_metric_ranks_the_known_faults_of_an_exact_mask() -> None:
+def test_the_metric_ranks_the_known_faults_of_an_exact_mask(floor: dict[str, CrossViewRow]) -> None:
     """The exact mask is charged with little; each fault with more, and the larger one with the most."""
-    rows = {row.method.removeprefix("exact mask, "): row for row in evaluate_floor({}, rng=_rng())}
-    over = {name: row.over.value for name, row in rows.items()}
-    under = {name: row.under.value for name, row in rows.items()}
-    assert set(rows) == {"exact mask", *KNOWN_FAULTS}
+    over = {name: row.over.value for name, row in floor.items()}
+    under = {name: row.under.value for name, row in floor.items()}
+    assert set(floor) == {"exact mask", *KNOWN_FAULTS}
     assert over["exact mask"] < 0.06
     assert under["exact mask"] < 0.01
     assert over["exact mask"] + 0.03 < over["dilated by 1 m"] < over["dilated by 2 m"] - 0.03
@@ -56,9 +63,14 @@ def test_the_metric_ranks_the_known_faults_of_an_exact_mask() -> None:
 
 
 @pytest.mark.slow
-def test_without_a_foot_the_exact_mask_is_charged_with_what_beams_see_below_a_bus() -> None:
-    charged, free = (evaluate_floor({}, rng=_rng(), rules=rules)[0].over for rules in
-                     (CrossViewRules(foot_m=None), CrossViewRules()))  # fmt: skip
+def test_without_a_foot_the_exact_mask_is_charged_with_what_beams_see_below_a_bus(
+    floor: dict[str, CrossViewRow],
+) -> None:
+    views = drive(junction(), lidar_model("hdl64e"), POSES, _rng())
+    exact = ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: beams for sweep, beams in views})
+    rules = CrossViewRules(foot_m=None)
+    [row] = evaluate_crossview([[sweep for sweep, _ in views]], {"exact mask": exact}, rng=_rng(), rules=rules)
+    charged, free = row.over, floor["exact mask"].over
     assert charged.value > 2 * free.value
     assert free.columns > charged.columns / 2
 

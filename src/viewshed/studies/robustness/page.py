@@ -254,7 +254,11 @@ def _withstood(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -
     lines = [
         f"- **{name}** withstands {len(names)} of {len(attacks)} in every domain: {_listed(names)}."
         for name, names in held.items()
+        if names
     ]
+    none = [name for name, names in held.items() if not names]
+    if none:
+        lines.append(f"- Withstand 0 of {len(attacks)} in every domain: {', '.join(f'**{name}**' for name in none)}.")
     nobody = [attack for attack in attacks if not any(attack in names for names in held.values())]
     return "\n".join([*lines, f"- Withstood in all domains by no single classical estimator: {_listed(nobody)}."])
 
