@@ -141,13 +141,15 @@ class IdSwitches:
     count: int = 0
     _last: dict[int, int] = field(default_factory=dict, repr=False)
 
-    def add(self, now: MatchedObjects) -> None:
-        """Take the next time."""
-        for track_id, truth in zip(now.track_ids.tolist(), now.truth_of_track.tolist(), strict=True):
-            if truth >= 0:
-                object_id = int(now.truth_ids[truth])
-                self.count += self._last.get(object_id, track_id) != track_id
-                self._last[object_id] = track_id
+    def add(self, *times: MatchedObjects) -> int:
+        """Take the next times and return the count."""
+        for now in times:
+            for track_id, truth in zip(now.track_ids.tolist(), now.truth_of_track.tolist(), strict=True):
+                if truth >= 0:
+                    object_id = int(now.truth_ids[truth])
+                    self.count += self._last.get(object_id, track_id) != track_id
+                    self._last[object_id] = track_id
+        return self.count
 
 
 def existence_error(existence: Sequence[float] | Floats, is_object: Sequence[bool] | NDArray[np.bool_]) -> float:

@@ -14,9 +14,10 @@ from viewshed.studies.crossview.faults import (
     false_blobs,
     misses,
     smallest_share,
+    with_known_faults,
 )
 from viewshed.studies.crossview.rates import CrossViewRow, CrossViewRules, SeenColumns, evaluate_crossview
-from viewshed.studies.crossview.simulated import POSES, ExactMask, drive, evaluate_floor
+from viewshed.studies.crossview.simulated import POSES, ExactMask, drive
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(128, 32.0)
@@ -42,9 +43,17 @@ def test_faults_do_what_they_say() -> None:
 
 
 @pytest.fixture(scope="module")
-def floor() -> dict[str, CrossViewRow]:
+def exact() -> tuple[list[Sweep], ExactMask]:
+    """The sweeps of a simulated junction from ten places, and the exact masks."""
+    views = drive(junction(), lidar_model("hdl64e"), POSES, _rng())
+    return [sweep for sweep, _ in views], ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: b for sweep, b in views})
+
+
+@pytest.fixture(scope="module")
+def floor(exact: tuple[list[Sweep], ExactMask]) -> dict[str, CrossViewRow]:
     """The exact mask, and each known fault."""
-    return {row.method.removeprefix("exact mask, "): row for row in evaluate_floor({}, rng=_rng())}
+    rows = evaluate_crossview([exact[0]], with_known_faults("exact mask", exact[1]), rng=_rng())
+    return {row.method.removeprefix("exact mask, "): row for row in rows}
 
 
 @pytest.mark.slow
@@ -64,12 +73,10 @@ def test_the_metric_ranks_the_known_faults_of_an_exact_mask(floor: dict[str, Cro
 
 @pytest.mark.slow
 def test_without_a_foot_the_exact_mask_is_charged_with_what_beams_see_below_a_bus(
-    floor: dict[str, CrossViewRow],
+    exact: tuple[list[Sweep], ExactMask], floor: dict[str, CrossViewRow]
 ) -> None:
-    views = drive(junction(), lidar_model("hdl64e"), POSES, _rng())
-    exact = ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: beams for sweep, beams in views})
     rules = CrossViewRules(foot_m=None)
-    [row] = evaluate_crossview([[sweep for sweep, _ in views]], {"exact mask": exact}, rng=_rng(), rules=rules)
+    [row] = evaluate_crossview([exact[0]], {"exact mask": exact[1]}, rng=_rng(), rules=rules)
     charged, free = row.over, floor["exact mask"].over
     assert charged.value > 2 * free.value
     assert free.columns > charged.columns / 2

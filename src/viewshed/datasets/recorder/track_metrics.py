@@ -49,10 +49,9 @@ class TrackMetrics:
         ids, at, numbers, xy = ids[near], at[near], numbers[counted], xy[counted]
 
         whole = gospa(at, xy)
-        switches = self._switches.setdefault(agent, IdSwitches())
-        switches.add(match_objects(at, ids, xy, numbers))
+        switches = self._switches.setdefault(agent, IdSwitches()).add(match_objects(at, ids, xy, numbers))
         return {
             "gospa_m": whole.distance_m, "localization_m2": whole.localization, "missed_m2": whole.missed,
             "false_m2": whole.false, "ospa_m": ospa_m(at, xy), "tracks": float(len(at)), "objects": float(len(xy)),
-            "id_switches": float(switches.count),
+            "id_switches": float(switches),
         }  # fmt: skip
