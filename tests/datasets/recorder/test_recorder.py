@@ -76,10 +76,11 @@ def test_frames_stand_where_leveling_and_drive_put_them(drive: list[Moment]) -> 
         assert moment.answer.estimate is not None
         pose, height_m = moment.answer.estimate.world_from_level, moment.sweep.sensor_height_m
         assert pose is not None
+        assert height_m is not None
         assert moment.sweep.world_from_sensor is not None
         np.testing.assert_allclose(in_map(moment.level_frame).as_matrix(), pose.as_matrix(), atol=1e-9)
         footprint = in_map(f"{moment.agent}/base_footprint").translation
-        np.testing.assert_allclose(moment.sweep.world_from_sensor.translation - footprint, [0, 0, height_m], atol=1e-6)
+        np.testing.assert_allclose(moment.sweep.world_from_sensor.translation - footprint, [0.0, 0.0, height_m], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", BAGS)
