@@ -36,7 +36,7 @@ def answer(case: Case) -> tuple[str, float]:
 
 def main() -> int:
     """Give them all, print or write the page; return the exit code."""
-    rows, faults, slowest_s = [], [], 0.0
+    rows, faults, slowest_s = list[list[str]](), list[str](), 0.0
     for group, cases in GROUPS.items():
         answers = {case.name: answer(case) for case in cases}
         wrong = [f"{name}: {fault}" for name, (fault, _) in answers.items() if fault]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.integrity import DeviationMonitor, IntegrityReport, StreamMonitor
+    from viewshed.integrity.calibration import Promise
     from viewshed.integrity.stream_monitor import StreamReport
     from viewshed.integrity.sweep_monitor import BenignSweep, SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
@@ -137,7 +138,8 @@ def calibrate(
 
     benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
               for sweep in measured(places)]  # fmt: skip
-    rates, promise = Rates(rate, rate), ("confident" if confident else "expected")
+    rates = Rates(rate, rate)
+    promise: Promise = "confident" if confident else "expected"
     if correct:
         made = base.corrected(benign, rng, rates=rates, promise=promise)
     else:
