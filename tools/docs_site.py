@@ -244,7 +244,7 @@ GENERATED: dict[str, Callable[[], str]] = {
 def methods() -> str:
     """Return precision, recall and F1 of every method on other worlds and own ones, from the page in the wild."""
     text = (ROOT / "docs" / "results" / "wild.md").read_text(encoding="utf-8")
-    cars = text.split("## road, car\n")[1].split("\n## ")[0].split("**Told ring")[1]
+    cars = text.split("## road, car\n")[1].split("\n## ")[0].split("**Known: ring")[1]
     rows = re.findall(
         r"^\| (\w+) \| (\.\d+) / (\.\d+) \| (\.\d+) .*?\| (\.\d+) / (\.\d+) \| (\.\d+) ", cars, re.MULTILINE
     )
