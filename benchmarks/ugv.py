@@ -45,7 +45,6 @@ from viewshed.estimators.base import Estimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity import StreamMonitor
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import sweep_of_scan
@@ -248,7 +247,8 @@ def _estimator() -> Estimator:
 def _replayed(sweeps: Sequence[Sweep]) -> tuple[list[Answer], Found]:
     """Return the answers of a pipeline with the profile ``robot``, and what it took."""
     answers: list[Answer] = []
-    monitor = StreamMonitor(shipped_monitor(), EDetector.for_rate(per_hour=1.0, hz=HZ))
+    shipped = shipped_monitor()
+    monitor = StreamMonitor(shipped, shipped.detector(hz=HZ))
     pipeline = Pipeline(
         _estimator(), answers.append, monitor=monitor, rules=profile_named("robot").rules, lossless=True
     )

@@ -10,8 +10,9 @@ import typer
 
 from viewshed import __version__
 from viewshed._extras import needed_for
-from viewshed.cli._options import BAD_INPUTS, complain, one_line, with_groups
+from viewshed.cli._options import with_groups
 from viewshed.cli._status import status_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import wraps
@@ -12,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+
+from viewshed.cli._terminal import complain, note
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -90,9 +91,6 @@ AUTO = "auto"
 NO_SENSOR = "none"
 """No sensor is known, and none is inferred from the points."""
 
-BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
-"""What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
-
 RING_SOURCES = ("file", "none")
 
 PROFILES = ("sound", "paper")
@@ -128,20 +126,6 @@ class Reading:
     def __post_init__(self) -> None:
         if self.ring not in RING_SOURCES:
             raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
-
-    def sweep(self, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
-        """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
-        from viewshed.cli._stream import all_sweeps
-
-        count = 0
-        for sweep in all_sweeps(self, list(chosen([file], index))):
-            if count > number:
-                note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
-                break
-            taken, count = sweep, count + 1
-        if count <= number:
-            raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
-        return taken
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
         """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
@@ -341,23 +325,6 @@ def _parameters(group: type[Any]) -> list[inspect.Parameter]:
     ]
 
 
-def complain(line: str) -> None:
-    """Print a line about what is wrong on standard error."""
-    typer.echo(f"viewshed: {line}", err=True)
-
-
-def note(line: str) -> None:
-    """Print a line on standard error about what was assumed or left out; nothing is wrong."""
-    typer.echo(f"viewshed: note: {line}", err=True)
-
-
-def is_data_set(place: str) -> bool:
-    """Return whether a place is a data set of ours: a URI, or a folder with a manifest."""
-    from viewshed.datasets.archive.schema import is_archive
-
-    return "://" in place or is_archive(Path(place))
-
-
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
     """Return ``count`` numbers from text with commas, or None.
 
@@ -402,41 +369,6 @@ def parse_target(name: str) -> Target:
     if name not in TARGETS:
         raise ValueError(f"target must be one of {', '.join(TARGETS)}, got {name!r}")
     return TARGETS[name]
-
-
-def one_line(error: BaseException) -> str:
-    r"""Return an error's message without line breaks.
-
-    >>> one_line(ValueError("a\nb"))
-    'a b'
-    """
-    if isinstance(error, OSError) and error.strerror is not None and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
-    """Yield each file with its entry in the index; without files, every sweep of the index."""
-    if index is None:
-        if not files:
-            raise ValueError("name at least one FILE, or an --index")
-        from viewshed.cli._places import files_in
-
-        yield from ((file, None) for place in files for file in files_in(place))
-        return
-    from viewshed.io import read_index
-
-    entries = {entry.file: entry for entry in read_index(index)}
-    if not files:
-        named = [(file, entry) for file, entry in entries.items() if entry.points]
-        if not named:
-            raise ValueError(f"{index} must name a sweep, got none")
-        yield from named
-    for file in files:
-        entry = entries.get(Path(os.path.realpath(file)))
-        if entry is None:
-            raise ValueError(f"{file} is not in the index {index}")
-        yield file, entry
 
 
 Weights = Annotated[

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Reading, complain
+from viewshed.cli._options import AUTO, Reading
 from viewshed.cli._outputs import build_with_bar, data_set_line, refuse_inputs
+from viewshed.cli._places import is_data_set
+from viewshed.cli._terminal import complain
 
 if TYPE_CHECKING:
     from viewshed.datasets.tampered import AttackPlan, Sweeps, TamperPlan
@@ -139,7 +141,7 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
     from viewshed.io.formats import is_recording
 
     first, wanted = Path(sources[0]), options.parse_grid(grid)
-    if len(sources) == 1 and options.is_data_set(sources[0]):
+    if len(sources) == 1 and is_data_set(sources[0]):
         return sweeps_of_archive(Archive.open(sources[0]), split)
     if split is not None:
         raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")

@@ -24,6 +24,7 @@ from viewshed.cli._options import (
     WithMonitor,
 )
 from viewshed.cli._outputs import Failures, Run, make_folder, output_names, parse_results, refuse_inputs
+from viewshed.cli._places import chosen_files
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._verdicts import watching
 
@@ -103,7 +104,7 @@ def estimate(
     reading = replace(reading, crs=crs)
     if crs is not None:
         crs_of(crs)
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
     make_folder(out)

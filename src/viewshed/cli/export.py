@@ -13,6 +13,7 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of, stem_of_result
 from viewshed.cli._places import place_of_result
+from viewshed.cli._stream import one_sweep
 
 
 def export(
@@ -60,7 +61,7 @@ def export(
     if estimator is None:
         estimate = read_npz(file)
     else:
-        sweep = replace(reading, crs=crs).sweep(file, index, number)
+        sweep = one_sweep(replace(reading, crs=crs), file, index, number)
         if crs is not None:
             crs_named(crs, sweep.world_from_sensor)
         leveled = level(sweep, estimator.grid)

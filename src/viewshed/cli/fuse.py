@@ -13,6 +13,7 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Reading
 from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
+from viewshed.cli._places import chosen_files
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files, Method
 
@@ -53,7 +54,7 @@ def fuse(
     kinds = parse_results(results, ("jsonl", "png"))
     estimator = options.NetworkOptions().estimator(method, options.parse_grid(grid), "car")
     detector = Detector()
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
     make_folder(out)
     failures, center, lines, times = Failures(), None, [], 0

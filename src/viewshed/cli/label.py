@@ -12,7 +12,7 @@ from viewshed.cli._options import AUTO
 from viewshed.cli._outputs import build_with_bar, data_set_line
 
 if TYPE_CHECKING:
-    from viewshed.datasets.labeling import Origin, Rules
+    from viewshed.datasets.labeling import LabelRules, Origin
 
 
 def label(
@@ -66,11 +66,11 @@ def label(
         raise typer.Exit(2)
 
 
-def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> Rules:
+def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> LabelRules:
     from typing import cast
 
     from viewshed.datasets.archive.archive import ArchiveSource
-    from viewshed.datasets.labeling import Rules
+    from viewshed.datasets.labeling import LabelRules
     from viewshed.datasets.labeling.labeler import Definition
     from viewshed.datasets.labeling.run import opened
 
@@ -79,4 +79,4 @@ def _rules(origin: Origin, grid: str | None, definition: str, target: str, neigh
         cells = source.archive.manifest.layout.grid
     else:
         cells = options.parse_grid(grid or "road")
-    return Rules(cells, cast(Definition, definition), target, neighbors)
+    return LabelRules(cells, cast(Definition, definition), target, neighbors)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from viewshed.cli._options import EngineName, Workers
 from viewshed.cli.evaluate import crossview
 
 if TYPE_CHECKING:
@@ -24,10 +25,6 @@ report_app = typer.Typer(help="Studies and their reports.")
 Out = Annotated[
     Path | None, typer.Option(help="Folder of data, models, results and pages; named after the study if not given.")
 ]
-
-Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
-
-EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
 
 Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the page.")]
 
@@ -281,8 +278,7 @@ def tracks(
     failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
     if "page" in steps:
         save_models(store)
-        _write(page or folder, {"tracks.md": page_of(store).encode()})
-        typer.echo(f"Look at {(page or folder) / 'tracks.md'}")
+        _show(page or folder, {"tracks.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -313,7 +309,7 @@ def wild(
     from viewshed.networks.runtime import load_runner
     from viewshed.studies.store import ResultStore
     from viewshed.studies.wild.jobs import run_study
-    from viewshed.studies.wild.openings import Opening
+    from viewshed.studies.wild.openings import SetOpening
     from viewshed.studies.wild.page import page_of
     from viewshed.studies.wild.plan import WildPlan
 
@@ -324,7 +320,7 @@ def wild(
     _require_results(folder, run=run)
     opening = None
     if run and plan.opens_sealed and open_sealed:
-        opening = Opening(open_sealed, plan.methods)
+        opening = SetOpening(open_sealed, plan.methods)
         opening.log(log)
     store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
     failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []

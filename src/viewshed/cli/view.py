@@ -13,7 +13,6 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
     AS_THEY_ARE,
-    BAD_INPUTS,
     NOT_FOLLOWED,
     Following,
     HistorySweeps,
@@ -34,13 +33,15 @@ from viewshed.cli._outputs import (
     summary_line,
     warm_up,
 )
+from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._terminal import BAD_INPUTS
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
 from viewshed.cli.estimate import Files, Method
 from viewshed.cli.monitor import estimator_of
-from viewshed.cli.replay import Pace
+from viewshed.cli.replay import Pacer
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -98,7 +99,7 @@ def view(
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
     chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     places = [file for file, _ in jobs]
     failures, names = Failures(), output_names(places)
 
@@ -163,7 +164,7 @@ def _serve(
     from viewshed.datasets.recorder.foxglove_topics import foxglove_server
     from viewshed.pipeline import Pipeline
 
-    pace, adversary = Pace(1.0), following.adversary()
+    pace, adversary = Pacer(1.0), following.adversary()
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
         listener = Listener([record], failures, is_live=True, following=following, adversary=adversary)

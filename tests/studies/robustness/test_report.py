@@ -21,7 +21,7 @@ from viewshed.studies.figures import (
     OUTSIDE,
     OVER,
     UNDER,
-    Scene,
+    PictureRow,
     compared,
     curve_figure,
     scene_figure,
@@ -252,7 +252,7 @@ def test_pictures_open_and_show_forward_above_and_left_on_the_left() -> None:
     grid = BevGrid(8, 4.0)
     claimed = np.zeros(grid.shape, bool)
     claimed[6:, 5:] = True  # ahead on the left, and false
-    scene = Scene("a", grid, ~np.ones(grid.shape, bool), np.ones(grid.shape, bool), np.ones((2, 2), np.float32),
+    scene = PictureRow("a", grid, ~np.ones(grid.shape, bool), np.ones(grid.shape, bool), np.ones((2, 2), np.float32),
                   np.array([True, False]), (0.5, 0.4), {"one": claimed})  # fmt: skip
     image = np.asarray(imread(io.BytesIO(scene_figure([scene]))), float)[..., :3]
     rows, columns = np.nonzero(np.abs(image - OVER).max(axis=-1) < 0.04)

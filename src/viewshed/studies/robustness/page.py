@@ -119,7 +119,7 @@ def scene_picture(store: ResultStore[RobustnessPlan]) -> Picture:
     return Picture("robustness_scenes.png", figures.scene_figure(scenes), alt)
 
 
-def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.Scene:
+def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.PictureRow:
     evaluation = evaluation_of(Job(store.plan, store.folder, ("attacks", store.plan.domains[0], "0")))
     tampered, suite, sample = evaluation.tampered(case), strict_suite(evaluation.suite.grid, DRAWN), evaluation.sample
     leveled = level(tampered.sweep, suite.grid)
@@ -128,7 +128,7 @@ def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.Scene:
         for name, estimate in suite.estimates(leveled).items()
     }
     wedge = None if tampered.wedge is None else (tampered.wedge.azimuth, tampered.wedge.width)
-    return figures.Scene(
+    return figures.PictureRow(
         f"{FAMILY[case.name]}  {case.name}\n{case.level}", suite.grid, sample.truth.visible(), sample.known,
         leveled.points[:, :2], tampered.added[leveled.rows], wedge, claims,
     )  # fmt: skip
