@@ -74,6 +74,11 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
 
 
+def on_page_content(html: str, **_: Any) -> str:
+    """Make each picture a link to itself: a page is narrower than most pictures are."""
+    return re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', html)
+
+
 # Notebooks.
 
 

@@ -37,10 +37,9 @@ positions, motion and traffic by the seed ([simulator](../simulate.md))."""
 _WORTH = """\
 ## What they are worth
 
-On scenes of other seeds, beside the classical estimators: [the networks and their parts](ablation.md), with 8-bit weights; the
-published shape on
-[roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors [cross-view
-truth](crossview.md); [speed](network_speed.md).
+On scenes of other seeds, beside the classical estimators: [the networks and their parts](ablation.md), with 8-bit
+weights; the published shape on [roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors
+[cross-view truth](crossview.md); [speed](network_speed.md).
 
 ## What they are not for
 
