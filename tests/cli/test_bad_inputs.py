@@ -269,13 +269,15 @@ COMMANDS = [
     Case("grid of no cells", lambda f: ("info", *good(f), "--grid", "0x64"), "cells must"),
     Case("target of nobody", lambda f: ("estimate", *good(f), "--target", "bus"), "target must be one of car"),
     Case("height in the sky", lambda f: ("info", *good(f), "--height", "nan"), "height"),
-    Case("tilt that is no rotation", lambda f: ("info", *good(f), "--attitude", "0,0,0,0"),
-         "quaternion must have norm 1"),
+    Case("tilt that is no rotation", lambda f: ("info", *good(f), "--attitude", "0,0,0,0"), "must have norm 1"),
     Case("probability of 3", lambda f: ("estimate", *good(f), "--threshold", 3), "threshold must lie in (0, 1]"),
     Case("rate of 2", lambda f: ("monitor", "calibrate", *good(f), "--rate", 2, "--out", f / "m.npz"), "rate"),
     Case("index for crossview that is none", lambda f: ("evaluate", "crossview", put(f / "i.json", "{")), "i.json"),
-    Case("a study's step of nobody", lambda f: ("study", "agents", "--only", "guess", "--out", f / "o"),
-         "--only must be some of scenes, runs, page"),
+    Case(
+        "a study's step of nobody",
+        lambda f: ("study", "agents", "--only", "guess", "--out", f / "o"),
+        "--only must be some of scenes, runs, page",
+    ),
     Case("a study's size of nobody", lambda f: ("study", "robustness", "--preset", "huge", "--out", f / "o"), "preset"),
 ]  # fmt: skip
 BOMBS = {"bomb.npz", "bomb.bin.gz"}
