@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import OccupancyGrid
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Header, String, UInt8MultiArray
@@ -27,6 +24,7 @@ from viewshed_ros.layers import grid_message
 from viewshed_ros.object_layers import track_cubes
 from viewshed_ros.parameters import Parameter
 from viewshed_ros.sharing import read_verifying_keys
+from viewshed_ros.spinning import spin
 
 VIEWS = QoSProfile(depth=64, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of the messages of agents: what is late is of no use any more."""
@@ -132,13 +130,7 @@ def topic_name(agent: str) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until a signal ends it."""
-    rclpy.init(args=arguments or sys.argv)
-    try:
-        rclpy.spin(CenterNode())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()
+    spin(CenterNode, arguments)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from viewshed.cli._options import BAD_INPUTS, complain, one_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:

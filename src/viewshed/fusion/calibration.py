@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fusion.before import SeenBefore
 from viewshed.fusion.evidence import (
     EvidenceCounts,
     EvidenceModel,
@@ -15,9 +16,10 @@ from viewshed.fusion.evidence import (
     jump_bins,
     view_bins,
 )
+from viewshed.fusion.explained import take_tracks
 from viewshed.fusion.jumps import LATEST, Sightings
 from viewshed.fusion.memory import rows_of
-from viewshed.fusion.sensor_view import Observed, SensorView
+from viewshed.fusion.sensor_view import Observed
 from viewshed.fusion.single import SingleFusion, cell_evidence
 from viewshed.integrity.calibration import alarms_allowed
 
@@ -28,8 +30,8 @@ _NO_LIMITS = (np.inf, np.inf, np.inf)
 _FALSE_JUMPS_M = (0.3, 3.0)
 """Jumps of moved tracks that tables are counted with."""
 
-_NEAR_BIRTH_M = 4.0
-"""How far an object may come unseen in a sweep: 40 m/s."""
+_OPEN = 0.5
+"""A ghost is made where at least this share of its box is free."""
 
 
 def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03) -> EvidenceModel:
@@ -102,7 +104,7 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
     Elsewhere is at the same distance from the sensor in a random direction; a moved track jumps by up to 3 m.
     """
     ids, sightings = np.zeros(0, np.int64), Sightings.none(0)
-    before: SensorView | None = None
+    before = SeenBefore()
     for tracks, detections, views in drive:
         is_matched = tracks.detection >= 0
         boxes = detections.boxes[tracks.detection[is_matched]]
@@ -112,12 +114,14 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         if view.cells is not None:
             kinds = tracks.kinds[is_matched]
             counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
-            counts.forged_cells.append(cell_evidence(elsewhere, kinds, view)[1])
-        born = is_matched & (tracks.born_s == tracks.t_s)
-        if before is not None and born.any():
-            new = _turned(tracks.boxes[born], view.place, rng)
-            within_m = np.full(len(new), _NEAR_BIRTH_M)
-            counts.add("birth", birth_bins(tracks.born_hidden[born]), birth_bins(before.view.hides_near(new, within_m)))
+            forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
+            counts.forged_cells.append(forged_bins)
+            # A ghost that is made in the sweep stands in the open, and moves as a track does.
+            honest = take_tracks(tracks, is_matched)
+            states = np.column_stack([elsewhere[:, :2], honest.states[:, 2:]])
+            ghosts = take_tracks(replace(honest, boxes=elsewhere, states=states), forged_cells.free >= _OPEN)
+            births = (birth_bins(before.free_shares(each)) for each in (honest, ghosts))
+            counts.add("birth", *births)
         # A moved track jumps in its latest places.
         sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
         ids = tracks.ids
@@ -128,7 +132,7 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         places = seen.places.copy()
         places[:, -LATEST:] += np.stack([length * np.cos(way), length * np.sin(way)], axis=-1)[:, None]
         counts.add("jump", jump_bins(seen.jumps()[0]), jump_bins(Sightings(seen.times, places).jumps()[0]))
-        before = view
+        before.add(tracks.t_s, view.cells)
 
 
 def _turned(boxes: Floats, place: Floats, rng: np.random.Generator) -> Floats:

@@ -35,30 +35,26 @@ class Format:
         suffixes: lower-case endings of file names, without ``.gz``; the first is the usual one.
         begins: first bytes that tell the format, empty where it has none.
         write: turns a sweep into the bytes of a file, or None where the format is only read.
-        keeps: what a reader gets beyond the points, for the documents.
     """
 
     read: Reader
     suffixes: tuple[str, ...]
     begins: tuple[bytes, ...] = ()
     write: Writer | None = None
-    keeps: str = ""
 
 
 FORMATS: dict[str, Format] = {
-    "nuscenes": Format(read_nuscenes, (".pcd.bin",), (), write_nuscenes, "intensity, ring, time of the sweep"),
-    "kitti": Format(read_kitti, (".bin",), (), write_kitti, "intensity"),
-    "pcd": Format(
-        read_pcd, (".pcd",), (b"# .PCD", b"VERSION ", b"FIELDS "), write_pcd, "intensity, ring, azimuth, time"
-    ),
-    "ply": Format(read_ply, (".ply",), (b"ply\n", b"ply\r"), write_ply, "intensity, ring, azimuth, time"),
-    "npy": Format(read_npy, (".npy",), (b"\x93NUMPY",), write_npy, "intensity (fourth column)"),
-    "npz": Format(read_npz, (".npz",), (b"PK\x03\x04", b"PK\x05\x06"), write_npz, "all of a Sweep"),
-    "argoverse2": Format(read_argoverse2, (".feather",), (b"ARROW1",), None, "intensity, ring, time"),
-    "velodyne": Format(read_velodyne, (".pcap", ".bin"), (), None, "intensity, ring, azimuth, time, beams"),
-    "ouster": Format(read_ouster, (".pcap",), (), None, "intensity, ring, azimuth, time, beams"),
+    "nuscenes": Format(read_nuscenes, (".pcd.bin",), (), write_nuscenes),
+    "kitti": Format(read_kitti, (".bin",), (), write_kitti),
+    "pcd": Format(read_pcd, (".pcd",), (b"# .PCD", b"VERSION ", b"FIELDS "), write_pcd),
+    "ply": Format(read_ply, (".ply",), (b"ply\n", b"ply\r"), write_ply),
+    "npy": Format(read_npy, (".npy",), (b"\x93NUMPY",), write_npy),
+    "npz": Format(read_npz, (".npz",), (b"PK\x03\x04", b"PK\x05\x06"), write_npz),
+    "argoverse2": Format(read_argoverse2, (".feather",), (b"ARROW1",)),
+    "velodyne": Format(read_velodyne, (".pcap", ".bin")),
+    "ouster": Format(read_ouster, (".pcap",)),
 }
-"""Name → format. To add one: write a module with a reader, add a line."""
+"""Name → format; docs/formats.md says what each keeps. To add one: write a module with a reader, add a line."""
 
 _NOT_READ = {
     b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.datasets.recordings.open_source",

@@ -13,7 +13,7 @@ from viewshed.studies.crossview.faults import (
     misses,
     smallest_share,
 )
-from viewshed.studies.crossview.rates import Columns, CrossViewRules
+from viewshed.studies.crossview.rates import CrossViewRules, SeenColumns
 from viewshed.studies.crossview.simulated import evaluate_floor
 from viewshed.sweep import Sweep
 
@@ -86,7 +86,7 @@ def test_columns_of_one_place_count_for_one_and_more_sweeps_show_more() -> None:
 def test_hidden_columns_speak_of_over_claim_and_seen_ones_of_under_claim() -> None:
     xy = np.stack([30.0 * np.arange(40), np.zeros(40)], axis=1)
     seen = np.arange(40) >= 4
-    columns = Columns(xy, seen, np.arange(40) == 0)
+    columns = SeenColumns(xy, seen, np.arange(40) == 0)
     sweep = Sweep(np.ones((1, 3), np.float32))
     found = SmallestDifference.of([(sweep, columns)] * 2, (0.0, 0.0), _rng())
     assert (found.hidden_columns, found.hidden_sweeps) == (6, 2)
