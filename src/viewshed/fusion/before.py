@@ -30,7 +30,7 @@ _SURFACE_WEIGHT = 5.0
 """A surface denies that a place was free: most of a car's box is free or hidden, and only its near side a surface."""
 
 _LEAST_SURFACE, _LEFT_SURFACE = 0.03, 0.3
-"""Only boxes with such a share of surface are followed, as long as this part of it is there in one of two sweeps."""
+"""Only boxes with such a share of surface are followed, until less than this part of the latest is left twice."""
 
 _LEAST_M = 3.0
 """Shorter boxes are not followed: the surface of a person is lost now and then."""
@@ -68,7 +68,7 @@ class SeenBefore:
         variance = np.maximum(tracks.covariances[:, 2, 2], tracks.covariances[:, 3, 3])
         known = (variance <= _FASTEST_STD_MPS**2) & (surface >= _LEAST_SURFACE) & (tracks.boxes[:, 3] >= _LEAST_M)
         left, boxes, t_s = np.flatnonzero(asked & known & tracks.in_world), tracks.boxes.copy(), tracks.t_s
-        was_lost = np.zeros(len(tracks), np.bool_)
+        latest, was_lost = surface.copy(), np.zeros(len(tracks), np.bool_)
         for before_s, cells in reversed(self._past):
             if not len(left):
                 break
@@ -78,11 +78,13 @@ class SeenBefore:
             share = surface_shares(cells, boxes[left])
             free = _shares(cells, boxes[left], CellState.FREE) - _SURFACE_WEIGHT * share
             shares[left] = np.where(was_lost[left], np.minimum(shares[left], free), free)
-            is_lost = share < _LEFT_SURFACE * surface[left]
+            is_lost = share < _LEFT_SURFACE * latest[left]
             ends, was_lost[left] = is_lost & was_lost[left], is_lost
+            latest[left] = np.where(is_lost, latest[left], 0.5 * (latest[left] + share))
             left, t_s = left[~ends], before_s
-        shares[left[was_lost[left]]] = np.nan  # of the oldest sweep alone nothing is said
-        return shares
+        # Nothing is said of the oldest sweep alone, nor of a surface that faded away, as that of what came from afar.
+        shares[left[was_lost[left]]] = np.nan
+        return np.where(latest >= _LEAST_SURFACE, shares, np.nan)
 
 
 def surface_shares(cells: SeenCells | None, boxes: Floats) -> Floats:
