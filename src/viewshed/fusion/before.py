@@ -66,7 +66,8 @@ class SeenBefore:
         """
         shares = np.full(len(tracks), np.nan)
         variance = np.maximum(tracks.covariances[:, 2, 2], tracks.covariances[:, 3, 3])
-        known = (variance <= _FASTEST_STD_MPS**2) & (surface >= _LEAST_SURFACE) & (tracks.boxes[:, 3] >= _LEAST_M)
+        known = (variance <= _FASTEST_STD_MPS**2) & (surface >= _LEAST_SURFACE)
+        known &= tracks.boxes[:, 3:5].max(axis=1, initial=0.0) >= _LEAST_M
         left, boxes, t_s = np.flatnonzero(asked & known & tracks.in_world), tracks.boxes.copy(), tracks.t_s
         latest, was_lost = surface.copy(), np.zeros(len(tracks), np.bool_)
         for before_s, cells in reversed(self._past):
