@@ -123,7 +123,7 @@ class SingleFusion:
         memory.log_mean[seen] = mean_after(
             memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
         )
-        # A forged detection is betrayed by its cells, a ghost made in the sweep by where its surface came from: half each.
+        # Cells betray a forged detection, and where its surface came from a ghost made in the sweep: half each.
         asked = is_matched & ~alarmed & np.isin(memory.hits, ASKED_AFTER)
         surface = np.zeros(count)
         surface[asked] = surface_shares(views[0].cells, both.boxes[asked])
