@@ -104,8 +104,8 @@ def coverage_of(scene: Scene) -> dict[str, list[int]]:
     claims = {f"{least:g}": columns["prob"] >= least for least in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.995)}
     claims[EXPECTED] = is_expected(columns["prob"], columns["range_m"])
     for name, claimed in claims.items():
-        claimed = claimed & large
-        out[name] = [int(claimed.sum()), int((claimed & (columns["returns"] < SEEN_RETURNS)).sum())]
+        of_large = claimed & large
+        out[name] = [int(of_large.sum()), int((of_large & (columns["returns"] < SEEN_RETURNS)).sum())]
     return out
 
 
