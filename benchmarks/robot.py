@@ -194,8 +194,8 @@ def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
     from viewshed.geometry import Rigid
 
     estimator = load_estimator(profile.method, grid=profile.grid)
-    watching = shipped_monitor()
-    monitor = StreamMonitor(watching, watching.detector(hz=HZ)) if profile.monitor else None
+    shipped = shipped_monitor()
+    monitor = StreamMonitor(shipped, shipped.detector(hz=HZ)) if profile.monitor else None
     history = SweepBuffer(profile.history) if profile.history else None
     latencies: list[float] = []
     pipeline = Pipeline(

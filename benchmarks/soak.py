@@ -126,7 +126,7 @@ def main() -> None:
         "Soak",
         facts(
             command=f"`python -m benchmarks.soak --minutes {chosen.minutes:g}`",
-            sweeps="the junction in the box: HDL-32E, 32,731 returns",
+            sweeps="the embedded junction: HDL-32E, 32,731 returns",
             seed=str(SEED), load=f"{os.getloadavg()[0]:.1f} in the minute before the end, on all cores",
         ),
         _INTRO, *parts, _COLUMNS,
@@ -331,8 +331,8 @@ def _sweep() -> Sweep:
 
 
 def _monitor() -> StreamMonitor:
-    monitor = shipped_monitor()
-    return StreamMonitor(monitor, monitor.detector(hz=10.0))
+    shipped = shipped_monitor()
+    return StreamMonitor(shipped, shipped.detector(hz=10.0))
 
 
 def _soak_node(seconds: float) -> Soaked | None:

@@ -49,11 +49,11 @@ class HandView:
         return np.zeros(len(boxes))
 
 
-def cells() -> SeenCells:
-    """Return a view that is free but for the near side of ``CAR`` and its shadow."""
+def cells(*, with_car: bool = True) -> SeenCells:
+    """Return a view that is free but for the near side of ``CAR`` and its shadow, or free everywhere."""
     x, y = GRID.centers[..., 0], GRID.centers[..., 1]
     state = np.full(GRID.shape, CellState.FREE, np.uint8)
-    inside = (np.abs(y - 2.0) < 1.0) & (x > 10.0)
+    inside = (np.abs(y - 2.0) < 1.0) & (x > 10.0) & with_car
     state[inside] = CellState.HIDDEN
     state[inside & (x < 10.6)] = CellState.SURFACE
     return SeenCells(GRID, state, Rigid.identity())
@@ -79,14 +79,13 @@ def model() -> EvidenceModel:
     weights = fit_weights(bins(CAR), bins(GHOST))
     assert bins(CAR).shape[1] == len(BOX_FEATURES)
     seen = EvidenceTable((1.0, 5.0, 20.0, 100.0), (100.0, 5.0, 20.0, 50.0))
-    birth = EvidenceTable((1.0, 10.0, 100.0), (60.0, 10.0, 40.0))
+    birth = EvidenceTable((100.0, 50.0, 10.0, 1.0), (5.0, 5.0, 10.0, 100.0))
     jump = EvidenceTable((100.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0, 0, 0, 0), (1.0,) * 8 + (20.0,) * 4)
     return EvidenceModel(tuple(weights.tolist()), seen, birth, jump, (8.0, 8.0, 30.0))
 
 
 def tracks(
-    t_s: float, boxes: list[NDArray[np.float64]], found: list[bool], *, p: float = 1.0, born_hidden: float = 1.0,
-    ids: list[int] | None = None,
+    t_s: float, boxes: list[NDArray[np.float64]], found: list[bool], *, p: float = 1.0, ids: list[int] | None = None,
 ) -> tuple[Tracks, Detections]:  # fmt: skip
     """Return confirmed tracks at boxes, and the detections of those that were found."""
     count = len(boxes)
@@ -98,6 +97,6 @@ def tracks(
         t_s, np.array(range(count) if ids is None else ids, np.int64), states, np.tile(np.eye(4) * 0.05, (count, 1, 1)),
         rows, np.full((count, 5), 0.1), kinds, np.full(count, 0.95), np.ones(count, bool),
         np.where(numbers, np.cumsum(numbers) - 1, -1).astype(np.int32), np.full(count, p), np.full(count, 0.95),
-        np.zeros(count), np.where(numbers, t_s, 0.0), np.full(count, born_hidden),
+        np.zeros(count), np.where(numbers, t_s, 0.0), np.ones(count),
     )  # fmt: skip
     return shown, Detections(rows[numbers], kinds[numbers], np.full(int(numbers.sum()), 50))

@@ -77,14 +77,16 @@ def test_a_given_up_track_in_free_cells_is_forgotten() -> None:
     assert counts[-1] == 0
 
 
-def test_a_track_that_begins_in_free_cells_is_named_so() -> None:
-    """Birth speaks where cells say nothing: a field of view without states."""
-    hand = model()
-    fusion = SingleFusion(hand)
-    once = [view(0.0, with_cells=False)]
-    explained = fusion.explain(*tracks(0.0, [CAR], [True], born_hidden=0.0), once)
-    assert explained.wealth[0, FABRICATED] > 8.0
-    assert explained.explanations.tolist() == [Explanation.NEW_IN_FREE]
+@pytest.mark.parametrize("was_there", [False, True])
+def test_a_ghost_with_a_surface_is_named_by_the_cells_before_it(was_there: bool) -> None:
+    """Made in the sweep it has returns and a shadow as a car has; a car that was missed at first had them before."""
+    fusion = SingleFusion(model())
+    for t_s in TIMES[:12]:
+        fusion.explain(*tracks(t_s, [], []), [replace(view(t_s), cells=cells(with_car=was_there))])
+    for t_s in TIMES[12:18]:
+        explained = fusion.explain(*tracks(t_s, [CAR], [True]), [view(t_s)])
+    assert explained.accused.tolist() == [not was_there]
+    assert explained.explanations.tolist() == [Explanation.SEEN if was_there else Explanation.NEW_IN_FREE]
 
 
 def test_a_parked_car_that_jumps_is_moved() -> None:
@@ -169,7 +171,7 @@ def test_without_poses_less_is_explained_and_it_says_so() -> None:
         explained = fusion.explain(replace(shown, in_world=False), found, [here])
     assert explained.accused.tolist() == [False, True]
     assert explained.notes == (
-        "no poses: nothing is said of sudden moves, and tracks that the tracker gave up are not held",
+        "no poses: nothing is said of sudden moves and of births, and tracks that the tracker gave up are not held",
     )
     with pytest.raises(ValueError, match="views must be in the tracks' frame, the sensor's level frame, got another"):
         fusion.explain(replace(shown, in_world=False), found, [view(shown.t_s)])

@@ -54,9 +54,6 @@ def test_the_shipped_table_knows_what_a_detector_can_do() -> None:
     assert ((std_m > 0.05) & (std_m < 1.5)).all()
     assert std_m[0, 0] < std_m[1, 0]
     assert 0 < table.false_per_sweep[ObjectKind.CAR] < 10
-    density = table.clutter_per_m2(np.array([15.0, 1e6]), np.full(2, ObjectKind.CAR, np.uint8))
-    assert (density > 0).all()
-    assert (density < 0.01).all()
 
 
 def test_many_counts_are_their_share_and_few_lean_on_the_rest() -> None:
@@ -77,14 +74,6 @@ def test_deviations_are_roots_of_mean_squares() -> None:
     errors_m2[ObjectKind.CAR] = 100_000 * np.array([0.25, 0.04])
     std_m = replace(table, errors_m2=errors_m2, matched=matched).center_std_m(np.array([17.0]), CAR)
     assert std_m == pytest.approx(np.array([[0.5, 0.2]]), rel=1e-3)
-
-
-def test_clutter_is_a_density_of_its_ring() -> None:
-    table = empty(sweeps=50)
-    false = table.false.copy()
-    false[ObjectKind.CAR, 1] = 30
-    density = replace(table, false=false).clutter_per_m2(np.array([12.0, 25.0]), np.full(2, ObjectKind.CAR, np.uint8))
-    assert density == pytest.approx([30 / 50 / (np.pi * (20**2 - 10**2)), 0.0])
 
 
 def test_odds_of_false_detections_are_their_counts_and_lean_on_their_kind() -> None:

@@ -320,6 +320,13 @@ def test_boxes_that_are_too_long_are_left_out_and_counted() -> None:
     assert sorted(tracks.detection.tolist()) == [1, 2]  # their numbers in what was given
 
 
+def test_boxes_without_a_size_are_no_detections() -> None:
+    boxes = cars((5.0, 0.0)).boxes.copy()
+    boxes[0, 3:6] = 0.0
+    with pytest.raises(ValueError, match="boxes must be finite and have positive sizes; leave out those that are not"):
+        replace(cars((5.0, 0.0)), boxes=boxes)
+
+
 @pytest.mark.parametrize(
     "bad", [np.zeros((2, 2)), -np.eye(2), [[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]], [[np.nan, 0], [0, 1.0]]]
 )

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, MonitorFile, Passes, Reading, Seed, Weights, complain
+from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
-from viewshed.cli._places import place_of_result
+from viewshed.cli._places import chosen_files, is_data_set, place_of_result
 from viewshed.cli._stream import placed_sweeps, poses_of
+from viewshed.cli._terminal import BAD_INPUTS, complain
 from viewshed.cli._verdicts import HZ, Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
@@ -53,7 +54,9 @@ def fit(
     seed: Seed = None,
     sensor: options.SensorName = AUTO,
 ) -> None:
-    """Fit a monitor of Monte Carlo dropout on benign sweeps: thresholds on the first half, the limit on the second.
+    """Fit the published monitor of Monte Carlo dropout.
+
+    On benign sweeps: thresholds on the first half, the limit on the second.
 
     Example: viewshed monitor fit benign --out monitor.npz
     """
@@ -106,14 +109,14 @@ def calibrate(
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    seed: Seed = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random; 0 if not given.")] = None,
 ) -> None:
-    """Calibrate the monitor on sweeps that nobody attacked: a rate of false alarms that holds on more like these.
+    """Calibrate the monitor on sweeps that nobody attacked.
 
-    What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
-    of one recording are alike; the rate then holds for that place and time. Inconsistent is calibrated on all of them,
-    degraded on those that are not given by --worse. Alarms over time keep --per-hour on sweeps that come ten times a
-    second: one an hour needs an hour of drives.
+    The rate of false alarms then holds on more like these. What counts is scenes, not sweeps: each file is one, and
+    each 20 s of a recording or of a scene of a data set. Those of one recording are alike; the rate then holds for that
+    place and time. Inconsistent is calibrated on all of them, degraded on those that are not given by --worse. Alarms
+    over time keep --per-hour on sweeps that come ten times a second: one an hour needs an hour of drives.
 
     Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
     """
@@ -135,8 +138,8 @@ def calibrate(
 
     benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
               for sweep in measured(places)]  # fmt: skip
-    promise: Promise = "confident" if confident else "expected"
     rates = Rates(rate, rate)
+    promise: Promise = "confident" if confident else "expected"
     if correct:
         made = base.corrected(benign, rng, rates=rates, promise=promise)
     else:
@@ -169,11 +172,12 @@ def check(
     poses: options.Poses = None,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
 ) -> None:
-    """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
+    """Check sweeps with a monitor: verdict and reason, a line each.
 
-    Without --monitor-file it is the monitor that comes with viewshed. Sweeps of a recording are judged with those
-    before them. What a verdict cannot rest on is said where it is new. A sweep that cannot be checked costs one line on
-    standard error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
+    A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
+    Sweeps of a recording are judged with those before them. What a verdict cannot rest on is said where it is new. A
+    sweep that cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2.
+    An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -194,17 +198,17 @@ def check(
 @monitor_app.command()
 def explain(
     source: Annotated[str, typer.Argument(metavar="SRC", help="A sweep, or a recording or data set.")],
-    number: Annotated[int, typer.Option(min=0, help="Of the sweep in its recording, from 0.")] = 0,
+    number: Annotated[int, typer.Option(min=0, help="Which sweep of the recording, counted from 0.")] = 0,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
 ) -> None:
-    """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
+    """Draw the suspect sectors of one sweep, and why they are.
 
-    Without --monitor-file it is the monitor that comes with viewshed. A sweep of a recording is judged with those
-    before it.
+    The map, and all evidence by azimuth. Without --monitor-file it is the monitor that comes with viewshed. A sweep of
+    a recording is judged with those before it.
 
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """
@@ -249,7 +253,7 @@ class _Source:
 
     def __iter__(self) -> Iterator[Seen]:
         for place in self.places:
-            if options.is_data_set(place):
+            if is_data_set(place):
                 yield from self._archived(place)
             elif self.split is not None:
                 raise ValueError(f"--split goes with a data set that has splits, got {place}")
@@ -265,7 +269,7 @@ class _Source:
 
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
-        jobs = list(options.chosen([Path(place)], None))
+        jobs = list(chosen_files([Path(place)], None))
         poses, count = poses_of(reading, jobs), 0
         for job in jobs:
             path = job[0]

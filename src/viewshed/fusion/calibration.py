@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fusion.before import ASKED_AFTER, SeenBefore, surface_shares
 from viewshed.fusion.evidence import (
     EvidenceCounts,
     EvidenceModel,
@@ -15,9 +16,10 @@ from viewshed.fusion.evidence import (
     jump_bins,
     view_bins,
 )
+from viewshed.fusion.explained import take_tracks
 from viewshed.fusion.jumps import LATEST, Sightings
 from viewshed.fusion.memory import rows_of
-from viewshed.fusion.sensor_view import Observed, SensorView
+from viewshed.fusion.sensor_view import Observed
 from viewshed.fusion.single import SingleFusion, cell_evidence
 from viewshed.integrity.calibration import alarms_allowed
 
@@ -28,8 +30,8 @@ _NO_LIMITS = (np.inf, np.inf, np.inf)
 _FALSE_JUMPS_M = (0.3, 3.0)
 """Jumps of moved tracks that tables are counted with."""
 
-_NEAR_BIRTH_M = 4.0
-"""How far an object may come unseen in a sweep: 40 m/s."""
+_OPEN = 0.5
+"""A ghost is made where at least this share of its box is free."""
 
 
 def calibrate(drives: Sequence[Sequence[Observed]], rng: np.random.Generator, accused: float = 0.03) -> EvidenceModel:
@@ -102,7 +104,7 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
     Elsewhere is at the same distance from the sensor in a random direction; a moved track jumps by up to 3 m.
     """
     ids, sightings = np.zeros(0, np.int64), Sightings.none(0)
-    before: SensorView | None = None
+    before = SeenBefore()
     for tracks, detections, views in drive:
         is_matched = tracks.detection >= 0
         boxes = detections.boxes[tracks.detection[is_matched]]
@@ -112,23 +114,29 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
         if view.cells is not None:
             kinds = tracks.kinds[is_matched]
             counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
-            counts.forged_cells.append(cell_evidence(elsewhere, kinds, view)[1])
-        born = is_matched & (tracks.born_s == tracks.t_s)
-        if before is not None and born.any():
-            new = _turned(tracks.boxes[born], view.place, rng)
-            within_m = np.full(len(new), _NEAR_BIRTH_M)
-            counts.add("birth", birth_bins(tracks.born_hidden[born]), birth_bins(before.view.hides_near(new, within_m)))
+            forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
+            counts.forged_cells.append(forged_bins)
         # A moved track jumps in its latest places.
         sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
         ids = tracks.ids
         rows = np.flatnonzero(is_matched)
         sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
+        if view.cells is not None:
+            # A ghost that is made in the sweep stands in the open, has a surface and moves as a track does.
+            honest = take_tracks(tracks, rows)
+            ghosts, in_the_open = replace(honest, boxes=elsewhere), forged_cells.free >= _OPEN
+            asked = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), ASKED_AFTER)
+            surface = surface_shares(view.cells, honest.boxes)
+            births = (
+                before.free_shares(honest, surface, asked), before.free_shares(ghosts, surface, asked & in_the_open)
+            )  # fmt: skip
+            counts.add("birth", birth_bins(births[0]), birth_bins(births[1]))
         length, way = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))
         seen = sightings.take(rows)
         places = seen.places.copy()
         places[:, -LATEST:] += np.stack([length * np.cos(way), length * np.sin(way)], axis=-1)[:, None]
         counts.add("jump", jump_bins(seen.jumps()[0]), jump_bins(Sightings(seen.times, places).jumps()[0]))
-        before = view
+        before.add(tracks.t_s, view.cells)
 
 
 def _turned(boxes: Floats, place: Floats, rng: np.random.Generator) -> Floats:

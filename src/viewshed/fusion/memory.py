@@ -24,7 +24,7 @@ class Memory:
 
     Attributes:
         wealth: (N, 3) against each.
-        birth: (N,) ratio of its birth.
+        birth: (N,) ratio of where its surface came from.
         log_mean: (N,) log of the mean ratio of what its boxes held.
         looked_s: (N,) for how long they were looked at.
         offset: (N, 2) meters by which it jumped, if it is believed to be moved.
@@ -47,11 +47,10 @@ class Memory:
     sightings: Sightings
 
     @classmethod
-    def begun(cls, birth: Floats) -> Self:
-        """Return the memory of new tracks with these ratios (N,) of their births."""
-        count = len(birth)
-        wealth = np.zeros((count, 3))
-        wealth[:, FABRICATED] = birth
+    def begun(cls, count: int) -> Self:
+        """Return the memory of ``count`` new tracks."""
+        wealth, birth = np.zeros((count, 3)), np.ones(count)
+        wealth[:, FABRICATED] = 1.0
         log_mean, looked_s, bare_s, hits, looks, looks_at_hit = np.zeros((6, count))
         offset, sightings = np.zeros((count, 2)), Sightings.none(count)
         return cls(wealth, birth, log_mean, looked_s, offset, bare_s, hits, looks, looks_at_hit, sightings)
@@ -106,10 +105,10 @@ def rows_of(ids: NDArray[np.int64], known: NDArray[np.int64]) -> Rows:
     return np.where(known[order[place]] == ids, order[place], -1)
 
 
-def aligned(memory: Memory, known: NDArray[np.int64], ids: NDArray[np.int64], birth: Floats) -> Memory:
-    """Return the memory of tracks ``ids`` (N,), of which ``known`` (M,) have rows; the others begin with ``birth``."""
+def aligned(memory: Memory, known: NDArray[np.int64], ids: NDArray[np.int64]) -> Memory:
+    """Return the memory of tracks ``ids`` (N,), of which ``known`` (M,) have rows; the others are new."""
     rows = rows_of(ids, known)
     new = np.flatnonzero(rows < 0)
-    both = memory.joined(Memory.begun(birth[new]))
+    both = memory.joined(Memory.begun(len(new)))
     rows[new] = len(known) + np.arange(len(new))
     return both.take(rows)

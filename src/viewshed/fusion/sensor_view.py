@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 Mask = NDArray[np.bool_]
 
-SAME_TIME_S = 0.15
+_NEAR_TIME_S = 0.15
 """A view of another time than the tracks by more than this says nothing of them."""
 
 MOST_TRACKS = 2000
@@ -73,7 +73,7 @@ def check_views(tracks: Tracks, views: Sequence[SensorView]) -> None:
         if view.view.in_world != tracks.in_world:
             frame = "the world" if tracks.in_world else "the sensor's level frame"
             raise ValueError(f"views must be in the tracks' frame, {frame}, got another one of {view.sensor}")
-        if not abs(view.view.t_s - tracks.t_s) <= SAME_TIME_S:
+        if not abs(view.view.t_s - tracks.t_s) <= _NEAR_TIME_S:
             raise ValueError(
                 f"views must be of the tracks' time {tracks.t_s:.3f} s, got {view.view.t_s:.3f} s of {view.sensor}"
             )

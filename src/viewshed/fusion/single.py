@@ -16,6 +16,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fusion.before import ASKED_AFTER, SeenBefore, surface_shares
 from viewshed.fusion.cells import BoxCells
 from viewshed.fusion.evidence import (
     BLIND,
@@ -67,7 +68,8 @@ class SingleFusion:
     def reset(self) -> None:
         """Forget all tracks."""
         self._last: Tracks | None = None
-        self._memory = Memory.begun(np.zeros(0))
+        self._memory = Memory.begun(0)
+        self._before = SeenBefore()
 
     def explain(self, tracks: Tracks, detections: Detections, views: Sequence[SensorView]) -> ExplainedTracks:
         """Return the tracks of a sweep explained.
@@ -121,7 +123,13 @@ class SingleFusion:
         memory.log_mean[seen] = mean_after(
             memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
         )
-        memory.wealth[seen, FABRICATED] = memory.birth[seen] * np.exp(memory.log_mean[seen])
+        # Cells betray a forged detection, and where its surface came from a ghost made in the sweep: half each.
+        asked = is_matched & ~alarmed & np.isin(memory.hits, ASKED_AFTER)
+        surface = np.zeros(count)
+        surface[asked] = surface_shares(views[0].cells, both.boxes[asked])
+        birth = birth_bins(self._before.free_shares(both, surface, asked))
+        memory.birth = np.where(birth == BLIND, memory.birth, ratios_of(model.birth, birth))
+        memory.wealth[seen, FABRICATED] = 0.5 * (np.exp(memory.log_mean[seen]) + memory.birth[seen])
         for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
             after = wealth_after(memory.wealth[quiet, suspicion], ratios[quiet, suspicion], dt_s, block_s)
             memory.wealth[quiet, suspicion] = np.minimum(after, _MOST_WEALTH)
@@ -140,6 +148,7 @@ class SingleFusion:
             for k, why in enumerate(explanations.tolist())
         )
         self._last, self._memory = both, memory
+        self._before.add(tracks.t_s, views[0].cells)
         return ExplainedTracks(
             both, explanations, e_values, memory.wealth.copy(), suspicions, accused,
             np.where(moved[:, None], memory.offset, 0.0), np.arange(count) >= len(tracks), reasons,
@@ -151,8 +160,7 @@ class SingleFusion:
     ) -> tuple[Tracks, Memory]:
         """Return the tracks and, after them, those that the tracker has given up, with what is known of each."""
         last = take_tracks(tracks, np.zeros(0, np.intp)) if self._last is None else self._last
-        birth = ratios_of(self.model.birth, birth_bins(tracks.born_hidden))
-        memory = aligned(self._memory, last.ids, tracks.ids, birth)
+        memory = aligned(self._memory, last.ids, tracks.ids)
         is_matched = tracks.detection >= 0
         places = detections.boxes[tracks.detection[is_matched], :2]
         memory.note(np.arange(len(tracks)), tracks.visible, is_matched, tracks.t_s, places)
@@ -202,7 +210,7 @@ def _explanations(
     )
 
 
-_NO_POSES = "no poses: nothing is said of sudden moves, and tracks that the tracker gave up are not held"
+_NO_POSES = "no poses: nothing is said of sudden moves and of births, and tracks that the tracker gave up are not held"
 
 _MOST_WEALTH = 1e6
 """Wealth is held below this, so that a track can be acquitted again."""
@@ -313,7 +321,7 @@ def _sentence(tracks: Tracks, k: int, why: Explanation, look: _Look, e_value: fl
         case Explanation.MISSING:
             return f"missing for {unseen_s:.1f} s though found with probability {p_found:.2f}, {against}"
         case Explanation.NEW_IN_FREE:
-            return f"began where everything near was seen free, {against}"
+            return f"began where beams had passed just before, {against}"
         case Explanation.SEEN_THROUGH:
             return f"beams pass through {look.free[k]:.0%} of its box, {against}"
         case Explanation.NOT_VISIBLE:

@@ -110,6 +110,14 @@ def cells_of_sectors(sectors: Mask, grid: BevGrid) -> Mask:
     return mask
 
 
+def sector_corners(sectors: Mask, reach_m: float) -> NDArray[np.float64]:
+    """Return the corners (3 K, 2) of a triangle from the sensor for each of K sectors (SECTORS,) bool."""
+    step = 2 * np.pi / SECTORS
+    start = np.flatnonzero(sectors) * step - np.pi
+    ends = [np.column_stack([np.cos(angle), np.sin(angle)]) * reach_m for angle in (start, start + step)]
+    return np.stack([np.zeros((len(start), 2)), *ends], axis=1).reshape(-1, 2)
+
+
 def sectors_of_cells(cells: Mask, grid: BevGrid) -> Mask:
     """Return the mask (SECTORS,) of the sectors that hold the center of one of the cells (cells, cells) bool."""
     counts = np.bincount(sector_of(polar_of_cells(grid)[1][cells]), minlength=SECTORS)

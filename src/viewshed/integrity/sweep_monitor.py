@@ -300,10 +300,8 @@ class SweepMonitor:
         row = _row(self.score, evidence)
         if group not in self.benign:
             like = len(self.inconsistent.alike(group))
-            notes = (
-                *notes,
-                f"{group} was not calibrated, no rate is promised: judged by the most cautious of {like} sensors",
-            )
+            note = f"{group} was not calibrated, no rate is promised: judged by the most cautious of {like} sensors"
+            notes = (*notes, note)
         inconsistent, threshold = float(row[0]), self.inconsistent.limit(group)
         suspect = np.zeros(SECTORS, np.bool_)
         if inconsistent > threshold:

@@ -118,13 +118,6 @@ class DetectionTable:
         result: Floats = (1 - share)[:, None] * self._std_m[kind, d] + share[:, None] * self._std_m[kind, d + 1]
         return result
 
-    def clutter_per_m2(self, range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> Floats:
-        """Return the mean number (K,) of false detections of a kind in a sweep for each square meter at a range."""
-        ring = np.clip(np.searchsorted(RANGE_M, np.asarray(range_m, np.float64), "right") - 1, 0, len(RANGE_M) - 2)
-        area_m2 = np.pi * np.diff(np.square(RANGE_M))
-        result: Floats = (self.false / (self.sweeps * area_m2))[np.asarray(kinds, np.intp), ring]
-        return result
-
     def false_odds(self, range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> Floats:
         """Return the number (K,) of false detections of a kind at a range for one of an object."""
         d, share = _between(np.asarray(range_m, np.float64), _RANGE_AT_M)

@@ -83,24 +83,6 @@ class Motion:
         return covariances
 
 
-def noise_along_sight(boxes: Floats, std_m: Floats, yaw: float = 0.0) -> Floats:
-    """Return the covariances (K, 2, 2) of centers whose errors are known along the line of sight and across it.
-
-    Args:
-        boxes: (K, 7) in the sensor's ``level`` frame.
-        std_m: (K, 2) standard deviations along the line of sight and across it.
-        yaw: by which the tracks' frame is turned: that of ``world_from_level``.
-
-    >>> noise_along_sight(np.array([[0.0, 9.0, 0, 4, 2, 2, 0]]), np.array([[2.0, 1.0]])).round(6).tolist()
-    [[[1.0, 0.0], [0.0, 4.0]]]
-    """
-    azimuth = np.arctan2(boxes[:, 1], boxes[:, 0]) + yaw
-    along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    across = np.stack([-np.sin(azimuth), np.cos(azimuth)], axis=-1)
-    axes = np.stack([along, across], axis=-1) * std_m[:, None, :]
-    return np.asarray(axes @ axes.transpose(0, 2, 1))
-
-
 def predict(states: Floats, covariances: Floats, dt_s: float, process_noise: Floats) -> tuple[Floats, Floats]:
     """Return states (N, 4) and covariances (N, 4, 4) ``dt_s`` seconds later."""
     transition = np.eye(4)

@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 
 Numbers = NDArray[np.int32]
 
-SAME_TIME_S = 0.02
+_SAME_TIME_S = 0.02
 """A view further than this from the time of the detections is of another sweep."""
 
 MOTION = Motion(standing_share=0.5, outlier_share=0.2)
@@ -477,7 +477,7 @@ class Tracker:
             raise ValueError(f"t_s must be finite, got {t_s}")
         if count > most:
             raise ValueError(f"detections must be at most {most}, got {count}; this sweep is refused")
-        if not abs(view.t_s - t_s) <= SAME_TIME_S:
+        if not abs(view.t_s - t_s) <= _SAME_TIME_S:
             raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
         odds = np.full(count, self.rules.false_odds) if false_odds is None else np.asarray(false_odds, np.float64)
         if odds.shape != (count,) or not (np.isfinite(odds) & (odds > 0.0)).all():

@@ -15,7 +15,7 @@ from viewshed.fusion.single import shipped_model
 from viewshed.objects import Detections
 from viewshed.studies.store import ResultStore
 from viewshed.studies.tracks.drives import FOVS, Moment, ObjectsTruth, SimulatedDetector, simulate_drive
-from viewshed.studies.tracks.evaluate import compare, evaluate, track_drive
+from viewshed.studies.tracks.evaluate import compare, evaluate, is_at_object, track_drive
 from viewshed.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_study, save_models
 from viewshed.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
 from viewshed.studies.tracks.page import page_of
@@ -111,6 +111,13 @@ def test_tracks_at_objects_that_do_not_count_are_neither_right_nor_false(moments
     assert compare(exact, moment, counted) == 0.0
     assert compare(np.concatenate([exact, other]), moment, counted) == 0.0
     assert compare(other, moment, counted) == pytest.approx(np.sqrt(8.0))
+
+
+def test_an_object_is_there_within_two_meters_or_a_quarter_of_its_length() -> None:
+    """By hand: a car and a bus of 12 m, each with a track 2.5 m off."""
+    boxes = np.array([[0.0, 0.0, 0.75, 4.0, 2.0, 1.5, 0.0], [50.0, 0.0, 1.5, 12.0, 2.5, 3.0, 0.0]])
+    truth = ObjectsTruth(np.arange(2, dtype=np.int32), boxes, np.array([3, 4], np.uint8), np.full(2, 50, np.int32))
+    assert is_at_object(boxes + np.array([2.5, 0, 0, 0, 0, 0, 0]), truth).tolist() == [False, True]
 
 
 def test_a_run_from_plan_to_page(tmp_path: Path) -> None:

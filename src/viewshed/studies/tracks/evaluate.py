@@ -14,7 +14,7 @@ from viewshed.fusion.explained import REMOVED, ExplainedTracks
 from viewshed.fusion.sensor_view import Observed
 from viewshed.fusion.single import SingleFusion
 from viewshed.object_metrics import gospa
-from viewshed.studies.tracks.drives import HZ, SEEN_FROM, Moment
+from viewshed.studies.tracks.drives import HZ, SEEN_FROM, Moment, ObjectsTruth
 from viewshed.threats.object_attacks import ForgedDetections, RunningAttack
 from viewshed.tracking.tracker import Rules, Tracker
 
@@ -43,7 +43,7 @@ OCCLUDED_S = (0.3, 3.0)
 """Occlusions that last so long are counted."""
 
 NEAR_M = 2.0
-"""A removed track is of an object so near to it."""
+"""A track is of an object so near to it."""
 
 Floats = NDArray[np.float64]
 
@@ -59,8 +59,8 @@ class Forgery:
         visible: probabilities with which it was visible in these sweeps.
         shifts_m: by how much it was moved.
         found_s: when it was first accused; infinite if never.
-        tracked_s: when it was first a confirmed track; infinite if never.
-        known: it had been a confirmed track for :data:`KNOWN_HITS` detections when it was first forged.
+        known: it was a confirmed track: one that was removed or moved for :data:`KNOWN_HITS` detections before that, a
+            fabricated one at any time.
         highest: the most that spoke against it, as a part of the limit.
         alarmed: a monitor of the LiDAR suspected the sector in which it is.
     """
@@ -71,7 +71,6 @@ class Forgery:
     visible: list[float] = field(default_factory=list)
     shifts_m: list[float] = field(default_factory=list)
     found_s: float = np.inf
-    tracked_s: float = np.inf
     known: bool = False
     highest: float = 0.0
     alarmed: bool = False
@@ -171,12 +170,20 @@ def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
         tracks = one.observed[0]
         trusted = explained.trusted()
         both = (tracks.boxes[tracks.confirmed], trusted.boxes)
-        apart = np.hypot(*(trusted.boxes[:, None, :2] - moment.truth.boxes[None, :, :2]).transpose(2, 0, 1))
-        is_object = (apart <= NEAR_M).any(axis=1)
-        outcome.calibration += zip(trusted.existence.tolist(), is_object.tolist(), strict=True)
+        there = is_at_object(trusted.boxes, moment.truth)
+        outcome.calibration += zip(trusted.existence.tolist(), there.tolist(), strict=True)
         before, after = (compare(boxes, moment, recent) for boxes in both)
         outcome.gospa_m.append((before, after))
     return outcome
+
+
+def is_at_object(boxes: Floats, truth: ObjectsTruth) -> NDArray[np.bool_]:
+    """Return which boxes (N, 7) have an object within 2 m, or within a quarter of its length.
+
+    So the detector's own table counts: of a long vehicle only one end is seen.
+    """
+    apart = np.hypot(*(boxes[:, None, :2] - truth.boxes[None, :, :2]).transpose(2, 0, 1))
+    return np.asarray((apart <= np.maximum(NEAR_M, truth.boxes[:, 3] / 4)).any(axis=1))
 
 
 def tracks_of_objects(tracked: Iterable[TrackedMoment]) -> set[int]:
@@ -256,8 +263,8 @@ def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections, 
     t_s = moment.t_s
     visible = dict(zip(moment.truth.numbers.tolist(), moment.visible.tolist(), strict=True))
 
-    def note(of: dict[int, Forgery], number: int) -> Forgery:
-        one = of.setdefault(number, Forgery(t_s, t_s, known=follower.hits.get(number, 0) >= KNOWN_HITS))
+    def note(of: dict[int, Forgery], number: int, hits: int = 0) -> Forgery:
+        one = of.setdefault(number, Forgery(t_s, t_s, known=hits >= KNOWN_HITS))
         one.last_s, one.sweeps = t_s, one.sweeps + 1
         return one
 
@@ -265,11 +272,11 @@ def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections, 
         note(outcome.ghosts, ghost)
     for number in {*moment.of_object[forged.removed].tolist(), *moment.gone}:
         if number >= 0:
-            note(outcome.removed, number).visible.append(visible[number])
+            note(outcome.removed, number, follower.hits.get(number, 0)).visible.append(visible[number])
     for row in np.flatnonzero(forged.moved):
         number = int(moment.of_object[forged.source[row]])
         if number >= 0:
-            one = note(outcome.moved, number)
+            one = note(outcome.moved, number, follower.hits.get(number, 0))
             one.visible.append(visible[number])
             shift = forged.detections.boxes[row, :2] - moment.detections.boxes[forged.source[row], :2]
             one.shifts_m.append(float(np.hypot(*shift)))
@@ -293,8 +300,7 @@ def _note_accusations(
         is_accused, is_shown = bool(explained.accused[k]), bool(tracks.confirmed[k])
         if kind in ("ghost", "moved") and of >= 0:
             forgery = (outcome.ghosts if kind == "ghost" else outcome.moved)[of]
-            if row >= 0 and is_shown:
-                forgery.tracked_s = min(forgery.tracked_s, moment.t_s)
+            forgery.known |= kind == "ghost" and row >= 0 and is_shown
             forgery.highest = max(forgery.highest, float(against[k]))
             if is_accused:
                 forgery.found_s = min(forgery.found_s, moment.t_s)

@@ -167,7 +167,7 @@ class TracksResults:
                 found = [row[0] >= 0.0 for row in forged]
                 alarmed = [not is_found and row[5] > 0.0 for row, is_found in zip(forged, found, strict=True)]
                 unknown = [
-                    not (is_found or is_alarmed) and kind == "removed" and row[3] == 0.0
+                    not (is_found or is_alarmed) and row[3] == 0.0
                     for row, is_found, is_alarmed in zip(forged, found, alarmed, strict=True)
                 ]
                 rest = len(forged) - sum(found) - sum(alarmed) - sum(unknown)
