@@ -85,8 +85,7 @@ def model() -> EvidenceModel:
 
 
 def tracks(
-    t_s: float, boxes: list[NDArray[np.float64]], found: list[bool], *, p: float = 1.0, born_s: float = 0.0,
-    ids: list[int] | None = None,
+    t_s: float, boxes: list[NDArray[np.float64]], found: list[bool], *, p: float = 1.0, ids: list[int] | None = None,
 ) -> tuple[Tracks, Detections]:  # fmt: skip
     """Return confirmed tracks at boxes, and the detections of those that were found."""
     count = len(boxes)
@@ -98,6 +97,6 @@ def tracks(
         t_s, np.array(range(count) if ids is None else ids, np.int64), states, np.tile(np.eye(4) * 0.05, (count, 1, 1)),
         rows, np.full((count, 5), 0.1), kinds, np.full(count, 0.95), np.ones(count, bool),
         np.where(numbers, np.cumsum(numbers) - 1, -1).astype(np.int32), np.full(count, p), np.full(count, 0.95),
-        np.full(count, born_s), np.where(numbers, t_s, 0.0), np.ones(count),
+        np.zeros(count), np.where(numbers, t_s, 0.0), np.ones(count),
     )  # fmt: skip
     return shown, Detections(rows[numbers], kinds[numbers], np.full(int(numbers.sum()), 50))

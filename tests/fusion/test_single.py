@@ -83,8 +83,8 @@ def test_a_ghost_with_a_surface_is_named_by_the_cells_before_it(was_there: bool)
     fusion = SingleFusion(model())
     for t_s in TIMES[:12]:
         fusion.explain(*tracks(t_s, [], []), [replace(view(t_s), cells=cells(with_car=was_there))])
-    for t_s in TIMES[12:16]:
-        explained = fusion.explain(*tracks(t_s, [CAR], [True], born_s=TIMES[12]), [view(t_s)])
+    for t_s in TIMES[12:18]:
+        explained = fusion.explain(*tracks(t_s, [CAR], [True]), [view(t_s)])
     assert explained.accused.tolist() == [not was_there]
     assert explained.explanations.tolist() == [Explanation.SEEN if was_there else Explanation.NEW_IN_FREE]
 

@@ -18,7 +18,6 @@ from viewshed.fusion.rounds import Round, Rounds
 from viewshed.io.export.ros import visibility_layer
 from viewshed.messages.receiver import Receiver
 from viewshed.messages.signing import KeyRing
-from viewshed.objects import Detections
 from viewshed_ros import parameters
 from viewshed_ros.conversions import stamp_of
 from viewshed_ros.layers import grid_message
@@ -78,8 +77,7 @@ class CenterNode(Node):
         if told.view is None:
             return
         try:
-            report = AgentReport.of(told.view, told.detections or Detections.none())
-            done = self._rounds.add(1e-9 * told.t_ns, report)
+            done = self._rounds.add(1e-9 * told.t_ns, AgentReport.of_message(told))
         except ValueError as error:
             self._notes.append(f"{told.agent}: {error}")
             return

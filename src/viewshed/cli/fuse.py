@@ -66,7 +66,7 @@ def fuse(
         if center is None or not set(agents) <= set(center.agents):
             known = agents if center is None else tuple(sorted({*center.agents, *agents}))
             center = CommandCenter(known)
-        done = Round.of(center.add(t_s, reports), tuple(reports))
+        done = Round.of(center.add(t_s, reports))
         typer.echo(line_of(done))
         lines.append(json.dumps(done.numbers()))
         if "png" in kinds:

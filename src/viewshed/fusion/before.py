@@ -1,7 +1,7 @@
-"""Where a track was before its first detection: only what is made in the sweep appears where beams passed just before.
+"""Where the surface of a track came from: only what is made in the sweep appears where beams passed just before.
 
-An object that the detector missed at first stood there all the same and stopped beams; one that comes out of a shadow
-was hidden. Its velocity leads back to where it was.
+What a detector missed at first stood there all the same and stopped beams; what comes out of a shadow was hidden. A
+surface is followed back from sweep to sweep, whenever it was first detected.
 """
 
 from __future__ import annotations
@@ -17,24 +17,30 @@ from viewshed.tracking.tracks import Tracks
 
 Floats = NDArray[np.float64]
 
-BEFORE_S = (0.3, 0.6, 0.9)
-"""So long before its first detection the place of a track is looked at, ..."""
+ASKED_AFTER = (5, 10)
+"""A track is followed back after so many detections: then its velocity is known."""
 
-YOUNG_S = 2.0
-"""... until so long after it: the velocity is known better and better."""
-
-_EVERY_S, _NEAR_S = 0.25, 0.15
-"""Cells are kept at least so far apart in time, and are of another time if it is farther off."""
-
-_SURFACE_WEIGHT = 5.0
-"""A surface denies that a place was free: most of a car's box is free or hidden, and only its near side a surface."""
+_KEPT_S, _EVERY_S = 4.0, 0.25
+"""Cells are kept for so long, at least so far apart in time."""
 
 _MARGIN_M = 0.5
 """Boxes are taken larger on each side: they did not stand exactly where they are led back to."""
 
+_SURFACE_WEIGHT = 5.0
+"""A surface denies that a place was free: most of a car's box is free or hidden, and only its near side a surface."""
+
+_LEAST_SURFACE, _LEFT_SURFACE = 0.03, 0.3
+"""Only boxes with such a share of surface are followed, until less than this part of the latest is left twice."""
+
+_LEAST_M = 3.0
+"""Shorter boxes are not followed: the surface of a person is lost now and then."""
+
+_FASTEST_STD_MPS = 3.0
+"""Tracks whose velocity is known worse are not followed."""
+
 
 class SeenBefore:
-    """Keeps the cells of the last sweeps, and looks at where young tracks were in them."""
+    """Keeps the cells of the last sweeps, and follows tracks back through them."""
 
     def __init__(self) -> None:
         """Begin without a past."""
@@ -42,40 +48,51 @@ class SeenBefore:
 
     def add(self, t_s: float, cells: SeenCells | None) -> None:
         """Keep the cells of a sweep at ``t_s``, if it has any and none was kept just before."""
-        while self._past and self._past[0][0] < t_s - YOUNG_S - BEFORE_S[-1] - _NEAR_S:
+        while self._past and self._past[0][0] < t_s - _KEPT_S:
             self._past.popleft()
         if cells is not None and (not self._past or t_s - self._past[-1][0] > _EVERY_S):
             self._past.append((t_s, cells))
 
-    def free_shares(self, tracks: Tracks) -> Floats:
-        """Return which share (N,) of each young track's place was seen free before its first detection.
+    def free_shares(self, tracks: Tracks, surface: Floats, asked: NDArray[np.bool_]) -> Floats:
+        """Return which share (N,) of the place where the surface of each asked track came from was seen free.
 
-        Less than none where it had surfaces; the median over the times :data:`BEFORE_S`. NaN where nothing can be
-        said: the track is old or without poses, no sweep was, or its place is known worse than by half of its width.
+        Less than none where the oldest sweep still has its surface. NaN where nothing can be said: the track is not
+        asked or without poses, its velocity is not known, or there is hardly a surface to be followed.
+
+        Args:
+            tracks: of this sweep.
+            surface: (N,) of :func:`surface_shares` now.
+            asked: (N,) which tracks are followed.
         """
-        shares = np.full((len(BEFORE_S), len(tracks)), np.nan)
-        young = np.flatnonzero(tracks.t_s - tracks.born_s <= YOUNG_S)
-        if not (tracks.in_world and len(young) and self._past):
-            return shares[0]
-        times = np.array([t_s for t_s, _ in self._past])
-        for row, before_s in zip(shares, BEFORE_S, strict=True):
-            wanted_s = tracks.born_s[young] - before_s
-            kept = np.abs(times[:, None] - wanted_s).argmin(axis=0)
-            for k in np.unique(kept):
-                rows = young[(kept == k) & (np.abs(times[k] - wanted_s) <= _NEAR_S)]
-                boxes, std_m = _led_back(tracks, rows, tracks.t_s - times[k])
-                known = std_m <= 0.5 * boxes[:, 3:5].min(axis=1, initial=np.inf)
-                states = self._past[k][1].states_at(footprint_points(boxes[known], FINE, _MARGIN_M))
-                is_free, is_surface = states == CellState.FREE, states == CellState.SURFACE
-                row[rows[known]] = is_free.mean(axis=1) - _SURFACE_WEIGHT * is_surface.mean(axis=1)
-        said = ~np.isnan(shares).all(axis=0)
-        return np.where(said, np.nanmedian(np.where(said, shares, 0.0), axis=0), np.nan)
+        shares = np.full(len(tracks), np.nan)
+        variance = np.maximum(tracks.covariances[:, 2, 2], tracks.covariances[:, 3, 3])
+        known = (variance <= _FASTEST_STD_MPS**2) & (surface >= _LEAST_SURFACE)
+        known &= tracks.boxes[:, 3:5].max(axis=1, initial=0.0) >= _LEAST_M
+        left, boxes, t_s = np.flatnonzero(asked & known & tracks.in_world), tracks.boxes.copy(), tracks.t_s
+        latest, was_lost = surface.copy(), np.zeros(len(tracks), np.bool_)
+        for before_s, cells in reversed(self._past):
+            if not len(left):
+                break
+            # One kept sweep back, and to the surface that is there; twice none, and it came from nowhere, or unseen.
+            boxes[left, :2] -= (t_s - before_s) * tracks.states[left, 2:]
+            boxes[left, :2] += cells.shifts(boxes[left])
+            share = surface_shares(cells, boxes[left])
+            free = _shares(cells, boxes[left], CellState.FREE) - _SURFACE_WEIGHT * share
+            shares[left] = np.where(was_lost[left], np.minimum(shares[left], free), free)
+            is_lost = share < _LEFT_SURFACE * latest[left]
+            ends, was_lost[left] = is_lost & was_lost[left], is_lost
+            latest[left] = np.where(is_lost, latest[left], 0.5 * (latest[left] + share))
+            left, t_s = left[~ends], before_s
+        # Nothing is said of the oldest sweep alone, nor of a surface that faded away, as that of what came from afar.
+        shares[left[was_lost[left]]] = np.nan
+        return np.where(latest >= _LEAST_SURFACE, shares, np.nan)
 
 
-def _led_back(tracks: Tracks, rows: NDArray[np.intp], ago_s: float) -> tuple[Floats, Floats]:
-    """Return the boxes (R, 7) of tracks ``ago_s`` seconds ago, and the standard deviations (R,) of their places."""
-    boxes, covariances = tracks.boxes[rows].copy(), tracks.covariances[rows]
-    boxes[:, :2] -= ago_s * tracks.states[rows, 2:]
-    own, mixed = np.diagonal(covariances, 0, 1, 2), np.diagonal(covariances, 2, 1, 2)
-    variance = own[:, :2] - 2.0 * ago_s * mixed + ago_s**2 * own[:, 2:]
-    return boxes, np.sqrt(np.maximum(variance, 0.0).max(axis=1, initial=0.0))
+def surface_shares(cells: SeenCells | None, boxes: Floats) -> Floats:
+    """Return which share (K,) of boxes (K, 7), taken larger, are surfaces; 0 without cells."""
+    return np.zeros(len(boxes)) if cells is None else _shares(cells, boxes, CellState.SURFACE)
+
+
+def _shares(cells: SeenCells, boxes: Floats, state: CellState) -> Floats:
+    states = cells.states_at(footprint_points(boxes, FINE, _MARGIN_M))
+    return np.asarray((states == state).mean(axis=1))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.before import SeenBefore
+from viewshed.fusion.before import ASKED_AFTER, SeenBefore, surface_shares
 from viewshed.fusion.evidence import (
     EvidenceCounts,
     EvidenceModel,
@@ -116,17 +116,21 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
             counts.honest_cells.append(cell_evidence(boxes, kinds, view)[1])
             forged_cells, forged_bins = cell_evidence(elsewhere, kinds, view)
             counts.forged_cells.append(forged_bins)
-            # A ghost that is made in the sweep stands in the open, and moves as a track does.
-            honest = take_tracks(tracks, is_matched)
-            states = np.column_stack([elsewhere[:, :2], honest.states[:, 2:]])
-            ghosts = take_tracks(replace(honest, boxes=elsewhere, states=states), forged_cells.free >= _OPEN)
-            births = (birth_bins(before.free_shares(each)) for each in (honest, ghosts))
-            counts.add("birth", *births)
         # A moved track jumps in its latest places.
         sightings = sightings.joined(Sightings.none(1)).take(rows_of(tracks.ids, ids))  # the last row is a new track's
         ids = tracks.ids
         rows = np.flatnonzero(is_matched)
         sightings = sightings.after(rows, tracks.t_s, boxes[:, :2])
+        if view.cells is not None:
+            # A ghost that is made in the sweep stands in the open, has a surface and moves as a track does.
+            honest = take_tracks(tracks, rows)
+            ghosts, in_the_open = replace(honest, boxes=elsewhere), forged_cells.free >= _OPEN
+            asked = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), ASKED_AFTER)
+            surface = surface_shares(view.cells, honest.boxes)
+            births = (
+                before.free_shares(honest, surface, asked), before.free_shares(ghosts, surface, asked & in_the_open)
+            )  # fmt: skip
+            counts.add("birth", birth_bins(births[0]), birth_bins(births[1]))
         length, way = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))
         seen = sightings.take(rows)
         places = seen.places.copy()

@@ -13,6 +13,8 @@ there. Its e-value is the geometric mean of the ratios R, weighted by exp(-age/�
     log E ← (1 - a) log E + a log R,  a = (1 - exp(-dt/τ)) / (1 - exp(-t/τ)) after t seconds.
 
 That is at most the arithmetic mean of the ratios, and so has mean 1 at most however they depend on each other.
+What was forged as a detection is betrayed by its cells. What was made in the sweep has cells as a car has, and is
+betrayed by where its surface came from (:mod:`.before`), asked twice. The e-value of *fabricated* is the mean of both.
 
 *Misses and jumps* happen anew. Their ratios enter the wealth
 
@@ -94,7 +96,7 @@ class EvidenceTable:
 
 
 _FREE_BEFORE = np.array([0.2, 0.5, 0.9])
-"""Bounds of the share of a track's place that was seen free before its first detection."""
+"""Bounds of the share of the place where a track's surface came from that was seen free."""
 
 VIEW_BINS = len(_VISIBLE) + 1
 BIRTH_BINS = len(_FREE_BEFORE) + 1
@@ -164,7 +166,7 @@ def view_bins(visible: Floats) -> NDArray[np.int64]:
 
 
 def birth_bins(free_before: Floats) -> NDArray[np.int64]:
-    """Return the bin (K,) of the shares of tracks' places that were seen free, ``BLIND`` where there is none (NaN)."""
+    """Return the bin (K,) of the shares of places of birth that were seen free, ``BLIND`` where there is none (NaN)."""
     return np.where(np.isnan(free_before), BLIND, np.digitize(free_before, _FREE_BEFORE))
 
 
@@ -209,7 +211,7 @@ class EvidenceModel:
     Attributes:
         weights: log ratios of what the cells of a box are, by the bins of ``BOX_FEATURES``, last the bias.
         view: of how well it could be seen.
-        birth: of how free its place was before its first detection.
+        birth: of how free the place was where its surface came from.
         jump: of how suddenly it moved.
         limits: e-values from which a track is accused to be fabricated, removed or moved.
         accused: share of honest tracks that the limits accuse at most, all three together.

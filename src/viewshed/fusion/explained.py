@@ -46,7 +46,7 @@ class Explanation(IntEnum):
     MISSING = 6
     """Not detected though it is visible, again and again: its detections are removed."""
     NEW_IN_FREE = 7
-    """Its place was seen free just before its first detection: fabricated."""
+    """Its surface appeared where beams had passed before: fabricated."""
     SEEN_THROUGH = 8
     """Beams pass through its box: fabricated."""
     NOT_VISIBLE = 9

@@ -24,7 +24,7 @@ class Memory:
 
     Attributes:
         wealth: (N, 3) against each.
-        birth: (N,) ratio of what was seen of its place before its first detection.
+        birth: (N,) ratio of where its surface came from.
         log_mean: (N,) log of the mean ratio of what its boxes held.
         looked_s: (N,) for how long they were looked at.
         offset: (N, 2) meters by which it jumped, if it is believed to be moved.

@@ -16,7 +16,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.before import SeenBefore
+from viewshed.fusion.before import ASKED_AFTER, SeenBefore, surface_shares
 from viewshed.fusion.cells import BoxCells
 from viewshed.fusion.evidence import (
     BLIND,
@@ -123,9 +123,12 @@ class SingleFusion:
         memory.log_mean[seen] = mean_after(
             memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
         )
-        # A forged detection is betrayed by its cells, a ghost made in the sweep by those before it: half each.
-        birth = birth_bins(self._before.free_shares(both)[seen])
-        memory.birth[seen] = np.where(birth == BLIND, memory.birth[seen], ratios_of(model.birth, birth))
+        # Cells betray a forged detection, and where its surface came from a ghost made in the sweep: half each.
+        asked = is_matched & ~alarmed & np.isin(memory.hits, ASKED_AFTER)
+        surface = np.zeros(count)
+        surface[asked] = surface_shares(views[0].cells, both.boxes[asked])
+        birth = birth_bins(self._before.free_shares(both, surface, asked))
+        memory.birth = np.where(birth == BLIND, memory.birth, ratios_of(model.birth, birth))
         memory.wealth[seen, FABRICATED] = 0.5 * (np.exp(memory.log_mean[seen]) + memory.birth[seen])
         for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
             after = wealth_after(memory.wealth[quiet, suspicion], ratios[quiet, suspicion], dt_s, block_s)

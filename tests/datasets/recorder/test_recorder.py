@@ -79,8 +79,9 @@ def test_frames_stand_where_leveling_and_drive_put_them(drive: list[Moment]) -> 
         assert height_m is not None
         assert moment.sweep.world_from_sensor is not None
         np.testing.assert_allclose(in_map(moment.level_frame).as_matrix(), pose.as_matrix(), atol=1e-9)
-        below = moment.sweep.world_from_sensor.translation - in_map(f"{moment.agent}/base_footprint").translation
-        np.testing.assert_allclose(below, [0.0, 0.0, height_m], atol=1e-6)
+        footprint = in_map(f"{moment.agent}/base_footprint").translation
+        above = moment.sweep.world_from_sensor.translation - footprint
+        np.testing.assert_allclose(above, [0.0, 0.0, height_m], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", BAGS)

@@ -264,18 +264,16 @@ class Evaluation:
             streams += tail_p_values_among_others(one.scores[mine, INCONSISTENT].astype(np.float64), sweeps)
         return BenignRuns.of(streams)
 
-    def detectors(self, hz: float) -> list[EDetector | None]:
-        """Return the detector of as few false alarms an hour as the runs support, and those for ``PER_HOUR``.
+    def detectors(self, hz: float) -> dict[float, EDetector | None]:
+        """Return a detector for each number of false alarms an hour, ascending; None where there are too few runs.
 
-        None where there are too few runs for one.
+        The numbers are ``PER_HOUR`` and the least that the runs support, if it is more than the first of these.
         """
-        found: list[EDetector | None] = []
-        for per_hour in (max(PER_HOUR[0], self.runs.least_per_hour(hz)), *PER_HOUR):
-            try:
-                found.append(self.runs.detector(per_hour, hz))
-            except ValueError:
-                found.append(None)
-        return found
+        least = self.runs.least_per_hour(hz)
+        return {
+            per_hour: self.runs.detector(per_hour, hz) if per_hour >= least else None
+            for per_hour in sorted({max(PER_HOUR[0], least), *PER_HOUR})
+        }
 
     def limits(self, verdict: int, rate: float, *, five: bool = False) -> Limits:
         """Return the limits of a verdict; of *degraded* from clear drives alone, for rain is no false alarm there.
@@ -429,7 +427,7 @@ class AttackedSweeps:
         caught_low: (N,) 1 above that for .1 %.
         p: (N,) p-value among the calibration scenes of the sensor.
         tail_p: (N,) the same, going on beyond them.
-        run_limits: (N, 1 + len(PER_HOUR)) of its score's detectors, see :meth:`Evaluation.detectors`; NaN for none.
+        run_limits: (N, K) of its score's detectors, see :meth:`Evaluation.detectors`; NaN for none.
     """
 
     attack: NDArray[np.str_]
@@ -450,7 +448,7 @@ class AttackedSweeps:
         scored = chosen.tested.rows(mask & chosen.test.touched.any(axis=1))
         table = scored.table
         drives = [table.drives[drive] for drive in table.drive]
-        limits = [np.nan if one is None else one.limit for one in chosen.detectors(hz)]
+        limits = [np.nan if one is None else one.limit for one in chosen.detectors(hz).values()]
         return cls(
             np.array([table.cases[case].name for case in table.case]), np.array([drive.domain for drive in drives]),
             scored.sensors, np.array([drive.number for drive in drives]), table.frame.astype(np.int64),
