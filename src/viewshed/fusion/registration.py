@@ -29,7 +29,7 @@ MOST_M, MOST_TURN = 0.25, float(np.radians(0.6))
 LEAST_M, LEAST_TURN = 0.03, float(np.radians(0.05))
 """Where both are smaller, a pose is left as it is."""
 
-REACH = 2.5
+REACH = 2.0
 """So many standard deviations a pose is moved along each axis, or turned, at most."""
 
 _STEPS = np.linspace(-REACH, REACH, 5)
