@@ -26,7 +26,7 @@ from viewshed.estimators import load_estimator
 from viewshed.fusion.claims import ClaimTable
 from viewshed.fusion.honest import HonestModel
 from viewshed.fusion.many import AgentReport, CommandCenter
-from viewshed.fusion.view_checks import VIEW_CHECKS, ClaimedView, check_view
+from viewshed.fusion.registration import PoseStd
 from viewshed.geometry import Rigid
 from viewshed.messages.transport import Radio, RadioFaults
 from viewshed.objects import Detections
@@ -36,7 +36,7 @@ from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL
 from viewshed.studies.agents.lies import LIES, Liars
 from viewshed.studies.agents.page import AgentsResults, ScoredRun
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
-from viewshed.studies.agents.runs import CHECKED_TIMES, Run
+from viewshed.studies.agents.runs import Run, plain_checks
 from viewshed.studies.agents.scenes import GRID, Scene, scene_path
 from viewshed.studies.cases import generator
 from viewshed.studies.records import Results
@@ -78,12 +78,14 @@ class Link:
 
     Attributes:
         pose_m, pose_deg: standard deviations of each axis of a position and of a heading, new for each report.
+        stated: whether reports state these, as the covariances of poses in messages do.
         late_s: reports of all agents but the first, in whose car the center is, are so old, and taken as if new.
         loss: probability that a report does not arrive.
     """
 
     pose_m: float = 0.0
     pose_deg: float = 0.0
+    stated: bool = True
     late_s: float = 0.0
     loss: float = 0.0
 
@@ -91,6 +93,7 @@ class Link:
 LINKS = {
     "as it is": Link(),
     "poses .2 m and .5°": Link(pose_m=0.2, pose_deg=0.5),
+    "the same, not stated": Link(pose_m=0.2, pose_deg=0.5, stated=False),
     "20 % lost": Link(loss=0.2),
     "poses and losses": Link(pose_m=0.2, pose_deg=0.5, loss=0.2),
     "200 ms late, taken as new": Link(late_s=0.2),
@@ -212,8 +215,7 @@ def run_case(
     radio = Radio(noise, RadioFaults(loss=link.loss, delay_s=link.late_s))
     here, ends = radio.join("center"), [radio.join(agent) for agent in scene.agents]
     center = CommandCenter(scene.agents, claims=learned[0], honest=learned[1])
-    said: list[dict[int, AgentReport]] = []
-    evidence, doubt, trust, suspects = [], [], [], []
+    evidence, doubt, trust, suspects, checks = [], [], [], [], []
     for time, t_s in enumerate(scene.times_s.tolist()):
         reports = scene.reports(time)
         if liars is not None:
@@ -227,16 +229,17 @@ def run_case(
         for number, end in enumerate(ends):
             end.send(bytes([number]), round(t_s * _NS))
         arrived = {each.data[0] for each in here.take(round((t_s + link.late_s) * _NS) + 1)} | {0}
-        said.append({number: reports[number] for number in sorted(arrived)})
-        verdicts = center.add(t_s, list(said[-1].values())).verdicts
+        picture = center.add(t_s, [reports[number] for number in sorted(arrived)])
+        verdicts = picture.verdicts
         evidence.append(verdicts.evidence)
         doubt.append(verdicts.doubt)
         trust.append(verdicts.trust)
         suspects.append(verdicts.suspects)
+        checks.append(picture.checks)
     return Run(
         case, list(liars.numbers) if liars else [], -1, _rounded(evidence), _rounded(doubt), _rounded(trust),
-        _rounded(trust), np.array(suspects, int).tolist(), checked(scene, said), {},
-        liars.touched if liars else [], -1.0,
+        _rounded(trust), np.array(suspects, int).tolist(), plain_checks(checks), {}, liars.touched if liars else [],
+        -1.0,
     )  # fmt: skip
 
 
@@ -261,32 +264,9 @@ def changed(
     if link.pose_m or link.pose_deg:
         step = rng.normal(0.0, link.pose_m, 3) * np.array([1.0, 1.0, 0.0])
         pose = Rigid(np.eye(3), step) @ pose @ Rigid.from_yaw(float(np.radians(rng.normal(0.0, link.pose_deg))))
-    return replace(report, estimate=replace(report.estimate, world_from_level=pose), detections=found)
-
-
-def checked(scene: Scene, said: Sequence[dict[int, AgentReport]]) -> list[list[float | None]]:
-    """Return what every check says of each agent's claims [A][C], the mean over some times at which it was heard."""
-    first = int(np.searchsorted(scene.times_s, ONSET_S)) + 1
-    out: list[list[float | None]] = []
-    for number, _ in enumerate(scene.agents):
-        heard = [time for time in range(first, len(said)) if number in said[time]]
-        # As the study does, at some times evenly spread.
-        places = (
-            sorted(set(np.linspace(0, len(heard) - 1, CHECKED_TIMES).round().astype(int).tolist())) if heard else []
-        )
-        rows = np.full((max(len(places), 1), len(VIEW_CHECKS)), np.nan)
-        for row, place in enumerate(places):
-            now = said[heard[place]]
-            others = tuple(report.estimate for other, report in now.items() if other != number)
-            earlier = [said[time][number].estimate for time in range(heard[place]) if number in said[time]]
-            before = earlier[-1] if earlier else None
-            rows[row] = check_view(ClaimedView(now[number].estimate, now[number].detections, others, before))
-        known = np.isfinite(rows)
-        mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        out.append(
-            [float(f"{value:.5g}") if any_ else None for value, any_ in zip(mean, known.any(axis=0), strict=True)]
-        )
-    return out
+    said = PoseStd(link.pose_m, float(np.radians(link.pose_deg))) if link.stated else PoseStd()
+    estimate = replace(report.estimate, world_from_level=pose)
+    return replace(report, estimate=estimate, detections=found, pose_std=said)
 
 
 def _rounded(values: Any) -> Any:
@@ -347,14 +327,13 @@ alarms, CAD .915.""",
 limits are the study's own, from scenes without these faults.""",
         "## Poses and links",
         f"""*Poses*: of each report anew, standard deviation of x, y and heading. *Lost*: at random, by the radio of
-`viewshed.messages.transport`. Reports carry their times: a center that waits 200 ms puts late ones together by these,
-and the delay costs nothing but the wait. *Taken as new*: it does not, and all reports but the first car's are of 200 ms
-ago. AUROC of a liar against honest agents with the same fault; over all lies it is to lose ≤ .03, and an honest agent
-is to be accused (at {100 * study.rate:.3g} %, nobody lies) in ≤ .015 of the scenes. In brackets 95 % intervals over
-scenes.""",
+`viewshed.messages.transport`. Reports state these deviations, and the center puts poses right within them
+(`viewshed.fusion.registration`); *not stated*: it takes poses as exact. Reports carry their times: a center that waits
+200 ms puts late ones together by these, and the delay costs nothing but the wait. *Taken as new*: it does not, and all
+reports but the first car's are of 200 ms ago. AUROC of a liar against honest agents with the same fault; over all lies
+it is to lose ≤ .03, and an honest agent is to be accused (at {100 * study.rate:.3g} %, nobody lies) in ≤ .015 of the
+scenes. In brackets 95 % intervals over scenes.""",
         table(["fault", *(f"lies about {name}" for name in GROUPS), "all", "loss", "honest accused"], rows),
-        """The covariance of a pose, which messages carry, is not used by the center: an honest agent that is half a
-degree off contradicts others as a dishonest one does.""",
         *(of_spoofed if spoofed else ()),
     )
 

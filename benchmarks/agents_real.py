@@ -123,7 +123,7 @@ def found_in(rounds: Sequence[Round]) -> Found:
     """Return what a center and the pairs of agents make of some rounds."""
     found, center = Found(), CommandCenter(tuple(report.agent for report in rounds[0]))
     for number, reports in enumerate(rounds):
-        accused, disputed = judged(center.add(0.5 * number, reports).verdicts)
+        accused, disputed = judged(center.add(0.5 * number, reports))
         found.rounds += 1
         found.accused += bool(accused.any())
         found.disputed += bool(disputed.any())

@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.timing import interleaved
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.grid import GRIDS
 from viewshed.sim.observe import Setting, observe
 from viewshed.sim.world import AgentPlan
@@ -104,7 +105,7 @@ def main() -> None:
     beams = sweep.model.rings * sweep.model.azimuth_columns
     text = TEXT.format(points=len(sweep), beams=beams, processes=PROCESSES, seconds=SECONDS, target=TARGET_PER_S)
     head = ["family", "attack", "first, ms", "again, ms", "sweeps a second, clock", "processor time", ""]
-    chosen.page.write_text(page("Speed of attacks", told, text, table(head, rows)), "utf-8")
+    write_page(chosen.page, page("Speed of attacks", told, text, table(head, rows)))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import numpy as np
 
 from viewshed import FovEstimate, Rigid, Sweep
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.estimators import load_estimator
 from viewshed.fov.polygons import claims_only
 from viewshed.integrity.report import IntegrityReport
@@ -151,7 +152,7 @@ def main() -> None:
         REFUSALS, refusals(signed[0], key),
         flood(views["viewnet"][0], key, chosen.forged, rng),
     )  # fmt: skip
-    chosen.page.write_text(content, encoding="utf-8")
+    write_page(chosen.page, content)
     print(content)
 
 

@@ -28,7 +28,6 @@ from viewshed._page import facts, page, table
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.integrity import StreamMonitor
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.pipeline import Pipeline, prepare_process
 from viewshed.pipeline.profiles import PROFILES, Profile
@@ -195,7 +194,8 @@ def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
     from viewshed.geometry import Rigid
 
     estimator = load_estimator(profile.method, grid=profile.grid)
-    monitor = StreamMonitor(shipped_monitor(), EDetector.for_rate(per_hour=1.0, hz=HZ)) if profile.monitor else None
+    shipped = shipped_monitor()
+    monitor = StreamMonitor(shipped, shipped.detector(hz=HZ)) if profile.monitor else None
     history = SweepBuffer(profile.history) if profile.history else None
     latencies: list[float] = []
     pipeline = Pipeline(

@@ -33,7 +33,6 @@ from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
 from viewshed.integrity import StreamMonitor
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io import read_sweep
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
@@ -127,7 +126,7 @@ def main() -> None:
         "Soak",
         facts(
             command=f"`python -m benchmarks.soak --minutes {chosen.minutes:g}`",
-            sweeps="the junction in the box: HDL-32E, 32,731 returns",
+            sweeps="the embedded junction: HDL-32E, 32,731 returns",
             seed=str(SEED), load=f"{os.getloadavg()[0]:.1f} in the minute before the end, on all cores",
         ),
         _INTRO, *parts, _COLUMNS,
@@ -332,7 +331,8 @@ def _sweep() -> Sweep:
 
 
 def _monitor() -> StreamMonitor:
-    return StreamMonitor(shipped_monitor(), EDetector.for_rate(per_hour=1.0, hz=10.0))
+    shipped = shipped_monitor()
+    return StreamMonitor(shipped, shipped.detector(hz=10.0))
 
 
 def _soak_node(seconds: float) -> Soaked | None:

@@ -82,6 +82,7 @@ def main() -> None:
     for name in chosen.names or strips:
         if name not in strips:
             parser.error(f"NAME must be one of {', '.join(strips)}, got {name!r}")
+        chosen.out.mkdir(parents=True, exist_ok=True)
         strips[name](chosen.out, chosen.work)
 
 
@@ -245,8 +246,8 @@ def draw_flip(out: Path, work: Path) -> None:
     """Draw the trust of each agent while one is to be expelled, ours beside the published, as frames and over time."""
     plan = AgentsPlan.load("small")
     scene, run = _flipped(plan, work)
-    chosen = np.unique(np.linspace(0, len(scene.times_s) - 1, 5).round().astype(int))
-    figure, grid_axes = plt.subplots(2, len(chosen), figsize=(13.0, 6.0), layout="constrained")
+    chosen = np.unique(np.linspace(0, len(scene.times_s) - 1, 3).round().astype(int))
+    figure, grid_axes = plt.subplots(2, len(chosen), figsize=(11.0, 7.6), layout="constrained")
     for line, (title, trust) in zip(grid_axes, _trusts(run).items(), strict=True):
         for axes, time in zip(line, chosen, strict=True):
             _draw_agents(axes, scene, run, time, trust[time])
@@ -311,13 +312,20 @@ def _draw_agents(axes: Any, scene: Scene, run: Run, time: int, trust: Floats) ->
         shifted[:2] -= middle
         if np.abs(shifted[:2]).max() < half_m:
             draw_box(axes, shifted, "0.2", linewidth=0.8)
-    for agent, (x_m, y_m) in enumerate(places - middle):
+    labels: list[tuple[float, float]] = []
+    for agent in np.argsort(-places[:, 0]):
+        x_m, y_m = places[agent] - middle
         color = mpl.colormaps["RdYlGn"](float(trust[agent]))
         rim = _line_of(run, agent)[0]
         axes.plot(y_m, x_m, marker="o", markersize=13, color=color, markeredgecolor=rim, markeredgewidth=2.2)
+        # From the foremost to the rearmost: a label that would cover one above it goes below that.
+        at_m = x_m
+        while any(abs(at_m - above_m) < 0.13 * half_m and abs(y_m - beside_m) < half_m for above_m, beside_m in labels):
+            at_m -= 0.02 * half_m
+        labels.append((at_m, y_m))
         axes.text(
-            y_m - 0.06 * half_m, x_m, f"{_name_of(run, agent)}\n{trust[agent]:.2f}", fontsize=7, va="center", ha="left",
-            bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.8},
+            y_m - 0.09 * half_m, at_m, f"{_name_of(run, agent)}: {trust[agent]:.2f}", fontsize=10, va="center",
+            ha="left", bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 0.8},
         )  # fmt: skip
     axes.set_xlim(half_m, -half_m)
     axes.set_ylim(-half_m, half_m)

@@ -45,7 +45,6 @@ from viewshed.estimators.base import Estimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.integrity import StreamMonitor
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import sweep_of_scan
@@ -248,7 +247,8 @@ def _estimator() -> Estimator:
 def _replayed(sweeps: Sequence[Sweep]) -> tuple[list[Answer], Found]:
     """Return the answers of a pipeline with the profile ``robot``, and what it took."""
     answers: list[Answer] = []
-    monitor = StreamMonitor(shipped_monitor(), EDetector.for_rate(per_hour=1.0, hz=HZ))
+    shipped = shipped_monitor()
+    monitor = StreamMonitor(shipped, shipped.detector(hz=HZ))
     pipeline = Pipeline(
         _estimator(), answers.append, monitor=monitor, rules=profile_named("robot").rules, lossless=True
     )
@@ -497,7 +497,7 @@ def _page(
 
 _INTRO = """The published study shows a robot with a VLP-16 in rooms, without a truth. Here a simulated one drives
 {minutes:.1f} minutes with a VLP-16 and a 2-D laser of 1,440 beams. Both are recorded to bags and replayed through
-`viewshed.pipeline` with the profile `robot`: shadow map on cells of 0.125 m, the monitor in the box, reactions. Of
+`viewshed.pipeline` with the profile `robot`: shadow map on cells of 0.125 m, the shipped monitor, reactions. Of
 every {every}th sweep the exact truth is computed."""
 
 _TRUTH_TEXT = """Precision: of the cells claimed visible those that are; recall: of the visible ones those claimed.
@@ -513,7 +513,7 @@ _NODE_HEADER = ["sensor", "messages", "answered", "equal `state`", "equal `visib
 _RATES_TEXT = """As fast as the machine goes, all threads of one process, decoding of the bag not counted. The
 target is 15 % of a core for a VLP-16 at 10 Hz."""
 
-_FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The monitor in the box was not calibrated for the
+_FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The shipped monitor was not calibrated for the
 laser, so that no rate is promised for it."""
 
 _ATTACK_TEXT = f"""{CALM_SWEEPS} sweeps as they are, then {ATTACKED_SWEEPS} attacked, each attack at another place

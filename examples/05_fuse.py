@@ -11,7 +11,6 @@ import numpy as np
 from viewshed import GRIDS, load_estimator
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.recorder.drive import drive_plan, drive_sweeps
-from viewshed.fov.estimate import Basis
 from viewshed.fusion.many import AgentReport, CommandCenter, joint_fov
 from viewshed.messages.receiver import Receiver
 from viewshed.messages.signing import KeyRing, SigningKey, sign_message
@@ -56,10 +55,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     # 3. The center verifies it; when all have spoken of one time, it puts together what they say.
     taken = receiver.receive(data, t_ns + 20_000_000).message
     assert taken is not None
-    assert taken.view is not None
-    assert taken.detections is not None
-    basis = Basis(taken.sensor.height_m, "given", 1.0, 0.0, 0.0, taken.sensor.reach_m)
-    reports.append(AgentReport.of(replace(taken.view, basis=basis), taken.detections))
+    reports.append(AgentReport.of_message(taken))
     if len(reports) == len(agents):
         picture = center.add((t_ns - EPOCH_NS) / 1e9, reports)
         trust = ", ".join(f"{agent} {one:.2f}" for agent, one in zip(agents, picture.verdicts.trust, strict=True))

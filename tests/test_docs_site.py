@@ -46,6 +46,11 @@ def test_the_command_line_page_has_every_command_and_option() -> None:
     assert "Example: viewshed estimate" in estimate
 
 
+def test_a_picture_opens_in_full_size() -> None:
+    page = docs_site.on_page_content('<p><img alt="a street" src="../assets/a.png" /></p>')
+    assert page == '<p><a href="../assets/a.png"><img alt="a street" src="../assets/a.png" /></a></p>'
+
+
 def test_every_export_is_on_its_page() -> None:
     from viewshed.io.export import EXPORTERS
 

@@ -11,9 +11,9 @@ from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric
 from stonesoup.types.state import State
 
 from viewshed.object_metrics import (
+    IdSwitches,
     existence_error,
     gospa,
-    id_switches,
     match_objects,
     ospa_m,
     published_ospa,
@@ -93,15 +93,15 @@ def test_a_lost_object_that_is_found_by_a_new_track_is_one_switch() -> None:
         match_objects(car + 0.1, np.array([2]), car, other),
         match_objects(car + 0.1, np.array([2]), car, other),
     ]
-    assert id_switches(times) == 1
-    assert id_switches(times[2:]) == 0
+    assert IdSwitches().add(*times) == 1
+    assert IdSwitches().add(*times[2:]) == 0
 
 
 def test_two_crossing_objects_that_exchange_their_tracks_are_two_switches() -> None:
     truths, ids = np.array([[0.0, 0.0], [10.0, 0.0]]), np.array([3, 4])
     straight = match_objects(truths, np.array([1, 2]), truths, ids)
     crossed = match_objects(truths, np.array([2, 1]), truths, ids)
-    assert id_switches([straight, crossed]) == 2
+    assert IdSwitches().add(straight, crossed) == 2
 
 
 def test_as_many_pairs_as_can_be_come_before_a_smaller_sum() -> None:

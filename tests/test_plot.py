@@ -170,9 +170,9 @@ def test_a_picture_says_what_the_estimate_rests_on() -> None:
     np.testing.assert_array_equal(told[-820:], bare[-820:])
 
 
-def test_the_title_is_cut_in_its_middle() -> None:
-    line = _fit("a" * 90 + "b" * 90)
-    assert len(line) <= 100
-    assert line.startswith("aaa")
-    assert line.endswith("bbb")
-    assert _fit("short.bin") == "short.bin"
+def test_a_long_title_goes_on_in_a_second_line_and_no_further() -> None:
+    lines = _fit("word " * 30)
+    assert [len(line) <= 100 for line in lines] == [True, True]
+    assert " ".join(lines) == "word " * 29 + "word"
+    assert _fit("word " * 60)[1].endswith("word …")
+    assert _fit("short.bin") == ["short.bin"]

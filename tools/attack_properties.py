@@ -20,6 +20,7 @@ from tests.threats.attacks.drawn import broken, broken_by_null, drawn
 from tests.threats.attacks.oracle import Scene, scenes
 
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED
 
 NAMES = (*ATTACKS, *INFORMED)
@@ -128,7 +129,7 @@ def main() -> None:
     if out is None:
         print(text)
     else:
-        out.write_text(text, encoding="utf-8")
+        write_page(out, text)
 
 
 if __name__ == "__main__":

@@ -106,8 +106,8 @@ def main() -> int:
         write_atomic(pictures / f"{situation.name}.png", estimate.plot(leveled, f"{situation.title}\n{line}"))
         parts += [
             f"## {situation.title}",
-            f"![{situation.title} from above: {line}](assets/gallery/{situation.name}.png)",
-            f"{situation.shows}\n\n*{situation.source}.* {line[0].upper()}{line[1:]}.",
+            f"![{situation.title} from above](assets/gallery/{situation.name}.png)",
+            f"{situation.shows}\n\n*{situation.source}.*",
         ]
         if number == 0:
             write_atomic(

@@ -23,7 +23,7 @@ from viewshed._page import facts, page, table
 from viewshed._results import write_page
 from viewshed.datasets import Sample, Storage
 from viewshed.datasets.archive.archive import ArchiveSource
-from viewshed.datasets.labeling import Rules, Track
+from viewshed.datasets.labeling import LabeledDrive, LabelRules
 from viewshed.datasets.presets import Preset, preset_named
 from viewshed.datasets.recordings.source import SweepRef
 from viewshed.datasets.simulated import simulate
@@ -103,8 +103,8 @@ def _add(score: Score, source: ArchiveSource, samples: int) -> None:
         for agent in dict.fromkeys(ref.agent for ref in refs):
             mine = [ref for ref in refs if ref.agent == agent]
             tracks = {
-                "label": Track.of(source.read, mine, Rules(grid)),
-                "label, alone": Track.of(source.read, mine, Rules(grid, neighbors=0)),
+                "label": LabeledDrive.of(source.read, mine, LabelRules(grid)),
+                "label, alone": LabeledDrive.of(source.read, mine, LabelRules(grid, neighbors=0)),
             }
             for place, ref in enumerate(mine):
                 number += 1
@@ -113,7 +113,10 @@ def _add(score: Score, source: ArchiveSource, samples: int) -> None:
 
 
 def _compare(
-    score: Score, sample: Sample, at: tuple[dict[str, Track[SweepRef]], int], estimators: Mapping[str, FovEstimator]
+    score: Score,
+    sample: Sample,
+    at: tuple[dict[str, LabeledDrive[SweepRef]], int],
+    estimators: Mapping[str, FovEstimator],
 ) -> None:
     grid, true = sample.truth.grid, sample.truth.visible("car")
     tracks, place = at

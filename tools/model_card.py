@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from viewshed._page import facts, page, table
@@ -37,10 +37,9 @@ positions, motion and traffic by the seed ([simulator](../simulate.md))."""
 _WORTH = """\
 ## What they are worth
 
-On scenes of other seeds, beside every classical estimator, for each attack, band of range and sensor: [the networks and
-their parts](ablation.md), which the weights in bytes are reported in; the published shape on
-[roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors [cross-view
-truth](crossview.md); [speed](network_speed.md).
+On scenes of other seeds, beside the classical estimators: [the networks and their parts](ablation.md), with 8-bit
+weights; the published shape on [roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors
+[cross-view truth](crossview.md); [speed](network_speed.md).
 
 ## What they are not for
 
@@ -79,7 +78,7 @@ def card_page() -> str:
         table(["name", "data", "shown", "attacked", "seed", "best epoch", "validation F1", "trained with", "date"],
               map(_training, own.values())),
         _ATTACKS,
-        table(["name", "attacks in training", "never shown"], map(_attacks, own.values())),
+        table(["name", "attacks in training", "never shown"], _attacks(own.values())),
         _DATA,
         table(["data", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"], map(_data, data)),
         _WORTH,
@@ -107,11 +106,15 @@ def _training(card: NetworkCard) -> list[str]:
     ]  # fmt: skip
 
 
-def _attacks(card: NetworkCard) -> list[str]:
-    shown = card.trained["attacks"].split(", ")
-    known = {*shown, *(("uniform", "cluster") if PAPER in shown else ())}
-    never = [name for name in TOUCHING if name not in known]
-    return [f"`{card.name}`", ", ".join(shown), ", ".join(never) or "–"]
+def _attacks(cards: Iterable[NetworkCard]) -> list[list[str]]:
+    """Return a row for each list of attacks, with the networks that it is of."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for card in cards:
+        shown = card.trained["attacks"].split(", ")
+        known = {*shown, *(("uniform", "cluster") if PAPER in shown else ())}
+        never = [name for name in TOUCHING if name not in known]
+        names.setdefault((", ".join(shown), ", ".join(never) or "–"), []).append(f"`{card.name}`")
+    return [[", ".join(of), *lists] for lists, of in names.items()]
 
 
 def _data(name: str) -> list[str]:

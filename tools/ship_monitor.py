@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor, save_sweep_monitor
@@ -23,9 +24,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("study", type=Path, help="folder of the study")
     parser.add_argument("--out", type=Path, default=SHIPPED)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--per-hour", type=float, default=10.0, help="false alarms over time")
     chosen = parser.parse_args(words)
     score = load_score(score_path(chosen.study, ALL_FAMILIES))
     monitor = monitor_of(score, SweepTable.read(chosen.study, "calibration"), chosen.seed)
+    monitor = replace(monitor, per_hour=chosen.per_hour)
+    monitor.detector()  # are there runs enough?
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
     save_sweep_monitor(monitor, chosen.out)
     print(*load_sweep_monitor(chosen.out).promises(), *monitor.warnings, sep="\n")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._page import facts, page, table
+from viewshed._results import write_page
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import ScenePlan, world_of
 from viewshed.estimators.shadow_map import ShadowMap
@@ -149,6 +150,6 @@ def report(count: int) -> str:
 if __name__ == "__main__":
     text = report(int(sys.argv[2]) if len(sys.argv) > 2 else 40)
     if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(text, encoding="utf-8")
+        write_page(Path(sys.argv[1]), text)
     else:
         print(text)

@@ -26,7 +26,7 @@ from viewshed.integrity.evidence import SECTORS
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_ros.conversions import stamp_of
-from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.layers import LAYERS, PosedEstimate
 from viewshed_ros.nav2 import SpeedLimits
 
 AGENTS = 10
@@ -123,7 +123,7 @@ def _topics(sweep: Sweep) -> Iterator[dict[str, Any]]:
     leveled = level(sweep.replace(world_from_sensor=Rigid.identity()), GRIDS["road"])
     estimate = load_estimator("shadow_map", grid="road").estimate(leveled)
     suspect, placed = np.zeros(SECTORS, np.bool_), leveled.level_from_sensor.inverse()
-    view = View(estimate, stamp_of(1), "lidar", placed, "map", suspect, 5.0, SpeedLimits())
+    view = PosedEstimate(estimate, stamp_of(1), "lidar", placed, "map", suspect, 5.0, SpeedLimits())
     for topic, layer in LAYERS.items():
         taken_s = []
         for _ in range(TOPIC_MESSAGES):

@@ -56,6 +56,17 @@ def write_atomic(path: str | Path, content: bytes) -> None:
         file.write(content)
 
 
+def require_parent(path: Path) -> None:
+    """Check that the folder exists that a file or folder is to lie in.
+
+    Raises:
+        OSError: it does not.
+    """
+    if not path.parent.is_dir():
+        kind = NotADirectoryError if path.parent.exists() else FileNotFoundError
+        raise kind(f"{path} must lie in a folder that exists, got {path.parent}; make it first")
+
+
 @contextmanager
 def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
     """Open a new file beside ``path`` for writing; it is moved into place when the block ends without an error.
@@ -66,9 +77,7 @@ def open_atomic(path: str | Path) -> Iterator[BinaryIO]:
     target = Path(path)
     if target.is_dir():
         raise IsADirectoryError(f"path must name a file, got the folder {target}")
-    if not target.parent.is_dir():
-        kind = NotADirectoryError if target.parent.exists() else FileNotFoundError
-        raise kind(f"{target} must lie in a folder that exists, got {target.parent}; make it first")
+    require_parent(target)
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
     try:
         with draft.open("xb") as file:

@@ -79,7 +79,8 @@ class BevGrid:
         [[2, 0], [-1, -1]]
         """
         scaled = (np.asarray(xy, dtype=np.float64)[..., :2] - self.origin_m) / self.cell_m
-        inside: NDArray[np.bool_] = np.asarray(((scaled >= 0) & (scaled < self.cells)).all(axis=-1))
+        x, y = scaled[..., 0], scaled[..., 1]
+        inside: NDArray[np.bool_] = np.asarray((x >= 0) & (x < self.cells) & (y >= 0) & (y < self.cells))
         cells = np.floor(np.where(inside[..., None], scaled, -1.0)).astype(np.intp)
         return cells, inside
 

@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -128,20 +128,28 @@ def match_objects(
     return MatchedObjects(np.asarray(track_ids, np.int64), np.asarray(truth_ids, np.int64), truth_of_track)
 
 
-def id_switches(times: Iterable[MatchedObjects]) -> int:
-    """Return how often an object had another track than the last one it had, over the times of a recording in order.
+@dataclass(slots=True)
+class IdSwitches:
+    """Counts how often an object had another track than the last one it had, over the times of a recording in order.
 
     An object that is lost and found again by a new track counts: that is the switch that a lost car causes.
+
+    Attributes:
+        count: of them so far.
     """
-    last: dict[int, int] = {}
-    switches = 0
-    for now in times:
-        for track_id, truth in zip(now.track_ids.tolist(), now.truth_of_track.tolist(), strict=True):
-            if truth >= 0:
-                object_id = int(now.truth_ids[truth])
-                switches += last.get(object_id, track_id) != track_id
-                last[object_id] = track_id
-    return switches
+
+    count: int = 0
+    _last: dict[int, int] = field(default_factory=dict, repr=False)
+
+    def add(self, *times: MatchedObjects) -> int:
+        """Take the next times and return the count."""
+        for now in times:
+            for track_id, truth in zip(now.track_ids.tolist(), now.truth_of_track.tolist(), strict=True):
+                if truth >= 0:
+                    object_id = int(now.truth_ids[truth])
+                    self.count += self._last.get(object_id, track_id) != track_id
+                    self._last[object_id] = track_id
+        return self.count
 
 
 def existence_error(existence: Sequence[float] | Floats, is_object: Sequence[bool] | NDArray[np.bool_]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -154,7 +155,8 @@ def monitor_picture(
     names_width = round(max(text_width(name.replace("_", " "), 9) for name in names)) + 16
     left = side + 40 + names_width
     strip = np.repeat(surprises[:, ::-1], 5, axis=1)  # left is left: the azimuth falls from +180° to -180°
-    reasons = [_fit(f"{number}. {reason}") for number, reason in enumerate(report.reasons, 1)] or ["nothing unusual"]
+    reasons = [part for number, reason in enumerate(report.reasons, 1) for part in _fit(f"{number}. {reason}")]
+    reasons = reasons or ["nothing unusual"]
     table_bottom = above + row * len(names)
     below = max(above + side, table_bottom + 60 + _LINE * len(reasons))
     width = left + max(strip.shape[1] + 150, round(max(text_width(line, 9) for line in reasons)) - names_width + 20)
@@ -238,13 +240,12 @@ def _title_lines(panel: Panel) -> list[str]:
     basis = panel.estimate.basis
     height = () if basis is None else (basis.height_line,)
     view = () if basis is None or not panel.estimate.visible().any() else (basis.view_line,)
-    return [_fit(line) for line in (*panel.title.splitlines(), *height, *view)]
+    return [part for line in (*panel.title.splitlines(), *height, *view) for part in _fit(line)]
 
 
-def _fit(line: str) -> str:
-    """Return a line that fits above the picture, its middle left out if need be."""
-    half = _TITLE_LETTERS // 2
-    return line if len(line) <= _TITLE_LETTERS else f"{line[: half - 1]} … {line[-half + 2 :]}"
+def _fit(line: str) -> list[str]:
+    """Return a line as two at most that fit above the picture; what is beyond them is left out."""
+    return textwrap.wrap(line, _TITLE_LETTERS, max_lines=2, placeholder=" …")
 
 
 def _map(panel: Panel, pixels: int) -> Canvas:

@@ -65,7 +65,7 @@ def test_one_file_becomes_one_file_with_its_record(tmp_path: Path, capsys: pytes
     code, _, complaint = _run(capsys, *words, "--out", str(tmp_path / "a.npz"))
     assert (code, complaint) == (
         2,
-        f"viewshed: {tmp_path}/a.npz is an input and would be replaced; choose another --out\n",
+        f"viewshed: {tmp_path}/a.npz is an input and would be replaced; choose another place\n",
     )
 
 

@@ -258,7 +258,7 @@ def test_no_result_replaces_an_input(tmp_path: Path) -> None:
     ):
         done = run(*arguments, cwd=tmp_path)
         assert done.returncode == 2
-        assert "is an input and would be replaced; choose another --out" in done.stderr
+        assert "is an input and would be replaced; choose another place" in done.stderr
     assert path.read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["x.npz"]
 

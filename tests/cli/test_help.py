@@ -31,3 +31,8 @@ def test_help_is_plain(name: str) -> None:
             continue
         assert re.match(r"[\w'(]", text), f"{name} {option}: no help"
         assert [word for word in ODD if word in text.lower()] == [], f"{name} {option}: {text}"
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "viewshed"])
+def test_the_list_of_commands_is_not_cut_off_on_a_terminal_of_80_columns(name: str) -> None:
+    assert not COMMANDS[name].get_short_help_str(limit=65).endswith("..."), name

@@ -61,7 +61,7 @@ def test_a_damaged_shard_is_one_line_and_exit_code_2(
     ("words", "message"),
     [
         ((), "viewshed: name a recording SRC or an --index, one of them\n"),
-        (("nowhere",), "nowhere: no such folder\n"),
+        (("nowhere",), "nowhere: no such file or folder\n"),
         (("RECORDING", "--definition", "best"), "definition must be one of probe, farthest, first_blocker, got 'best'"),
         (("RECORDING", "--target", "tree"), "target must be one of car, pedestrian, got 'tree'"),
         (("RECORDING", "--grid", "big"), "grid must be one of road"),

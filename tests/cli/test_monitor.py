@@ -98,18 +98,23 @@ def test_worse_drives_calibrate_only_what_is_inconsistent(
     made = load_sweep_monitor(out)
     (group,) = made.benign
     assert (len(made.inconsistent.scores[group]), len(made.degraded.scores[group])) == (12, 8)
-    assert np.isnan(made.drive_limit)
+    # Twelve sweeps of a tenth of a second each: at 10 Hz one in thirteen.
+    assert "over time, at 10 Hz: expected false alarms at most 2.77e+03 an hour" in said
 
 
-def test_other_drives_limit_alarms_over_time(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_false_alarms_an_hour_are_chosen_or_refused(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     files = [str(place / f"benign{number:02}.npz") for number in range(12)]
-    drives = [word for file in files[6:] for word in ("--drives", file)]
     out = tmp_path / "made.npz"
-    words = ["monitor", "calibrate", *files[:6], *drives, "--rate", "0.2", "--grid", "32x16", "--out", str(out)]
-    code, said, err = _run(capsys, *words)
+    words = ["monitor", "calibrate", *files, "--rate", "0.2", "--grid", "32x16", "--out", str(out), "--per-hour"]
+    code, said, err = _run(capsys, *words, "6000")
     assert (code, err) == (0, "")
-    assert "over time: at most 20.000% of drives of 20 s alarm" in said
-    assert load_sweep_monitor(out).drive_limit == stream_monitor(out).detector.limit
+    assert "over time, at 10 Hz: expected false alarms at most 6e+03 an hour" in said
+    assert stream_monitor(out).detector.limit == load_sweep_monitor(out).runs.detector(6000, 10.0).limit
+    code, _, err = _run(capsys, *words, "1")
+    assert code == 2
+    assert "1 false alarms an hour need 1 h of benign runs, got 0.000333 h; ask for 2.78e+03 or more" in err
 
 
 def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

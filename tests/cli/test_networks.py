@@ -36,8 +36,8 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "sweep.ply", tmp_path / "net.onnx"
 
 
-@pytest.mark.parametrize(("method", "panels"), [("unet", 2), ("mc_dropout", 3)])
-def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str, panels: int) -> None:
+@pytest.mark.parametrize(("method", "maps"), [("unet", 2), ("mc_dropout", 3)])
+def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str, maps: int) -> None:
     sweep, net = files
     words = ("estimate", sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
     code, out, err = run(*words, "--out", tmp_path / "out")
@@ -51,9 +51,15 @@ def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: s
     assert np.isnan(found.std).all() == (method == "unet")
     assert (tmp_path / "out" / f"sweep_{method}.geojson").stat().st_size > 100
     image = imread(tmp_path / "out" / f"sweep_{method}.png")
-    dark = (image[52 : 52 + 520, :, :3].max(axis=2) < 0.1).mean(axis=0)
-    assert image.shape[1] == 20 + panels * 540 + 70 * (panels - 1)
-    assert dark.max() > 0.9
+    # Beside the states (640 pixels wide) small maps stand one below the other: probability, doubt, and deviation.
+    side = (640 - 34 * (maps - 1)) // maps
+    edge = image[:, 20 + 640 + 20 + side - 1, :3]
+    covered = (edge != image[-1, -1, :3]).any(axis=1)
+    steps = np.diff(covered.astype(int), prepend=0, append=0)
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    starts = starts[ends - starts >= side]  # titles stand between the maps
+    assert len(starts) == maps
+    assert (np.diff(starts) == side + 34).all()
 
 
 def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tests.cli.test_networks import run
 import viewshed.plot
 from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
-from viewshed.cli._profile import Settings
+from viewshed.cli._profile import PipelineSettings
 from viewshed.cli._record import Awaited, Listener
 from viewshed.cli.monitor import _benign, _Source
 from viewshed.datasets.recorder.bag_writers import Schema, open_bag_writer
@@ -48,6 +48,17 @@ def test_a_replay_as_fast_as_possible_writes_the_same_bytes(files: list[Path], t
         assert last.startswith(f"{tmp_path / name}: 0.")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
+
+
+def test_what_cannot_be_read_or_written_is_a_line_each(files: list[Path], tmp_path: Path) -> None:
+    code, out, err = run("replay", tmp_path / "none.pcd", "--as-fast")
+    assert (code, out) == (2, "")
+    assert err == f"viewshed: {tmp_path / 'none.pcd'}: No such file or directory\n"
+    for name in ("a.mcap", "a.bag", "a"):
+        code, _, err = run("record", *files, "--to", tmp_path / "nowhere" / name)
+        assert code == 2
+        assert err.endswith(f"must lie in a folder that exists, got {tmp_path / 'nowhere'}; make it first\n")
+    assert not list(tmp_path.iterdir())
 
 
 def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> None:
@@ -93,11 +104,24 @@ def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_pat
     assert "profile must be one of robot, infrastructure, mapping, contested, got 'car'" in err
 
 
+@pytest.mark.parametrize("command", ["record", "replay"])
+def test_earlier_sweeps_that_only_a_profile_wishes_for_are_no_demand(command: str, tmp_path: Path) -> None:
+    """A sweep without a pose is answered by itself; it is refused where --history was given."""
+    write_sweep(read_sweep(junction_path()).replace(world_from_sensor=None), tmp_path / "a.npz")
+    words = (command, tmp_path / "a.npz", "--profile", "mapping", "--to", tmp_path / "a.mcap")
+    code, out, err = run(*words)
+    assert (code, err) == (0, "")
+    assert "1 answered" in out
+    code, _, err = run(*words, "--history", 5)
+    assert code == 2
+    assert "--history needs a pose and a time of each sweep" in err
+
+
 def test_a_profile_leaves_out_sweeps_beyond_its_rate() -> None:
     sweep = read_sweep(junction_path())
     times_ms = [0, 50, 95, 190, 200, 5]  # the last one is of a recording that begins again
     named = [Named(sweep.replace(t_ns=t * 1_000_000), f"{t}", Path(f"{t}")) for t in times_ms]
-    kept = Settings(None, "road", 0, False, RULES, rate_hz=10.0).at_rate(named)
+    kept = PipelineSettings(None, "road", 0, False, RULES, rate_hz=10.0).at_rate(named)
     assert [each.name for each in kept] == ["0", "95", "190", "5"]
 
 

@@ -88,7 +88,7 @@ def test_another_seed_into_the_same_place_is_one_line(made: Path, capsys: pytest
 @pytest.mark.parametrize("command", ["info", "verify"])
 def test_what_is_no_data_set_is_one_line(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, complaint = _run(capsys, "dataset", command, str(tmp_path))
-    assert (code, complaint) == (2, f"viewshed: {tmp_path} must be an archive, but has no manifest.json\n")
+    assert (code, complaint) == (2, f"viewshed: {tmp_path} must be a data set of viewshed, but has no manifest.json\n")
 
 
 def test_a_later_schema_is_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -94,5 +94,5 @@ def test_the_former_command_does_the_same_and_is_not_listed(made: Path, capsys: 
     with pytest.raises(SystemExit):
         main(["--help"])
     listed = capsys.readouterr().out
-    assert re.search(r"^ +study +Studies", listed, re.MULTILINE)
+    assert re.search(r"^ +study +Run a study", listed, re.MULTILINE)
     assert not re.search(r"^ +(report|reproduce) ", listed, re.MULTILINE)

@@ -14,7 +14,7 @@ from tests.cli.test_networks import run
 
 from viewshed import Sweep, read_sweep, write_sweep
 from viewshed.cli._outputs import Named
-from viewshed.cli.replay import Pace
+from viewshed.cli.replay import Pacer
 from viewshed.integrity import SweepMonitor, save_sweep_monitor
 from viewshed.integrity.calibration import Group
 from viewshed.integrity.evidence import EVIDENCE, SECTORS
@@ -180,7 +180,7 @@ def test_sweeps_are_handed_on_when_they_are_due(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     times_ns = [0, 10**8, 3 * 10**8, 3 * 10**8, 10**12]
     named = (Named(Sweep(np.ones((1, 3), np.float32), t_ns=t_ns), "", Path()) for t_ns in times_ns)
-    pace = Pace(rate=2.0)
+    pace = Pacer(rate=2.0)
     for k, _ in enumerate(pace.kept(named)):
         now[0] += 0.08 if k == 0 else 0.0  # the first estimate takes longer than the next sweep waits
     assert slept == [0.0, 0.0, 0.07, 0.05, 1.0]

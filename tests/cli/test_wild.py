@@ -38,7 +38,7 @@ def test_the_sealed_set_asks_for_a_reason_and_writes_nothing_without(
 
 def test_a_set_is_made_as_an_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / "set"
-    words = ("--out", str(place), "--scenes", "1", "--workers", "1", "--told", "rings")
+    words = ("--out", str(place), "--scenes", "1", "--workers", "1", "--known", "rings")
     assert _run(capsys, "dataset", "wild", "development", "road", *words)[0] is None
     archive = Archive.open(str(place))
     assert (archive.splits, len(archive)) == (("development",), 1)

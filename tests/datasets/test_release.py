@@ -73,7 +73,7 @@ def test_the_loader_refuses_another_data_set_and_a_damaged_one(
     shard.write_bytes(content)
     with pytest.raises(ValueError, match="is damaged"):
         open_release(copy)
-    with pytest.raises(ValueError, match="must be an archive, but has no manifest"):
+    with pytest.raises(ValueError, match="must be a data set of viewshed, but has no manifest"):
         open_release(tmp_path / "nowhere")
 
 

@@ -12,10 +12,9 @@ from viewshed.fusion.honest import (
     HonestModel,
     ObjectReports,
     Weights,
-    displaced_columns,
     fit_honest,
     honest_model,
-    invented_columns,
+    own_box_columns,
     reported_columns,
     there_columns,
 )
@@ -76,9 +75,9 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     odds = model.reported(reported_columns(said)[0])[0] + model.of_others[2, 0]
     assert odds[0] > 1.0
     assert odds[1] < 0.0
-    assert model.displaced(displaced_columns(said)[0])[0, 3] > 1.0
-    assert model.displaced(displaced_columns(said)[0])[0, 0] < 0.0
-    invented = model.invented(invented_columns(said)[0])[0]
+    displaced, invented = (question(own_box_columns(said)[0])[0] for question in (model.displaced, model.invented))
+    assert displaced[3] > 1.0
+    assert displaced[0] < 0.0
     assert invented[3] > invented[0]
     of_agents, _, whole = there_columns(said)
     assert model.there(of_agents).sum() + model.there(whole).sum() - 4 * model.there.bias > 0.0

@@ -10,8 +10,10 @@ import pytest
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fusion.claims import EDGES, RANGES_M, ClaimTable, claim_table
 from viewshed.fusion.many import AgentReport, CommandCenter, CommonPicture, confirmed, joint_fov, match_agents
+from viewshed.fusion.registration import PoseStd
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.messages.view_message import SensorFacts, ViewMessage
 from viewshed.objects import Detections
 from viewshed.threats.view_attacks import with_objects
 
@@ -133,6 +135,45 @@ def test_a_mast_that_says_nothing_for_a_time_is_judged_as_a_mast() -> None:
     both = center.add(0.0, [report(AGENTS[0], CARS), report(mast, CARS)])
     alone = center.add(0.5, [report(AGENTS[0], CARS)])
     assert both.verdicts.elevated.tolist() == alone.verdicts.elevated.tolist() == [False, True]
+
+
+def test_a_message_says_on_what_the_sensor_stands_and_how_well_its_place_is_known() -> None:
+    covariance = np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4])
+    sent = ViewMessage(
+        "b", 1, 10**18, "map", AGENTS[1].world_from_level or Rigid.identity(), covariance,
+        SensorFacts("lidar", 8.0, 60.0), view=AGENTS[1], detections=found(CARS),
+    )  # fmt: skip
+    mast = AgentReport.of_message(sent)
+    assert mast.elevated
+    assert mast.own_box is None
+    assert (mast.pose_std.place_m, mast.pose_std.yaw) == pytest.approx((0.2, 0.02))
+    car = AgentReport.of_message(replace(sent, sensor=SensorFacts("lidar", 1.8), detections=None))
+    assert car.own_box is not None
+    assert len(car.detections) == 0
+    with pytest.raises(ValueError, match="must have a view"):
+        AgentReport.of_message(replace(sent, view=None))
+
+
+def test_poses_that_are_off_within_their_stated_errors_leave_honest_agents_trusted() -> None:
+    """The same reports, each half a meter off: with errors stated, the picture has them where they are."""
+    rng = np.random.default_rng(4)
+    said = [[report(agent, CARS) for agent in AGENTS] for _ in range(6)]
+    off = []
+    for reports in said:
+        steps = [Rigid(np.eye(3), np.append(rng.normal(0.0, 0.2, 2), 0.0)) for _ in reports]
+        views = [
+            replace(one.estimate, world_from_level=step @ one.world_from_level)
+            for one, step in zip(reports, steps, strict=True)
+        ]
+        off.append([
+            replace(one, estimate=view, pose_std=PoseStd(0.2, 0.01)) for one, view in zip(reports, views, strict=True)
+        ])  # fmt: skip
+    center = CommandCenter(("a", "b", "c"))
+    for time, reports in enumerate(off):
+        picture = center.add(0.5 * time, reports)
+    assert picture.believed.sum() == 2
+    assert not picture.verdicts.suspects.any()
+    assert [one.agent for one in picture.reports] == ["a", "b", "c"]
 
 
 def test_the_joint_view_is_what_any_trusted_agent_sees() -> None:

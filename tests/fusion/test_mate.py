@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from viewshed.fusion.mate import (
     MateReport,
@@ -11,9 +9,7 @@ from viewshed.fusion.mate import (
     MateTrust,
     clusters_of,
     forget,
-    fuse_by_trust,
     gains,
-    heard,
     mean_of,
     miss_weight,
     observable,
@@ -232,43 +228,10 @@ def test_the_published_bug_makes_all_tracks_observable() -> None:
     assert observable(some).tolist() == observable(some, repairs_empty_view=True).tolist() == some.tolist()
 
 
-def test_covariance_intersection_weighted_by_trust() -> None:
-    """Two tracks along one axis: information 1/1 and 1/4, trust .75 and .25; positions 0 and 10."""
-    states = np.array([[0.0, 0, 0, 0], [10.0, 0, 0, 0]])
-    covariances = np.stack([np.eye(4), 4 * np.eye(4)])
-    state, covariance = fuse_by_trust(states, covariances, np.array([0.75, 0.25]))
-    information = 0.75 * 1 + 0.25 / 4
-    assert covariance == pytest.approx(np.eye(4) / information)
-    assert state[0] == pytest.approx(10 * (0.25 / 4) / information)
-    with pytest.raises(ValueError, match="with trust in one of them"):
-        fuse_by_trust(states, covariances, np.zeros(2))
-    with pytest.raises(ValueError, match="with trust in one of them"):
-        fuse_by_trust(states[:0], covariances[:0], np.zeros(0))
-
-
-@given(st.integers(1, 5), st.integers(0, 2**32))
-def test_the_fused_covariance_never_claims_more_than_the_best_track(count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    half = rng.normal(size=(count, 4, 4))
-    covariances = half @ half.swapaxes(1, 2) + 0.1 * np.eye(4)
-    states = rng.normal(size=(count, 4))
-    state, covariance = fuse_by_trust(states, covariances, rng.random(count) + 0.01)
-    assert np.isfinite(state).all()
-    # Convex in information: along each axis no surer than the surest track.
-    least = np.linalg.eigvalsh(covariances)[:, 0].min()
-    assert np.linalg.eigvalsh(covariance)[0] >= least * (1 - 1e-9)
-
-
 def test_clusters_are_chains() -> None:
     xy_m = np.array([[0.0, 0], [9, 9], [1.9, 0], [9, 8], [3.8, 0], [20, 0]])
     assert clusters_of(xy_m, 2.0).tolist() == [0, 1, 0, 1, 0, 2]
     assert clusters_of(xy_m[:0], 2.0).tolist() == []
-
-
-def test_who_hears_whom() -> None:
-    assert heard(np.array([[0.0, 0], [40, 0], [81, 0]]), 40.0).tolist() == [
-        [False, True, False], [True, False, False], [False, False, False],
-    ]  # fmt: skip
 
 
 def test_wrong_rules_and_rounds_are_refused() -> None:

@@ -62,13 +62,16 @@ def test_who_contradicts_two_others_is_told() -> None:
             done += rounds.add(0.5 * time, report(agent, boxes))
     last = done[-1]
     assert last.picture.verdicts.trust.argmin() == 2
-    assert not last.accused[:2].any()
+    assert last.picture.verdicts.evidence.argmax() == 2
     told = replace(last, accused=np.array([False, False, True]), disputed=np.array([True, True, False]))
     assert told.sentences() == [
         "c contradicts the others: its reports count little",
         "a, b: one of them lies, and no third view says which",
     ]  # fmt: skip
     assert told.numbers()["agents"]["c"]["accused"]
-    joint = last.joint
+    joint = told.joint
     assert joint.agents == ("a", "b", "c")
     assert joint.seen_by.max() in {2, 3}
+    # It lies about the middle of the agents, turned like the world, and holds the views of all.
+    np.testing.assert_allclose(joint.world_from_grid.translation[:2], [-1 / 3, -13 / 3], atol=1e-9)
+    np.testing.assert_array_equal(joint.world_from_grid.rotation, np.eye(3))

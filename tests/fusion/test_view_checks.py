@@ -10,7 +10,9 @@ import pytest
 
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fusion.view_checks import (
+    LOOKS,
     VIEW_CHECKS,
+    CheckedViews,
     ClaimedView,
     ViewScale,
     certainty,
@@ -20,7 +22,6 @@ from viewshed.fusion.view_checks import (
     hidden_detections,
     misplaced,
     open_but_denied,
-    repeated,
     surfaces_claimed_free,
     surfaces_seen_free,
     view_doubt,
@@ -118,18 +119,10 @@ def test_surfaces_of_one_that_others_see_free_are_suspicious() -> None:
     assert surfaces_seen_free(claimed(replace(OWN, state=state))) > surfaces_seen_free(claimed(OWN)) + 0.1
 
 
-def test_a_view_repeated_to_the_bit_is_suspicious() -> None:
-    rng = np.random.default_rng(0)
-    first, second = (honest("a", 0.0, 0.0, 1.0, rng) for _ in range(2))
-    nothing = Detections.none()
-    assert repeated(ClaimedView(second, nothing, (), first)) < 0.1
-    assert repeated(ClaimedView(first, nothing, (), first)) == 1.0
-
-
 def test_checks_abstain_where_there_is_nothing_to_look_at() -> None:
     alone = check_view(ClaimedView(OWN, Detections.none()))
     names = list(VIEW_CHECKS)
-    for name in ("hidden_detections", "claims_in_shadows", "claims_behind_walls", "misplaced", "repeated"):
+    for name in ("hidden_detections", "claims_in_shadows", "claims_behind_walls", "misplaced"):
         assert np.isnan(alone[names.index(name)]), name
     with pytest.raises(ValueError, match="must have a pose"):
         ClaimedView(replace(OWN, world_from_level=None), Detections.none())
@@ -145,6 +138,32 @@ def test_the_scale_counts_what_is_rare_and_nothing_else() -> None:
     assert scale(np.array([np.nan, 0.5]), elevated=False)[0] == 0.0
     assert scale(np.array([5.0, 5.0]), elevated=True).max() < 0.1
     assert view_doubt(usual) < 0.2 < view_doubt(rare)
+    again = ViewScale.from_json(scale.to_json())
+    assert again(np.array([0.999, 5.0]), elevated=False) == pytest.approx(rare, abs=1e-3)
+
+
+def test_views_are_checked_in_turn_and_say_nothing_before_the_second_look() -> None:
+    checked, said = CheckedViews(3), {0: (OWN, Detections.none()), 2: (OTHERS[0], Detections.none())}
+    found = [checked.add(said) for _ in range(4)]
+    spoke = [np.isfinite(one).any(axis=1).tolist() for one in found]
+    assert spoke == [[False] * 3, [False] * 3, [True, False, False], [True, False, True]]
+    assert found[-1][0] == pytest.approx(
+        check_view(ClaimedView(OWN, Detections.none(), (OTHERS[0],))), nan_ok=True
+    )  # the mean of two looks at the same
+    silent = checked.add({})
+    assert np.array_equal(silent, found[-1], equal_nan=True)
+
+
+def test_a_view_is_compared_with_the_nearest_others_alone() -> None:
+    far = [replace(OTHERS[0], agent=f"far{k}", world_from_level=Rigid(np.eye(3), (500.0 + k, 0, 0))) for k in range(9)]
+    some, near = CheckedViews(12), CheckedViews(12)
+    nothing = Detections.none()
+    crowd = {k + 3: (one, nothing) for k, one in enumerate(far)}
+    few = {0: (OWN, nothing), 1: (OTHERS[0], nothing), 2: (OTHERS[1], nothing)}
+    for _ in range(LOOKS):
+        some._last = near._last = [-1] + [99] * 11  # the first one is looked at
+        with_crowd, without = some.add(few | crowd), near.add(few)
+    assert with_crowd[0] == pytest.approx(without[0], nan_ok=True)
 
 
 @pytest.mark.parametrize("name", VIEW_LIES)

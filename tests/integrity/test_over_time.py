@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import integrate
 
-from viewshed.integrity.over_time import POWERS, EDetector, e_values, limit_per_drive, measure_false_alarms
+from viewshed.integrity.over_time import POWERS, BenignRuns, EDetector, e_values, measure_false_alarms
 
 P_VALUES = st.lists(st.floats(1e-4, 1.0), min_size=1, max_size=20)
 
@@ -56,31 +56,65 @@ def test_false_alarms_on_independent_sweeps_are_rarer_than_stated(block: int) ->
     drives = [rng.integers(1, 501, 200) / 500 for _ in range(60)]
     found = measure_false_alarms(EDetector(50.0, block), drives, 10.0, rng)
     assert found.hours == pytest.approx(12_000 / 36_000)
-    assert found.stated_per_hour == pytest.approx(36_000 / (50 * block))
-    assert found.interval_per_hour[0] <= found.per_hour <= found.stated_per_hour
-    assert "were sweeps independent" in str(found)
+    assert found.interval_per_hour[0] <= found.per_hour <= 36_000 / (50 * block)
 
 
 def test_dependence_breaks_the_statement_and_is_measured() -> None:
     """All sweeps of a drive share most of their rank: the calibration alone cannot hold the stated rate."""
     rng = np.random.default_rng(3)
     drives = [np.clip(rng.random() + 0.02 * rng.normal(size=200), 0.002, 1.0) for _ in range(60)]
-    found = measure_false_alarms(EDetector(500.0), drives, 10.0, rng)
-    assert found.interval_per_hour[0] > 2 * found.stated_per_hour
+    found = measure_false_alarms(EDetector.for_rate(72.0, 10.0), drives, 10.0, rng)
+    assert found.interval_per_hour[0] > 2 * 72.0
 
 
-def test_the_limit_of_whole_drives_holds_whatever_the_dependence() -> None:
-    rng, alarmed = np.random.default_rng(4), 0
+def _drive(rng: np.random.Generator, sweeps: int) -> NDArray[np.float64]:
+    """Return the p-values of a drive, nearly the same in all its sweeps."""
+    return np.clip(rng.random() + 0.05 * rng.normal(size=sweeps), 0.002, 1.0)
+
+
+def test_limits_of_benign_runs_keep_the_chosen_rate_whatever_the_dependence() -> None:
+    """Drives of five runs, alike through all of them; one run of twenty sweeps in ten may alarm."""
+    rng, alarms, per_hour = np.random.default_rng(4), 0, 180.0
     for _ in range(40):
-        drives = [np.clip(rng.random() + 0.05 * rng.normal(size=20), 0.002, 1.0) for _ in range(29)]
-        detector = limit_per_drive(EDetector(1.0), drives[:19], 0.1)
-        for drive in drives[19:]:
+        detector = BenignRuns.of([_drive(rng, 20) for _ in range(29)]).detector(per_hour, hz=10.0)
+        assert detector.run == 20
+        for _ in range(10):
             one = detector.fresh()
-            alarmed += max(map(one.add, drive.tolist()))
-    # Standard error of 40 calibrations of 19 drives, each tried on 10: about .016.
-    assert alarmed / 400 <= 0.1 + 3 * 0.016
-    with pytest.raises(ValueError, match=r"rate of 0.1 needs at least 9 benign drives, got 8"):
-        limit_per_drive(EDetector(1.0), drives[:8], 0.1)
+            alarms += sum(map(one.add, _drive(rng, 100).tolist()))
+    hours = 40 * 10 * 100 / 36_000
+    # Standard error: 400 drives in 40 calibrations, one in ten alarms in each of its runs: about 30 an hour.
+    assert 0.3 * per_hour <= alarms / hours <= per_hour + 2 * 30
+
+
+def test_a_run_alarms_once_and_the_next_begins_anew() -> None:
+    detector = EDetector(10.0, run=5)
+    found = [detector.add(p) for p in (0.001, 0.001, 0.001, 0.001, 0.001, 1.0, 0.001, 1.0, 1.0, 1.0, 1.0)]
+    assert [number for number, alarm in enumerate(found) if alarm] == [0, 6]
+    assert detector.wealth == pytest.approx(float(e_values([1.0])[0])), "the eleventh sweep is the first of a run"
+
+
+def test_a_rate_that_the_benign_runs_do_not_support_is_refused_with_the_hours_that_it_needs() -> None:
+    runs = BenignRuns(np.arange(1.0, 360.0), sweeps=20)
+    assert runs.hours(hz=10.0) == pytest.approx(359 * 2 / 3600)
+    assert runs.least_per_hour(hz=10.0) == pytest.approx(5.0)
+    assert runs.detector(5.0, hz=10.0).limit == np.nextafter(359.0, np.inf)
+    assert runs.detector(10.0, hz=10.0).limit == np.nextafter(358.0, np.inf)
+    with pytest.raises(
+        ValueError, match=r"^1 false alarms an hour need 0.999 h of benign runs, got 0.199 h; ask for 5.0"
+    ):
+        runs.detector(1.0, hz=10.0)
+    # At twice the sweeps a second a run is half as long.
+    with pytest.raises(ValueError, match=r"need 0.2 h of benign runs, got 0.0997 h"):
+        runs.detector(5.0, hz=20.0)
+    for empty in ([], [np.zeros(0)]):
+        with pytest.raises(ValueError, match="benign runs must be one or more"):
+            BenignRuns.of(empty)
+
+
+def test_runs_are_the_most_hours_of_equal_length() -> None:
+    scenes = [np.full(length, 0.5) for length in (3, 10, 9, 8, 2)]
+    runs = BenignRuns.of(scenes)
+    assert (runs.sweeps, len(runs.wealth)) == (8, 3)
 
 
 def test_an_attack_alarms_soon_tells_its_delay_and_then_it_begins_anew() -> None:
@@ -108,8 +142,10 @@ def test_what_is_no_p_value_is_refused(p: float) -> None:
 
 
 def test_bad_settings_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"limit and block must be 1 at least, got 0.5 and 1"):
+    with pytest.raises(ValueError, match=r"limit, block and run must be 1 at least, got 0.5, 1 and None"):
         EDetector(0.5)
+    with pytest.raises(ValueError, match="got 2, 1 and 0"):
+        EDetector(2, run=0)
     with pytest.raises(ValueError, match=r"per_hour and hz must be positive, got 0.0 and 10.0"):
         EDetector.for_rate(0.0, 10.0)
     with pytest.raises(ValueError, match="benign drives must have sweeps, got none"):

@@ -97,13 +97,13 @@ def test_an_unknown_sensor_takes_the_most_cautious_group_and_says_so() -> None:
     evidence, _ = _attacked()
     report = _monitor().report(evidence, Group("OS1-64", "none"), kinds=KINDS)
     assert report.threshold == max(_monitor().inconsistent.limit(group) for group in (VLP, HDL))
-    assert report.notes[0].startswith("OS1-64, single sweeps was not calibrated: judged by the most cautious of VLP-16")
+    said = "OS1-64, single sweeps was not calibrated, no rate is promised: judged by the most cautious of 2 sensors"
+    assert report.notes == (said,)
 
 
 def test_the_same_sweeps_give_the_same_file_and_the_file_the_same_monitor(tmp_path: Path) -> None:
     real = [replace(sweep, scene=f"real {number}") for number, sweep in enumerate(benign_sweeps(9, 3, each=1))]
-    lenient = {name: replace(getattr(_monitor(), name), rate=0.1) for name in ("inconsistent", "degraded")}
-    corrected = replace(_monitor(), **lenient).corrected(real, np.random.default_rng(0))
+    corrected = _monitor().corrected(real, np.random.default_rng(0), rates=Rates(0.1, 0.1, 0.1))
     for monitor in (_monitor(), corrected):
         save_sweep_monitor(monitor, tmp_path / "one.npz")
         save_sweep_monitor(monitor, tmp_path / "two.npz")
@@ -118,7 +118,7 @@ def test_the_same_sweeps_give_the_same_file_and_the_file_the_same_monitor(tmp_pa
 
 def test_promises_are_told_for_each_group_and_verdict() -> None:
     lines = _monitor().promises()
-    assert len(lines) == 4
+    assert len(lines) == 5, "two groups, two verdicts, and alarms over time"
     assert lines[0].startswith("HDL-32E, single sweeps: inconsistent above ")
     assert lines[0].endswith("expected rate at most 1.000%, at most 2.299% with probability 0.9")
     scores = {VLP: np.arange(999.0)}
@@ -155,7 +155,7 @@ def test_every_damaged_file_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_a_file_of_another_version_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "monitor.npz"
     save_sweep_monitor(replace(_monitor(), version="0.0.1"), path)
-    with pytest.raises(ValueError, match=r"version 1 of monitor sweep of viewshed 0.0.1; calibrate it again"):
+    with pytest.raises(ValueError, match=r"version 2 of monitor sweep of viewshed 0.0.1; calibrate it again"):
         load_sweep_monitor(path)
     save_sweep_monitor(_monitor(), path)
     monkeypatch.setattr("viewshed.integrity.sweep_monitor._MAX_BYTES", 1000)
@@ -199,32 +199,30 @@ def test_what_is_refused_in_one_line(call: Callable[[], object], message: str) -
     assert "\n" not in str(caught.value)
 
 
-def test_streams_alarm_in_no_more_drives_than_asked_for_though_their_sweeps_are_alike(tmp_path: Path) -> None:
-    """Ten sweeps of each drive are nearly the same: the stated rate of independent ones fails, that of drives holds."""
-    monitor = SweepMonitor.calibrate(
-        score_by_hand(), benign_sweeps(99, 1), np.random.default_rng(0), rates=Rates(0.05, 0.05, 0.1)
-    )
-    assert monitor.detector(per_hour=1.0, hz=10.0).limit == 36_000, "none were given: as if sweeps were independent"
-    drives = benign_sweeps(59, 2, each=10)
-    limited = monitor.limited_per_drive(drives, 0.05)
-    alarmed = {"stated": 0, "of drives": 0}
-    stated = EDetector.for_rate(per_hour=360.0, hz=10.0)  # one in 100 sweeps, one drive in ten
+def test_streams_keep_their_false_alarms_an_hour_though_the_sweeps_of_a_drive_are_alike(tmp_path: Path) -> None:
+    """Ten sweeps of each drive are nearly the same: bets as if they were independent fail, limits of runs hold."""
+    monitor = replace(_calibrated(benign_sweeps(199, 1, each=10), rates=Rates(0.05, 0.05, 0.1)), per_hour=180.0)
+    assert (monitor.runs.sweeps, len(monitor.runs.wealth)) == (10, 199)
+    alarms = {"stated": 0, "of runs": 0}
+    stated = EDetector.for_rate(per_hour=180.0, hz=10.0)  # one in 200 sweeps, one drive in twenty
     further = benign_sweeps(400, 3, each=10)
-    for detector, name in ((stated, "stated"), (limited.detector(), "of drives")):
+    for detector, name in ((stated, "stated"), (monitor.detector(), "of runs")):
         for first in range(0, len(further), 10):
-            one = detector.fresh()
-            p = [
-                limited.report(sweep.evidence, sweep.group, kinds=KINDS).p_value
-                for sweep in further[first : first + 10]
-            ]
-            alarmed[name] += any(one.add(each) for each in p)
-    # Standard error of a rate of .05 over 59 calibration drives and 400 others: about .03.
-    assert alarmed["of drives"] / 400 <= 0.05 + 2 * 0.03
-    assert alarmed["stated"] > alarmed["of drives"]
-    save_sweep_monitor(limited, tmp_path / "limited.npz")
-    assert load_sweep_monitor(tmp_path / "limited.npz").drive_limit == limited.drive_limit
-    with pytest.raises(ValueError, match=r"rate of 0.05 needs at least 19 benign drives, got 9"):
-        monitor.limited_per_drive(drives[:90], 0.05)
+            one, drive = detector.fresh(), further[first : first + 10]
+            reports = [monitor.report(sweep.evidence, sweep.group, kinds=KINDS) for sweep in drive]
+            alarms[name] += any(one.add(report.tail_p_value) for report in reports)
+    # Standard error of a share of .05 over 199 calibration drives and 400 others: about .02.
+    assert alarms["of runs"] / 400 <= 0.05 + 2 * 0.02
+    assert alarms["stated"] > alarms["of runs"]
+    save_sweep_monitor(monitor, tmp_path / "monitor.npz")
+    again = load_sweep_monitor(tmp_path / "monitor.npz")
+    assert (again.detector().limit, again.per_hour) == (monitor.detector().limit, 180.0)
+    assert replace(monitor, per_hour=None).detector().limit > monitor.detector().limit, "as few as there can be"
+    with pytest.raises(ValueError, match=r"^1 false alarms an hour need 1 h of benign runs, got 0.0553 h; ask for 18"):
+        monitor.detector(per_hour=1.0)
+    assert monitor.promises()[-1] == (
+        "over time, at 10 Hz: expected false alarms at most 180 an hour, by 0.055 h of benign runs of 1 s"
+    )
 
 
 def test_attacked_scenes_in_a_row_leave_a_warning() -> None:

@@ -267,4 +267,3 @@ def test_a_card_shows_its_channels_in_their_order(frame: Sample) -> None:
     np.testing.assert_allclose(found[1], every["expected"] / np.float32(255.0), rtol=1e-6)
     alone = NetworkCard("made", UNetShape(4, 2), GRID, heights_m=(-10.0, 3.0), counts="log")
     assert np.array_equal(found[2], alone.input_of(frame.sweep)[0])
-    assert np.array_equal(found, card.input_of_level(level(frame.sweep, GRID)))

@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from viewshed._jobs import LocalEngine
+from viewshed.fusion.claims import ClaimTable
+from viewshed.fusion.honest import HonestModel
+from viewshed.fusion.many import CommandCenter
+from viewshed.fusion.suspicion import Suspicion
 from viewshed.perception.detector import Detector
-from viewshed.studies.agents.jobs import run_study
+from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL, run_study
 from viewshed.studies.agents.lies import APART_M, FORGED, LIES, Liars
-from viewshed.studies.agents.page import page_of
+from viewshed.studies.agents.page import AgentsResults, page_of
 from viewshed.studies.agents.plan import HONEST, AgentsPlan
 from viewshed.studies.agents.runs import seen_objects
-from viewshed.studies.agents.scenes import Scene
+from viewshed.studies.agents.scenes import Scene, scene_path
 from viewshed.studies.store import ResultStore
 
 PLAN = replace(AgentsPlan.load("tiny"), seconds=3.0, claims=1, calibration=4, test=1, each=2)
@@ -87,6 +91,27 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
     before = store.path.read_bytes()
     assert not list(run_study(store, LocalEngine(1)))
     assert store.path.read_bytes() == before
+    _center_judges_as_the_study(store)
     page = page_of(store)
     for heading in ("Against the targets", "Where nobody lies", "Found", "What claims are worth"):
         assert f"## {heading}" in page
+
+
+def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:
+    """A live center with the study's calibration gives the study's scores for the same messages."""
+    found = AgentsResults(PLAN, store.results("run"))
+    center = CommandCenter(
+        Scene.load(scene_path(store.folder, "test", 0)).agents,
+        claims=ClaimTable.from_json((store.folder / CLAIMS).read_text("utf-8")),
+        honest=HonestModel.from_json((store.folder / HONEST_MODEL).read_text("utf-8")),
+        suspicion=Suspicion.from_json(found.suspicion.to_json()),
+    )
+    [benign] = found.benign
+    scene = Scene.load(scene_path(store.folder, "test", benign.scene))
+    live = np.array([
+        center.add(t_s, scene.reports(time)).suspicion for time, t_s in enumerate(scene.times_s.tolist())
+    ])  # fmt: skip
+    assert live == pytest.approx(benign.by_time, rel=0.01, abs=0.02)
+    assert np.isfinite(np.array(benign.run.checks[-1], float)).any()
+    accused = found.limits.accused(live.max(axis=0), found.elevated, found.rate)
+    assert accused.tolist() == found.accused(benign).tolist()

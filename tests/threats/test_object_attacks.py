@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from viewshed.objects import Detections, ObjectKind
-from viewshed.sweep import Sweep
-from viewshed.threats.attacks import ATTACKS
-from viewshed.threats.object_attacks import OBJECT_ATTACKS, ForgedDetections, attacked_stream
+from viewshed.threats.object_attacks import OBJECT_ATTACKS, ForgedDetections
 
 GROUND = np.array([100.0, -50.0, 2.0])
 
@@ -165,13 +163,3 @@ def test_time_that_goes_back_begins_anew() -> None:
     assert len(running.apply(Detections.none(), 10.0, GROUND).detections) == 0
     assert len(running.apply(Detections.none(), 12.0, GROUND).detections) == 1
     assert len(running.apply(Detections.none(), 3.0, GROUND).detections) == 0
-
-
-def test_a_stream_is_forged_from_its_time_on() -> None:
-    """Sweeps before two seconds are the same objects; those after carry the attack's record."""
-    angle = np.linspace(-np.pi, np.pi, 400, endpoint=False)
-    points = np.column_stack([20 * np.cos(angle), 20 * np.sin(angle), np.full(400, -1.0)]).astype(np.float32)
-    sweeps = [Sweep(points, t_ns=round(1e9 * t_s)) for t_s in (5.0, 6.0, 7.0)]
-    stream = list(attacked_stream(sweeps, ATTACKS["uniform"](20), np.random.default_rng(0)))
-    assert [int(one.added.sum()) for one in stream] == [0, 0, 20]
-    assert stream[0].sweep is sweeps[0]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed import ESTIMATORS, BevGrid
 from viewshed.geometry import Rigid
-from viewshed.object_metrics import MatchedObjects, gospa, id_switches, match_objects
+from viewshed.object_metrics import IdSwitches, MatchedObjects, gospa, match_objects
 from viewshed.objects import Detections, ObjectKind
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
@@ -111,7 +111,7 @@ def test_the_car_is_hidden_for_seconds_and_comes_out_again() -> None:
 @pytest.mark.parametrize("name", sorted(VIEWS))
 def test_a_tracker_that_asks_the_view_keeps_the_car(name: str) -> None:
     drove, matched = follow(None, VIEWS[name])
-    assert id_switches(matched) == 0
+    assert IdSwitches().add(*matched) == 0
     assert len(set(np.concatenate([tracks.ids for tracks in drove]).tolist())) == 2
     for tracks, is_hidden in zip(drove, hidden_sweeps(), strict=True):
         if is_hidden:
@@ -122,7 +122,7 @@ def test_a_tracker_that_asks_the_view_keeps_the_car(name: str) -> None:
 @pytest.mark.parametrize("coast_s", [1.0, 3.0])
 def test_the_published_rule_deletes_the_car_and_makes_it_anew(coast_s: float) -> None:
     drove, matched = follow(PublishedRules(cost="center", coast_s=coast_s), published_view)
-    assert id_switches(matched) == 1
+    assert IdSwitches().add(*matched) == 1
     ids = [set(tracks.ids.tolist()) for tracks in drove]
     assert min(map(len, ids)) == 1
     assert len(set.union(*ids)) == 3
@@ -130,7 +130,7 @@ def test_the_published_rule_deletes_the_car_and_makes_it_anew(coast_s: float) ->
 
 def test_without_a_view_the_car_is_lost_as_well() -> None:
     _, matched = follow(None, no_view)
-    assert id_switches(matched) == 1
+    assert IdSwitches().add(*matched) == 1
 
 
 def test_while_hidden_and_after_gospa_is_less_than_without_the_view() -> None:

@@ -12,7 +12,7 @@ import pytest
 import viewshed.training.cross_validation as crossval_module
 from viewshed.cli import main
 from viewshed.training import TrainConfig, train
-from viewshed.training.cross_validation import Search, Setting, crossval, toml_of
+from viewshed.training.cross_validation import Hyperparameters, Search, crossval, toml_of
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ def short(config: TrainConfig) -> TrainConfig:
 def test_the_grid_is_the_papers() -> None:
     settings = Search().grid
     assert len(set(settings)) == len({setting.name for setting in settings}) == 36
-    assert Setting(32, 0.15, 1e-4) in settings
+    assert Hyperparameters(32, 0.15, 1e-4) in settings
 
 
 def test_a_stopped_search_goes_on_and_chooses_the_best_mean(

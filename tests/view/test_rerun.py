@@ -2,14 +2,18 @@
 
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from viewshed import load_estimator, read_sweep
+from viewshed.fov.estimate import FovEstimate
 from viewshed.fusion.explained import Explanation
 from viewshed.fusion.legend import ShownTracks
+from viewshed.grid import BevGrid
 from viewshed.integrity.evidence.base import SECTORS
 from viewshed.integrity.report import IntegrityReport
 from viewshed.io.samples import junction_path
@@ -18,9 +22,26 @@ from viewshed.preprocess.leveling import level
 from viewshed.view.frames import AgentTrust, Frame
 from viewshed.view.rerun import write_rerun
 
-rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
+needs_rerun = pytest.mark.skipif(
+    find_spec("rerun") is None, reason="rerun-sdk is not installed: its files are not written"
+)
 
 
+def test_images_are_seen_from_above_with_ahead_at_the_top(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the viewer is given, without the viewer."""
+    state = np.arange(16).reshape(4, 4).astype(np.uint8) % 3
+    prob = np.linspace(0.0, 1.0, 16, dtype=np.float32).reshape(4, 4)
+    given = MagicMock()
+    monkeypatch.setitem(sys.modules, "rerun", given)
+    write_rerun(tmp_path / "run.rrd", [Frame("a", FovEstimate(BevGrid(4, 2.0), prob, state))], "by hand")
+    for image, cells in (
+        (given.SegmentationImage.call_args.args[0], state), (given.DepthImage.call_args.args[0], prob),
+    ):  # fmt: skip
+        assert image[0].tolist() == cells[3, ::-1].tolist()  # the row farthest ahead, its leftmost cell first
+        assert image[3, 0] == cells[0, 3]
+
+
+@needs_rerun
 def test_frames_become_a_file(tmp_path: Path) -> None:
     estimator = load_estimator("shadow_map")
     leveled = level(read_sweep(junction_path()), estimator.grid)
@@ -52,9 +73,10 @@ def test_frames_become_a_file(tmp_path: Path) -> None:
         assert entity in said
 
 
+@needs_rerun
 def test_no_frame_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"frames must be at least one, got none; no file .*run\.rrd was written"):
         write_rerun(tmp_path / "run.rrd", [], "nothing")
-    with pytest.raises(OSError, match="No such file or directory"):
+    with pytest.raises(OSError, match="must lie in a folder that exists"):
         write_rerun(tmp_path / "missing" / "run.rrd", [], "nothing")
     assert list(tmp_path.iterdir()) == []

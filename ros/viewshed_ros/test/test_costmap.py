@@ -12,7 +12,7 @@ from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed_ros import nav2
 from viewshed_ros.conversions import INPUTS, stamp_of
-from viewshed_ros.layers import View, clearing
+from viewshed_ros.layers import PosedEstimate, clearing
 
 BEAMS, MOST_M = 1080, 12.0
 GRID = BevGrid(160, 12.0)
@@ -71,7 +71,7 @@ def cleared(with_view: bool) -> NDArray[np.bool_]:
     sweep = INPUTS["scan"].sweep(scan())
     if with_view:
         estimate = load_estimator("shadow_map", grid=GRID, target="pedestrian").estimate(sweep)
-        view = View(
+        view = PosedEstimate(
             estimate, stamp_of(1), "laser", Rigid.identity(), "map", np.zeros(72, np.bool_), 0.0, nav2.SpeedLimits()
         )  # fmt: skip
         ends = INPUTS["cloud"].sweep(clearing(view)).points[:, :2]

@@ -15,7 +15,7 @@ from viewshed.grid import BevGrid
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed_ros import costmap_filters, nav2
 from viewshed_ros.conversions import rigid_of, stamp_of
-from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.layers import LAYERS, PosedEstimate
 
 U, F, S, H = CellState.UNKNOWN, CellState.FREE, CellState.SURFACE, CellState.HIDDEN
 GRID = BevGrid(4, 2.0, (1.0, 0.0))
@@ -25,15 +25,15 @@ PROB = np.where(np.isin(STATE, (F, S)), np.float32(0.9), np.float32(0.2))
 LIMITS = nav2.SpeedLimits(most_mps=10.0, unseen_mps=2.0, here_m=0.8)
 
 
-def view(world_from_level: Rigid | None = None, state: np.ndarray = STATE, grid: BevGrid = GRID) -> View:
+def view(world_from_level: Rigid | None = None, state: np.ndarray = STATE, grid: BevGrid = GRID) -> PosedEstimate:
     prob = PROB if state is STATE else np.isin(state, (F, S)).astype(np.float32)
     estimate = FovEstimate(grid, prob, state, world_from_level=world_from_level, t_ns=7)
     up = Rigid(np.eye(3), np.array([0.0, 0.0, -1.8]))
     suspect = np.arange(72) == 40
-    return View(estimate, stamp_of(7), "lidar", up, "map", suspect, 3.0, LIMITS)
+    return PosedEstimate(estimate, stamp_of(7), "lidar", up, "map", suspect, 3.0, LIMITS)
 
 
-def polygon_of(shown: View) -> Polygon:
+def polygon_of(shown: PosedEstimate) -> Polygon:
     """Return the polygon of the topic ``view``, which is made as bytes."""
     message = deserialize_message(LAYERS["view"].make(shown), PolygonStamped)
     assert message.header == shown.header()
@@ -99,7 +99,7 @@ def test_masks_lie_along_the_axes_of_the_map() -> None:
     pose = Rigid.from_yaw(np.pi / 2, (10.0, 20.0, 0.0))
     message = LAYERS["keepout_mask"].make(view(pose))
     data = np.array(message.data).reshape(4, 4)  # rows along y, columns along x
-    assert message.header.frame_id == "map"
+    assert (message.header.frame_id, message.header.stamp) == ("map", stamp_of(7))
     assert (message.info.origin.position.x, message.info.origin.position.y) == (8.0, 19.0)
     assert message.info.origin.orientation.w == 1.0
     assert data.tolist() == [[100, 0, 0, 0], [100, 0, 0, 0], [100, 0, 0, 0], [100, 100, 100, 100]]

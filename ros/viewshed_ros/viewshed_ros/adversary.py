@@ -5,24 +5,23 @@ For trials of what follows; whatever it does not forge passes as it is, bytes an
 
 from __future__ import annotations
 
-import sys
 from array import array
 from typing import Any
 
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import MarkerArray
 
+from viewshed.io.messages.pointcloud2 import cloud_table
 from viewshed.sweep import Sweep
 from viewshed.threats.adversary import Adversary
 from viewshed_ros import parameters
 from viewshed_ros.conversions import INPUTS, nanoseconds_of
 from viewshed_ros.object_layers import detection_cubes, detections_of
 from viewshed_ros.parameters import Parameter
+from viewshed_ros.spinning import spin
 
 PARAMETERS: dict[str, Parameter] = {
     "attack": Parameter("far_wall", "Name of an attack: of sweeps for clouds, of objects for detections."),
@@ -37,7 +36,7 @@ PARAMETERS: dict[str, Parameter] = {
 }
 """Of the node."""
 
-_FLOAT = PointField.FLOAT32
+_CODES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
 
 
 class AdversaryNode(Node):
@@ -84,18 +83,12 @@ class AdversaryNode(Node):
 
 
 def cloud_of(sweep: Sweep, like: PointCloud2) -> PointCloud2:
-    """Return a sweep as a cloud with x, y, z, and with intensity and ring where it has them; the header is kept."""
-    columns = [("x", sweep.points[:, 0]), ("y", sweep.points[:, 1]), ("z", sweep.points[:, 2])]
-    more = (("intensity", sweep.intensity), ("ring", sweep.ring))
-    columns += [(name, values) for name, values in more if values is not None]
-    forms = {"ring": ("<u2", PointField.UINT16)}
-    table = np.zeros(len(sweep), [(name, forms.get(name, ("<f4", _FLOAT))[0]) for name, _ in columns])
-    for name, values in columns:
-        table[name] = values
+    """Return a sweep as a cloud, with those of its columns that it has; the header is that of another cloud."""
+    table = cloud_table(sweep)
     places: dict[str, Any] = dict(table.dtype.fields or {})
     fields = [
-        PointField(name=name, offset=places[name][1], datatype=forms.get(name, ("", _FLOAT))[1], count=1)
-        for name, _ in columns
+        PointField(name=name, offset=offset, datatype=_CODES[form.str], count=1)
+        for name, (form, offset) in places.items()
     ]
     size = table.dtype.itemsize
     return PointCloud2(
@@ -106,13 +99,7 @@ def cloud_of(sweep: Sweep, like: PointCloud2) -> PointCloud2:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until a signal ends it."""
-    rclpy.init(args=arguments or sys.argv)
-    try:
-        rclpy.spin(AdversaryNode())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()
+    spin(AdversaryNode, arguments)
 
 
 if __name__ == "__main__":

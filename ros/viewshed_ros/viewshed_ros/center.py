@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import OccupancyGrid
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Header, String, UInt8MultiArray
@@ -21,13 +18,13 @@ from viewshed.fusion.rounds import Round, Rounds
 from viewshed.io.export.ros import visibility_layer
 from viewshed.messages.receiver import Receiver
 from viewshed.messages.signing import KeyRing
-from viewshed.objects import Detections
 from viewshed_ros import parameters
 from viewshed_ros.conversions import stamp_of
 from viewshed_ros.layers import grid_message
 from viewshed_ros.object_layers import track_cubes
 from viewshed_ros.parameters import Parameter
 from viewshed_ros.sharing import read_verifying_keys
+from viewshed_ros.spinning import spin
 
 VIEWS = QoSProfile(depth=64, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of the messages of agents: what is late is of no use any more."""
@@ -80,8 +77,7 @@ class CenterNode(Node):
         if told.view is None:
             return
         try:
-            report = AgentReport.of(told.view, told.detections or Detections.none())
-            done = self._rounds.add(1e-9 * told.t_ns, report)
+            done = self._rounds.add(1e-9 * told.t_ns, AgentReport.of_message(told))
         except ValueError as error:
             self._notes.append(f"{told.agent}: {error}")
             return
@@ -134,13 +130,7 @@ def topic_name(agent: str) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the node until a signal ends it."""
-    rclpy.init(args=arguments or sys.argv)
-    try:
-        rclpy.spin(CenterNode())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()
+    spin(CenterNode, arguments)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import NDArray
-from sensor_msgs.msg import LaserScan, PointCloud2
+from sensor_msgs.msg import PointCloud2
 
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.io.messages.laserscan import sweep_of_scan
@@ -96,13 +96,9 @@ def _sweep_of_cloud(message: PointCloud2) -> Sweep:
     )  # fmt: skip
 
 
-def _sweep_of_scan(message: LaserScan) -> Sweep:
-    return sweep_of_scan(message)
-
-
 INPUTS = {
     "cloud": Input(("sensor_msgs",), "PointCloud2", _sweep_of_cloud),
-    "scan": Input(("sensor_msgs",), "LaserScan", _sweep_of_scan),
+    "scan": Input(("sensor_msgs",), "LaserScan", sweep_of_scan),
     "velodyne": Input(("velodyne_msgs",), "VelodyneScan", sweep_of_velodyne),
     "ouster": Input(("ouster_sensor_msgs", "ouster_ros"), "PacketMsg", None, packet="buf"),
     "ouster_bytes": Input(("std_msgs",), "UInt8MultiArray", None, packet="data"),

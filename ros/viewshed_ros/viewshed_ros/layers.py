@@ -26,14 +26,14 @@ from visualization_msgs.msg import Marker, MarkerArray
 from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.integrity.evidence import SECTORS
+from viewshed.integrity.report import sector_corners
 from viewshed.io.export.ros import visibility_layer
 from viewshed_ros import nav2
 from viewshed_ros.conversions import pose_of
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class PosedEstimate:
     """One answer with an estimate, and where it stands.
 
     Attributes:
@@ -71,24 +71,24 @@ class View:
         return self.estimate.world_from_level
 
 
-def own_grid(view: View, layer: str) -> OccupancyGrid:
+def own_grid(view: PosedEstimate, layer: str) -> OccupancyGrid:
     """Return a layer of :func:`viewshed.io.export.ros.visibility_layer`: visibility, state or doubt."""
     return grid_message(
         visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level
     )
 
 
-def speed_mask(view: View) -> OccupancyGrid:
+def speed_mask(view: PosedEstimate) -> OccupancyGrid:
     """Return the mask for nav2's SpeedFilter in the map: percent of the greatest speed, 0 for no limit."""
     return _mask(view, nav2.speed_values(view.estimate, view.speed_mps, view.limits))
 
 
-def keepout_mask(view: View) -> OccupancyGrid:
+def keepout_mask(view: PosedEstimate) -> OccupancyGrid:
     """Return the mask for nav2's KeepoutFilter in the map: 100 where nothing is seen, 0 where it is."""
     return _mask(view, nav2.keepout_values(view.estimate))
 
 
-def _mask(view: View, values: NDArray[np.int8]) -> OccupancyGrid:
+def _mask(view: PosedEstimate, values: NDArray[np.int8]) -> OccupancyGrid:
     grid, in_map = nav2.in_the_map(values, view.estimate.grid, view.world_from_level())
     return grid_message(in_map, grid, Header(stamp=view.stamp, frame_id=view.world_frame), Rigid.identity())
 
@@ -104,7 +104,7 @@ def grid_message(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_
     return message
 
 
-def largest_part(view: View) -> bytes:
+def largest_part(view: PosedEstimate) -> bytes:
     """Return the largest part of the view as one ring, see :func:`keyhole`: a serialized PolygonStamped.
 
     Thousands of points, each an object of Python, would take longer than all else.
@@ -166,7 +166,7 @@ def _joined(
     return np.vstack([*parts, ring[done:]])
 
 
-def markers(view: View) -> MarkerArray:
+def markers(view: PosedEstimate) -> MarkerArray:
     """Return the outline of the view with its holes, and the suspect sectors as a fan."""
     rings = shapely.get_rings(view.estimate.polygon().geoms)
     corners = [Point(x=x, y=y) for x, y in shapely.get_coordinates(rings).tolist()]
@@ -180,7 +180,7 @@ def markers(view: View) -> MarkerArray:
     ]
     outline = _marker(view, "view", Marker.LINE_LIST, lines, ColorRGBA(r=0.1, g=0.8, b=0.3, a=1.0))
     outline.scale.x = 0.1
-    fans = [Point(x=x, y=y) for x, y in _fans(view.suspect, view.estimate.grid.half_extent_m).tolist()]
+    fans = [Point(x=x, y=y) for x, y in sector_corners(view.suspect, view.estimate.grid.half_extent_m).tolist()]
     suspect = _marker(view, "suspect", Marker.TRIANGLE_LIST, fans, ColorRGBA(r=0.9, g=0.2, b=0.1, a=0.4))
     suspect.scale.x = suspect.scale.y = suspect.scale.z = 1.0
     if not fans:
@@ -188,22 +188,14 @@ def markers(view: View) -> MarkerArray:
     return MarkerArray(markers=[outline, suspect])
 
 
-def _fans(suspect: NDArray[np.bool_], radius_m: float) -> NDArray[np.float64]:
-    """Return the corners (3 K, 2) of a triangle for each of K suspect sectors."""
-    edges = np.linspace(-np.pi, np.pi, SECTORS + 1)
-    on_circle = radius_m * np.column_stack([np.cos(edges), np.sin(edges)])
-    number = np.flatnonzero(suspect)
-    return np.stack([np.zeros((len(number), 2)), on_circle[number], on_circle[number + 1]], axis=1).reshape(-1, 2)
-
-
-def _marker(view: View, name: str, kind: int, points: list[Point], color: ColorRGBA) -> Marker:
+def _marker(view: PosedEstimate, name: str, kind: int, points: list[Point], color: ColorRGBA) -> Marker:
     marker = Marker(header=view.header(), ns=name, type=kind, action=Marker.ADD, color=color)
     marker.pose = pose_of(view.frame_from_level)
     marker.points = points
     return marker
 
 
-def clearing(view: View) -> PointCloud2:
+def clearing(view: PosedEstimate) -> PointCloud2:
     """Return virtual ends of beams at the sensor's height: what lies before each is FREE, and may be cleared."""
     ends = nav2.clearing_ends(view.estimate)
     height_m = 0.0 if view.estimate.basis is None else view.estimate.basis.sensor_height_m
@@ -217,7 +209,7 @@ def clearing(view: View) -> PointCloud2:
     return message
 
 
-def obstruction(view: View) -> String:
+def obstruction(view: PosedEstimate) -> String:
     """Return what hides the view from the beginning as the value of STVL's ``obstruction_polygons``."""
     return String(data=nav2.obstruction_polygons(view.estimate))
 
@@ -227,7 +219,7 @@ class Layer:
     """A topic: the type of its messages, what makes one or its bytes, and whether who comes late is given the last."""
 
     message_type: type[Any]
-    make: Callable[[View], Any]
+    make: Callable[[PosedEstimate], Any]
     latched: bool
 
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -23,24 +22,20 @@ from std_msgs.msg import UInt8MultiArray
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.geometry import Rigid
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.stream_monitor import StreamMonitor
-from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor
-from viewshed.pipeline import Answer, Pipeline, prepare_process
+from viewshed.integrity.sweep_monitor import load_sweep_monitor, shipped_monitor
+from viewshed.pipeline import Answer, Pipeline, RateLimit, prepare_process
 from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
-from viewshed_ros.layers import LAYERS, View
+from viewshed_ros.layers import LAYERS, PosedEstimate
 from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
 from viewshed_ros.packets import Revolution, Revolutions
-from viewshed_ros.parameters import OF_PROFILE, SensorSettings, Settings
+from viewshed_ros.parameters import OF_PROFILE, NodeSettings, SensorSettings
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """Each event of each publisher would be waited for anew at every message, which takes longer than a laser scan;
 subscribers still say themselves where their quality of service does not fit."""
-
-FALSE_ALARM_SWEEPS = 36_000.0
-"""Mean number of sweeps between false alarms of a stream: an hour at 10 Hz."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Reliable, and who comes late is given the last message."""
@@ -64,8 +59,7 @@ class Sensor:
     alarm: Any
     counts: status.SensorCounts = field(default_factory=status.SensorCounts)
     frame: str = ""
-    last_ns: int | None = None
-    last_view: View | None = None
+    last_view: PosedEstimate | None = None
     last_said: tuple[object, ...] = ()
     subscription: Any = None
 
@@ -76,9 +70,10 @@ class FieldOfView(LifecycleNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("field_of_view", **options)
         parameters.declare(self)
-        self._settings: Settings | None = None
+        self._settings: NodeSettings | None = None
+        self._limit = RateLimit(0.0)
         self._pipeline: Pipeline | None = None
-        self._poses: poses.Poses | None = None
+        self._poses: poses.PoseSource | None = None
         self._sensors: dict[str, Sensor] = {}
         self._facts: dict[str, str] = {}
         self._speaker: Any = None
@@ -133,13 +128,13 @@ class FieldOfView(LifecycleNode):
 
     # What the transitions do
 
-    def _settings_now(self) -> Settings:
+    def _settings_now(self) -> NodeSettings:
         if self._settings is None:
             raise RuntimeError("the node is not configured")
         return self._settings
 
-    def _configure(self, settings: Settings) -> None:
-        self._settings = settings
+    def _configure(self, settings: NodeSettings) -> None:
+        self._settings, self._limit = settings, RateLimit(settings.rate_hz)
         # 1. What estimates and watches; whatever is loaded once is loaded here.
         estimator = load_estimator(settings.method, grid=settings.grid, target=settings.target)
         if settings.history and not estimator.uses_history:
@@ -167,7 +162,7 @@ class FieldOfView(LifecycleNode):
         )  # fmt: skip
         self._told_s = time.monotonic()
 
-    def _objects(self, settings: Settings) -> Any:
+    def _objects(self, settings: NodeSettings) -> Any:
         """Return what follows objects, or None; and prepare to tell others, where that is wanted.
 
         Raises:
@@ -185,18 +180,15 @@ class FieldOfView(LifecycleNode):
 
         return ObjectStream()
 
-    def _monitor(self, settings: Settings) -> StreamMonitor | None:
-        """Return what watches the streams; None where it is off, or only wished for and there is none in the box."""
+    def _monitor(self, settings: NodeSettings) -> StreamMonitor | None:
+        """Return what watches the streams, by a file or by the monitor in the box; None where it is off."""
         wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
         if not wished:
             return None
-        if settings.monitor == OF_PROFILE and not settings.monitor_file and not SHIPPED.exists():
-            self.get_logger().warning("nobody watches the streams: no monitor is in the box, and monitor_file is empty")
-            return None
-        path = Path(settings.monitor_file) if settings.monitor_file else SHIPPED
-        return StreamMonitor(load_sweep_monitor(path), EDetector(FALSE_ALARM_SWEEPS))
+        monitor = load_sweep_monitor(settings.monitor_file) if settings.monitor_file else shipped_monitor()
+        return StreamMonitor(monitor, monitor.detector())
 
-    def _pose_source(self, settings: Settings) -> poses.Poses | None:
+    def _pose_source(self, settings: NodeSettings) -> poses.PoseSource | None:
         if settings.pose_source == "none":
             return None
         if settings.pose_source == "tf":
@@ -285,14 +277,9 @@ class FieldOfView(LifecycleNode):
 
     def _put(self, sensor: Sensor, t_ns: int, source: Callable[[], Sweep]) -> None:
         """Put a sweep in, unless it comes sooner after the one before than the rate allows."""
-        settings = self._settings_now()
-        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
-        least_ns = 0.9e9 / settings.rate_hz if settings.rate_hz else 0.0
-        if sensor.last_ns is not None and 0 < t_ns - sensor.last_ns < least_ns:
+        if not self._limit.takes(sensor.settings.name, t_ns):
             sensor.counts.skipped += 1
-            return
-        sensor.last_ns = t_ns
-        if self._pipeline is not None:
+        elif self._pipeline is not None:
             self._pipeline.put(source, sensor.settings.name)
 
     def _sweep_of_packets(self, sensor: Sensor, revolutions: Revolutions, revolution: Revolution) -> Sweep:
@@ -386,7 +373,7 @@ class FieldOfView(LifecycleNode):
         except Exception as error:
             sensor.counts.count(f"not published: {error}")
 
-    def _view(self, sensor: Sensor, answer: Answer) -> View:
+    def _view(self, sensor: Sensor, answer: Answer) -> PosedEstimate:
         """Return an answer with where it stands.
 
         Raises:
@@ -400,7 +387,7 @@ class FieldOfView(LifecycleNode):
             if estimate.world_from_level is None:
                 raise ValueError(f"output in {settings.world_frame!r} needs a pose: not published")
             frame, frame_from_level = settings.world_frame, estimate.world_from_level
-        return View(
+        return PosedEstimate(
             estimate, stamp_of(estimate.t_ns or 0), frame, frame_from_level, settings.world_frame,
             answer.reaction.suspect, answer.speed_mps, settings.limits,
         )  # fmt: skip

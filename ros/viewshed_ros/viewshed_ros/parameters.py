@@ -100,7 +100,7 @@ class SensorSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class NodeSettings:
     """The values of all parameters, checked."""
 
     profile: Profile
@@ -131,7 +131,7 @@ def declare(node: Node) -> None:
     declare_table(node, PARAMETERS)
 
 
-def read(node: Node) -> Settings:
+def read(node: Node) -> NodeSettings:
     """Return the values of all parameters; those of the sensors are declared when they are named first.
 
     Raises:
@@ -152,7 +152,7 @@ def read(node: Node) -> Settings:
         )
     if given["output"] == "world" and given["pose_source"] == "none":
         raise ValueError("output world needs poses, got pose_source none; name tf, odometry, pose or transform")
-    return Settings(
+    return NodeSettings(
         profile=profile,
         method=profile.method if given["method"] == OF_PROFILE else given["method"],
         grid=profile.grid if given["grid"] == OF_PROFILE else given["grid"],

@@ -26,7 +26,7 @@ LONGEST_GAP_S = 1.0
 """Between two poses that are interpolated."""
 
 
-class Poses(Protocol):
+class PoseSource(Protocol):
     """Knows where a sensor stood."""
 
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
@@ -104,7 +104,7 @@ class PoseBuffer:
             self._changed.notify_all()
 
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
-        """Return the pose of a sensor; see :class:`Poses`."""
+        """Return the pose of a sensor; see :class:`PoseSource`."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._times) and self._times[-1] >= t_ns, self._wait_s)
             return self._at(t_ns) @ base_from_sensor

@@ -10,8 +10,9 @@ import typer
 
 from viewshed import __version__
 from viewshed._extras import needed_for
-from viewshed.cli._options import BAD_INPUTS, complain, one_line, with_groups
+from viewshed.cli._options import with_groups
 from viewshed.cli._status import status_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli.attack import attack, corrupt
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
@@ -93,7 +94,12 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(INTERRUPTED)
 
 
-_FORMER_OPTIONS = {"--past": "--history", "--wary": "--require-confirmation", "--sure": "--abstain-below"}
+_FORMER_OPTIONS = {
+    "--past": "--history",
+    "--wary": "--require-confirmation",
+    "--sure": "--abstain-below",
+    "--told": "--known",
+}
 """Options of version 0.3, taken as well for one version."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import wraps
@@ -12,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+
+from viewshed.cli._terminal import complain, note
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -24,10 +25,19 @@ if TYPE_CHECKING:
 
 
 GridName = Annotated[
-    str, typer.Option("--grid", help="road, indoor, paper, paper_indoor, or CELLSxHALF_EXTENT_M (256x64).")
+    str,
+    typer.Option(
+        "--grid",
+        help="Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m.",
+    ),
 ]
 
-SensorName = Annotated[str, typer.Option("--sensor", help="auto, none, a beam table's name (hdl32e), or a TOML file.")]
+SensorName = Annotated[
+    str,
+    typer.Option(
+        "--sensor", help="The LiDAR: auto (from the points), none, a model (hdl32e), or a TOML file of beams."
+    ),
+]
 FormatName = Annotated[str, typer.Option("--format", help="File format; auto tells it by content and name.")]
 FrameName = Annotated[
     str | None,
@@ -46,7 +56,9 @@ Poses = Annotated[
 ]
 Crs = Annotated[
     str | None,
-    typer.Option("--crs", help="Reference system of the poses, or of the points with --origin: EPSG:25832."),
+    typer.Option(
+        "--crs", help="Reference system that the poses, or the points with --origin, lie in, such as EPSG:25832."
+    ),
 ]
 Number = Annotated[
     int, typer.Option("--number", min=0, help="In a file or recording of several sweeps: which one, counted from 0.")
@@ -63,8 +75,10 @@ Attitude = Annotated[
     str | None,
     typer.Option("--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that turns its axes level."),
 ]
-Index = Annotated[Path | None, typer.Option("--index", help="JSON index of sweeps: frames, heights, poses.")]
-TargetName = Annotated[str, typer.Option("--target", help="car or pedestrian.")]
+Index = Annotated[
+    Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
+]
+TargetName = Annotated[str, typer.Option("--target", help="What a cell counts as visible for: car or pedestrian.")]
 Profile = Annotated[
     str, typer.Option("--profile", help="Parameters of the method: sound (ours) or paper (as published).")
 ]
@@ -76,9 +90,6 @@ AUTO = "auto"
 
 NO_SENSOR = "none"
 """No sensor is known, and none is inferred from the points."""
-
-BAD_INPUTS = (ValueError, OSError, ImportError, MemoryError)
-"""What the library raises for input that it cannot use; anything else is a fault of ours and may trace."""
 
 RING_SOURCES = ("file", "none")
 
@@ -115,20 +126,6 @@ class Reading:
     def __post_init__(self) -> None:
         if self.ring not in RING_SOURCES:
             raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
-
-    def sweep(self, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
-        """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
-        from viewshed.cli._stream import all_sweeps
-
-        count = 0
-        for sweep in all_sweeps(self, list(chosen([file], index))):
-            if count > number:
-                note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
-                break
-            taken, count = sweep, count + 1
-        if count <= number:
-            raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
-        return taken
 
     def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
         """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
@@ -240,13 +237,17 @@ class Following:
         bool, typer.Option("--fuse", help="Put several agents together as well: joint tracks, trust, disputes.")
     ] = False
     attack: Annotated[
-        str | None, typer.Option("--attack", help="Forge sweeps, objects or claimed views: name of an attack.")
+        str | None,
+        typer.Option("--attack", help="Forge sweeps, objects or claimed views: an attack (a wrong name lists all)."),
     ] = None
     attacked: Annotated[
         str | None, typer.Option("--attacked", help="Agents that are attacked, AGENT,AGENT; all if not given.")
     ] = None
     attack_from: Annotated[
-        float, typer.Option("--attack-from", min=0.0, help="Seconds after its first sweep at which it begins.")
+        float,
+        typer.Option(
+            "--attack-from", min=0.0, help="Seconds after the first sweep of an agent at which the attack begins."
+        ),
     ] = 2.0
 
     def __post_init__(self) -> None:
@@ -324,23 +325,6 @@ def _parameters(group: type[Any]) -> list[inspect.Parameter]:
     ]
 
 
-def complain(line: str) -> None:
-    """Print a line about what is wrong on standard error."""
-    typer.echo(f"viewshed: {line}", err=True)
-
-
-def note(line: str) -> None:
-    """Print a line on standard error about what was assumed or left out; nothing is wrong."""
-    typer.echo(f"viewshed: note: {line}", err=True)
-
-
-def is_data_set(place: str) -> bool:
-    """Return whether a place is a data set of ours: a URI, or a folder with a manifest."""
-    from viewshed.datasets.archive.schema import is_archive
-
-    return "://" in place or is_archive(Path(place))
-
-
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
     """Return ``count`` numbers from text with commas, or None.
 
@@ -387,47 +371,12 @@ def parse_target(name: str) -> Target:
     return TARGETS[name]
 
 
-def one_line(error: BaseException) -> str:
-    r"""Return an error's message without line breaks.
-
-    >>> one_line(ValueError("a\nb"))
-    'a b'
-    """
-    if isinstance(error, OSError) and error.strerror is not None and error.filename is not None:
-        return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split()) or type(error).__name__
-
-
-def chosen(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
-    """Yield each file with its entry in the index; without files, every sweep of the index."""
-    if index is None:
-        if not files:
-            raise ValueError("name at least one FILE, or an --index")
-        from viewshed.cli._places import files_in
-
-        yield from ((file, None) for place in files for file in files_in(place))
-        return
-    from viewshed.io import read_index
-
-    entries = {entry.file: entry for entry in read_index(index)}
-    if not files:
-        named = [(file, entry) for file, entry in entries.items() if entry.points]
-        if not named:
-            raise ValueError(f"{index} must name a sweep, got none")
-        yield from named
-    for file in files:
-        entry = entries.get(Path(os.path.realpath(file)))
-        if entry is None:
-            raise ValueError(f"{file} is not in the index {index}")
-        yield file, entry
-
-
 Weights = Annotated[
     str | None,
     typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
 ]
-Passes = Annotated[int | None, typer.Option("--passes", help="Passes of mc_dropout; 20 if not given.")]
-Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the dropout masks of mc_dropout; 0 if not given.")]
+Passes = Annotated[int | None, typer.Option("--passes", help="Passes of the method mc_dropout; 20 if not given.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the method mc_dropout; 0 if not given.")]
 
 HistorySweeps = Annotated[
     int,
@@ -446,7 +395,11 @@ RequireConfirmation = Annotated[
 ]
 
 WithMonitor = Annotated[
-    bool, typer.Option("--monitor", help="Say of each sweep whether it is inconsistent or degraded, and why.")
+    bool,
+    typer.Option(
+        "--monitor",
+        help="Say whether each sweep is inconsistent (as forged ones are) or degraded (rain, dirt), and why.",
+    ),
 ]
 
 MonitorFile = Annotated[

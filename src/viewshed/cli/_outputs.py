@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from viewshed.cli._options import BAD_INPUTS, complain, one_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
     read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises where links lead in a circle
     for place in places:
         if os.path.realpath(place) in read:
-            raise ValueError(f"{place} is an input and would be replaced; choose another --out")
+            raise ValueError(f"{place} is an input and would be replaced; choose another place")
 
 
 class Named(NamedTuple):

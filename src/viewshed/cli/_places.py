@@ -8,13 +8,46 @@ from collections.abc import Iterator
 from glob import glob
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from viewshed.cli._options import note
+from viewshed.cli._terminal import note
+
+if TYPE_CHECKING:
+    from viewshed.io import IndexEntry
 
 _FOLDERS_SEARCHED = 200
 """So many folders below one without sweeps are looked into for a hint."""
 
 _PATTERN = re.compile(r"[*?\[]")
+
+
+def is_data_set(place: str) -> bool:
+    """Return whether a place is a data set of ours: a URI, or a folder with a manifest."""
+    from viewshed.datasets.archive.schema import is_archive
+
+    return "://" in place or is_archive(Path(place))
+
+
+def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
+    """Yield each file with its entry in the index; without files, every sweep of the index."""
+    if index is None:
+        if not files:
+            raise ValueError("name at least one FILE, or an --index")
+        yield from ((file, None) for place in files for file in files_in(place))
+        return
+    from viewshed.io import read_index
+
+    entries = {entry.file: entry for entry in read_index(index)}
+    if not files:
+        named = [(file, entry) for file, entry in entries.items() if entry.points]
+        if not named:
+            raise ValueError(f"{index} must name a sweep, got none")
+        yield from named
+    for file in files:
+        entry = entries.get(Path(os.path.realpath(file)))
+        if entry is None:
+            raise ValueError(f"{file} is not in the index {index}")
+        yield file, entry
 
 
 def files_in(place: Path) -> list[Path]:
@@ -35,7 +68,6 @@ def files_in(place: Path) -> list[Path]:
 
 def _files_of_folder(folder: Path) -> list[Path]:
     """Return the sweeps and bags in a folder, or the folder where it is a recording."""
-    from viewshed.cli._options import is_data_set
     from viewshed.datasets.recordings import SOURCES
     from viewshed.io.formats import BAG_SUFFIXES
 

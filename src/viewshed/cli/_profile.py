@@ -24,7 +24,7 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class PipelineSettings:
     """What a pipeline is run with.
 
     Attributes:
@@ -44,22 +44,16 @@ class Settings:
     rate_hz: float
 
     def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
-        """Yield the sweeps without those that come sooner after the one before of their agent than the rate allows."""
-        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
-        least_ns = 0.9e9 / self.rate_hz if self.rate_hz else 0.0
-        last_ns: dict[str, int] = {}
-        for named in sweeps:
-            t_ns, agent = named.sweep.t_ns, named.sweep.agent
-            if t_ns is not None:
-                if agent in last_ns and 0 < t_ns - last_ns[agent] < least_ns:
-                    continue
-                last_ns[agent] = t_ns
-            yield named
+        """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
+        from viewshed.pipeline import RateLimit
+
+        limit = RateLimit(self.rate_hz)
+        return (named for named in sweeps if limit.takes(named.sweep.agent, named.sweep.t_ns))
 
 
 def settings(
     ctx: typer.Context, profile: str | None, *, method: str | None, grid: str, history: int, monitor: bool
-) -> Settings:
+) -> PipelineSettings:
     """Return the settings of a profile, of those options that are given, and the usual ones where there is neither.
 
     Raises:
@@ -69,14 +63,14 @@ def settings(
     from viewshed.pipeline.reactions import RULES
 
     if profile is None:
-        return Settings(method, grid, history, monitor, RULES, 0.0)
+        return PipelineSettings(method, grid, history, monitor, RULES, 0.0)
     found = profile_named(profile)
 
     def chosen(name: str, given: Value, otherwise: Value) -> Value:
         source = ctx.get_parameter_source(name)
         return otherwise if source is None or source.name == "DEFAULT" else given
 
-    return Settings(
+    return PipelineSettings(
         chosen("method", method, found.method),
         chosen("grid", grid, found.grid),
         chosen("history", history, found.history),

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from viewshed.cli._options import NOT_FOLLOWED, Following, note
+from viewshed.cli._options import NOT_FOLLOWED, Following
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
+from viewshed.cli._terminal import note
 from viewshed.cli._verdicts import stream_verdicts
 
 if TYPE_CHECKING:
@@ -222,7 +223,8 @@ def run(pipeline: Pipeline, listener: Listener, sweeps: Iterable[Awaited], adver
                 pipeline.put(sent.sweep, sent.agent)
                 count += 1
     finally:
-        typer.echo(pipeline.statistics().line())
+        if count:
+            typer.echo(pipeline.statistics().line())
     note_unmet(adversary)
     return count
 

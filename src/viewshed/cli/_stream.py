@@ -7,8 +7,10 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from viewshed.cli._options import BAD_INPUTS, Reading, note
+from viewshed.cli._options import Reading
 from viewshed.cli._outputs import Failures, Named, free_name, with_bar
+from viewshed.cli._places import chosen_files
+from viewshed.cli._terminal import BAD_INPUTS, note
 
 if TYPE_CHECKING:
     from viewshed.datasets.recordings.pose_files import PoseFile
@@ -90,6 +92,19 @@ def all_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[Sweep]:
         for sweep in placed_sweeps(reading, jobs, job, poses, count):
             count += 1
             yield sweep
+
+
+def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
+    """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
+    count = 0
+    for sweep in all_sweeps(reading, list(chosen_files([file], index))):
+        if count > number:
+            note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
+            break
+        taken, count = sweep, count + 1
+    if count <= number:
+        raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
+    return taken
 
 
 def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:

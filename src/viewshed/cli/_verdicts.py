@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +17,8 @@ if TYPE_CHECKING:
     from viewshed.integrity.sweep_monitor import SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
 
-FALSE_ALARMS_PER_HOUR, HZ = 1.0, 10.0
-"""Stated rate of false alarms over time, for a sensor that turns so often a second; of files without drives."""
+HZ = 10.0
+"""How often a second a sensor turns, as far as alarms over time are counted in hours."""
 
 SCENE_NS = 20_000_000_000
 """A longer drive counts as several scenes."""
@@ -40,7 +41,7 @@ def stream_monitor(file: Path | None) -> StreamMonitor:
     from viewshed.integrity import StreamMonitor
 
     monitor = monitor_of(file)
-    return StreamMonitor(monitor, monitor.detector(FALSE_ALARMS_PER_HOUR, HZ))
+    return StreamMonitor(monitor, monitor.detector(hz=HZ))
 
 
 @dataclass(slots=True)
@@ -74,16 +75,16 @@ def watching(wanted: bool, file: Path | None) -> StreamMonitor | None:
     return stream_monitor(file) if wanted or file is not None else None
 
 
-def stream_verdicts(report: StreamReport) -> str:
+def stream_verdicts(report: StreamReport, known: Collection[str] = ()) -> str:
     """Return what a monitor says of a sweep and of its stream so far, in a line: see :func:`verdicts`."""
     over_time = f"; ALARM over the last {report.doubtful_sweeps} sweeps" if report.alarm else ""
-    return f"{verdicts(report.now)}{over_time}{''.join(f'; {note}' for note in report.notes)}"
+    return f"{verdicts(report.now, known)}{over_time}{''.join(f'; {note}' for note in report.notes)}"
 
 
-def verdicts(report: IntegrityReport) -> str:
-    """Return what a monitor says of a sweep in a line: verdicts, p-value, suspect azimuths, and the first reason.
+def verdicts(report: IntegrityReport, known: Collection[str] = ()) -> str:
+    """Return what a monitor says of a sweep in a line: verdicts, p-values, suspect azimuths, and the first reason.
 
-    The published detector has no p-value: score, limit and suspect area.
+    Notes that are ``known`` already are left out. The published detector has no p-value: score, limit and suspect area.
 
     >>> import numpy as np
     >>> from viewshed.integrity import IntegrityReport
@@ -93,13 +94,16 @@ def verdicts(report: IntegrityReport) -> str:
     'INCONSISTENT (p = 0.002) at 20° to 25°: 7 % of the returns at 22° lie on no beam'
     """
     if math.isnan(report.p_value):
-        found = f"ALARM, {report.suspect_m2:.0f} m² suspect" if report.alarm else "no alarm"
-        return f"score {report.score:.4f}, limit {report.threshold:.4f}, {found}"
-    said = [word for word, is_so in (("INCONSISTENT", report.inconsistent), ("DEGRADED", report.degraded)) if is_so]
+        alarm = f"ALARM, {report.suspect_m2:.0f} m² suspect" if report.alarm else "no alarm"
+        return f"score {report.score:.4f}, limit {report.threshold:.4f}, {alarm}"
+    found = (
+        ("INCONSISTENT", report.inconsistent, report.p_value), ("DEGRADED", report.degraded, report.degraded_p_value)
+    )  # fmt: skip
+    said = [f"{word} (p = {p:.2g})" for word, is_so, p in found if is_so]
     where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
     why = f": {report.reasons[0]}" if report.reasons and said else ""
-    notes = "".join(f"; {note}" for note in report.notes)
-    return f"{' and '.join(said) or 'nothing found'} (p = {report.p_value:.2g}){where}{why}{notes}"
+    notes = "".join(f"; {note}" for note in report.notes if note not in known)
+    return f"{' and '.join(said) or f'nothing found (p = {report.p_value:.2g})'}{where}{why}{notes}"
 
 
 def azimuths(suspect: NDArray[Any]) -> str:

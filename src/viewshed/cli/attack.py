@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, Reading, complain
+from viewshed.cli._options import AUTO, Reading
 from viewshed.cli._outputs import build_with_bar, data_set_line, refuse_inputs
+from viewshed.cli._places import is_data_set
+from viewshed.cli._terminal import complain
 
 if TYPE_CHECKING:
     from viewshed.datasets.tampered import AttackPlan, Sweeps, TamperPlan
     from viewshed.grid import BevGrid
 
 
-Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one file also a file (attacked.npz).")]
+Out = Annotated[str, typer.Option(help="Folder or URI of the data set; for one sweep also a file (sweep.npz).")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
 
 
@@ -38,7 +40,7 @@ def attack(
     ] = None,
     placement: Annotated[
         str | None,
-        typer.Option(help="Where a wedge is aimed: random, behind_nearest_obstacle or largest_hidden_area."),
+        typer.Option(help="Direction of the attack: random, behind_nearest_obstacle or largest_hidden_area."),
     ] = None,
     victim: Annotated[
         str | None,
@@ -53,10 +55,10 @@ def attack(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Attack every sweep of a data set, with a record of what was touched; truth stays as it was.
+    """Attack every sweep of a data set; its truth stays as it was.
 
-    A sweep that cannot be attacked costs one line on standard error and is left out; the exit code is then 2. Stopped
-    runs go on where they were; the same bytes for any --workers.
+    What was touched is recorded. A sweep that cannot be attacked costs one line on standard error and is left out; the
+    exit code is then 2. Stopped runs go on where they were; the same bytes for any --workers.
 
     Example: viewshed attack sweeps --attack far_wall --budget 150 --out attacked
     """
@@ -95,9 +97,9 @@ def corrupt(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Corrupt every sweep of a data set as weather and faults do; truth stays as it was.
+    """Corrupt every sweep of a data set as weather and faults do.
 
-    As with viewshed attack, stopped runs go on, and a sweep that cannot be read is left out.
+    Its truth stays as it was. As with viewshed attack, stopped runs go on, and a sweep that cannot be read is left out.
 
     Example: viewshed corrupt sweeps --corruption fog --severity 4 --out foggy
     """
@@ -139,7 +141,7 @@ def _opened(sources: Sequence[str], split: str | None, grid: str, sensor: str) -
     from viewshed.io.formats import is_recording
 
     first, wanted = Path(sources[0]), options.parse_grid(grid)
-    if len(sources) == 1 and options.is_data_set(sources[0]):
+    if len(sources) == 1 and is_data_set(sources[0]):
         return sweeps_of_archive(Archive.open(sources[0]), split)
     if split is not None:
         raise ValueError(f"--split goes with a data set that has splits, got {sources[0]}")

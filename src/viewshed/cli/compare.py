@@ -12,6 +12,7 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts
 from viewshed.cli._places import place_of_result
+from viewshed.cli._stream import one_sweep
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -51,7 +52,7 @@ def compare(
     estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
     place = place_of_result(out, "compare.png")
     refuse_inputs([place], [file])
-    sweep = reading.sweep(file, index, number)
+    sweep = one_sweep(reading, file, index, number)
     leveled = level(sweep, cells)  # once, for all of them: the times are those from the leveled sweep on
     report_doubts(leveled, file.name)
     results = {name: _timed(estimator, leveled) for name, estimator in estimators.items()}

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def demo(out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("demo")) -> None:
-    """Estimate what the sensor of the embedded sample sees, and compare with the exact truth.
+    """Estimate on the embedded sample; compare with the exact truth.
 
     Writes demo.png (the estimate), demo_truth.png (estimate and truth side by side), GeoJSON, NPZ, and the sweep as
-    sweep.pcd.bin.gz, for the other commands. The sample is a simulated junction; ``viewshed simulate`` makes others.
+    sweep.pcd.bin.gz, for the other commands. The sample is a simulated junction; viewshed simulate makes others.
 
     Example: viewshed demo --out demo
     """

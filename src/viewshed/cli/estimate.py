@@ -24,6 +24,7 @@ from viewshed.cli._options import (
     WithMonitor,
 )
 from viewshed.cli._outputs import Failures, Run, make_folder, output_names, parse_results, refuse_inputs
+from viewshed.cli._places import chosen_files
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._verdicts import watching
 
@@ -78,7 +79,7 @@ def estimate(
     dark: Annotated[bool, typer.Option("--dark", help="Pictures on a dark page.")] = False,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
-    """Estimate what each sweep could see: a picture, GeoJSON, NPZ and one line for each sweep.
+    """Estimate what each sweep could see: picture, GeoJSON and NPZ.
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 
@@ -103,7 +104,7 @@ def estimate(
     reading = replace(reading, crs=crs)
     if crs is not None:
         crs_of(crs)
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
     refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
     make_folder(out)

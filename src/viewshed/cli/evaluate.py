@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 _ALL = "all"
 
-evaluate_app = typer.Typer(help="Measure estimators: against exact truth, or against other sweeps of the same scene.")
+evaluate_app = typer.Typer(help="Measure estimators against exact truth, or by other sweeps.")
 
 
 @evaluate_app.callback()
 def evaluate() -> None:
-    """Measure estimators: against exact truth, or against other sweeps of the same scene."""
+    """Measure estimators against exact truth, or by other sweeps."""
 
 
 @evaluate_app.command()
@@ -33,9 +33,7 @@ def truth(
         list[str],
         typer.Argument(metavar="ARCHIVE…", help="Folders or URIs of simulated data sets.", show_default=False),
     ],
-    methods: Annotated[
-        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks unet, mcd and viewnet.")
-    ] = _ALL,
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
     weights: Weights = None,
     target: TargetName = "car",
     limit: Annotated[int, typer.Option(min=1, help="At most so many samples, spread evenly over each data set.")] = 200,
@@ -44,7 +42,9 @@ def truth(
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
     ] = None,
 ) -> None:
-    """Precision, recall and areas against exact truth, and how far other definitions of visible lie from ours.
+    """Measure precision, recall and areas against exact truth.
+
+    Other definitions of visible are compared with ours as well.
 
     Example: viewshed evaluate truth nuscenes-small --split test --out truth.md
     """
@@ -93,9 +93,7 @@ def crossview(
     index: Annotated[
         Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
     ],
-    methods: Annotated[
-        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks unet, mcd and viewnet.")
-    ] = _ALL,
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
     out: Annotated[
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
@@ -105,7 +103,9 @@ def crossview(
     ] = "",
     floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
 ) -> None:
-    """Measure what is claimed though hidden, and hidden though seen, against other sweeps of the scene.
+    """Measure wrong claims and denials by other sweeps of the scene.
+
+    Claimed though hidden, and called hidden though seen.
 
     Example: viewshed evaluate crossview data/index.json --out crossview.md
     """

@@ -13,14 +13,15 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Device, NetworkOptions, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import refuse_inputs, report_doubts, stem_of, stem_of_result
 from viewshed.cli._places import place_of_result
+from viewshed.cli._stream import one_sweep
 
 
 def export(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A sweep, or an estimate's .npz.")],
     to: Annotated[
-        str, typer.Option(help="geojson, geotiff, nav2_map, nav2_mask, occupancy_grid, grid_map, osi, cpm, npz.")
+        str, typer.Option(help="geojson, geotiff, nav2_map, nav2_mask, occupancy_grid, grid_map, osi, cpm or npz.")
     ] = "geojson",
-    sectors: Annotated[int, typer.Option(help="For cpm: number of sectors.")] = 16,
+    sectors: Annotated[int, typer.Option(help="For cpm: number of sectors of the view.")] = 16,
     method: Annotated[str | None, typer.Option(help="Method, where FILE is a sweep; shadow_map if not given.")] = None,
     grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,
@@ -36,7 +37,7 @@ def export(
         str | None, typer.Option(help="File, or a folder; if not given, here, named after FILE and method.")
     ] = None,
 ) -> None:
-    """Write the field of view as GeoJSON, GeoTIFF, nav2 map, ROS messages, OSI-style polygons or an ETSI CPM region.
+    """Write the field of view for GIS, nav2, ROS, OSI or ETSI CPM.
 
     Example: viewshed export sweep.bin --to cpm --sectors 16
     """
@@ -60,7 +61,7 @@ def export(
     if estimator is None:
         estimate = read_npz(file)
     else:
-        sweep = replace(reading, crs=crs).sweep(file, index, number)
+        sweep = one_sweep(replace(reading, crs=crs), file, index, number)
         if crs is not None:
             crs_named(crs, sweep.world_from_sensor)
         leveled = level(sweep, estimator.grid)

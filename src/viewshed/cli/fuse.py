@@ -13,6 +13,7 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Reading
 from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
+from viewshed.cli._places import chosen_files
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli.estimate import Files, Method
 
@@ -38,7 +39,7 @@ def fuse(
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
 ) -> None:
-    """Put together what several agents see: joint tracks, joint field of view, and who contradicts whom.
+    """Put together what several agents see; who contradicts whom.
 
     Agents are those of a recording, or one for each file; their sweeps need times and poses in one world. One line for
     each time, all numbers in fused.jsonl, and the joint field of view as a picture.
@@ -53,7 +54,7 @@ def fuse(
     kinds = parse_results(results, ("jsonl", "png"))
     estimator = options.NetworkOptions().estimator(method, options.parse_grid(grid), "car")
     detector = Detector()
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
     make_folder(out)
     failures, center, lines, times = Failures(), None, [], 0
@@ -65,13 +66,13 @@ def fuse(
         if center is None or not set(agents) <= set(center.agents):
             known = agents if center is None else tuple(sorted({*center.agents, *agents}))
             center = CommandCenter(known)
-        done = Round.of(center.add(t_s, reports), tuple(reports))
+        done = Round.of(center.add(t_s, reports))
         typer.echo(line_of(done))
         lines.append(json.dumps(done.numbers()))
         if "png" in kinds:
             write_atomic(out / f"fused_{times:04}.png", picture_of(done))
         times += 1
-    if "jsonl" in kinds:
+    if "jsonl" in kinds and times:
         write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
     if times:
         typer.echo(f"{times} times → {out}")
@@ -101,9 +102,8 @@ def rounds(streams: list[Iterator[Named]], slop: float, failures: Failures) -> I
 def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Iterator[tuple[int, int, int, Named]]:
     for place, named in enumerate(stream):
         if named.sweep.t_ns is None or named.sweep.world_from_sensor is None:
-            failures.report(
-                named.name, ValueError("a sweep must have a time and a pose to be put together with others")
-            )
+            problem = "sweeps must have a time and a pose to be put together with others; give --poses FILE"
+            failures.report(named.file, ValueError(problem))
         else:
             yield named.sweep.t_ns, number, place, named
 

@@ -11,6 +11,7 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, AUTO, Reading
 from viewshed.cli._outputs import report_doubts
+from viewshed.cli._stream import one_sweep
 
 if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
@@ -30,7 +31,7 @@ def info(
     """
     from viewshed.preprocess.leveling import level
 
-    sweep = reading.sweep(file, index, number)
+    sweep = one_sweep(reading, file, index, number)
     leveled = level(sweep, options.parse_grid(grid))
     report_doubts(leveled, file.name)
     for name, value in (*_points(sweep, leveled), *_beams(sweep, reading.sensor), *_ground(sweep, leveled)):

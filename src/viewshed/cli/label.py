@@ -12,7 +12,7 @@ from viewshed.cli._options import AUTO
 from viewshed.cli._outputs import build_with_bar, data_set_line
 
 if TYPE_CHECKING:
-    from viewshed.datasets.labeling import Origin, Rules
+    from viewshed.datasets.labeling import LabelRules, Origin
 
 
 def label(
@@ -23,7 +23,7 @@ def label(
     definition: Annotated[
         str,
         typer.Option(
-            help="Definition of visible for which cells are marked as known: probe, farthest or first_blocker."
+            help="Meaning of visible: probe (enough beams on the target), farthest or first_blocker (as others say)."
         ),
     ] = "probe",
     target: options.TargetName = "car",
@@ -31,7 +31,7 @@ def label(
         int, typer.Option(min=0, help="Sweeps before and after that help, where poses exist; 0 for none.")
     ] = 20,
     grid: Annotated[
-        str | None, typer.Option(help="A name, or CELLSxHALF_EXTENT_M; road, or that of SRC, if not given.")
+        str | None, typer.Option(help="Cells around the sensor, as for estimate; road, or those of SRC, if not given.")
     ] = None,
     index: options.Index = None,
     kind: Annotated[
@@ -42,10 +42,10 @@ def label(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
-    """Label benign sweeps with what the sensor could have seen, using those before and after where poses exist.
+    """Label benign sweeps with what the sensor could have seen.
 
-    A sweep that cannot be read costs one line on standard error and is left out; the exit code is then 2. Stopped runs
-    go on where they were; the same bytes for any --workers.
+    Where poses exist, the sweeps before and after help. A sweep that cannot be read costs one line on standard error
+    and is left out; the exit code is then 2. Stopped runs go on where they were; the same bytes for any --workers.
 
     Example: viewshed label /data/nuscenes --definition probe --out labels
     """
@@ -66,11 +66,11 @@ def label(
         raise typer.Exit(2)
 
 
-def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> Rules:
+def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> LabelRules:
     from typing import cast
 
     from viewshed.datasets.archive.archive import ArchiveSource
-    from viewshed.datasets.labeling import Rules
+    from viewshed.datasets.labeling import LabelRules
     from viewshed.datasets.labeling.labeler import Definition
     from viewshed.datasets.labeling.run import opened
 
@@ -79,4 +79,4 @@ def _rules(origin: Origin, grid: str | None, definition: str, target: str, neigh
         cells = source.archive.manifest.layout.grid
     else:
         cells = options.parse_grid(grid or "road")
-    return Rules(cells, cast(Definition, definition), target, neighbors)
+    return LabelRules(cells, cast(Definition, definition), target, neighbors)

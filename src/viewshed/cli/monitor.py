@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
 import typer
 
 from viewshed.cli import _options as options
-from viewshed.cli._options import AUTO, BAD_INPUTS, MonitorFile, Passes, Reading, Seed, Weights, complain
+from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
-from viewshed.cli._places import place_of_result
+from viewshed.cli._places import chosen_files, is_data_set, place_of_result
 from viewshed.cli._stream import placed_sweeps, poses_of
-from viewshed.cli._verdicts import Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
+from viewshed.cli._terminal import BAD_INPUTS, complain
+from viewshed.cli._verdicts import HZ, Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.integrity import DeviationMonitor, IntegrityReport, StreamMonitor
+    from viewshed.integrity.calibration import Promise
     from viewshed.integrity.stream_monitor import StreamReport
     from viewshed.integrity.sweep_monitor import BenignSweep, SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
@@ -52,7 +54,9 @@ def fit(
     seed: Seed = None,
     sensor: options.SensorName = AUTO,
 ) -> None:
-    """Fit a monitor of Monte Carlo dropout on benign sweeps: thresholds on the first half, the limit on the second.
+    """Fit the published monitor of Monte Carlo dropout.
+
+    On benign sweeps: thresholds on the first half, the limit on the second.
 
     Example: viewshed monitor fit benign --out monitor.npz
     """
@@ -97,24 +101,22 @@ def calibrate(
         list[str] | None,
         typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
     ] = None,
-    drives: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="More sources, none of them given before: what their 20 s add up to limits alarms over time."
-        ),
+    per_hour: Annotated[
+        float | None,
+        typer.Option(help="False alarms an hour over time; as few as these drives support, but not below 1."),
     ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    seed: Seed = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random; 0 if not given.")] = None,
 ) -> None:
-    """Calibrate the monitor on sweeps that nobody attacked: a rate of false alarms that holds on more like these.
+    """Calibrate the monitor on sweeps that nobody attacked.
 
-    What counts is scenes, not sweeps: each file is one, and each 20 s of a recording or of a scene of a data set. Those
-    of one recording are alike; the rate then holds for that place and time. Inconsistent is calibrated on all of them,
-    degraded on those that are not given by --worse. Alarms over time keep the rate per 20 s if --drives are given; else
-    their limit is that of independent sweeps, which those of a drive are not.
+    The rate of false alarms then holds on more like these. What counts is scenes, not sweeps: each file is one, and
+    each 20 s of a recording or of a scene of a data set. Those of one recording are alike; the rate then holds for that
+    place and time. Inconsistent is calibrated on all of them, degraded on those that are not given by --worse. Alarms
+    over time keep --per-hour on sweeps that come ten times a second: one an hour needs an hour of drives.
 
     Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
     """
@@ -124,7 +126,9 @@ def calibrate(
 
     if per not in ("sweep", "scene"):
         raise ValueError(f"--per must be sweep or scene, got {per!r}")
-    refuse_inputs((out,), map(Path, (*sources, *(worse or ()), *(drives or ()))))
+    if correct and per == "scene":
+        raise ValueError("--per scene must go with scenes that replace the calibration, got --correct; leave one out")
+    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
     base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
     failures = Failures()
 
@@ -134,15 +138,17 @@ def calibrate(
 
     benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
               for sweep in measured(places)]  # fmt: skip
+    rates = Rates(rate, rate)
+    promise: Promise = "confident" if confident else "expected"
     if correct:
-        made = base.corrected(benign, rng)
+        made = base.corrected(benign, rng, rates=rates, promise=promise)
     else:
         made = SweepMonitor.calibrate(
-            base.score, benign, rng, rates=Rates(rate, rate), promise="confident" if confident else "expected",
-            per="drive" if per == "scene" else "sweep", estimates=base.estimates, facts=base.facts,
+            base.score, benign, rng, rates=rates, promise=promise, per="drive" if per == "scene" else "sweep",
+            estimates=base.estimates, facts=base.facts,
         )  # fmt: skip
-    if drives:
-        made = made.limited_per_drive(measured(drives), rate)
+    made = replace(made, per_hour=per_hour)
+    made.detector(hz=HZ)
     save_sweep_monitor(made, out)
     for warning in made.warnings:
         complain(f"warning: {warning}")
@@ -150,8 +156,6 @@ def calibrate(
     typer.echo(f"{out}: calibrated on {len(benign)} sweeps of {scenes} scenes")
     for line in made.promises():
         typer.echo(f"  {line}")
-    if drives:
-        typer.echo(f"  over time: at most {rate:.3%} of drives of 20 s alarm, whatever lies between their sweeps")
     if failures.count:
         raise typer.Exit(2)
 
@@ -168,12 +172,12 @@ def check(
     poses: options.Poses = None,
     out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
 ) -> None:
-    """Check sweeps with a monitor: verdicts, p-value, suspect sectors and the strongest reason, one line a sweep.
+    """Check sweeps with a monitor: verdict and reason, a line each.
 
-    Without --monitor-file it is the monitor that comes with viewshed. Sweeps of a recording are judged with those
-    before them. A sweep that
-    cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2. An alarm
-    does not change the exit code.
+    A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
+    Sweeps of a recording are judged with those before them. What a verdict cannot rest on is said where it is new. A
+    sweep that cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2.
+    An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -194,17 +198,17 @@ def check(
 @monitor_app.command()
 def explain(
     source: Annotated[str, typer.Argument(metavar="SRC", help="A sweep, or a recording or data set.")],
-    number: Annotated[int, typer.Option(min=0, help="Of the sweep in its recording, from 0.")] = 0,
+    number: Annotated[int, typer.Option(min=0, help="Which sweep of the recording, counted from 0.")] = 0,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
     out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
 ) -> None:
-    """Draw what a monitor sees in one sweep: the suspect sectors on the map, and all evidence by azimuth.
+    """Draw the suspect sectors of one sweep, and why they are.
 
-    Without --monitor-file it is the monitor that comes with viewshed. A sweep of a recording is judged with those
-    before it.
+    The map, and all evidence by azimuth. Without --monitor-file it is the monitor that comes with viewshed. A sweep of
+    a recording is judged with those before it.
 
     Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
     """
@@ -249,7 +253,7 @@ class _Source:
 
     def __iter__(self) -> Iterator[Seen]:
         for place in self.places:
-            if options.is_data_set(place):
+            if is_data_set(place):
                 yield from self._archived(place)
             elif self.split is not None:
                 raise ValueError(f"--split goes with a data set that has splits, got {place}")
@@ -265,7 +269,7 @@ class _Source:
 
     def _read(self, place: str) -> Iterator[Seen]:
         reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
-        jobs = list(options.chosen([Path(place)], None))
+        jobs = list(chosen_files([Path(place)], None))
         poses, count = poses_of(reading, jobs), 0
         for job in jobs:
             path = job[0]
@@ -351,6 +355,7 @@ class _SweepRun:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
     scene: str = ""
+    notes: tuple[str, ...] = ()
     estimator: Estimator | None = None
 
     def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
@@ -369,7 +374,8 @@ class _SweepRun:
 
         try:
             leveled, report = self.check(seen)
-            line = f"{seen.name}: {stream_verdicts(report)}"
+            line = f"{seen.name}: {stream_verdicts(report, self.notes)}"
+            self.notes = report.now.notes
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
                 write_atomic(place, self.picture(leveled, report.now, line))

@@ -15,7 +15,9 @@ def quantize(
     out: Annotated[str, typer.Option(help="File to be written.")],
     frames: Annotated[int, typer.Option(help="Simulated sweeps that calibrate; as many others check.")] = 64,
 ) -> None:
-    """Quantize a network to 8-bit integers, which is faster; nothing is written if that costs more than .002 F1.
+    """Quantize a network to 8-bit integers, which is faster.
+
+    Nothing is written if that costs more than .002 F1.
 
     Example: viewshed quantize viewnet_road network.onnx --out network_int8.onnx
     """

@@ -21,7 +21,8 @@ from viewshed.cli._options import (
     WithMonitor,
 )
 from viewshed.cli._outputs import Failures, output_names
-from viewshed.cli._profile import ProfileName, Settings, settings
+from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import PipelineSettings, ProfileName, settings
 from viewshed.cli._record import (
     Awaited,
     Listener,
@@ -73,9 +74,10 @@ def record(
         int | None, typer.Option(help="For sim: seed of everything random; the preset's if not given.")
     ] = None,
 ) -> None:
-    """Write a bag: a simulated drive with its truth, or sweeps of any format, each with what could be seen of it.
+    """Write a bag: a simulated drive, or sweeps and what they saw.
 
-    As viewshed replay --as-fast --to: every sweep is answered, and the same command gives the same bytes.
+    A simulated drive comes with its truth. As viewshed replay --as-fast --to: every sweep is answered, and the same
+    command gives the same bytes.
 
     Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
     """
@@ -91,7 +93,7 @@ def record(
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
-        stream = _read(reading, files, chosen, failures)
+        stream = _read(reading, files, chosen, failures, history)
     with recorders(to, schemas, [] if is_simulated else files) as records:
         adversary = following.adversary()
         listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)
@@ -117,12 +119,12 @@ def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaite
 
 
 def _read(
-    reading: Reading, files: list[Path], chosen: Settings, failures: Failures
+    reading: Reading, files: list[Path], chosen: PipelineSettings, failures: Failures, history: int
 ) -> Iterator[tuple[Sweep, DriveTruth | None]]:
     """Yield the sweeps of files and recordings, as many a second as are wanted."""
-    jobs = list(options.chosen(files, None))
+    jobs = list(chosen_files(files, None))
     names = output_names([file for file, _ in jobs])
-    for named in chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=chosen.history)):
+    for named in chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=history)):
         yield named.sweep, None
 
 

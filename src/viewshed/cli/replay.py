@@ -21,6 +21,7 @@ from viewshed.cli._options import (
     WithMonitor,
 )
 from viewshed.cli._outputs import Failures, Named, output_names
+from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import (
     Awaited,
@@ -44,7 +45,7 @@ LONGEST_PERIOD_S = 2.0
 
 
 @dataclass(slots=True)
-class Pace:
+class Pacer:
     """Hands sweeps on when they are due.
 
     Attributes:
@@ -101,10 +102,11 @@ def replay(
     monitor_file: MonitorFile = None,
     following: Following = NOT_FOLLOWED,
 ) -> None:
-    """Estimate the sweeps of a recording as they would come in live: time, visible area and latency of each in a line.
+    """Estimate the sweeps of a recording as they would come in live.
 
-    A sweep that is not begun when the next one is due is dropped and counted, unless --as-fast. With --to the sweeps
-    and what came of them are written to a bag; with --as-fast the same bytes each time.
+    Each is a line: time, visible area and latency. A sweep that is not begun when the next one is due is dropped and
+    counted, unless --as-fast. With --to the sweeps and what came of them are written to a bag; with --as-fast the same
+    bytes each time.
 
     Example: viewshed replay drive.mcap --rate 2
     """
@@ -115,13 +117,13 @@ def replay(
     buffer = history_buffer(estimator, chosen.history)
     watch = watching(chosen.monitor, monitor_file)
     failures = Failures()
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
 
     def read() -> Iterator[Named]:
         return named_sweeps(reading, jobs, names, failures, history=history)
 
-    pace = Pace(0.0 if as_fast else rate)
+    pace = Pacer(0.0 if as_fast else rate)
     with recorders(to, schemas, [file for file, _ in jobs]) as records:
         adversary = following.adversary()
         listener = Listener(records, failures, is_live=not as_fast, following=following, adversary=adversary)

@@ -27,7 +27,8 @@ def simulate(
     preset: Annotated[
         str,
         typer.Argument(
-            metavar="PRESET", help="carla, nuscenes or ugv, each also as NAME-small; roads, rooms, drives; release."
+            metavar="PRESET",
+            help="carla, nuscenes, ugv, each also as NAME-small; roads, rooms, drives; or release, which is published.",
         ),
     ],
     out: Annotated[
@@ -37,7 +38,9 @@ def simulate(
     workers: options.Workers = None,
     engine: options.EngineName = "local",
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
-    grid: Annotated[str | None, typer.Option(help="Grid of the truth: a name, or CELLSxHALF_EXTENT_M.")] = None,
+    grid: Annotated[
+        str | None, typer.Option(help="Cells of the truth: road, indoor, …, or 256x64: 256 a side, out to 64 m.")
+    ] = None,
     preview: Annotated[bool, typer.Option("--preview", help="Only draw some samples, to PRESET.png or --out.")] = False,
 ) -> None:
     """Simulate a data set with exact truth. Stopped runs go on where they were; the same bytes for any --workers.
@@ -107,7 +110,9 @@ def info(place: Place) -> None:
 
 @dataset_app.command()
 def verify(place: Place) -> None:
-    """Compare every file of a data set with its checksum; exit code 2 if one is damaged.
+    """Compare every file of a data set with its checksum.
+
+    The exit code is 2 if one is damaged.
 
     Example: viewshed dataset verify sweeps
     """
@@ -127,17 +132,18 @@ def verify(place: Place) -> None:
 def wild(
     set_name: Annotated[
         str,
-        typer.Argument(metavar="SET", help="Set of worlds: own, training or development; the sealed one is not made."),
+        typer.Argument(metavar="SET", help="own, training or development; the sealed set is not made."),
     ],
     domain: Annotated[str, typer.Argument(metavar="GRID", help="road or indoor.")],
     out: Annotated[str | None, typer.Option(help="Folder or URI; SET-GRID if not given.")] = None,
     told: Annotated[
-        str, typer.Option(help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing.")
+        str,
+        typer.Option("--known", help="What sweeps say of their sensor, in turn: table (its beams), rings, nothing."),
     ] = "rings,nothing",
     scenes: Annotated[int | None, typer.Option(help="The first so many scenes; all if not given.")] = None,
     workers: Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")] = None,
 ) -> None:
-    """Make a set of worlds, sensors and mountings in the wild. Stopped runs go on; the same bytes for any --workers.
+    """Make a set of unusual worlds, sensors and mountings. Stopped runs go on; the same bytes for any --workers.
 
     Example: viewshed dataset wild training road --out wild-road
     """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from viewshed.cli._options import EngineName, Workers
 from viewshed.cli.evaluate import crossview
 
 if TYPE_CHECKING:
@@ -21,11 +22,9 @@ study_app = typer.Typer(help="Run a study and write its page; a stopped study go
 
 report_app = typer.Typer(help="Studies and their reports.")
 
-Out = Annotated[Path | None, typer.Option(help="Folder of data, models, results and pages; the study's name.")]
-
-Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
-
-EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
+Out = Annotated[
+    Path | None, typer.Option(help="Folder of data, models, results and pages; named after the study if not given.")
+]
 
 Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the page.")]
 
@@ -52,7 +51,7 @@ def robustness(
     engine: EngineName = "local",
     run: Run = True,
     page: Annotated[
-        Path | None, typer.Option(help="Where the Markdown page goes; figures and NAME_tables.md beside it.")
+        Path | None, typer.Option(help="Markdown page to write; figures and NAME_tables.md go beside it.")
     ] = None,
 ) -> None:
     """Estimators under attacks, corruptions and defenses. Stopped runs go on; the same figures for any --workers.
@@ -88,12 +87,16 @@ def paper(
             help="Only these steps, separated by commas: data, models, pairs, strict, trade, monitor, pages.",
         ),
     ] = None,
-    protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,
+    protocol: Annotated[
+        str, typer.Option(help="Truth and grid: paper (as published), strict (exact truth), or both.")
+    ] = _BOTH,
     device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
     workers: Workers = None,
     page: Pages = None,
 ) -> None:
-    """Train the published study's models, score them, write its pages. Stopped runs go on: the same command again.
+    """The published study: train its models, score them, write pages.
+
+    Stopped runs go on: the same command again.
 
     Example: viewshed study paper --preset tiny --out study
     """
@@ -128,7 +131,9 @@ def ablation(
     workers: Workers = None,
     page: Pages = None,
 ) -> None:
-    """What the parts of our network are worth, and the shipped network beside the estimators.
+    """What the parts of our network are worth.
+
+    The shipped network stands beside the estimators.
 
     Example: viewshed study ablation --preset tiny --out study
     """
@@ -153,7 +158,9 @@ def deviation(
     run: Run = True,
     page: Pages = None,
 ) -> None:
-    """The published detector, of the deviation, under attacks and corruptions, with the shipped network.
+    """The published detector of attacks, by the deviation of dropout.
+
+    Under attacks and corruptions, with the shipped network.
 
     Example: viewshed study deviation --preset tiny --out study
     """
@@ -186,7 +193,9 @@ def monitor(
         Path | None, typer.Option(metavar="INDEX", help="Index of measured sweeps that are tried as well.")
     ] = None,
 ) -> None:
-    """The monitor of all evidence: drives attacked and corrupted, a score trained on them, its rates and misses.
+    """The monitor of all evidence: what it finds, and false alarms.
+
+    Drives are attacked and corrupted, and a score is trained on them.
 
     Example: viewshed study monitor --preset tiny --out study
     """
@@ -220,7 +229,9 @@ def agents(
     engine: EngineName = "local",
     page: Pages = None,
 ) -> None:
-    """Many agents: some lie about objects or about what they see; who is found, and who is accused wrongly.
+    """Many agents, some of whom lie: who is found, who is accused.
+
+    They lie about objects or about what they see.
 
     Example: viewshed study agents --preset tiny --out study
     """
@@ -250,7 +261,9 @@ def tracks(
     engine: EngineName = "local",
     page: Pages = None,
 ) -> None:
-    """Tracks and fusion with each field of view, on simulated drives whose detections are forged.
+    """Tracks and fusion with each field of view, under attack.
+
+    On simulated drives whose detections are forged.
 
     Example: viewshed study tracks --preset tiny --out study
     """
@@ -265,8 +278,7 @@ def tracks(
     failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
     if "page" in steps:
         save_models(store)
-        _write(page or folder, {"tracks.md": page_of(store).encode()})
-        typer.echo(f"Look at {(page or folder) / 'tracks.md'}")
+        _show(page or folder, {"tracks.md": page_of(store).encode()})
     _require_all_done(failed)
 
 
@@ -287,7 +299,9 @@ def wild(
     ),
     network: Annotated[list[Path] | None, typer.Option(help="File of a network that is tried as well.")] = None,
 ) -> None:
-    """Every estimator on worlds, sensors and mountings that it was not made for, against exact truth.
+    """Every estimator on worlds and sensors that it was not made for.
+
+    Against exact truth.
 
     Example: viewshed study wild --preset tiny --out study
     """
@@ -295,7 +309,7 @@ def wild(
     from viewshed.networks.runtime import load_runner
     from viewshed.studies.store import ResultStore
     from viewshed.studies.wild.jobs import run_study
-    from viewshed.studies.wild.openings import Opening
+    from viewshed.studies.wild.openings import SetOpening
     from viewshed.studies.wild.page import page_of
     from viewshed.studies.wild.plan import WildPlan
 
@@ -306,7 +320,7 @@ def wild(
     _require_results(folder, run=run)
     opening = None
     if run and plan.opens_sealed and open_sealed:
-        opening = Opening(open_sealed, plan.methods)
+        opening = SetOpening(open_sealed, plan.methods)
         opening.log(log)
     store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
     failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []
@@ -326,12 +340,14 @@ def reproduce(
     ] = "small",
     out: Annotated[Path, typer.Option(help="Folder of data, models and results.")] = Path("reproduce"),
     only: Annotated[str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas.")] = None,
-    protocol: Annotated[str, typer.Option(help="paper, strict or both.")] = _BOTH,
+    protocol: Annotated[
+        str, typer.Option(help="Truth and grid: paper (as published), strict (exact truth), or both.")
+    ] = _BOTH,
     device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
     workers: Workers = None,
     page: Pages = None,
 ) -> None:
-    """Run the study of the paper or the ablation by the commands' former name; see viewshed study.
+    """Run a study by the command's former name; see viewshed study.
 
     Example: viewshed reproduce --preset tiny --out study
     """
@@ -351,7 +367,10 @@ def _folder(out: Path | None, name: str) -> Path:
 
 
 def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
-    return every if only is None else tuple(only.split(","))
+    chosen = every if only is None else tuple(only.split(","))
+    if unknown := [step for step in chosen if step not in every]:
+        raise ValueError(f"--only must be some of {', '.join(every)}, got {unknown[0]!r}")
+    return chosen
 
 
 def _require_results(folder: Path, *, run: bool) -> None:

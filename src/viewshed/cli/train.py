@@ -35,7 +35,9 @@ def train(
     nodes: Annotated[int, typer.Option(help="Machines; each runs this command.")] = 1,
     cache: Annotated[str | None, typer.Option(help="Folder for simulated data; inside --out if not given.")] = None,
 ) -> None:
-    """Train a network; leaves network.onnx, history.csv and curves.png in --out. The same command goes on after a stop.
+    """Train a network. The same command goes on after a stop.
+
+    It leaves network.onnx, history.csv and curves.png in --out.
 
     Example: viewshed train road --out weights
     """
@@ -54,12 +56,16 @@ def train(
 def crossval(
     config: Config,
     out: Annotated[str, typer.Option(help="Folder of this cross-validation; one that was stopped goes on.")],
-    sampler: Annotated[str, typer.Option(help="grid, or optuna.")] = "grid",
+    sampler: Annotated[
+        str, typer.Option(help="How settings are drawn: grid (all in turn), or optuna (by what did well).")
+    ] = "grid",
     trials: Annotated[int | None, typer.Option(help="How many settings are tried; all 36 if not given.")] = None,
     folds: Annotated[int, typer.Option(help="Folds of whole scenes.")] = 5,
     device: Device = "cpu",
 ) -> None:
-    """Choose width, dropout and learning rate by folds of whole scenes; leaves crossval.md, crossval.png, chosen.toml.
+    """Choose width, dropout and learning rate by cross-validation.
+
+    Folds are of whole scenes. It leaves crossval.md, crossval.png and chosen.toml in --out.
 
     Example: viewshed crossval road --out folds
     """

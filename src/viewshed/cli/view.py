@@ -13,7 +13,6 @@ import typer
 from viewshed.cli import _options as options
 from viewshed.cli._options import (
     AS_THEY_ARE,
-    BAD_INPUTS,
     NOT_FOLLOWED,
     Following,
     HistorySweeps,
@@ -34,13 +33,15 @@ from viewshed.cli._outputs import (
     summary_line,
     warm_up,
 )
+from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._terminal import BAD_INPUTS
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
 from viewshed.cli.estimate import Files, Method
 from viewshed.cli.monitor import estimator_of
-from viewshed.cli.replay import Pace
+from viewshed.cli.replay import Pacer
 
 if TYPE_CHECKING:
     from viewshed.estimators import Estimator
@@ -85,10 +86,10 @@ def view(
     sweeps: MostSweeps = None,
     following: Following = NOT_FOLLOWED,
 ) -> None:
-    """Show what each sweep could see: as a page for any browser, as a file for Rerun, or live in Foxglove.
+    """Show what sweeps could see: a page, a file for Rerun, or live.
 
-    The page has a map and a timeline and needs no network. Live the sweeps come at the pace at which they were
-    measured, again and again unless --sweeps ends it, and late ones are dropped.
+    The page is for any browser, has a map and a timeline and needs no network. Live, in Foxglove, the sweeps come at
+    the pace at which they were measured, again and again unless --sweeps ends it, and late ones are dropped.
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 
@@ -98,7 +99,7 @@ def view(
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
     chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
-    jobs = list(options.chosen(files or [], index))
+    jobs = list(chosen_files(files or [], index))
     places = [file for file, _ in jobs]
     failures, names = Failures(), output_names(places)
 
@@ -163,7 +164,7 @@ def _serve(
     from viewshed.datasets.recorder.foxglove_topics import foxglove_server
     from viewshed.pipeline import Pipeline
 
-    pace, adversary = Pace(1.0), following.adversary()
+    pace, adversary = Pacer(1.0), following.adversary()
     with foxglove_server(port) as record:
         typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
         listener = Listener([record], failures, is_live=True, following=following, adversary=adversary)

@@ -120,7 +120,7 @@ def _start_of(seed: int, split: int, purpose: int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class ShardJob:
+class SceneShardJob:
     """What a worker must know to make one shard, of the frames of a scene from ``first`` to before ``last``."""
 
     store: Storage
@@ -130,17 +130,17 @@ class ShardJob:
     last: int
 
 
-def jobs_of(preset: Preset, store: Storage) -> list[ShardJob]:
+def jobs_of(preset: Preset, store: Storage) -> list[SceneShardJob]:
     """Return the shards of a data set, in order."""
     return [
-        ShardJob(store, scene, f"{scene.split_name}-{scene.number:04d}-{chunk:03d}.parquet", first, last)
+        SceneShardJob(store, scene, f"{scene.split_name}-{scene.number:04d}-{chunk:03d}.parquet", first, last)
         for split, scenes in enumerate(preset.scenes)
         for scene in (ScenePlan(preset, split, number) for number in range(scenes))
         for chunk, (first, last) in enumerate(scene.chunks())
     ]
 
 
-def simulate_shard(job: ShardJob) -> ShardResult:
+def simulate_shard(job: SceneShardJob) -> ShardResult:
     """Return what became of the shard of ``job``, which is written with a file beside it."""
     samples = (simulate_frame(job.scene, frame) for frame in range(job.first, job.last))
     return build_shard(job.store, job.name, samples)

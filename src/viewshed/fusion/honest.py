@@ -1,14 +1,15 @@
 """What honest agents report, and what they do not: likelihoods from scenes in which nobody lies.
 
 Detectors miss cars, find hedges, and put centers half a meter off. So that one agent reports what another does not is
-no contradiction by itself; it is one where an honest agent would hardly ever do so. Four questions are asked, each
+no contradiction by itself; it is one where an honest agent would hardly ever do so. Five questions are asked, each
 answered by weights of bins that add up (logistic regression):
 
 - *reported*: others report an object; would an honest agent with this view report it as well? What counts: how many
   report it and how many see the place and are silent, what the agent's view claims before and in the box, range, size,
   its next own detection, and whether it reported the object before.
-- *invented*: only one agent reports an object; do its view and those of others look as at objects that honest agents
-  alone report, or as at any place of that range?
+- *invented*: only one agent reports an object; does its view look as at objects that honest agents alone report, or as
+  at any place of that range?
+- *contradicted*: the same of the views of all others. The two are apart, for an agent that lies may forge its own view.
 - *displaced*: does the box of a report lie on the surfaces of the agent's own view, or as boxes do that were moved?
 - *there*: given who reports an object and who does not, is it one?
 
@@ -18,7 +19,7 @@ No lie is needed to fit them: what is put elsewhere, or moved, is an honest box 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -35,8 +36,12 @@ Mask = NDArray[np.bool_]
 
 Columns = NDArray[np.int32]
 
-SEES = 0.7
-"""Probability of visible from which an agent claims to see an object, so that its silence denies it."""
+LEAST_SEEN, SEEN_AT_0_M, SEEN_PER_M = 0.5, 0.43, 0.008
+"""From these probabilities of visible on an agent is expected to see an object: at least, by a line in range.
+
+Claims err with the range. In the first scenes of docs/results/agents.md nine in ten objects that are claimed with .5 or
+more are expected so, and .009 of them gave fewer than five returns; by one probability for all ranges .011.
+"""
 
 MOST_BEFORE = 3
 """So many earlier reports of an object are as good as more."""
@@ -72,6 +77,9 @@ _STEPS = 15
 
 _FILE = "honest.json"
 
+_CONTRASTS = ("invented", "contradicted", "displaced")
+"""Questions whose examples of one class are made up, as many as one likes: both classes weigh the same."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectReports:
@@ -106,7 +114,7 @@ class ObjectReports:
     @property
     def sees(self) -> Mask:
         """(J, A) bool, who could report the object and claims to see it."""
-        return self.able & (self.visible > SEES)
+        return self.able & is_expected(self.visible, self.range_m)
 
     def others(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return how many others report each object, and how many deny it: (J, A) each."""
@@ -117,6 +125,15 @@ class ObjectReports:
         """Return some of the objects, by a mask (J,)."""
         arrays = (getattr(self, name) if name == "elevated" else getattr(self, name)[chosen] for name in self.__slots__)
         return type(self)(*arrays)
+
+
+def is_expected(visible: Floats, range_m: Floats) -> Mask:
+    """Return whether an honest agent that claims so much (…,) at ranges (…,) sees an object; its silence denies it.
+
+    >>> is_expected(np.array([0.6, 0.6]), np.array([10.0, 40.0])).tolist()
+    [True, False]
+    """
+    return np.asarray(visible >= np.maximum(LEAST_SEEN, SEEN_AT_0_M + SEEN_PER_M * range_m))
 
 
 class _Bins:
@@ -175,17 +192,16 @@ def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any
     return column
 
 
-def displaced_columns(said: ObjectReports) -> tuple[Columns, int]:
-    """Return the columns (J, A, F) of *displaced*: what the agent's own view says of its own box."""
+def own_box_columns(said: ObjectReports) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of *invented* and *displaced*: what the agent's own view says of its own box."""
     bins = _Bins(said.seen.shape)
     _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.elevated)
     return bins.columns(), bins.size
 
 
-def invented_columns(said: ObjectReports) -> tuple[Columns, int]:
-    """Return the columns (J, A, F) of *invented*: the agent's own view, and the views of others that see the place."""
+def contradicted_columns(said: ObjectReports) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of *contradicted*: what the views of others show where they claim to see."""
     bins = _Bins(said.seen.shape)
-    _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.elevated)
     others = ~np.eye(said.seen.shape[1], dtype=np.bool_)[None] & said.sees[:, None]
     count = others.sum(axis=2)
     bins.add((np.minimum(count, 3), 4))
@@ -279,13 +295,15 @@ class HonestModel:
 
     Attributes:
         reported: log-odds that an agent reports what others report; the last columns are those of the others.
-        invented: log-ratio of places elsewhere over what honest agents alone report.
+        invented: log-ratio of places elsewhere over what honest agents alone report, in their own views.
+        contradicted: the same in the views of others.
         displaced: log-ratio of boxes that were moved over honest ones.
         there: log-odds that an object is one.
     """
 
     reported: Weights
     invented: Weights
+    contradicted: Weights
     displaced: Weights
     there: Weights
 
@@ -334,12 +352,14 @@ class HonestExamples:
     Attributes:
         reported: columns (N, F + 1) with those of others, then whether the agent reported the object.
         invented: columns (N, F), then whether the place is one elsewhere.
+        contradicted: the same.
         displaced: columns (N, F), then whether the box was moved.
         there: columns (N, A F + F'), then whether the track is an object.
     """
 
     reported: Columns
     invented: Columns
+    contradicted: Columns
     displaced: Columns
     there: Columns
 
@@ -361,14 +381,9 @@ class HonestExamples:
         of_agents, _, whole = there_columns(said)
         return cls(
             _labeled(reported[chosen], said.seen[chosen]),
-            np.concatenate([
-                _labeled(invented_columns(said)[0][alone], np.zeros(int(alone.sum()))),
-                _labeled(invented_columns(elsewhere)[0][elsewhere.seen], np.ones(int(elsewhere.seen.sum()))),
-            ]),
-            np.concatenate([
-                _labeled(displaced_columns(said)[0][said.seen], np.zeros(int(said.seen.sum()))),
-                _labeled(displaced_columns(moved)[0][moved.seen], np.ones(int(moved.seen.sum()))),
-            ]),
+            _contrasted(own_box_columns, (said, alone), (elsewhere, elsewhere.seen)),
+            _contrasted(contradicted_columns, (said, alone), (elsewhere, elsewhere.seen)),
+            _contrasted(own_box_columns, (said, said.seen), (moved, moved.seen)),
             _labeled(np.concatenate([of_agents.reshape(len(whole), -1), whole], axis=1), is_object),
         )  # fmt: skip
 
@@ -383,10 +398,21 @@ def fit_honest(examples: Sequence[HonestExamples]) -> HonestModel:
     fitted = {}
     for name, count in _counts().items():
         columns, label = rows[name][:, :-1], rows[name][:, -1]
-        # Elsewhere and moved there are as many as one likes: both classes weigh the same.
         even = np.where(label == 1, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1)) * len(label)
-        fitted[name] = Weights.fit(columns, count, label, even if name in ("invented", "displaced") else None)
+        fitted[name] = Weights.fit(columns, count, label, even if name in _CONTRASTS else None)
     return HonestModel(**fitted)
+
+
+def _contrasted(
+    columns_of: Callable[[ObjectReports], tuple[Columns, int]], honest: tuple[ObjectReports, Mask],
+    other: tuple[ObjectReports, Mask],
+) -> Columns:  # fmt: skip
+    """Return the labeled columns (N, F + 1) of some honest reports (label 0) and of some made-up ones (label 1)."""
+    rows = (
+        _labeled(columns_of(said)[0][chosen], np.full(int(chosen.sum()), label))
+        for label, (said, chosen) in enumerate((honest, other))
+    )
+    return np.concatenate(list(rows))
 
 
 def _labeled(columns: Columns, label: NDArray[Any]) -> Columns:
@@ -402,7 +428,8 @@ def _counts() -> dict[str, int]:
     )  # fmt: skip
     return {
         "reported": reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1),
-        "invented": invented_columns(nothing)[1],
-        "displaced": displaced_columns(nothing)[1],
+        "invented": own_box_columns(nothing)[1],
+        "contradicted": contradicted_columns(nothing)[1],
+        "displaced": own_box_columns(nothing)[1],
         "there": there_columns(nothing)[1],
     }

@@ -1,12 +1,15 @@
 """Many agents, one picture: joint tracks, who is trusted, and what all of them see together.
 
-What agents report of one time is put together in four steps:
+What agents report of one time is put together in six steps:
 
-1. detections of all agents are matched with each other, each agent's with at most one of another's;
-2. the joint detections go through one tracker, whose probability of detection is that *any* trusted agent sees;
-3. of each track every agent says by its report, or by its silence where it claims to see, how well it agrees
+1. poses are put right within their stated errors (:mod:`viewshed.fusion.registration`);
+2. detections of all agents are matched with each other, each agent's with at most one of another's;
+3. the joint detections go through one tracker, whose probability of detection is that *any* trusted agent sees;
+4. of each track every agent says by its report, or by its silence where it claims to see, how well it agrees
    (:mod:`viewshed.fusion.trust`);
-4. a track is believed if it exists whoever lies.
+5. a track is believed if it exists whoever lies;
+6. one claimed view after the other is checked (:mod:`viewshed.fusion.view_checks`), and what an agent reports and what
+   it claims make it more or less suspicious (:mod:`viewshed.fusion.suspicion`).
 
 What an agent claims about its own vehicle's box is no report: it cannot see itself.
 """
@@ -16,25 +19,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fusion.cells import BoxCells, SeenCells
 from viewshed.fusion.claims import ClaimTable, claim_table
 from viewshed.fusion.honest import (
     NO_DETECTION_M,
     HonestModel,
     ObjectReports,
-    displaced_columns,
+    contradicted_columns,
     honest_model,
-    invented_columns,
+    own_box_columns,
     reported_columns,
     there_columns,
 )
+from viewshed.fusion.registration import EXACT, PoseStd, registered_poses
+from viewshed.fusion.suspicion import Suspicion, suspicion_in_box
 from viewshed.fusion.trust import Reports, Trust, TrustRules, Verdicts
-from viewshed.fusion.view_checks import ELEVATED_M
+from viewshed.fusion.view_checks import ELEVATED_M, CheckedViews
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections
@@ -42,6 +48,9 @@ from viewshed.tracking.association import assign
 from viewshed.tracking.tracker import Tracker
 from viewshed.tracking.tracks import Tracks
 from viewshed.tracking.views import GridView, hidden_within, points_before
+
+if TYPE_CHECKING:
+    from viewshed.messages.view_message import ViewMessage
 
 Floats = NDArray[np.float64]
 
@@ -77,6 +86,7 @@ class AgentReport:
         estimate: its field of view, with a pose and its name.
         detections: its objects, in ``level``.
         own_box: (7,) box of its own vehicle in ``level``, which others see; None for a sensor on a mast.
+        pose_std: what it says of the errors of its pose.
 
     Raises:
         ValueError: the view has no pose.
@@ -85,21 +95,37 @@ class AgentReport:
     estimate: FovEstimate
     detections: Detections
     own_box: Floats | None = None
+    pose_std: PoseStd = EXACT
 
     def __post_init__(self) -> None:
         if self.estimate.world_from_level is None:
             raise ValueError(f"the view of {self.estimate.agent} must have a pose: without one it cannot be placed")
 
     @classmethod
-    def of(cls, estimate: FovEstimate, detections: Detections) -> AgentReport:
+    def of(cls, estimate: FovEstimate, detections: Detections, pose_std: PoseStd = EXACT) -> AgentReport:
         """Return the report of an agent whose vehicle is not known: one of usual size below a low sensor.
 
         Raises:
             ValueError: the view has no pose.
         """
-        report = cls(estimate, detections)
+        report = cls(estimate, detections, None, pose_std)
         own = np.array([0.0, 0.0, OWN_SIZE_M[2] / 2, *OWN_SIZE_M, 0.0])
-        return report if report.elevated else cls(estimate, detections, own)
+        return report if report.elevated else replace(report, own_box=own)
+
+    @classmethod
+    def of_message(cls, message: ViewMessage) -> AgentReport:
+        """Return what a message with a view reports.
+
+        Raises:
+            ValueError: it has no view.
+        """
+        if message.view is None:
+            raise ValueError(f"the message of {message.agent} must have a view, got none")
+        view, sensor = message.view, message.sensor
+        if np.isfinite(sensor.height_m):
+            reach_m = sensor.reach_m if np.isfinite(sensor.reach_m) else view.grid.half_extent_m
+            view = replace(view, basis=Basis(sensor.height_m, "given", 1.0, 0.0, 0.0, reach_m))
+        return cls.of(view, message.detections or Detections.none(), PoseStd.of(message.pose_covariance))
 
     @property
     def agent(self) -> str:
@@ -214,21 +240,27 @@ class CommonPicture:
     Attributes:
         t_s: the time.
         agents: names of all agents.
+        reports: of the agents that reported, their poses put right.
         tracks: joint tracks in the world.
         verdicts: of the agents, and of those tracks that somebody reports now.
         existence: (N,) probability of each track, whoever lies.
         reporters: (N, A) bool, who reports each track now.
         said: what all agents say of those tracks that somebody reports now, in their order.
+        checks: (A, C) of the agents' views, the mean of the last ones; NaN where there is none.
+        suspicion: (A,) how suspicious each agent is, by what it reports and what it claims.
         notes: what was left out, a sentence each.
     """
 
     t_s: float
     agents: tuple[str, ...]
+    reports: tuple[AgentReport, ...]
     tracks: Tracks
     verdicts: Verdicts
     existence: Floats
     reporters: Mask
     said: ObjectReports
+    checks: Floats
+    suspicion: Floats
     notes: tuple[str, ...] = ()
 
     @property
@@ -251,7 +283,8 @@ class CommandCenter:
         rules: of the trust in them.
         claims: what a claim of visibility is worth.
         honest: what honest agents report.
-        trusting: believe everybody alike, for comparison.
+        suspicion: how rare evidence and checks of views are among honest agents.
+        trusting: believe everybody alike and check no view, for comparison.
     """
 
     agents: tuple[str, ...]
@@ -259,12 +292,14 @@ class CommandCenter:
     claims: ClaimTable = field(default_factory=claim_table)
     trusting: bool = False
     honest: HonestModel = field(default_factory=honest_model)
+    suspicion: Suspicion = field(default_factory=suspicion_in_box)
     _trust: Trust = field(init=False, repr=False)
     _tracker: Tracker = field(default_factory=Tracker, repr=False)
     _existence: dict[int, float] = field(default_factory=dict, repr=False)
     _reported: dict[int, NDArray[np.int64]] = field(default_factory=dict, repr=False)
     _weights: Floats = field(init=False, repr=False)
     _elevated: Mask = field(init=False, repr=False)
+    _checked: CheckedViews = field(init=False, repr=False)
     _last_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -273,6 +308,7 @@ class CommandCenter:
         self._trust = Trust(len(self.agents), self.rules)
         self._weights = np.ones(len(self.agents))
         self._elevated = np.zeros(len(self.agents), np.bool_)
+        self._checked = CheckedViews(len(self.agents))
 
     def add(self, t_s: float, reports: Sequence[AgentReport]) -> CommonPicture:
         """Return the picture after the reports of one time, at most one of each agent.
@@ -284,6 +320,7 @@ class CommandCenter:
         if self._last_s is not None and t_s <= self._last_s:
             raise ValueError(f"t_s must rise, got {t_s:.3f} s after {self._last_s:.3f} s; begin a new center")
         trust = np.ones(len(reports)) if self.trusting else self._weights[columns]
+        reports = registered(reports)
         matches = match_agents([report.in_world for report in reports])
         joint, noise = _joint(reports, matches, trust)
         tracks = self._tracker.step(t_s, joint, JointView(t_s, tuple(reports), trust, self.claims), noise)
@@ -316,7 +353,15 @@ class CommandCenter:
             existence[reported] = verdicts.existence
         reporters = np.zeros((len(tracks), len(self.agents)), np.bool_)
         reporters[reported] = said.seen
-        return CommonPicture(t_s, self.agents, tracks, verdicts, existence, reporters, said, tuple(tracks.notes))
+        claimed = {
+            int(column): (report.estimate, report.detections) for column, report in zip(columns, reports, strict=True)
+        }
+        checks = self._checked.add({} if self.trusting else claimed)
+        suspicion = self.suspicion(verdicts.evidence, checks, self._elevated)
+        return CommonPicture(
+            t_s, self.agents, tuple(reports), tracks, verdicts, existence, reporters, said, checks, suspicion,
+            tuple(tracks.notes),
+        )  # fmt: skip
 
     def _columns(self, reports: Sequence[AgentReport]) -> NDArray[np.intp]:
         names = [report.agent for report in reports]
@@ -337,12 +382,24 @@ class CommandCenter:
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
             std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
         of_agents, _, whole = there_columns(said)
+        own = own_box_columns(said)[0]
         there, prior = model.there(of_agents) - model.there.bias, model.there(whole)
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
-            model.invented(invented_columns(said)[0]), model.displaced(displaced_columns(said)[0]), there, prior, xy_m,
-            std_m, self._elevated.copy(),
+            model.invented(own), model.contradicted(contradicted_columns(said)[0]), model.displaced(own), there, prior,
+            xy_m, std_m, self._elevated.copy(),
         )  # fmt: skip
+
+
+def registered(reports: Sequence[AgentReport]) -> Sequence[AgentReport]:
+    """Return reports with their poses put right within their stated errors; see the module of that name."""
+    poses = registered_poses([report.estimate for report in reports], [report.pose_std for report in reports])
+    return [
+        report
+        if pose is report.world_from_level
+        else replace(report, estimate=replace(report.estimate, world_from_level=pose))
+        for report, pose in zip(reports, poses, strict=True)
+    ]
 
 
 def object_reports(
@@ -366,6 +423,10 @@ def object_reports(
     range_m, apart_m = np.full(shape, 2.0 * FAR_M), np.full(shape, NO_DETECTION_M)
     cells, own_cells = (np.zeros((*shape, len(BoxCells._fields))) for _ in range(2))
     elevated = np.zeros(agents, np.bool_)
+    for report, column in zip(reports, columns, strict=True):
+        range_m[:, column] = report.range_m(boxes)
+    nearby = range_m <= FAR_M
+    seen_before = visible_to(reports, [boxes[nearby[:, column]] for column in columns]) if len(reports) else []
     for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
         found, hit = report.in_world.boxes, members[:, place] >= 0
         theirs = np.full((len(boxes), 7), np.nan)
@@ -373,10 +434,9 @@ def object_reports(
         if own is not None:
             theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
         elevated[column], seen[:, column] = report.elevated, hit
-        range_m[:, column] = report.range_m(boxes)
-        near = range_m[:, column] <= FAR_M
+        near = nearby[:, column]
         able[:, column] = near & ~report.is_own(boxes)
-        visible[near, column] = report.view.visible(boxes[near])
+        visible[near, column] = seen_before[place]
         # One look at the objects that are near, and at the agent's own boxes.
         looked = SeenCells.of(report.estimate).look(
             np.concatenate([boxes[near], theirs[hit]]), report.world_from_level.translation[:2], LOOKED_AT
@@ -410,7 +470,9 @@ def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:
         # The center of an object is the mean of those that see it.
         count = (members[hit] >= 0).sum(axis=1, keepdims=True)
         centers[hit] += (xy[matched[hit]] - centers[hit]) / count
-        left = np.setdiff1d(np.arange(len(found)), matched).astype(np.int32)
+        is_new = np.ones(len(found), np.bool_)
+        is_new[matched[hit]] = False
+        left = np.flatnonzero(is_new).astype(np.int32)
         new = np.full((len(left), len(detections)), -1, np.int32)
         new[:, place] = left
         members, centers = np.concatenate([members, new]), np.concatenate([centers, xy[left]])

@@ -359,29 +359,3 @@ def clusters_of(xy_m: Floats, radius_m: float) -> NDArray[np.int64]:
         if (least == labels).all():
             return np.asarray(np.unique(labels, return_inverse=True)[1], np.int64)
         labels = least
-
-
-def fuse_by_trust(states: Floats, covariances: Floats, trust: Floats) -> tuple[Floats, Floats]:
-    """Return state (4,) and covariance (4, 4) of one object by covariance intersection, weighted by trust.
-
-    P⁻¹ = Σ ω_i P_i⁻¹ and P⁻¹ x = Σ ω_i P_i⁻¹ x_i with ω_i = trust_i / Σ trust.
-
-    Args:
-        states: (N, 4) of the tracks of several agents.
-        covariances: (N, 4, 4).
-        trust: (N,) mean trust of their agents, not all 0.
-
-    Raises:
-        ValueError: there is no track, or no trust in any.
-    """
-    if len(trust) == 0 or not trust.sum() > 0.0:
-        raise ValueError("tracks must be fused with trust in one of them at least")
-    information = (trust / trust.sum())[:, None, None] * np.linalg.inv(covariances)
-    covariance = np.linalg.inv(information.sum(axis=0))
-    return covariance @ np.einsum("nij,nj->i", information, states), covariance
-
-
-def heard(xy_m: Floats, radio_m: float) -> Mask:
-    """Return who hears whom (A, A) of agents at (A, 2); nobody hears itself."""
-    is_near = np.linalg.norm(xy_m[:, None] - xy_m[None], axis=-1) <= radio_m
-    return np.asarray(is_near & ~np.eye(len(xy_m), dtype=np.bool_))

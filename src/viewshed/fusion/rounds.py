@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.many import AgentReport, CommandCenter, CommonPicture, JointFov, joint_fov
-from viewshed.fusion.trust import Verdicts, trust_limits
+from viewshed.fusion.many import LEAST_TRUST, AgentReport, CommandCenter, CommonPicture, JointFov, joint_fov
+from viewshed.fusion.trust import trust_limits
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 
@@ -42,20 +42,23 @@ class Round:
 
     Attributes:
         picture: joint tracks, and what is believed of them and of the agents.
-        reports: of the agents that reported.
         accused: (A,) bool, agents that lie by the limits in the box.
         disputed: (A,) bool, agents of which one lies, and nobody knows which.
     """
 
     picture: CommonPicture
-    reports: tuple[AgentReport, ...]
     accused: Mask
     disputed: Mask
 
     @classmethod
-    def of(cls, picture: CommonPicture, reports: tuple[AgentReport, ...]) -> Round:
+    def of(cls, picture: CommonPicture) -> Round:
         """Return the round of a picture, with who is accused and who is disputed."""
-        return cls(picture, reports, *judged(picture.verdicts))
+        return cls(picture, *judged(picture))
+
+    @property
+    def reports(self) -> tuple[AgentReport, ...]:
+        """Of the agents that reported, their poses put right."""
+        return self.picture.reports
 
     @property
     def t_ns(self) -> int:
@@ -64,13 +67,17 @@ class Round:
 
     @cached_property
     def joint(self) -> JointFov:
-        """The joint field of view, about the middle of the agents; each counts by how far it is trusted."""
+        """The joint field of view, about the middle of the agents; each counts by how far it is trusted.
+
+        Who is accused counts as little as one that nobody trusts, whether by its reports or by its view.
+        """
         places = np.array([report.world_from_level.translation for report in self.reports])
         grids = [report.estimate.grid for report in self.reports]
         middle, extent_m = places.mean(axis=0), max(grid.half_extent_m for grid in grids)
         half_m = extent_m + float(np.abs(places - middle).max())
         grid = BevGrid(min(MOST_CELLS, round(2 * half_m / grids[0].cell_m)), half_m)
-        trust = dict(zip(self.picture.agents, self.picture.verdicts.trust.tolist(), strict=True))
+        weights = np.where(self.accused, LEAST_TRUST, self.picture.verdicts.trust)
+        trust = dict(zip(self.picture.agents, weights.tolist(), strict=True))
         return joint_fov(
             [report.estimate for report in self.reports], grid, Rigid(np.eye(3), middle),
             np.array([trust[report.agent] for report in self.reports]),
@@ -89,6 +96,7 @@ class Round:
         agents = {
             agent: {
                 "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
+                "suspicion": round(float(picture.suspicion[n]), 3),
                 "accused": bool(self.accused[n]), "disputed": bool(self.disputed[n]),
             }
             for n, agent in enumerate(picture.agents)
@@ -105,11 +113,12 @@ class Round:
         return {"t_s": round(picture.t_s, 6), "agents": agents, "doubt": round(verdicts.doubt, 3), "objects": objects}
 
 
-def judged(verdicts: Verdicts) -> tuple[Mask, Mask]:
+def judged(picture: CommonPicture) -> tuple[Mask, Mask]:
     """Return who is accused and who is disputed (A,), at the smallest rate of the limits in the box, 1 % at least."""
-    limits = trust_limits()
+    limits, verdicts = trust_limits(), picture.verdicts
     rate = max(FALSE_RATE, limits.least_rate)
-    return limits.accused(verdicts, rate), limits.disputed(verdicts, rate)
+    accused = limits.accused(picture.suspicion, verdicts.elevated, rate)
+    return accused, limits.disputed(verdicts, accused, rate)
 
 
 @dataclass(slots=True)
@@ -177,4 +186,4 @@ class Rounds:
             self._center = CommandCenter(known)
         picture = self._center.add(self._began_s, reports)
         self._last_s, self._together = self._began_s, {}
-        return Round.of(picture, reports)
+        return Round.of(picture)

@@ -8,10 +8,11 @@ third could see, "the one lies" and "the other lies" explain it about as well, a
 
 **Model.** What an honest agent reports follows the measured errors of views and detectors
 (:mod:`viewshed.fusion.honest`): whether it reports what other honest agents report and deny, whether it alone reports
-an object (*invented*), whether its box lies on the surfaces of its own view (*displaced*), and whether its position
-agrees with theirs. Each agent is asked given the other honest ones: a pseudo-likelihood (Besag, 1975). A liar does the
-same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are there: then every report
-is as likely as none. So whoever is honest about many objects is not cleared of the one.
+an object (*invented* by its own view, *contradicted* by others'), whether its box lies on the surfaces of its own view
+(*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to agree with its lies, so
+it vouches for them within a bound only. Each agent is asked given the other honest ones: a pseudo-likelihood (Besag,
+1975). A liar does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are
+there: then every report is as likely as none. So whoever is honest about many objects is not cleared of the one.
 
 **Dependence.** Frames are no independent witnesses: an agent that misses an object misses it in the next frame as well.
 So the log-likelihood of an object counts by the time that passed, as one report a second; what one object says is
@@ -22,7 +23,7 @@ What is older fades.
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
 it does not: the ratio of universal inference (Wasserman, Ramdas, Balakrishnan 2020), an e-value if the likelihoods were
 exact. They are pseudo-likelihoods of measured errors, so accusations are calibrated on benign scenes
-(:class:`TrustLimits`).
+(:class:`TrustLimits`), together with what claimed views say (:mod:`viewshed.fusion.suspicion`).
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class TrustRules:
         lie: share of the objects about which a liar lies.
         prior: chance that an agent is a liar, before it reports anything.
         least: no report, and no silence, of an honest agent is less likely: what is rare is known no better.
-        most_ratio: bound in nats of what views say about an invented or a displaced box.
+        most_ratio: bound in nats of what views say about an invented or a displaced box; half as much for a report.
         agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
         disc_m: radius of the disc over which a lie puts an object.
         astray: share of honest positions that are as those of lies: boxes of objects that are seen in part.
@@ -66,7 +67,7 @@ class TrustRules:
         ValueError: a number is out of range.
     """
 
-    false_report: float = 0.1
+    false_report: float = 0.2
     lie: float = 0.05
     prior: float = 0.1
     least: float = 0.005
@@ -98,7 +99,8 @@ class Reports:
         sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
         reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
         of_others: (others, deniers) log-odds for so many others that report an object and so many that deny it.
-        invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports.
+        invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
+        contradicted: (J, A) the same in the views of others.
         displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
         there: (J, A) log-odds that each agent's report or silence adds to those that the object is one.
         prior: (J,) log-odds that it is one, without them.
@@ -117,6 +119,7 @@ class Reports:
     reported: Floats
     of_others: Floats
     invented: Floats
+    contradicted: Floats
     displaced: Floats
     there: Floats
     prior: Floats
@@ -131,7 +134,7 @@ class Reports:
                 f"reports of {len(self.ids)} objects must have prior (J,), seen (J, A) and xy_m (J, A, 2), got"
                 f" {self.prior.shape}, {shape} and {self.xy_m.shape}"
             )
-        for name in ("able", "sees", "reported", "invented", "displaced", "there", "std_m"):
+        for name in ("able", "sees", "reported", "invented", "contradicted", "displaced", "there", "std_m"):
             values = getattr(self, name)
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be {shape} finite numbers, got {values.shape}")
@@ -225,10 +228,9 @@ class Trust:
         most = np.array(reports.of_others.shape) - 1
         odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
         chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
-        # A lie's box may agree with the view as an honest one does, for the view may be forged.
-        ratio = np.exp(np.clip(reports.displaced, -rules.most_ratio, rules.most_ratio))
-        displaced = np.log(rules.agreeing + (1.0 - rules.agreeing) * ratio)[:, None]
-        invented = np.clip(reports.invented, -rules.most_ratio / 2, rules.most_ratio)[:, None]
+        # A lie's box may agree with its own view as an honest one does, for the view may be forged; not with others'.
+        displaced, invented = (self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented))
+        invented = invented + np.clip(reports.contradicted, -rules.most_ratio / 2, rules.most_ratio)[:, None]
         # Who alone reports an object errs seldom where others see; where they do not, it is as likely as not.
         alone = np.where(denied > 0, np.log(rules.false_report), np.log(0.5)) - invented
         with_others = np.where(
@@ -241,21 +243,28 @@ class Trust:
         summed: Floats = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
         return summed
 
+    def _unless_forged(self, ratios: Floats) -> Floats:
+        """Return log-ratios (J, A) of what an agent's own view says, if the views of liars agree with some lies."""
+        bounded = np.exp(np.clip(ratios, -self.rules.most_ratio, self.rules.most_ratio))
+        return np.log(self.rules.agreeing + (1.0 - self.rules.agreeing) * bounded)
+
     def _agreement(self, reports: Reports, reporters: Mask) -> Floats:
         """Return the log-ratio (J, H, A) of each position about the mean of the other reporters' over one anywhere.
 
         Positions are normal about it, but for a share that lies astray.
         """
-        weight = np.where(reporters, reports.std_m[:, None] ** -2.0, 0.0)
-        xy_m = np.where(reports.seen[..., None], reports.xy_m, 0.0)[:, None]
-        # Sums over all but the agent itself.
+        of_agents = reports.std_m**-2.0
+        # Sums over all reporters but the agent itself.
+        weight = np.where(reporters, of_agents[:, None], 0.0)
         rest = weight.sum(axis=2, keepdims=True) - weight
-        moment = weight[..., None] * xy_m
         some = rest > 1e-9
         rest = np.where(some, rest, 1.0)
-        mean = (moment.sum(axis=2, keepdims=True) - moment) / rest[..., None]
-        variance = reports.std_m[:, None] ** 2 + 1.0 / rest
-        ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-((xy_m - mean) ** 2).sum(axis=3) / (2.0 * variance))
+        apart_m2 = np.zeros_like(rest)
+        for along in np.moveaxis(np.where(reports.seen[..., None], reports.xy_m, 0.0), 2, 0):
+            moment = weight * along[:, None]
+            apart_m2 += (along[:, None] - (moment.sum(axis=2, keepdims=True) - moment) / rest) ** 2
+        variance = (1.0 / of_agents)[:, None] + 1.0 / rest
+        ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-apart_m2 / (2.0 * variance))
         return np.where(some, np.log((1.0 - self.rules.astray) * ratio + self.rules.astray), 0.0)
 
     def _verdicts(self, reports: Reports) -> Verdicts:
@@ -300,7 +309,7 @@ class TrustLimits:
     for 1 % and two kinds, where one random agent of each scene, among five, needed 499.
 
     Attributes:
-        low: (N,) largest evidence, over time, against any low sensor of each benign scene, ascending.
+        low: (N,) how suspicious any low sensor of each benign scene is at most, over time, ascending.
         elevated: (N,) the same against any elevated one.
         doubt: (N,) largest doubt of each benign scene, ascending.
     """
@@ -313,7 +322,7 @@ class TrustLimits:
     def of(
         cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]
     ) -> TrustLimits:
-        """Return the limits of N benign scenes: largest evidence against agents of each kind, largest doubt.
+        """Return the limits of N benign scenes: the most suspicious agent of each kind, and the largest doubt.
 
         Raises:
             ValueError: there are none, or a number is not finite.
@@ -323,7 +332,7 @@ class TrustLimits:
             shapes = ", ".join(str(one.shape) for one in columns)
             raise ValueError(f"low, elevated and doubt must be (N,) of benign scenes, got {shapes}")
         if not all(np.isfinite(one).all() for one in columns):
-            raise ValueError("evidence and doubt must be finite; leave out scenes without reports")
+            raise ValueError("suspicion and doubt must be finite; leave out scenes without reports")
         return cls(*(np.sort(one) for one in columns))
 
     def to_json(self) -> str:
@@ -341,25 +350,26 @@ class TrustLimits:
         """The smallest rate that so many scenes support, with sensors of both kinds."""
         return 2.0 / (len(self.doubt) + 1.0)
 
-    def accused(self, verdicts: Verdicts, rate: float) -> Mask:
-        """Return who is accused (A,): somebody in at most this share of benign scenes.
+    def accused(self, suspicion: Floats, elevated: Mask, rate: float) -> Mask:
+        """Return who is accused (A,) by how suspicious each is (A,): somebody in at most this share of benign scenes.
 
         Raises:
             ValueError: so few scenes support no such rate.
         """
-        kinds = len(np.unique(verdicts.elevated))
+        kinds = len(np.unique(elevated))
         self._check(rate / max(kinds, 1))
-        low, elevated = (_p_values(benign, verdicts.evidence) for benign in (self.low, self.elevated))
-        return np.asarray(kinds * np.where(verdicts.elevated, elevated, low) <= rate * (1.0 + 1e-9))
+        of_low, of_elevated = (_p_values(benign, suspicion) for benign in (self.low, self.elevated))
+        return np.asarray(kinds * np.where(elevated, of_elevated, of_low) <= rate * (1.0 + 1e-9))
 
-    def disputed(self, verdicts: Verdicts, rate: float) -> Mask:
+    def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:
         """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.
 
         Raises:
             ValueError: so few scenes support no such rate.
         """
+        self._check(rate)
         somebody = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate
-        return verdicts.suspects & ~self.accused(verdicts, rate) if somebody else np.zeros_like(verdicts.suspects)
+        return verdicts.suspects & ~accused if somebody else np.zeros_like(verdicts.suspects)
 
     def _check(self, rate: float) -> None:
         need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
@@ -369,7 +379,7 @@ class TrustLimits:
 
 @lru_cache(maxsize=1)
 def trust_limits() -> TrustLimits:
-    """Return the limits in the box: of what agents report, in the calibration scenes of docs/results/agents.md."""
+    """Return the limits in the box, of the calibration scenes of docs/results/agents.md."""
     return TrustLimits.from_json(resources.files("viewshed.fusion").joinpath("limits.json").read_text("utf-8"))
 
 

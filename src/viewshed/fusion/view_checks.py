@@ -1,4 +1,4 @@
-"""Views that lie: what an agent claims to see, held against itself, against others, and against what was before.
+"""Views that lie: what an agent claims to see, held against itself and against others.
 
 A view that claims too much convicts others, or hides a removal; one that claims too little escapes contradiction. Each
 check makes one number of a claimed view, larger where it is more suspicious, NaN where it has nothing to look at. What
@@ -8,14 +8,16 @@ is large is not decided here: honest views err as well, and :class:`ViewScale` k
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fusion.cells import SeenCells
 from viewshed.geometry import Rigid
 from viewshed.integrity.score import SurpriseScale
 from viewshed.objects import Detections
@@ -33,10 +35,12 @@ MARGIN_M = 1.5
 SHIFT_M, TURNS = 2.0, np.radians(np.arange(-3.0, 3.1, 1.0))
 """Poses so far around the claimed one at which surfaces are compared with those of others."""
 
+_TURNED = [Rigid.from_yaw(float(turn)).rotation[:2, :2] for turn in TURNS]
+
 FEWEST_SURFACES = 30
 """Surface cells that two agents must share for their poses to be compared."""
 
-MOST_SURFACES = 800
+MOST_SURFACES = 400
 """Of more surface cells every second, third, ... one is compared."""
 
 ELEVATED_M = 4.0
@@ -44,6 +48,12 @@ ELEVATED_M = 4.0
 
 SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
+
+MOST_OTHERS = 4
+"""Views of so many other agents, the nearest ones, are compared with one that is checked."""
+
+LOOKS = 2
+"""Checks of an agent's view are the mean of its last so many."""
 
 USUAL, MOST = 0.5, 4.0
 """Surprise up to which a check says nothing, as suspicious as three honest views in ten, and the most that one says."""
@@ -57,7 +67,6 @@ class ClaimedView:
         estimate: its field of view, with a pose.
         detections: its objects, in ``level``.
         others: fields of view of other agents, with poses.
-        before: its field of view at the time before, or None.
 
     Raises:
         ValueError: a view has no pose.
@@ -66,7 +75,6 @@ class ClaimedView:
     estimate: FovEstimate
     detections: Detections
     others: tuple[FovEstimate, ...] = ()
-    before: FovEstimate | None = None
 
     def __post_init__(self) -> None:
         for view in (self.estimate, *self.others):
@@ -88,15 +96,25 @@ class ClaimedView:
         return rays[:, None] * range_m[:, None], range_m
 
     @cached_property
+    def _cells(self) -> SeenCells:
+        """What the agent itself claims, to be asked in ``level``."""
+        return SeenCells(self.estimate.grid, self.estimate.state, Rigid.identity())
+
+    @cached_property
+    def _others(self) -> list[SeenCells]:
+        """What the others claim, to be asked in ``level`` of the agent."""
+        return [SeenCells(other.grid, other.state, between(self.estimate, other)) for other in self.others]
+
+    @cached_property
     def _own(self) -> NDArray[np.uint8]:
         """What the agent itself claims at the places, (A, R)."""
-        return _state_at(self.estimate, self._samples[0])
+        return self._cells.states_at(self._samples[0])
 
     @cached_property
     def _theirs(self) -> NDArray[np.uint8]:
         """What the others claim at the places, (O, A, R)."""
         xy = self._samples[0]
-        states = [_state_at(other, _moved(xy, between(other, self.estimate))) for other in self.others]
+        states = [other.states_at(xy) for other in self._others]
         return np.stack(states) if states else np.zeros((0, *xy.shape[:2]), np.uint8)
 
     def _behind(self, surfaces: Mask) -> Mask:
@@ -127,16 +145,10 @@ def between(to: FovEstimate, of: FovEstimate) -> Rigid:
     return to.world_from_level.inverse() @ of.world_from_level
 
 
-def _moved(xy: Floats, pose: Rigid) -> Floats:
-    moved: Floats = xy @ pose.rotation[:2, :2].T + pose.translation[:2]
-    return moved
-
-
-def _state_at(estimate: FovEstimate, xy: Floats) -> NDArray[np.uint8]:
-    """Return the states (…,) at places (…, 2) in ``level``; UNKNOWN outside the grid."""
-    cells, inside = estimate.grid.index(xy)
-    state: NDArray[np.uint8] = np.where(inside, estimate.state[cells[..., 0], cells[..., 1]], CellState.UNKNOWN)
-    return state
+def _apart_m(one: FovEstimate, other: FovEstimate) -> float:
+    assert one.world_from_level is not None
+    assert other.world_from_level is not None
+    return float(np.linalg.norm(one.world_from_level.translation - other.world_from_level.translation))
 
 
 def _is_visible(state: NDArray[np.uint8]) -> Mask:
@@ -153,7 +165,7 @@ def hidden_detections(view: ClaimedView) -> float:
         return np.nan
     # An object hides its own center: any of its middle and its near side may be what is seen.
     scale = 1.0 - np.array([0.0, 0.5, 1.0, 1.3])[:, None] * boxes[near, 4] / 2 / range_m[near]
-    states = _state_at(view.estimate, scale[..., None] * boxes[near, :2])
+    states = view._cells.states_at(scale[..., None] * boxes[near, :2])
     return float(1.0 - _is_visible(states).any(axis=0).mean())
 
 
@@ -166,7 +178,7 @@ def claims_in_shadows(view: ClaimedView) -> float:
         return np.nan
     far_m = range_m[casts] + boxes[casts, 3:5].max(axis=1) / 2
     behind = (far_m[:, None] + np.array([0.5, 1.0, 1.5, 2.0])) / range_m[casts, None]
-    return float(_is_visible(_state_at(view.estimate, behind[..., None] * boxes[casts, None, :2])).mean())
+    return float(_is_visible(view._cells.states_at(behind[..., None] * boxes[casts, None, :2])).mean())
 
 
 def claims_behind_walls(view: ClaimedView) -> float:
@@ -175,11 +187,12 @@ def claims_behind_walls(view: ClaimedView) -> float:
     How tall a surface is no view says; that others see nothing behind one does.
     """
     xy, walls = view._samples[0], np.zeros(view._own.shape, np.bool_)
-    for other, theirs in zip(view.others, view._theirs, strict=True):
-        at = _moved(xy, between(other, view.estimate))
-        range_m = np.linalg.norm(at, axis=-1, keepdims=True)
-        behind = [_state_at(other, at * (1.0 + step_m / range_m)) == CellState.HIDDEN for step_m in (1.5, 2.5)]
-        walls |= (theirs == CellState.SURFACE) & behind[0] & behind[1]
+    for other, theirs in zip(view._others, view._theirs, strict=True):
+        surfaces, place = theirs == CellState.SURFACE, other.frame_from_level.translation[:2]
+        away = xy[surfaces] - place
+        unit = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
+        behind = [other.states_at(xy[surfaces] + step_m * unit) == CellState.HIDDEN for step_m in (1.5, 2.5)]
+        walls[surfaces] |= behind[0] & behind[1]
     return view._share(view._behind(walls), _is_visible(view._own)) if view.others else np.nan
 
 
@@ -193,11 +206,13 @@ def open_but_denied(view: ClaimedView) -> float:
 def surfaces_claimed_free(view: ClaimedView) -> float:
     """Return the share of the surfaces that others see, in the agent's view, where it sees none and claims all free."""
     surfaces = (view._theirs == CellState.SURFACE).any(axis=0) & ~(view._theirs == CellState.FREE).any(axis=0)
+    surfaces &= _is_visible(view._own)
     # Surfaces are seen from different sides, and lie a cell or two apart.
-    xy, about = view._samples[0], np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-    near = [_state_at(view.estimate, xy + np.array([x_m, y_m])) for x_m in about for y_m in about]
-    free = np.all([state == CellState.FREE for state in near], axis=0)
-    return view._share(free, surfaces & _is_visible(view._own))
+    about = np.stack(np.meshgrid(*[np.array([-1.0, -0.5, 0.0, 0.5, 1.0])] * 2), axis=-1).reshape(-1, 2)
+    near = view._cells.states_at(view._samples[0][surfaces][:, None] + about)
+    free = np.zeros_like(surfaces)
+    free[surfaces] = (near == CellState.FREE).all(axis=1)
+    return view._share(free, surfaces)
 
 
 def surfaces_seen_free(view: ClaimedView) -> float:
@@ -216,17 +231,18 @@ def misplaced(view: ClaimedView) -> float:
     best = claimed = total = 0.0
     for other in view.others:
         pose, cell_m = between(other, view.estimate), other.grid.cell_m
-        # Shifts are whole cells of the other's grid, and a border of them makes room.
+        # Shifts are whole cells of the other's grid, and a border of them makes room: for each cell (x, y) of the view,
+        # a window (X, X) of what lies about it.
         most = round(SHIFT_M / cell_m)
-        surfaces = np.pad(other.state == CellState.SURFACE, most)
-        steps = np.stack(np.meshgrid(*[np.arange(2 * most + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-        onto = np.empty((len(TURNS), len(steps)))
-        for row, turn in zip(onto, TURNS, strict=True):
-            cells, inside = other.grid.index(_moved(at @ Rigid.from_yaw(turn).rotation[:2, :2].T, pose))
-            x, y = np.moveaxis(cells[inside] + steps, -1, 0)
-            row[:] = surfaces[x, y].sum(axis=1)
+        surfaces = np.pad((other.state == CellState.SURFACE).astype(np.float32), most)
+        about = sliding_window_view(surfaces, (2 * most + 1,) * 2)
+        onto = np.empty((len(TURNS), (2 * most + 1) ** 2))
+        for row, turn in zip(onto, _TURNED, strict=True):
+            cells, inside = other.grid.index(at @ (pose.rotation[:2, :2] @ turn).T + pose.translation[:2])
+            x, y = cells[inside].T
+            row[:] = about[x, y].sum(axis=0).ravel()
         if onto.max() >= FEWEST_SURFACES:
-            at_claim = onto[len(TURNS) // 2, len(steps) // 2]
+            at_claim = onto[len(TURNS) // 2, onto.shape[1] // 2]
             best, claimed, total = best + onto.max(), claimed + at_claim, total + onto.max()
     return (best - claimed) / total if total else np.nan
 
@@ -238,17 +254,6 @@ def certainty(view: ClaimedView) -> float:
     return view._share(sure, _is_visible(view._own))
 
 
-def repeated(view: ClaimedView) -> float:
-    """Return the share of doubtful cells whose probability is exactly that of the view before."""
-    if view.before is None:
-        return np.nan
-    now, before = view.estimate.visible_prob, view.before.visible_prob
-    if now.shape != before.shape:
-        return np.nan
-    doubtful = (now > 0.02) & (now < 0.98)
-    return float((now == before)[doubtful].mean()) if doubtful.any() else np.nan
-
-
 VIEW_CHECKS: dict[str, Callable[[ClaimedView], float]] = {
     "hidden_detections": hidden_detections,
     "claims_in_shadows": claims_in_shadows,
@@ -258,7 +263,6 @@ VIEW_CHECKS: dict[str, Callable[[ClaimedView], float]] = {
     "surfaces_seen_free": surfaces_seen_free,
     "misplaced": misplaced,
     "certainty": certainty,
-    "repeated": repeated,
 }
 """Every check by name."""
 
@@ -291,6 +295,18 @@ class ViewScale:
             raise ValueError(f"checks must be (N, C) and (M, C) alike, got {low.shape} and {elevated.shape}")
         return cls(SurpriseScale.fit(low[..., None]), SurpriseScale.fit(elevated[..., None]))
 
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            name: [[[float(f"{one:.6g}") for one in row] for row in part] for part in (scale.values, scale.surprises)]
+            for name, scale in (("low", self.low), ("elevated", self.elevated))
+        }
+
+    @classmethod
+    def from_json(cls, table: Mapping[str, Any]) -> Self:
+        """Return the scale in plain values."""
+        return cls(*(SurpriseScale(*(np.array(part, np.float32) for part in table[name])) for name in cls.__slots__))
+
     def __call__(self, numbers: NDArray[np.floating[Any]], *, elevated: bool) -> Floats:
         """Return the surprise (…, C) of numbers (…, C): -log10 of the share of honest views that are as suspicious.
 
@@ -299,6 +315,49 @@ class ViewScale:
         rows = np.asarray(numbers, np.float64).reshape(-1, np.shape(numbers)[-1], 1)
         surprises = (self.elevated if elevated else self.low)(rows)[..., 0]
         return np.nan_to_num(surprises.astype(np.float64), nan=0.0).reshape(np.shape(numbers))
+
+
+@dataclass(slots=True)
+class CheckedViews:
+    """Checks the views of agents in turn, one at a time, so that a round costs a bounded amount of work.
+
+    Args:
+        agents: how many there are.
+    """
+
+    agents: int
+    _found: dict[int, tuple[Floats, ...]] = field(default_factory=dict, repr=False)
+    _last: list[int] = field(init=False, repr=False)
+    _times: int = 0
+
+    def __post_init__(self) -> None:
+        self._last = [-1] * self.agents
+
+    def add(self, said: Mapping[int, tuple[FovEstimate, Detections]]) -> Floats:
+        """Return the mean of the last checks of each agent (A, C); NaN before there are ``LOOKS`` of them.
+
+        Args:
+            said: views and detections of one time, by the number of the agent.
+        """
+        self._times += 1
+        if said:
+            number = min(said, key=lambda one: (self._last[one], one))
+            estimate, detections = said[number]
+            # Others are the nearest ones: they see most of what the agent claims.
+            others = sorted(
+                (other for one, (other, _) in said.items() if one != number),
+                key=lambda other: _apart_m(estimate, other),
+            )
+            view = ClaimedView(estimate, detections, tuple(others[:MOST_OTHERS]))
+            self._found[number] = (*self._found.get(number, ()), check_view(view))[-LOOKS:]
+            self._last[number] = self._times
+        out = np.full((self.agents, len(VIEW_CHECKS)), np.nan)
+        for number, rows in self._found.items():
+            if len(rows) == LOOKS:
+                known = np.isfinite(rows)
+                some = known.any(axis=0)
+                out[number, some] = np.where(known, rows, 0.0).sum(axis=0)[some] / known.sum(axis=0)[some]
+        return out
 
 
 def view_doubt(surprises: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

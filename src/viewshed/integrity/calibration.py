@@ -36,6 +36,11 @@ Earlier = Literal["none", "unposed", "posed"]
 CONFIDENCE = 0.9
 """Probability of the confident promise."""
 
+TAIL_SHARE = 0.1
+"""Share of the benign scores, the highest, to which an exponential tail is fitted."""
+
+_LEAST_TAIL = 1e-12
+
 
 class Group(NamedTuple):
     """Scenes that are calibrated together (Mondrian conformal prediction): one sensor, the same kind of history."""
@@ -74,6 +79,48 @@ def _p_values_of_ordered(ordered: Floats, asked: Floats, rng: np.random.Generato
     share = np.ones(asked.shape) if rng is None else rng.random(asked.shape)
     result: Floats = np.maximum(above + share * (equal + 1.0), np.finfo(float).tiny) / (len(ordered) + 1.0)
     return result
+
+
+def tail_p_values(ordered: Floats, scores: ArrayLike) -> Floats:
+    """Return p-values (M,) of scores that go on where conformal ones end, at 1 / (n + 1).
+
+    Above the highest tenth of the benign scores their excess is taken for exponential, as that of most distributions
+    nearly is far out (peaks over a threshold; Pickands, 1975). An estimate that promises nothing: it tells high scores
+    from still higher ones, so that a limit of what they add up to can promise something, see ``over_time``.
+
+    Args:
+        ordered: (n,) scores of benign scenes, ascending.
+        scores: (M,) scores.
+
+    >>> tail_p_values(np.arange(1.0, 20.0), [1.0, 17.0, 18.5, 100.0]).round(4)
+    array([1.    , 0.2   , 0.0552, 0.    ])
+    """
+    asked, count = np.asarray(scores, np.float64), len(ordered)
+    p = _p_values_of_ordered(ordered, asked, None)
+    above = math.ceil(TAIL_SHARE * (count + 1))
+    if above >= count:
+        return p
+    start = float(ordered[count - above - 1])
+    excess = float(ordered[count - above :].mean()) - start
+    if excess > 0.0:
+        beyond = (above + 1) / (count + 1) * np.exp(-np.maximum(asked - start, 0.0) / excess)
+        p = np.where(asked > start, np.maximum(beyond, _LEAST_TAIL), p)
+    return p
+
+
+def tail_p_values_among_others(chosen: Floats, sweeps: Sequence[Floats]) -> list[Floats]:
+    """Return the tail p-values of each scene's sweeps among the other scenes, as those of a further scene would be.
+
+    Args:
+        chosen: (n,) the score with which each scene is calibrated.
+        sweeps: of each of the n scenes the scores of its sweeps.
+    """
+    ordered = np.sort(chosen)
+    places = np.searchsorted(ordered, chosen)
+    return [
+        tail_p_values(np.delete(ordered, place), scores) if len(ordered) > 1 else np.ones(len(scores))
+        for place, scores in zip(places, sweeps, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -384,12 +431,27 @@ class Calibration:
         """
         if math.isnan(score):
             raise ValueError("score must be a number, got NaN")
-        found = []
-        for each in self.alike(group):
-            scores = self.scores[each]
-            p = float(_p_values_of_ordered(scores, np.array([score]), rng)[0])
-            found.append(self.real.correct(_place(scores, score)[0], p, len(scores)) if len(self.real) else p)
-        return max(found)
+        return max(
+            self._corrected(score, float(_p_values_of_ordered(scores, np.array([score]), rng)[0]), scores)
+            for scores in (self.scores[each] for each in self.alike(group))
+        )
+
+    def tail_p_value(self, score: float, group: Group) -> float:
+        """Return the p-value of a score that goes on beyond the benign ones: see :func:`tail_p_values`.
+
+        Raises:
+            ValueError: as :meth:`p_value`.
+        """
+        if math.isnan(score):
+            raise ValueError("score must be a number, got NaN")
+        return max(
+            self._corrected(score, float(tail_p_values(scores, [score])[0]), scores)
+            for scores in (self.scores[each] for each in self.alike(group))
+        )
+
+    def _corrected(self, score: float, p: float, scores: Floats) -> float:
+        """Return the p-value of a score among a group's, corrected if there are real scores."""
+        return self.real.correct(_place(scores, score)[0], p, len(scores)) if len(self.real) else p
 
     def limit(self, group: Group) -> float:
         """Return the score above which a sweep of a group alarms. Raises as :meth:`p_value` does."""

@@ -38,6 +38,8 @@ class IntegrityReport:
         notes: what the report could not rest on, and what was done instead; a sentence each.
         evidence: (E, SECTORS) float32 that was scored, what is held over sweeps included; (0, SECTORS) where the
             monitor looks at no evidence.
+        tail_p_value: ``p_value``, going on beyond the benign scores by an estimate of their tail: what alarms over time
+            are made of. NaN where the monitor does not give it.
 
     Raises:
         ValueError: score or threshold is not a number, a p-value lies outside (0, 1], or a mask does not fit.
@@ -59,11 +61,12 @@ class IntegrityReport:
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     evidence: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, SECTORS), np.float32))
+    tail_p_value: float = math.nan
 
     def __post_init__(self) -> None:
         if math.isnan(self.score) or math.isnan(self.threshold):
             raise ValueError(f"score and threshold must be numbers, got {self.score} and {self.threshold}")
-        for name in ("p_value", "degraded_p_value"):
+        for name in ("p_value", "degraded_p_value", "tail_p_value"):
             value = getattr(self, name)
             if value <= 0.0 or value > 1.0:
                 raise ValueError(f"{name} must lie in (0, 1] or be NaN, got {value}")
@@ -105,6 +108,14 @@ def cells_of_sectors(sectors: Mask, grid: BevGrid) -> Mask:
     """
     mask: Mask = sectors[sector_of(polar_of_cells(grid)[1])]
     return mask
+
+
+def sector_corners(sectors: Mask, reach_m: float) -> NDArray[np.float64]:
+    """Return the corners (3 K, 2) of a triangle from the sensor for each of K sectors (SECTORS,) bool."""
+    step = 2 * np.pi / SECTORS
+    start = np.flatnonzero(sectors) * step - np.pi
+    ends = [np.column_stack([np.cos(angle), np.sin(angle)]) * reach_m for angle in (start, start + step)]
+    return np.stack([np.zeros((len(start), 2)), *ends], axis=1).reshape(-1, 2)
 
 
 def sectors_of_cells(cells: Mask, grid: BevGrid) -> Mask:

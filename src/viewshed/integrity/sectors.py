@@ -1,6 +1,6 @@
 """Where: the sectors of azimuth that are suspect, at a chosen rate of false discoveries.
 
-Each sector has a p-value among the same sector of benign scenes. A step-up test takes as many of the smallest as keep
+Each sector has a p-value among all sectors of benign scenes. A step-up test takes as many of the smallest as keep
 the expected share of false ones among those taken at the chosen rate.
 """
 
@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def discoveries(p: ArrayLike, rate: float, *, any_dependence: bool = False) -> NDArray[np.bool_]:
+def discoveries(p: ArrayLike, rate: float) -> NDArray[np.bool_]:
     """Return the mask (K,) of the p-values (K,) that are discoveries at a false-discovery rate.
+
+    The rate holds if the sectors are independent or rise together (Benjamini and Hochberg, 1995), as neighbors do.
 
     Args:
         p: p-values; those of sectors that say nothing are 1.
         rate: expected share of false discoveries among all, in (0, 1).
-        any_dependence: the rate holds however the sectors depend on each other (Benjamini and Yekutieli, 2001), for
-            about five times smaller p-values; else if they are independent or rise together (Benjamini and Hochberg,
-            1995), as those of neighbors do.
 
     Raises:
         ValueError: a p-value or the rate lies outside its range.
@@ -33,8 +32,6 @@ def discoveries(p: ArrayLike, rate: float, *, any_dependence: bool = False) -> N
         raise ValueError(f"p-values must be one row in [0, 1], got shape {values.shape}")
     ranks = np.arange(1, len(values) + 1)
     levels = rate * ranks / max(len(values), 1)
-    if any_dependence:
-        levels /= (1.0 / ranks).sum()
     passed = np.flatnonzero(np.sort(values) <= levels + 1e-12)
     largest = np.sort(values)[passed[-1]] if passed.size else -1.0
     found: NDArray[np.bool_] = values <= largest

@@ -163,7 +163,7 @@ class StreamMonitor:
         agent, notes = self._continued(self._agents.get(name), leveled)
         monitored = MonitoredSweep(leveled, agent.earlier.before(leveled), estimates or {})
         now = self.monitor.check(monitored, self.evidence, agent.held)
-        alarm = agent.detector.add(now.p_value)
+        alarm = agent.detector.add(now.tail_p_value)
         if agent.detector.doubtful_sweeps <= 1:
             agent.onset_ns = now_ns
         delay_s = 0.0 if now_ns is None or agent.onset_ns is None else (now_ns - agent.onset_ns) * 1e-9

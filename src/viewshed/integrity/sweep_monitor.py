@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,9 +25,10 @@ from viewshed.integrity.calibration import (
     RealScores,
     drift_warning,
     one_per_scene,
+    tail_p_values_among_others,
 )
 from viewshed.integrity.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
-from viewshed.integrity.over_time import EDetector, limit_per_drive
+from viewshed.integrity.over_time import BenignRuns, EDetector
 from viewshed.integrity.report import IntegrityReport, Mask, cells_of_sectors
 from viewshed.integrity.score import EvidenceScore, HeldEvidence, measure_all
 from viewshed.integrity.sectors import discoveries
@@ -100,13 +100,13 @@ class SweepMonitor:
         inconsistent: calibration of that verdict.
         degraded: calibration of that verdict.
         benign: scenes of each group, for sectors and reasons.
+        runs: of these scenes in a row, from which limits of alarms over time are.
         discovery_rate: expected share of false ones among the suspect sectors.
         per: what the rates count, sweeps or drives.
         estimates: methods of the estimates that the evidence was given; the same must be given to :meth:`check`.
         facts: what else must be known to make the same evidence, as fingerprints of weights; see :meth:`require`.
         warnings: what its benign scenes themselves speak against.
-        drive_limit: of what adds up over a stream, from whole benign drives, see :meth:`limited_per_drive`; NaN where
-            none were given.
+        per_hour: false alarms over time; None for as few as its runs support, but not below one.
         version: of viewshed, whose evidence it is calibrated on.
 
     Raises:
@@ -117,12 +117,13 @@ class SweepMonitor:
     inconsistent: Calibration
     degraded: Calibration
     benign: Mapping[Group, BenignTable]
+    runs: BenignRuns
     discovery_rate: float = RATES.discoveries
     per: Per = "sweep"
     estimates: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    drive_limit: float = math.nan
+    per_hour: float | None = None
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -148,10 +149,12 @@ class SweepMonitor:
         per: Per = "sweep",
         estimates: Iterable[str] = (),
         facts: Mapping[str, str] | None = None,
+        in_a_row: Iterable[BenignSweep] | None = None,
     ) -> Self:
         """Return the monitor that keeps its rates on further scenes like these.
 
-        What is inconsistent is calibrated on all scenes; what is degraded on those that are clear.
+        What is inconsistent is calibrated on all scenes; what is degraded on those that are clear. Runs for alarms over
+        time are of the sweeps with most history, each judged by all other scenes.
 
         Args:
             score: of all evidence; it may have been trained on anything but these scenes.
@@ -162,6 +165,7 @@ class SweepMonitor:
             per: sweeps, or drives: then a scene counts by its largest score.
             estimates: methods of the estimates that the evidence was given.
             facts: what else must be known to make the same evidence.
+            in_a_row: sweeps of these scenes one after the other, for runs; ``benign`` if not given.
 
         Raises:
             ValueError: a group has too few scenes for a rate; evidence is not that of the score, or gives no score.
@@ -172,13 +176,20 @@ class SweepMonitor:
             rows.setdefault(sweep.group, []).append((sweep.scene, _row(score, sweep.evidence)))
             if not sweep.clear:
                 unclear.add((sweep.group, sweep.scene))
-        inconsistent, degraded, tables = {}, {}, {}
+        sequences = rows if in_a_row is None else _rows_of(score, in_a_row)
+        longest = max((group.earlier for group in sequences), key=get_args(Earlier).index, default="none")
+        inconsistent, degraded, tables, streams = {}, {}, {}, list[Floats]()
         for group, of_group in rows.items():
             scenes, chosen = one_per_scene(
                 [scene for scene, _ in of_group], np.array([row for _, row in of_group]), per, rng
             )
             clear = np.array([(group, scene) not in unclear for scene in scenes])
             inconsistent[group], degraded[group] = chosen[:, 0], chosen[clear, 1]
+            if group.earlier == longest:
+                own = {scene: list[float]() for scene in scenes}
+                for scene, row in sequences.get(group, ()):
+                    own[scene].append(float(row[0]))
+                streams += tail_p_values_among_others(chosen[:, 0], [np.array(each) for each in own.values()])
             sectors, strongest = chosen[:, 2 : 2 + SECTORS], chosen[:, 2 + SECTORS :]
             share = max(rates.discoveries, 0.1)
             every = sectors.reshape(-1, 1)
@@ -186,59 +197,54 @@ class SweepMonitor:
         found = (drift_warning(scores, rng) for scores in (inconsistent, degraded))
         return cls(
             score, Calibration(inconsistent, rates.inconsistent, promise),
-            Calibration(degraded, rates.degraded, promise), tables, rates.discoveries, per, tuple(estimates),
-            dict(facts or {}), tuple(dict.fromkeys(line for line in found if line)),
+            Calibration(degraded, rates.degraded, promise), tables, BenignRuns.of(streams), rates.discoveries, per,
+            tuple(estimates), dict(facts or {}), tuple(dict.fromkeys(line for line in found if line)),
         )  # fmt: skip
 
-    def corrected(self, real: Iterable[BenignSweep], rng: np.random.Generator) -> Self:
+    def corrected(
+        self, real: Iterable[BenignSweep], rng: np.random.Generator, *, rates: Rates = RATES,
+        promise: Promise = "expected",
+    ) -> Self:  # fmt: skip
         """Return the monitor, calibrated in simulation, corrected by real scenes: see ``calibration.RealScores``.
 
-        Both verdicts are corrected. Sectors and reasons stay those of the simulated scenes.
+        Both verdicts are corrected. Sectors, reasons and runs stay those of the simulated scenes.
+
+        Args:
+            real: sweeps of real scenes that nobody attacked.
+            rng: draws one sweep of each scene.
+            rates: of false alarms.
+            promise: whether the expected rate is kept, or the rate with probability .9.
 
         Raises:
             ValueError: there are none, one is of another evidence or history, or they leave no limit for a rate.
         """
-        rows: dict[Group, list[tuple[str, Floats]]] = {}
-        for sweep in real:
-            rows.setdefault(sweep.group, []).append((sweep.scene, _row(self.score, sweep.evidence)))
         scores: list[tuple[Group, Floats]] = []
-        for group, of_group in rows.items():
+        for group, of_group in _rows_of(self.score, real).items():
             chosen = one_per_scene(
                 [scene for scene, _ in of_group], np.array([row for _, row in of_group]), self.per, rng
             )
             scores += [(group, row) for row in chosen[1]]
-        return replace(
-            self,
-            inconsistent=self.inconsistent.corrected((group, float(row[0])) for group, row in scores),
-            degraded=self.degraded.corrected((group, float(row[1])) for group, row in scores),
+        verdicts = (self.inconsistent, rates.inconsistent), (self.degraded, rates.degraded)
+        inconsistent, degraded = (
+            replace(one, rate=rate, promise=promise, real=one.real_scores((group, row[place]) for group, row in scores))
+            for place, (one, rate) in enumerate(verdicts)
         )
+        return replace(self, inconsistent=inconsistent, degraded=degraded, discovery_rate=rates.discoveries)
 
-    def limited_per_drive(self, benign: Iterable[BenignSweep], rate: float) -> Self:
-        """Return the monitor whose streams alarm over time in at most this share of further drives like these.
-
-        So it is whatever lies between the sweeps of a drive, if drives are exchangeable and as long as further ones.
+    def detector(self, per_hour: float | None = None, hz: float = 10.0) -> EDetector:
+        """Return what adds up doubt over a stream: its expected false alarms an hour are at most the chosen ones.
 
         Args:
-            benign: sweeps of scenes that it was not calibrated on, those of a scene in the order of time.
-            rate: share of the drives.
+            per_hour: false alarms; those that the monitor was calibrated for if not given.
+            hz: sweeps a second.
 
         Raises:
-            ValueError: there are too few scenes for the rate, or one is of another evidence or history.
+            ValueError: a rate is not positive, or there are too few hours of benign runs for it.
         """
-        drives: dict[str, list[float]] = {}
-        for sweep in benign:
-            score = float(_row(self.score, sweep.evidence)[0])
-            drives.setdefault(sweep.scene, []).append(self.inconsistent.p_value(score, sweep.group))
-        return replace(self, drive_limit=limit_per_drive(EDetector(1.0), list(drives.values()), rate).limit)
+        return self.runs.detector(self._alarms_per_hour(hz) if per_hour is None else per_hour, hz)
 
-    def detector(self, per_hour: float = 1.0, hz: float = 10.0) -> EDetector:
-        """Return what adds up doubt over a stream: with the limit of whole drives if it has one, else of a stated rate.
-
-        Args:
-            per_hour: false alarms, were sweeps independent; not used where there is a limit of whole drives.
-            hz: sweeps a second.
-        """
-        return EDetector.for_rate(per_hour, hz) if math.isnan(self.drive_limit) else EDetector(self.drive_limit)
+    def _alarms_per_hour(self, hz: float) -> float:
+        return max(1.0, self.runs.least_per_hour(hz)) if self.per_hour is None else self.per_hour
 
     def check(
         self,
@@ -293,8 +299,9 @@ class SweepMonitor:
         """
         row = _row(self.score, evidence)
         if group not in self.benign:
-            like = "; ".join(map(str, self.inconsistent.alike(group)))
-            notes = (*notes, f"{group} was not calibrated: judged by the most cautious of {like}; no rate is promised")
+            like = len(self.inconsistent.alike(group))
+            note = f"{group} was not calibrated, no rate is promised: judged by the most cautious of {like} sensors"
+            notes = (*notes, note)
         inconsistent, threshold = float(row[0]), self.inconsistent.limit(group)
         suspect = np.zeros(SECTORS, np.bool_)
         if inconsistent > threshold:
@@ -304,9 +311,10 @@ class SweepMonitor:
             float(row[1]) > self.degraded.limit(group), self.degraded.p_value(float(row[1]), group), suspect, grid,
             np.zeros((0, 0), np.bool_) if grid is None else cells_of_sectors(suspect, grid),
             self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes, np.asarray(evidence, np.float32),
+            self.inconsistent.tail_p_value(inconsistent, group),
         )  # fmt: skip
 
-    def suspect_sectors(self, sectors: ArrayLike, group: Group, *, any_dependence: bool = False) -> Mask:
+    def suspect_sectors(self, sectors: ArrayLike, group: Group) -> Mask:
         """Return the mask (SECTORS,) of suspect sectors at the monitor's false-discovery rate.
 
         Each is compared with all sectors of the benign scenes together: with some hundred scenes the smallest p-value
@@ -315,13 +323,12 @@ class SweepMonitor:
         Args:
             sectors: (SECTORS,) scores of the sectors.
             group: of the sweep.
-            any_dependence: see :func:`viewshed.integrity.sectors.discoveries`.
 
         Raises:
             ValueError: the group is unknown without a like.
         """
         p = [self.benign[each].sectors.p_values(sectors) for each in self.inconsistent.alike(group)]
-        return discoveries(np.max(p, axis=0), self.discovery_rate, any_dependence=any_dependence)
+        return discoveries(np.max(p, axis=0), self.discovery_rate)
 
     def require(self, facts: Mapping[str, str]) -> None:
         """Check that evidence is made with what the monitor was calibrated with, as the fingerprint of weights.
@@ -337,12 +344,17 @@ class SweepMonitor:
                 )
 
     def promises(self) -> list[str]:
-        """Return a line for each group and verdict: the limit and both promises."""
+        """Return a line for each group and verdict, the limit and both promises; the last is of alarms over time."""
+        hz, simulated = 10.0, ", simulated ones" if len(self.inconsistent.real) else ""
+        over_time = (
+            f"over time, at {hz:g} Hz: expected false alarms at most {self._alarms_per_hour(hz):.3g} an hour, by"
+            f" {self.runs.hours(hz):.2g} h of benign runs of {self.runs.sweeps / hz:g} s{simulated}"
+        )
         return [
             f"{group}: {name} above {calibration.limit(group):.4g}; per {self.per}: {calibration.promise_of(group)}"
             for group in sorted(self.benign)
             for name, calibration in (("inconsistent", self.inconsistent), ("degraded", self.degraded))
-        ]
+        ] + [over_time]
 
     def _require_evidence(self, evidence: Mapping[str, Evidence]) -> None:
         if self.version != __version__:
@@ -423,6 +435,14 @@ def _with_history(monitored: MonitoredSweep) -> MonitoredSweep:
     return replace(monitored, earlier=monitored.earlier[-EARLIER_SWEEPS:] if count > EARLIER_SWEEPS else ())
 
 
+def _rows_of(score: EvidenceScore, sweeps: Iterable[BenignSweep]) -> dict[Group, list[tuple[str, Floats]]]:
+    """Return by group the scene and the :func:`_row` of each sweep."""
+    rows: dict[Group, list[tuple[str, Floats]]] = {}
+    for sweep in sweeps:
+        rows.setdefault(sweep.group, []).append((sweep.scene, _row(score, sweep.evidence)))
+    return rows
+
+
 def _row(score: EvidenceScore, evidence: NDArray[np.floating[Any]]) -> Floats:
     """Return both scores, those of the sectors and each evidence's strongest sector, (2 + SECTORS + E,).
 
@@ -437,7 +457,7 @@ def _row(score: EvidenceScore, evidence: NDArray[np.floating[Any]]) -> Floats:
     return np.concatenate([verdicts, np.asarray(scores.sectors, np.float64), known.max(axis=1)])
 
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 """The monitor in the box."""
@@ -457,7 +477,7 @@ def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
         "version": FORMAT_VERSION, "monitor": NAME, "viewshed": monitor.version, "per": monitor.per,
         "promise": monitor.inconsistent.promise, "facts": dict(monitor.facts), "warnings": list(monitor.warnings),
         "rates": [monitor.inconsistent.rate, monitor.degraded.rate, monitor.discovery_rate],
-        "drive_limit": None if math.isnan(monitor.drive_limit) else monitor.drive_limit,
+        "run_sweeps": monitor.runs.sweeps, "per_hour": monitor.per_hour,
         "estimates": list(monitor.estimates), "groups": [list(group) for group in groups],
     }  # fmt: skip
     arrays: dict[str, Any] = {f"score.{name}": part for name, part in monitor.score.arrays().items()}
@@ -472,6 +492,7 @@ def save_sweep_monitor(monitor: SweepMonitor, path: str | Path) -> None:
     for name in ("inconsistent", "degraded"):
         real = getattr(monitor, name).real
         arrays[f"real.{name}"] = np.stack([real.place, real.strict, real.weak])
+    arrays["runs"] = monitor.runs.wealth
     arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     file = io.BytesIO()
     np.savez_compressed(file, **arrays)
@@ -533,8 +554,9 @@ def _monitor(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> SweepMon
         benign[group] = BenignTable(HighestScores(scenes * SECTORS, sectors), HighestScores(scenes, strongest))
     score = {name.removeprefix("score."): part for name, part in arrays.items() if name.startswith("score.")}
     return SweepMonitor(
-        EvidenceScore.from_arrays(score), inconsistent, degraded, benign, rates.discoveries, about["per"],
+        EvidenceScore.from_arrays(score), inconsistent, degraded, benign,
+        BenignRuns(np.asarray(arrays["runs"], np.float64), int(about["run_sweeps"])), rates.discoveries, about["per"],
         tuple(str(name) for name in about["estimates"]), {str(key): str(text) for key, text in about["facts"].items()},
         tuple(str(line) for line in about["warnings"]),
-        math.nan if about["drive_limit"] is None else float(about["drive_limit"]), str(about["viewshed"]),
+        None if about["per_hour"] is None else float(about["per_hour"]), str(about["viewshed"]),
     )  # fmt: skip

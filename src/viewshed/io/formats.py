@@ -35,35 +35,32 @@ class Format:
         suffixes: lower-case endings of file names, without ``.gz``; the first is the usual one.
         begins: first bytes that tell the format, empty where it has none.
         write: turns a sweep into the bytes of a file, or None where the format is only read.
-        keeps: what a reader gets beyond the points, for the documents.
     """
 
     read: Reader
     suffixes: tuple[str, ...]
     begins: tuple[bytes, ...] = ()
     write: Writer | None = None
-    keeps: str = ""
 
 
 FORMATS: dict[str, Format] = {
-    "nuscenes": Format(read_nuscenes, (".pcd.bin",), (), write_nuscenes, "intensity, ring, time of the sweep"),
-    "kitti": Format(read_kitti, (".bin",), (), write_kitti, "intensity"),
-    "pcd": Format(
-        read_pcd, (".pcd",), (b"# .PCD", b"VERSION ", b"FIELDS "), write_pcd, "intensity, ring, azimuth, time"
-    ),
-    "ply": Format(read_ply, (".ply",), (b"ply\n", b"ply\r"), write_ply, "intensity, ring, azimuth, time"),
-    "npy": Format(read_npy, (".npy",), (b"\x93NUMPY",), write_npy, "intensity (fourth column)"),
-    "npz": Format(read_npz, (".npz",), (b"PK\x03\x04", b"PK\x05\x06"), write_npz, "all of a Sweep"),
-    "argoverse2": Format(read_argoverse2, (".feather",), (b"ARROW1",), None, "intensity, ring, time"),
-    "velodyne": Format(read_velodyne, (".pcap", ".bin"), (), None, "intensity, ring, azimuth, time, beams"),
-    "ouster": Format(read_ouster, (".pcap",), (), None, "intensity, ring, azimuth, time, beams"),
+    "nuscenes": Format(read_nuscenes, (".pcd.bin",), (), write_nuscenes),
+    "kitti": Format(read_kitti, (".bin",), (), write_kitti),
+    "pcd": Format(read_pcd, (".pcd",), (b"# .PCD", b"VERSION ", b"FIELDS "), write_pcd),
+    "ply": Format(read_ply, (".ply",), (b"ply\n", b"ply\r"), write_ply),
+    "npy": Format(read_npy, (".npy",), (b"\x93NUMPY",), write_npy),
+    "npz": Format(read_npz, (".npz",), (b"PK\x03\x04", b"PK\x05\x06"), write_npz),
+    "argoverse2": Format(read_argoverse2, (".feather",), (b"ARROW1",)),
+    "velodyne": Format(read_velodyne, (".pcap", ".bin")),
+    "ouster": Format(read_ouster, (".pcap",)),
 }
-"""Name → format. To add one: write a module with a reader, add a line."""
+"""Name → format; docs/formats.md says what each keeps. To add one: write a module with a reader, add a line."""
 
 _NOT_READ = {
     b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.datasets.recordings.open_source",
     b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.datasets.recordings.open_source",
     b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.datasets.recordings.open_source",
+    b"LASF": "is a LAS file; convert it to PLY or PCD",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
@@ -100,7 +97,10 @@ def _format_by_name(source: InputFile) -> str:
     for name, known in FORMATS.items():
         if source.name.endswith(known.suffixes):
             raise ValueError(f"is named like {name} but does not begin like it; it is damaged or of another format")
-    raise ValueError(f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format")
+    raise ValueError(
+        f"format is not known by name or content; name one of {', '.join(FORMATS)} with --format, or save the points"
+        " (N, 3) as NPY"
+    )
 
 
 def _maker_of_capture(source: InputFile) -> str:

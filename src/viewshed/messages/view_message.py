@@ -50,6 +50,8 @@ FIELDS = (
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,32}")
 
+_LAST_KIND = int(max(ObjectKind))
+
 _UPPER6 = np.triu_indices(6)
 _UPPER4 = np.triu_indices(4)
 
@@ -138,8 +140,8 @@ class SharedTracks:
             raise ValueError(f"{wrong[0]} of tracks must be finite")
         if (self.boxes[:, 3:6] <= 0).any() or (self.box_variances < 0).any():
             raise ValueError("boxes of tracks must have positive sizes, and variances that are not negative")
-        if count and self.kinds.max() > max(ObjectKind):
-            raise ValueError(f"kinds of tracks must lie in [0, {max(ObjectKind):d}], got {self.kinds.max()}")
+        if count and self.kinds.max() > _LAST_KIND:
+            raise ValueError(f"kinds of tracks must lie in [0, {_LAST_KIND}], got {self.kinds.max()}")
         # The last columns of the numbers are four probabilities, age and time unseen.
         ends = numbers[len(numbers) - 6 * count :]
         if count and not (ends.min() >= 0.0 and ends[: 4 * count].max() <= 1.0):
@@ -397,7 +399,7 @@ def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovE
 
 def _detections_of(fields: list[Any]) -> Detections:
     boxes, kinds, returns = _columns(fields, (np.float32, np.uint8, np.int32))
-    if len(kinds) > MAX_DETECTIONS or (len(kinds) and kinds.max() > max(ObjectKind)):
+    if len(kinds) > MAX_DETECTIONS or (len(kinds) and kinds.max() > _LAST_KIND):
         raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, of known kinds")
     if len(boxes) != 7 * len(kinds):
         raise ValueError("columns of detections must all be of as many objects")

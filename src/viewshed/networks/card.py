@@ -115,10 +115,6 @@ class NetworkCard:
         """
         return self.shown(self.maps_of(sweep))
 
-    def input_of_level(self, leveled: LeveledSweep, past: History | None = None) -> NDArray[Any]:
-        """Return the network's input of a sweep that is already leveled."""
-        return self.shown(feature_maps(self.inputs, self.seen(leveled, past)))
-
     def seen(self, leveled: LeveledSweep, past: History | None = None) -> FeatureContext:
         """Return the context of a leveled sweep from which :func:`feature_maps` computes the features."""
         points, rotation = leveled.sweep.points, leveled.level_from_sensor.rotation

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from viewshed.pipeline.clocks import RateLimit
 from viewshed.pipeline.process import prepare_process
 from viewshed.pipeline.reactions import (
     Caution,
@@ -16,6 +17,6 @@ from viewshed.pipeline.reactions import (
 from viewshed.pipeline.stream import Answer, Pipeline, Statistics
 
 __all__ = [
-    "Answer", "Caution", "Finding", "Pipeline", "ReactionRules", "ReactionState", "Statistics", "Vehicle",
+    "Answer", "Caution", "Finding", "Pipeline", "RateLimit", "ReactionRules", "ReactionState", "Statistics", "Vehicle",
     "prepare_process", "react", "speed_for_view", "withdraw",
 ]  # fmt: skip

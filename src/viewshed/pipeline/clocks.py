@@ -1,11 +1,25 @@
-"""The clocks of agents: what the time of a sweep says, seen from the sweep before."""
+"""The clocks of agents: what the time of a sweep says, seen from the sweep before, and whether it is wanted."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from viewshed.estimators.temporal import FORGET_S
+
+Value = TypeVar("Value")
+
+AGENTS = 64
+"""Agents whose state is remembered; of more the one that was heard longest ago is forgotten."""
+
+
+def remember(known: OrderedDict[str, Value], agent: str, value: Value, most: int = AGENTS) -> None:
+    """Keep an agent's value, and forget the agent that was heard longest ago where there are too many."""
+    known[agent] = value
+    known.move_to_end(agent)
+    while len(known) > most:
+        known.popitem(last=False)
 
 
 @dataclass(slots=True)
@@ -18,7 +32,7 @@ class Clocks:
         agents: how many are remembered; of more the one that was heard longest ago is forgotten.
     """
 
-    agents: int = 64
+    agents: int = AGENTS
     _last_ns: OrderedDict[str, int] = field(default_factory=OrderedDict, repr=False)
 
     def note(self, agent: str, t_ns: int | None) -> str:
@@ -29,10 +43,8 @@ class Clocks:
         """
         if t_ns is None:
             return ""
-        before_ns = self._last_ns.pop(agent, None)
-        self._last_ns[agent] = t_ns
-        while len(self._last_ns) > self.agents:
-            self._last_ns.popitem(last=False)
+        before_ns = self._last_ns.get(agent)
+        remember(self._last_ns, agent, t_ns, self.agents)
         if before_ns is None:
             return ""
         apart_s = (t_ns - before_ns) / 1e9
@@ -41,3 +53,27 @@ class Clocks:
         if apart_s < 0.0:
             return f"time went back by {-apart_s:.3g} s: the stream begins anew"
         return f"time jumped by {apart_s:.3g} s: the stream begins anew" if apart_s > FORGET_S else ""
+
+
+@dataclass(slots=True)
+class RateLimit:
+    """Leaves out sweeps that come sooner after the one before of their agent than a rate allows.
+
+    Attributes:
+        rate_hz: sweeps of an agent that are wanted in a second of their own time; 0 for all.
+    """
+
+    rate_hz: float
+    _last_ns: OrderedDict[str, int] = field(default_factory=OrderedDict, repr=False)
+
+    def takes(self, agent: str, t_ns: int | None) -> bool:
+        """Return whether a sweep is wanted; one without a time is, and so is one whose time goes back."""
+        if t_ns is None:
+            return True
+        # A tenth sooner is no sooner: sensors do not keep time to the microsecond.
+        least_ns = 0.9e9 / self.rate_hz if self.rate_hz else 0.0
+        before_ns = self._last_ns.get(agent)
+        if before_ns is not None and 0 < t_ns - before_ns < least_ns:
+            return False
+        remember(self._last_ns, agent, t_ns)
+        return True

@@ -45,7 +45,7 @@ class Latencies:
         if not self.count:
             return math.nan
         number = int(np.searchsorted(np.cumsum(self._counts), math.ceil(share * self.count)))
-        return _SHORTEST_S * math.exp((number + 0.5) * _STEP)
+        return min(_SHORTEST_S * math.exp((number + 0.5) * _STEP), self.worst_s)
 
     def line(self) -> str:
         """Return median, 99 % quantile and the longest, in milliseconds, in words."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from queue import Queue
 from threading import Lock, Thread
 from types import TracebackType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from viewshed.estimators.base import Estimator
 from viewshed.estimators.temporal import SweepBuffer
@@ -17,7 +17,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.integrity.stream_monitor import StreamMonitor, StreamReport
 from viewshed.io import read_sweep
 from viewshed.io.samples import junction_path
-from viewshed.pipeline.clocks import Clocks
+from viewshed.pipeline.clocks import Clocks, remember
 from viewshed.pipeline.inbox import Inbox
 from viewshed.pipeline.latency import Latencies
 from viewshed.pipeline.reactions import (
@@ -39,11 +39,6 @@ from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does without
     from viewshed.fusion.object_stream import ObjectStream, SeenObjects
-
-Value = TypeVar("Value")
-
-AGENTS = 64
-"""Agents whose state is remembered; of more the one that was heard longest ago is forgotten."""
 
 REASONS = 50
 """Different reasons for refusing a sweep that are counted apart; all further ones are counted together."""
@@ -245,7 +240,7 @@ class Pipeline:
 
     def _level_all(self) -> None:
         """Decode and level what comes in; the sensor of an agent's sweep before is expected again."""
-        clocks, sensors = Clocks(AGENTS), OrderedDict[str, LidarModel | None]()
+        clocks, sensors = Clocks(), OrderedDict[str, LidarModel | None]()
         while (step := self._inbox.take()) is not None:
             try:
                 sweep = step.source() if callable(step.source) else step.source
@@ -253,7 +248,7 @@ class Pipeline:
                     sweep = sweep.replace(agent=step.agent)
                 note = clocks.note(step.agent, sweep.t_ns)
                 leveled = leveled_on(sweep, self._estimator.grid, sensors.get(step.agent))
-                _remember(sensors, step.agent, leveled.sensor_id.model)
+                remember(sensors, step.agent, leveled.sensor_id.model)
                 step = replace(step, leveled=leveled, note=note)
             except Exception as error:
                 step = replace(step, refused=_in_one_line(error))
@@ -307,7 +302,7 @@ class Pipeline:
         before = self._reactions.get(step.agent, ReactionState())
         found = _finding(estimate, report, objects, is_accused=step.agent in self._accused)
         reaction = react(found, before, self._rules)
-        _remember(self._reactions, step.agent, reaction)
+        remember(self._reactions, step.agent, reaction)
         if estimate is not None and reaction.caution >= Caution.WIDEN:
             confirmed = None
             if reaction.caution == Caution.CONFIRMED and step.seen is not None:
@@ -371,14 +366,6 @@ def _finding(
         return Finding(suspicious, is_accused, is_accused)
     now, lasting = report.now, report.alarm or is_accused
     return Finding(now.degraded or suspicious, now.inconsistent or lasting, lasting, now.suspect)
-
-
-def _remember(known: OrderedDict[str, Value], agent: str, value: Value) -> None:
-    """Keep an agent's value, and forget the agent that was heard longest ago where there are too many."""
-    known[agent] = value
-    known.move_to_end(agent)
-    while len(known) > AGENTS:
-        known.popitem(last=False)
 
 
 def _in_one_line(error: Exception) -> str:

@@ -150,7 +150,7 @@ Curves = Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class PictureRow:
     """One row of pictures: an attacked sweep over the truth, then what estimators make of it.
 
     Attributes:
@@ -254,7 +254,7 @@ def _line(number: int) -> dict[str, Any]:
     return {"color": color, "linestyle": style, "linewidth": 1.3, "marker": "o", "markersize": 2.2}
 
 
-def scene_figure(scenes: Sequence[Scene]) -> bytes:
+def scene_figure(scenes: Sequence[PictureRow]) -> bytes:
     """Return a PNG of one row for each scene: the truth with returns, the attacker's in red, then the estimators."""
     names = list(dict.fromkeys(name for scene in scenes for name in scene.claims))
     figure, axes = _page(len(scenes) * (len(names) + 1), len(names) + 1, (1.75, 1.75), legend=0.35)
@@ -283,7 +283,7 @@ def compared(claimed: Mask, truth: Mask, known: Mask) -> NDArray[np.float64]:
     return image
 
 
-def _raster(axis: Axes, scene: Scene, claimed: Mask) -> None:
+def _raster(axis: Axes, scene: PictureRow, claimed: Mask) -> None:
     """Draw cells with forward up and left on the left, and the edges of the wedge."""
     half = scene.grid.half_extent_m
     image = compared(claimed, scene.truth, scene.known)[::-1, ::-1]
@@ -294,7 +294,7 @@ def _raster(axis: Axes, scene: Scene, claimed: Mask) -> None:
             axis.plot([0, 1.5 * half * np.sin(edge)], [0, 1.5 * half * np.cos(edge)], color="black", linewidth=0.5)
 
 
-def _returns(axis: Axes, scene: Scene) -> None:
+def _returns(axis: Axes, scene: PictureRow) -> None:
     for rows, color, size in ((~scene.added, "#555555", 0.1), (scene.added, "red", 0.9)):
         axis.scatter(scene.points[rows, 1], scene.points[rows, 0], s=size, c=color, linewidths=0, rasterized=True)
 

@@ -59,7 +59,7 @@ NOT_KNOWN = (1.0, 0.94, 0.78)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Row:
+class PreviewRow:
     """One sweep on the sheet: its heading, what moves, and six pictures (rows, columns, 3) from left to right."""
 
     title: str
@@ -197,7 +197,7 @@ def _enlarged(colors: Colors) -> Image:
     return to_bytes(colors[nearest][:, nearest])[::-1, ::-1]
 
 
-def sheet(rows: Sequence[Row], headings: Sequence[str], title: str) -> bytes:
+def sheet(rows: Sequence[PreviewRow], headings: Sequence[str], title: str) -> bytes:
     """Return a PNG with a line of pictures for each row under its title, and a legend."""
     widths = [picture.shape[1] for picture in rows[0].pictures]
     lefts = [int(left) for left in np.cumsum([_GAP, *(width + _GAP for width in widths[:-1])])]
@@ -339,7 +339,7 @@ def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
     return [(scene, turns[k % len(turns)]) for k, scene in enumerate(scenes)]
 
 
-def row_of(sample: PreviewSample) -> Row:
+def row_of(sample: PreviewSample) -> PreviewRow:
     """Return a sample as a line of pictures: above, camera, sweep, truth of both targets, other definitions."""
     world, grid = sample.world, sample.truth.grid
     snapshot = world.snapshot(sample.t_s)
@@ -356,7 +356,9 @@ def row_of(sample: PreviewSample) -> Row:
         *(state_view(sample.truth, sample.known, target) for target in ("car", "pedestrian")),
         differences_view(sample.truth, sample.known),
     )
-    return Row(sample.title, marks(world, snapshot, sample.agent, (world_from_level, sample.t_s), grid), pictures)
+    return PreviewRow(
+        sample.title, marks(world, snapshot, sample.agent, (world_from_level, sample.t_s), grid), pictures
+    )
 
 
 def _camera(sample: PreviewSample, snapshot: Snapshot, sensor: Rigid, returns: NDArray[np.float64]) -> Image:

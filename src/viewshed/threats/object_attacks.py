@@ -7,23 +7,21 @@
 
 The published suite (docs/fusion.md has its source): false positives about the sensor, false negatives among the objects
 near it, translated objects; each stays, walks at random, or keeps to a trajectory. They work on the detector's answer:
-the sweep and its field of view stay honest. :func:`attacked_stream` forges the sweep itself, before leveling.
+the sweep and its field of view stay honest. :class:`viewshed.threats.adversary.Adversary` forges whole streams.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.objects import Detections, ObjectKind
-from viewshed.sweep import Sweep
-from viewshed.threats.attacks.base import Attack, Tampered
 from viewshed.threats.parameters import Ascending, Between, Checked
 
 Floats = NDArray[np.float64]
@@ -389,27 +387,3 @@ OBJECT_ATTACKS: dict[str, Callable[..., ObjectAttack]] = {
     "shift_trajectory": partial(_FAMILIES["shift"], motion="trajectory"),
 }
 """By name; each takes the parameters of its class. ``shift`` is the stealthy translation by less than a meter."""
-
-
-def attacked_stream(
-    sweeps: Iterable[Sweep], attack: Attack, rng: np.random.Generator, from_s: float = 2.0
-) -> Iterator[Tampered]:
-    """Yield the sweeps of a drive, forged before anything is computed from them from a time on.
-
-    The second level of attacks: field of view, detector and fusion all see the forged sweep only.
-
-    Args:
-        sweeps: of one sensor in the order of time.
-        attack: of :data:`viewshed.threats.attacks.ATTACKS`.
-        rng: draws all that is random.
-        from_s: seconds after the first sweep; sweeps without a time count .1 s each.
-    """
-    first_ns: int | None = None
-    for number, sweep in enumerate(sweeps):
-        t_ns: Any = round(number * 1e8) if sweep.t_ns is None else sweep.t_ns
-        first_ns = t_ns if first_ns is None else first_ns
-        if (t_ns - first_ns) * 1e-9 >= from_s - 1e-9:
-            yield attack.apply(sweep, rng)
-        else:
-            untouched = np.zeros(len(sweep), np.bool_)
-            yield Tampered(sweep, untouched, untouched)

@@ -34,10 +34,7 @@ class ViewLie:
     amount: float
 
 
-View = FovEstimate
-
-
-def over_claim(views: Sequence[View], lie: ViewLie) -> View:
+def over_claim(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim hidden and unknown cells free, in a wedge that opens until the visible area has grown by ``amount``."""
     now = views[-1]
     range_m, azimuth = polar_of_cells(now.grid)
@@ -47,7 +44,7 @@ def over_claim(views: Sequence[View], lie: ViewLie) -> View:
     return _turned(now, _wedge(denied, azimuth, lie, int(lie.amount * visible.sum())), CellState.FREE)
 
 
-def under_claim(views: Sequence[View], lie: ViewLie) -> View:
+def under_claim(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim visible cells hidden, in a wedge that opens until the visible area has shrunk by ``amount``."""
     now = views[-1]
     _, azimuth = polar_of_cells(now.grid)
@@ -55,20 +52,20 @@ def under_claim(views: Sequence[View], lie: ViewLie) -> View:
     return _turned(now, _wedge(visible, azimuth, lie, int(lie.amount * visible.sum())), CellState.HIDDEN)
 
 
-def shifted_pose(views: Sequence[View], lie: ViewLie) -> View:
+def shifted_pose(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim to stand ``amount`` meters away, toward the azimuth."""
     now = views[-1]
     step = Rigid(np.eye(3), lie.amount * np.array([np.cos(lie.azimuth), np.sin(lie.azimuth), 0.0]))
     return replace(now, world_from_level=_pose(now) @ step)
 
 
-def turned_pose(views: Sequence[View], lie: ViewLie) -> View:
+def turned_pose(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim to look ``amount`` degrees elsewhere, to the left or to the right by the sign of the azimuth."""
     now = views[-1]
     return replace(now, world_from_level=_pose(now) @ Rigid.from_yaw(np.radians(np.copysign(lie.amount, lie.azimuth))))
 
 
-def stale(views: Sequence[View], lie: ViewLie) -> View:
+def stale(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim what was seen ``amount`` seconds ago, from where the agent is now."""
     now = views[-1]
     if now.t_ns is None:
@@ -78,13 +75,13 @@ def stale(views: Sequence[View], lie: ViewLie) -> View:
     return replace(now, visible_prob=old.visible_prob, state=old.state)
 
 
-def inflated_certainty(views: Sequence[View], lie: ViewLie) -> View:
+def inflated_certainty(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim every cell as surely as can be, with nothing doubtful; ``amount`` is not used."""
     now = views[-1]
     return replace(now, visible_prob=np.where(now.visible(), np.float32(1.0), np.float32(0.0)))
 
 
-def behind_own(views: Sequence[View], lie: ViewLie) -> View:
+def behind_own(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
     """Claim free what lies behind the agent's own surfaces, ``amount`` of the visible area, wherever they stand."""
     now = views[-1]
     hidden = now.state == CellState.HIDDEN
@@ -99,7 +96,7 @@ def behind_own(views: Sequence[View], lie: ViewLie) -> View:
     return _turned(now, chosen.reshape(now.grid.shape), CellState.FREE)
 
 
-def with_objects(view: View, boxes: NDArray[np.float64]) -> View:
+def with_objects(view: FovEstimate, boxes: NDArray[np.float64]) -> FovEstimate:
     """Return the view as if objects in boxes (K, 7) of ``level`` were there: surfaces in them, nothing seen behind.
 
     So an agent that invents objects, or whose LiDAR is spoofed, makes its view agree with them.
@@ -118,7 +115,7 @@ def with_objects(view: View, boxes: NDArray[np.float64]) -> View:
     return view
 
 
-def without_objects(view: View, boxes: NDArray[np.float64]) -> View:
+def without_objects(view: FovEstimate, boxes: NDArray[np.float64]) -> FovEstimate:
     """Return the view with free cells where boxes (K, 7) of ``level`` are; what they hide stays hidden."""
     for box in boxes:
         view = _turned(view, _in_box(view, box), CellState.FREE)
@@ -132,7 +129,7 @@ _MARGIN_M = 0.4
 """Boxes are taken so much larger on each side: surfaces lie in whole cells."""
 
 
-def _in_box(view: View, box: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _in_box(view: FovEstimate, box: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which cells (cells, cells) have their centers in a box (7,)."""
     away = view.grid.centers - box[:2]
     cos, sin = np.cos(box[6]), np.sin(box[6])
@@ -140,7 +137,7 @@ def _in_box(view: View, box: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray((np.abs(ahead) < box[3] / 2 + _MARGIN_M) & (np.abs(left) < box[4] / 2 + _MARGIN_M))
 
 
-VIEW_LIES: dict[str, tuple[Callable[[Sequence[View], ViewLie], View], float]] = {
+VIEW_LIES: dict[str, tuple[Callable[[Sequence[FovEstimate], ViewLie], FovEstimate], float]] = {
     "over_claim": (over_claim, 0.2),
     "behind_own": (behind_own, 0.2),
     "under_claim": (under_claim, 0.3),
@@ -161,7 +158,7 @@ def _wedge(cells: NDArray[np.bool_], azimuth: NDArray[np.float32], lie: ViewLie,
     return out.reshape(cells.shape)
 
 
-def _turned(view: View, cells: NDArray[np.bool_], state: CellState) -> View:
+def _turned(view: FovEstimate, cells: NDArray[np.bool_], state: CellState) -> FovEstimate:
     prob = 1 - SURE if state == CellState.HIDDEN else SURE
     return replace(
         view,
@@ -170,7 +167,7 @@ def _turned(view: View, cells: NDArray[np.bool_], state: CellState) -> View:
     )
 
 
-def _pose(view: View) -> Rigid:
+def _pose(view: FovEstimate) -> Rigid:
     if view.world_from_level is None:
         raise ValueError(f"the view of {view.agent} must have a pose to lie about it, got none")
     return view.world_from_level

@@ -95,10 +95,10 @@ FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Setting:
+class Hyperparameters:
     """What cross-validation chooses: channels of the first stage, share of dropped channels, learning rate of Adam.
 
-    >>> Setting(8, 0.1, 1e-3).name
+    >>> Hyperparameters(8, 0.1, 1e-3).name
     'w8-p0.10-lr1e-03'
     """
 
@@ -148,9 +148,9 @@ class Search:
             raise ValueError(f"folds must be at least 2, got {self.folds}")
 
     @property
-    def grid(self) -> list[Setting]:
+    def grid(self) -> list[Hyperparameters]:
         """All settings."""
-        return [Setting(*values) for values in product(self.widths, self.dropouts, self.learning_rates)]
+        return [Hyperparameters(*values) for values in product(self.widths, self.dropouts, self.learning_rates)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +162,8 @@ class CrossValidation:
         scores: by setting, one of each fold, in the order in which they were tried.
     """
 
-    chosen: Setting
-    scores: dict[Setting, tuple[FoldScore, ...]]
+    chosen: Hyperparameters
+    scores: dict[Hyperparameters, tuple[FoldScore, ...]]
 
 
 def crossval(
@@ -201,7 +201,7 @@ def crossval(
     about = {"version": viewshed.__version__, "config": config.to_json(), "folds": wanted.folds}
     store = FoldStore.open(folder, about)
 
-    def score_fold(setting: Setting, number: int) -> FoldScore:
+    def score_fold(setting: Hyperparameters, number: int) -> FoldScore:
         if (setting.name, number) not in store.scores:
             name = f"{setting.name}/fold-{number}"
             on_step = None if on_progress is None else partial(on_progress, name)
@@ -222,10 +222,10 @@ def crossval(
     return result
 
 
-ScoreFolds = Callable[[Setting], tuple[FoldScore, ...]]
+ScoreFolds = Callable[[Hyperparameters], tuple[FoldScore, ...]]
 """Returns one score of each fold of a setting: those that are stored, and those of trainings that run now."""
 
-TriedSettings = Iterator[tuple[Setting, tuple[FoldScore, ...]]]
+TriedSettings = Iterator[tuple[Hyperparameters, tuple[FoldScore, ...]]]
 
 
 def _search_grid(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
@@ -243,7 +243,7 @@ def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) 
     spaces = {name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()}
     for _ in range(search.trials or len(search.grid)):
         trial = study.ask(spaces)
-        setting = Setting(**trial.params)
+        setting = Hyperparameters(**trial.params)
         scores = score(setting)
         study.tell(trial, mean_f1(scores))
         yield setting, scores

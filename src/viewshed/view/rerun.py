@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
+from viewshed._files import require_parent
 from viewshed.fov.estimate import CellState
 from viewshed.fusion.explained import Explanation
 from viewshed.fusion.legend import LEGEND
-from viewshed.integrity.evidence.base import SECTORS
-from viewshed.integrity.report import IntegrityReport
+from viewshed.integrity.report import sector_corners
 from viewshed.plot import COLORS, HEIGHTS_M, WORDS, color_map
 from viewshed.view.frames import Frame
 
@@ -44,6 +44,7 @@ def write_rerun(path: str | Path, frames: Iterable[Frame], title: str) -> int:
     draft = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
     stream, count, has_trust = rerun.RecordingStream("viewshed"), 0, False
     try:
+        require_parent(target)
         draft.touch(exist_ok=False)  # says in Python's words what stands in the way
         stream.save(draft)
         stream.send_recording_name(title)
@@ -107,8 +108,9 @@ def _log_frame(rerun: Any, stream: Any, frame: Frame) -> None:
     # 3. The edge of the view, and the suspect sectors.
     rings = [np.asarray(ring.coords) for part in estimate.polygon().geoms for ring in (part.exterior, *part.interiors)]
     stream.log("level/visible", _strips(rerun, rings, _VISIBLE_COLOR))
-    reach_m = estimate.grid.half_extent_m
-    stream.log("level/suspect", _strips(rerun, _suspect_rings(report, reach_m), _SUSPECT_COLOR))
+    corners = np.empty((0, 2)) if report is None else sector_corners(report.suspect, estimate.grid.half_extent_m)
+    fans = list(corners.reshape(-1, 3, 2)[:, [0, 1, 2, 0]])
+    stream.log("level/suspect", _strips(rerun, fans, _SUSPECT_COLOR))
     # 4. Detections, and tracks in the colors of their explanations.
     if frame.detections is not None:
         boxes = _boxes(rerun, frame.detections.boxes, colors=[_FOUND_COLOR])
@@ -141,18 +143,6 @@ def _boxes(rerun: Any, boxes: NDArray[np.float64], **given: Any) -> Any:
     half = boxes[:, 6] / 2
     turns = np.column_stack([np.zeros((len(boxes), 2)), np.sin(half), np.cos(half)])
     return rerun.Boxes3D(centers=boxes[:, :3], half_sizes=boxes[:, 3:6] / 2, quaternions=turns, radii=0.06, **given)
-
-
-def _suspect_rings(report: IntegrityReport | None, reach_m: float) -> list[Any]:
-    """Return a closed triangle (4, 2) about each suspect sector."""
-    step = 2 * np.pi / SECTORS
-    starts = np.empty(0) if report is None else np.flatnonzero(report.suspect) * step - np.pi
-    return [
-        np.array(
-            [(0, 0), *((reach_m * np.cos(angle), reach_m * np.sin(angle)) for angle in (start, start + step)), (0, 0)]
-        )
-        for start in starts
-    ]
 
 
 def _strips(rerun: Any, rings: list[Any], color: tuple[int, int, int]) -> Any:

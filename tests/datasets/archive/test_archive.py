@@ -242,7 +242,7 @@ def test_a_shard_of_another_schema_is_refused(make_sample: MakeSample, tmp_path:
 
 
 def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"must be an archive, but has no manifest\.json"):
+    with pytest.raises(ValueError, match=r"must be a data set of viewshed, but has no manifest\.json"):
         Archive.open(tmp_path)
 
 

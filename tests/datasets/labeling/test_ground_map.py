@@ -5,11 +5,11 @@ import pytest
 from tests.datasets.labeling.scene import GRID, TERRAIN, Shot
 
 from viewshed.datasets.labeling.ground_map import Patch, lows_of, patch_of
-from viewshed.datasets.labeling.labeler import Rules, lows_of_sweep
+from viewshed.datasets.labeling.labeler import LabelRules, lows_of_sweep
 from viewshed.geometry import Rigid
 from viewshed.preprocess.leveling import level
 
-RULES = Rules(GRID)
+RULES = LabelRules(GRID)
 
 
 def test_the_two_lowest_and_the_highest_of_a_node_are_kept_in_the_world() -> None:

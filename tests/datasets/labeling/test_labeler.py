@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.datasets.labeling.scene import GRID, Shot
 
-from viewshed.datasets.labeling import Rules, Track, label_sweep
+from viewshed.datasets.labeling import LabeledDrive, LabelRules, label_sweep
 from viewshed.datasets.labeling.labeler import lows_of_sweep
 from viewshed.datasets.labeling.motion import AT_REST
 from viewshed.fov.estimate import CellState
@@ -13,11 +13,11 @@ from viewshed.grid import polar_of_cells
 from viewshed.metrics import ConfusionCounts
 from viewshed.sweep import Sweep
 
-RULES = Rules(GRID)
+RULES = LabelRules(GRID)
 
 
-def _label(drive: list[Shot], rules: Rules = RULES) -> tuple[Truth, np.ndarray]:
-    track = Track.of(lambda place: drive[place].sweep, range(9), rules)
+def _label(drive: list[Shot], rules: LabelRules = RULES) -> tuple[Truth, np.ndarray]:
+    track = LabeledDrive.of(lambda place: drive[place].sweep, range(9), rules)
     return track.label(4)
 
 
@@ -37,7 +37,7 @@ def test_the_label_is_the_truth_where_it_is_known(drive: list[Shot]) -> None:
 
 def test_neighbors_in_time_help(drive: list[Shot]) -> None:
     truth, known = _label(drive)
-    alone, alone_known = _label(drive, Rules(GRID, neighbors=0))
+    alone, alone_known = _label(drive, LabelRules(GRID, neighbors=0))
     every = np.ones_like(known)
     assert _f1(truth, drive[4], every) > _f1(alone, drive[4], every)
     assert known.mean() > alone_known.mean()
@@ -55,7 +55,7 @@ def test_states_agree_with_the_truth(drive: list[Shot]) -> None:
 
 def test_farthest_holds_every_return_and_the_ground_that_was_too_far_to_answer(drive: list[Shot]) -> None:
     shot = drive[4]
-    truth, known = _label(drive, Rules(GRID, "farthest"))
+    truth, known = _label(drive, LabelRules(GRID, "farthest"))
     x, y, _ = shot.sweep.points.T
     farthest = np.zeros(720)
     np.maximum.at(farthest, _bins(np.arctan2(y, x)), np.hypot(x, y))
@@ -81,7 +81,7 @@ def test_weak_far_returns_that_were_lost_do_not_bring_the_farthest_nearer(drive:
     assert lost.sum() > 300
     dim = shot.sweep.select(~lost)
     around = [lows_of_sweep(drive[k].sweep, RULES) for k in (2, 3, 5, 6)]
-    truth, known = label_sweep(dim, AT_REST, around, Rules(GRID, "farthest"))
+    truth, known = label_sweep(dim, AT_REST, around, LabelRules(GRID, "farthest"))
     for name in ("farthest", "first_blocker"):
         wanted = shot.truth.definitions[name]
         assert ConfusionCounts.of(truth.definitions[name], wanted, shot.known, 1.0).f1 > 0.85, name
@@ -102,7 +102,7 @@ def test_a_lost_sector_is_not_known(drive: list[Shot]) -> None:
     inside = (cell_azimuth > 0.75) & (cell_azimuth < 1.25) & (range_m > 6) & (range_m < 25)
     assert known[inside].mean() < 0.02
     assert known[:, ::-1][inside].mean() > 0.6
-    _, farthest_known = label_sweep(cut, AT_REST, [], Rules(GRID, "farthest"))
+    _, farthest_known = label_sweep(cut, AT_REST, [], LabelRules(GRID, "farthest"))
     assert not farthest_known[inside].any()
 
 
@@ -131,7 +131,7 @@ def test_a_neighbor_without_pose_or_damaged_is_left_out(drive: list[Shot]) -> No
             raise ValueError("sweep 3 is damaged")
         return drive[place].sweep.replace(world_from_sensor=None) if place == 5 else drive[place].sweep
 
-    track = Track.of(read, range(9), RULES)
+    track = LabeledDrive.of(read, range(9), RULES)
     assert sorted(track.lows) == [0, 1, 2, 4, 6, 7, 8]
     truth, known = track.label(4)
     assert _f1(truth, drive[4], known) > 0.97
@@ -146,7 +146,7 @@ def test_only_so_many_neighbors_are_looked_at(drive: list[Shot]) -> None:
         asked.append(place)
         return drive[place].sweep
 
-    Track.of(read, range(9), Rules(GRID, neighbors=1), (4, 5))
+    LabeledDrive.of(read, range(9), LabelRules(GRID, neighbors=1), (4, 5))
     assert asked == [1, 2, 3, 4, 5, 6, 7]
 
 
@@ -160,4 +160,4 @@ def test_only_so_many_neighbors_are_looked_at(drive: list[Shot]) -> None:
 )
 def test_rules_are_checked(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Rules(GRID, **change)  # type: ignore[arg-type]
+        LabelRules(GRID, **change)  # type: ignore[arg-type]

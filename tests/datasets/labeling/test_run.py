@@ -13,7 +13,7 @@ from viewshed._jobs import Done, J, LocalEngine, R
 from viewshed.datasets import Archive, Sample, Storage, write_archive
 from viewshed.datasets.archive.archive import ArchiveSource
 from viewshed.datasets.archive.build import ShardResult
-from viewshed.datasets.labeling import Origin, Rules, label
+from viewshed.datasets.labeling import LabelRules, Origin, label
 from viewshed.datasets.labeling.run import opened
 from viewshed.datasets.presets import preset_named
 from viewshed.datasets.simulated import simulate
@@ -47,12 +47,12 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rules(recording: Path) -> Rules:
-    return Rules(Archive.open(recording).manifest.layout.grid)
+def rules(recording: Path) -> LabelRules:
+    return LabelRules(Archive.open(recording).manifest.layout.grid)
 
 
 @pytest.fixture(scope="module")
-def labeled(recording: Path, rules: Rules, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def labeled(recording: Path, rules: LabelRules, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("labeled") / "a"
     label(Origin(str(recording)), rules, Storage.of(out), _Here())
     return out
@@ -88,14 +88,14 @@ def test_the_manifest_tells_how(labeled: Path) -> None:
 
 
 def test_the_same_bytes_in_any_order_and_in_other_processes(
-    recording: Path, rules: Rules, labeled: Path, tmp_path: Path
+    recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path
 ) -> None:
     label(Origin(str(recording)), rules, Storage.of(tmp_path / "b"), _Here(backwards=True))
     label(Origin(str(recording)), rules, Storage.of(tmp_path / "c"), LocalEngine(2))
     assert _shards(tmp_path / "b") == _shards(tmp_path / "c") == _shards(labeled)
 
 
-def test_a_stopped_run_goes_on(recording: Path, rules: Rules, labeled: Path, tmp_path: Path) -> None:
+def test_a_stopped_run_goes_on(recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         label(Origin(str(recording)), rules, Storage.of(tmp_path), _Here(jobs=1))
     with pytest.raises(ValueError, match="is not finished"):
@@ -107,7 +107,9 @@ def test_a_stopped_run_goes_on(recording: Path, rules: Rules, labeled: Path, tmp
     assert not list(tmp_path.glob("*.json.parquet")) + list(tmp_path.glob("*.parquet.json"))
 
 
-def test_the_truth_of_an_archive_is_not_looked_at(recording: Path, rules: Rules, labeled: Path, tmp_path: Path) -> None:
+def test_the_truth_of_an_archive_is_not_looked_at(
+    recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path
+) -> None:
     write_archive(tmp_path / "wrong" / "drive", map(_scrambled, Archive.open(recording)), {"command": "test"})
     out = label(Origin(str(tmp_path / "wrong" / "drive")), rules, Storage.of(tmp_path / "b"), _Here())
     for one, other in zip(Archive.open(labeled), out, strict=True):
@@ -122,7 +124,9 @@ def _scrambled(sample: Sample) -> Sample:
     return replace(sample, truth=Truth(truth.grid, wrong, truth.state, masks), known=~sample.known)
 
 
-def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(recording: Path, rules: Rules, tmp_path: Path) -> None:
+def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(
+    recording: Path, rules: LabelRules, tmp_path: Path
+) -> None:
     folder = Path(shutil.copytree(recording, tmp_path / "cut"))
     victim = sorted(folder.glob("*.parquet"))[0]
     victim.write_bytes(victim.read_bytes()[:-1000])
@@ -136,7 +140,7 @@ def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(recording: Path, ru
     assert len(out.scenes) == 1
 
 
-def test_another_data_set_is_not_overwritten(recording: Path, rules: Rules, labeled: Path) -> None:
+def test_another_data_set_is_not_overwritten(recording: Path, rules: LabelRules, labeled: Path) -> None:
     with pytest.raises(ValueError, match="holds definition probe, not farthest; choose another place"):
         label(Origin(str(recording)), replace(rules, definition="farthest"), Storage.of(labeled), _Here())
     with pytest.raises(ValueError, match="holds drive with other neighbors; choose another place"):

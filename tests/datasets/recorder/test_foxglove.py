@@ -87,8 +87,8 @@ def test_equal_runs_give_equal_bytes(drive: list[Moment], tmp_path: Path) -> Non
 
 
 def test_a_triangle_for_each_suspect_sector() -> None:
-    from viewshed.datasets.recorder.foxglove_topics import sector_corners
     from viewshed.integrity.evidence.base import SECTORS
+    from viewshed.integrity.report import sector_corners
 
     suspect = np.zeros(SECTORS, np.bool_)
     suspect[54] = True  # the first one left of the left: 90° to 95°

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from tests.datasets.recorder.moments import doubted, drive_moments, moments_of, write
 
 from viewshed import read_sweep
-from viewshed.datasets.recorder.moment import Moment, RisingTimes
+from viewshed.datasets.recorder.moment import MAP, Moment, RisingTimes, Transform
 from viewshed.datasets.recorder.recorder import open_recorder
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import each_sweep
+from viewshed.geometry import Rigid
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.samples import junction_path
@@ -62,6 +63,25 @@ def test_clouds_poses_and_heights_of_a_drive_come_back(name: str, drive: list[Mo
             got.world_from_sensor.as_matrix(), wrote.world_from_sensor.as_matrix(), rtol=0, atol=1e-9
         )
         assert got.sensor_height_m == pytest.approx(wrote.sensor_height_m, abs=1e-9)
+
+
+def test_frames_stand_where_leveling_and_drive_put_them(drive: list[Moment]) -> None:
+    """From the level frame through sensor and carrier to the map: the pose of the estimate."""
+    for moment in drive:
+        edges = {each.child: each for each in (*moment.static_transforms(), *moment.transforms())}
+
+        def in_map(frame: str, edges: dict[str, Transform] = edges) -> Rigid:
+            return Rigid.identity() if frame == MAP else in_map(edges[frame].parent) @ edges[frame].parent_from_child
+
+        assert moment.answer.estimate is not None
+        pose, height_m = moment.answer.estimate.world_from_level, moment.sweep.sensor_height_m
+        assert pose is not None
+        assert height_m is not None
+        assert moment.sweep.world_from_sensor is not None
+        np.testing.assert_allclose(in_map(moment.level_frame).as_matrix(), pose.as_matrix(), atol=1e-9)
+        footprint = in_map(f"{moment.agent}/base_footprint").translation
+        above = moment.sweep.world_from_sensor.translation - footprint
+        np.testing.assert_allclose(above, [0.0, 0.0, height_m], atol=1e-6)
 
 
 @pytest.mark.parametrize("name", BAGS)

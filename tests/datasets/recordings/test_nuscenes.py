@@ -17,7 +17,7 @@ from viewshed.datasets.recordings.source import SweepRef, SweepSource, each_swee
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.io import read_index, read_sweep
 
-Tables = dict[str, list[dict[str, Any]]]
+NuscenesTables = dict[str, list[dict[str, Any]]]
 
 CALIBRATION = Rigid.from_yaw(-1.5, (0.94, 0.02, 1.84))  # ego from LIDAR_TOP: x right, y forward
 TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # x forward, y left ← x right, y forward
@@ -27,9 +27,9 @@ def _pose(pose: Rigid) -> dict[str, list[float]]:
     return {"rotation": quaternion_from_rotation(pose.rotation).tolist(), "translation": pose.translation.tolist()}
 
 
-def write_tree(root: Path, sweeps: list[tuple[bytes, int, Rigid]], version: str = "v1.0-mini") -> Tables:
+def write_tree(root: Path, sweeps: list[tuple[bytes, int, Rigid]], version: str = "v1.0-mini") -> NuscenesTables:
     """Write one scene: (content, time in µs, world_from_sensor) of each sweep; every second one is a keyframe."""
-    tables: Tables = {
+    tables: NuscenesTables = {
         "sensor": [
             {"token": "se-l", "channel": "LIDAR_TOP", "modality": "lidar"},
             {"token": "se-c", "channel": "CAM_FRONT", "modality": "camera"},
@@ -75,7 +75,7 @@ def write_tree(root: Path, sweeps: list[tuple[bytes, int, Rigid]], version: str 
     return tables
 
 
-def put(folder: Path, tables: Tables) -> None:
+def put(folder: Path, tables: NuscenesTables) -> None:
     folder.mkdir(exist_ok=True)
     for name, rows in tables.items():
         (folder / f"{name}.json").write_text(json.dumps(rows, indent=0))
@@ -93,7 +93,7 @@ WORLD = [Rigid.from_yaw(0.3 + 0.1 * k, (370.0 + k, 1130.0 - 2.0 * k, 1.8)) for k
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> tuple[Path, Tables]:
+def tree(tmp_path: Path) -> tuple[Path, NuscenesTables]:
     sweeps = [(made(k), 1_533_151_603_547_590 + 50_000 * k, WORLD[k]) for k in range(4)]
     return tmp_path, write_tree(tmp_path, sweeps)
 
@@ -110,7 +110,7 @@ def test_a_point_ahead_of_the_car_lands_ahead_of_it_in_the_world(tmp_path: Path)
     assert np.array_equal(sweep.ring, [3])  # type: ignore[arg-type]
 
 
-def test_sweeps_come_back_in_time_order_with_poses_times_and_beams(tree: tuple[Path, Tables]) -> None:
+def test_sweeps_come_back_in_time_order_with_poses_times_and_beams(tree: tuple[Path, NuscenesTables]) -> None:
     root, tables = tree
     tables["sample_data"].reverse()
     tables["ego_pose"] = tables["ego_pose"][2:] + tables["ego_pose"][:2]
@@ -134,7 +134,7 @@ def test_sweeps_come_back_in_time_order_with_poses_times_and_beams(tree: tuple[P
     assert source.damage() == ()
 
 
-def test_boxes_of_keyframes_are_in_the_world_with_length_along_the_heading(tree: tuple[Path, Tables]) -> None:
+def test_boxes_of_keyframes_are_in_the_world_with_length_along_the_heading(tree: tuple[Path, NuscenesTables]) -> None:
     source = open_source(tree[0])
     first, between, last, _ = source.refs("scene-0103")
     boxes = source.boxes(first)
@@ -167,7 +167,7 @@ def test_boxes_between_keyframes_go_straight_and_turn_the_shorter_way(tmp_path: 
     assert source.boxes(refs[3]) is None  # no keyframe comes after it
 
 
-def test_a_damaged_box_costs_the_sweeps_on_both_sides_of_its_keyframe(tree: tuple[Path, Tables]) -> None:
+def test_a_damaged_box_costs_the_sweeps_on_both_sides_of_its_keyframe(tree: tuple[Path, NuscenesTables]) -> None:
     root, tables = tree
     tables["sample_annotation"][2]["size"] = [1.0, 2.0]
     put(root / "v1.0-mini", tables)
@@ -179,14 +179,14 @@ def test_a_damaged_box_costs_the_sweeps_on_both_sides_of_its_keyframe(tree: tupl
             source.boxes(ref)
 
 
-def test_the_test_version_has_no_boxes(tree: tuple[Path, Tables]) -> None:
+def test_the_test_version_has_no_boxes(tree: tuple[Path, NuscenesTables]) -> None:
     root, tables = tree
     put(root / "v1.0-mini", {**tables, "sample_annotation": [], "instance": []})
     source = open_source(root)
     assert [source.boxes(ref) for ref in source.refs("scene-0103")] == [None] * 4
 
 
-def test_a_source_may_be_sent_to_another_process(tree: tuple[Path, Tables]) -> None:
+def test_a_source_may_be_sent_to_another_process(tree: tuple[Path, NuscenesTables]) -> None:
     source = open_source(tree[0])
     ref = source.refs("scene-0103")[3]
     again: SweepSource = pickle.loads(pickle.dumps(source))  # noqa: S301
@@ -195,7 +195,7 @@ def test_a_source_may_be_sent_to_another_process(tree: tuple[Path, Tables]) -> N
     assert np.array_equal(again.read(sent).points, source.read(ref).points)
 
 
-def test_the_version_is_named_where_there_are_several(tree: tuple[Path, Tables]) -> None:
+def test_the_version_is_named_where_there_are_several(tree: tuple[Path, NuscenesTables]) -> None:
     root, tables = tree
     put(root / "v1.0-test", tables)
     with pytest.raises(ValueError, match=r"one version of nuScenes .*, got v1.0-mini, v1.0-test; name one of these"):
@@ -204,7 +204,7 @@ def test_the_version_is_named_where_there_are_several(tree: tuple[Path, Tables])
 
 
 @pytest.mark.parametrize("name", ["sensor", "calibrated_sensor", "scene", "sample", "sample_data", "ego_pose"])
-def test_a_missing_or_broken_table_is_named(name: str, tree: tuple[Path, Tables]) -> None:
+def test_a_missing_or_broken_table_is_named(name: str, tree: tuple[Path, NuscenesTables]) -> None:
     place = tree[0] / "v1.0-mini" / f"{name}.json"
     content = place.read_text()
     for damaged in (content[: len(content) // 2], content.replace("]", "", 1)[:-1], "{}", '["a"]', "[[[[", "no json"):
@@ -224,11 +224,11 @@ def _lines(source: SweepSource) -> tuple[list[str], list[str]]:
     return keys, told
 
 
-def _change(table: str, row: int, key: str, value: Any) -> Callable[[Tables], object]:
+def _change(table: str, row: int, key: str, value: Any) -> Callable[[NuscenesTables], object]:
     return lambda tables: tables[table][row].update({key: value})
 
 
-def _shift_a_number(tables: Tables) -> None:
+def _shift_a_number(tables: NuscenesTables) -> None:
     tables["ego_pose"][1] |= {"rotation": [1.0, 0.0, 0.0], "translation": [0.0, 1.0, 2.0, 3.0]}
 
 
@@ -264,7 +264,7 @@ def _shift_a_number(tables: Tables) -> None:
     ],
 )
 def test_a_damaged_row_costs_one_sweep_and_is_told(
-    damage: Callable[[Tables], object], line: str, tree: tuple[Path, Tables]
+    damage: Callable[[NuscenesTables], object], line: str, tree: tuple[Path, NuscenesTables]
 ) -> None:
     root, tables = tree
     damage(tables)
@@ -274,7 +274,7 @@ def test_a_damaged_row_costs_one_sweep_and_is_told(
     assert any(re.search(line, text) for text in told), told
 
 
-def test_a_cut_off_sweep_is_named_and_the_rest_goes_on(tree: tuple[Path, Tables]) -> None:
+def test_a_cut_off_sweep_is_named_and_the_rest_goes_on(tree: tuple[Path, NuscenesTables]) -> None:
     root, tables = tree
     file = root / tables["sample_data"][4]["filename"]
     file.write_bytes(file.read_bytes()[:-7])
@@ -298,7 +298,7 @@ def test_a_cut_off_sweep_is_named_and_the_rest_goes_on(tree: tuple[Path, Tables]
     ],
 )
 def test_a_damaged_box_is_told_where_it_is_asked_for(
-    damage: Callable[[Tables], object], line: str, tree: tuple[Path, Tables]
+    damage: Callable[[NuscenesTables], object], line: str, tree: tuple[Path, NuscenesTables]
 ) -> None:
     root, tables = tree
     damage(tables)
@@ -319,7 +319,7 @@ def test_a_folder_without_the_tables_is_told(tmp_path: Path) -> None:
         open_source(tmp_path / "empty", "nuscenes")
 
 
-def test_a_ref_of_another_recording_is_refused(tree: tuple[Path, Tables]) -> None:
+def test_a_ref_of_another_recording_is_refused(tree: tuple[Path, NuscenesTables]) -> None:
     source = open_source(tree[0])
     with pytest.raises(ValueError, match=r"ref must be one of .*, got x.bin"):
         source.read(SweepRef("scene-0103", 1, "x.bin", key="sd0"))

@@ -82,7 +82,7 @@ def test_an_empty_folder_is_told_with_every_layout_that_was_looked_for(tmp_path:
 
 
 def test_a_place_that_is_not_there_and_a_kind_that_is_not_known_are_told(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"nowhere: no such folder"):
+    with pytest.raises(FileNotFoundError, match=r"nowhere: no such file or folder"):
         open_source(tmp_path / "nowhere")
     with pytest.raises(ValueError, match=r"kind must be auto or one of nuscenes, .*, got 'waymo'"):
         open_source(tmp_path, "waymo")

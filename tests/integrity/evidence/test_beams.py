@@ -136,8 +136,9 @@ def test_without_rings_evidence_of_beams_abstains() -> None:
     sweep = sweep_of(street()).replace(points=points.astype(np.float32), ring=None, model=None, infer_sensor=False)
     without = monitored(sweep)
     assert without.leveled.range_image is None
-    for name in ("isolated", "behind_surface", "before_surface", "double_returns", "empty_runs", "ground_noise",
-                 "near_noise", "surface_noise", "off_beam", "common_steps", "straight_edges"):  # fmt: skip
+    for name in ("isolated", "behind_surface", "before_surface", "double_returns", "below_ground", "empty_runs",
+                 "ground_noise", "near_noise", "surface_noise", "off_beam", "common_steps",
+                 "straight_edges"):  # fmt: skip
         assert EVIDENCE[name].measure(without) is ABSTAINS
 
 

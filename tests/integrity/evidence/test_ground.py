@@ -41,6 +41,13 @@ def test_ranges_drawn_at_random_end_below_the_ground() -> None:
     assert np.count_nonzero(found) == 1
 
 
+def test_surfaces_below_the_ground_are_mirror_images_or_lower_ground_and_no_evidence() -> None:
+    """A car's door shows a patch of the street: on neighboring beams, behind it and below the ground."""
+    range_m, columns = street(), np.flatnonzero(columns_at(2.0, 4.0))
+    range_m[2:5, columns] = 40.0
+    assert measured(measure_below_ground, range_m).max() == 0.0
+
+
 def test_clutter_below_the_ground_counts_as_well() -> None:
     rng, range_m = np.random.default_rng(0), street()
     jammed = rng.random(range_m.shape) < 0.3

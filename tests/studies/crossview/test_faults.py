@@ -5,6 +5,8 @@ import pytest
 from scipy.stats import binom
 
 from viewshed import BevGrid
+from viewshed.sensors import lidar_model
+from viewshed.sim.scene import junction
 from viewshed.studies.crossview.faults import (
     KNOWN_FAULTS,
     SmallestDifference,
@@ -12,9 +14,10 @@ from viewshed.studies.crossview.faults import (
     false_blobs,
     misses,
     smallest_share,
+    with_known_faults,
 )
-from viewshed.studies.crossview.rates import Columns, CrossViewRules
-from viewshed.studies.crossview.simulated import evaluate_floor
+from viewshed.studies.crossview.rates import CrossViewRules, SeenColumns, evaluate_crossview
+from viewshed.studies.crossview.simulated import POSES, ExactMask, drive
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(128, 32.0)
@@ -39,13 +42,21 @@ def test_faults_do_what_they_say() -> None:
     assert np.array_equal(false_blobs(5)(everything, GRID, _rng()), everything)
 
 
+@pytest.fixture(scope="module")
+def exact() -> tuple[list[Sweep], ExactMask]:
+    """The sweeps of a simulated junction from ten places, and the exact masks."""
+    views = drive(junction(), lidar_model("hdl64e"), POSES, _rng())
+    return [sweep for sweep, _ in views], ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: b for sweep, b in views})
+
+
 @pytest.mark.slow
-def test_the_metric_ranks_the_known_faults_of_an_exact_mask() -> None:
+def test_the_metric_ranks_the_known_faults_of_an_exact_mask(exact: tuple[list[Sweep], ExactMask]) -> None:
     """The exact mask is charged with little; each fault with more, and the larger one with the most."""
-    rows = {row.method.removeprefix("exact mask, "): row for row in evaluate_floor({}, rng=_rng())}
-    over = {name: row.over.value for name, row in rows.items()}
-    under = {name: row.under.value for name, row in rows.items()}
-    assert set(rows) == {"exact mask", *KNOWN_FAULTS}
+    rows = evaluate_crossview([exact[0]], with_known_faults("exact mask", exact[1]), rng=_rng())
+    floor = {row.method.removeprefix("exact mask, "): row for row in rows}
+    over = {name: row.over.value for name, row in floor.items()}
+    under = {name: row.under.value for name, row in floor.items()}
+    assert set(floor) == {"exact mask", *KNOWN_FAULTS}
     assert over["exact mask"] < 0.06
     assert under["exact mask"] < 0.01
     assert over["exact mask"] + 0.03 < over["dilated by 1 m"] < over["dilated by 2 m"] - 0.03
@@ -56,8 +67,11 @@ def test_the_metric_ranks_the_known_faults_of_an_exact_mask() -> None:
 
 
 @pytest.mark.slow
-def test_without_a_foot_the_exact_mask_is_charged_with_what_beams_see_below_a_bus() -> None:
-    charged, free = (evaluate_floor({}, rng=_rng(), rules=rules)[0].over for rules in
+def test_without_a_foot_the_exact_mask_is_charged_with_what_beams_see_below_a_bus(
+    exact: tuple[list[Sweep], ExactMask],
+) -> None:
+    sweeps, mask = exact[0][::2], {"exact mask": exact[1]}
+    charged, free = (evaluate_crossview([sweeps], mask, rng=_rng(), rules=rules)[0].over for rules in
                      (CrossViewRules(foot_m=None), CrossViewRules()))  # fmt: skip
     assert charged.value > 2 * free.value
     assert free.columns > charged.columns / 2
@@ -86,7 +100,7 @@ def test_columns_of_one_place_count_for_one_and_more_sweeps_show_more() -> None:
 def test_hidden_columns_speak_of_over_claim_and_seen_ones_of_under_claim() -> None:
     xy = np.stack([30.0 * np.arange(40), np.zeros(40)], axis=1)
     seen = np.arange(40) >= 4
-    columns = Columns(xy, seen, np.arange(40) == 0)
+    columns = SeenColumns(xy, seen, np.arange(40) == 0)
     sweep = Sweep(np.ones((1, 3), np.float32))
     found = SmallestDifference.of([(sweep, columns)] * 2, (0.0, 0.0), _rng())
     assert (found.hidden_columns, found.hidden_sweeps) == (6, 2)

@@ -15,7 +15,7 @@ from viewshed.cli import main
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.geometry import Rigid
 from viewshed.studies.deviation.jobs import fit_monitor, watch
-from viewshed.studies.deviation.page import Row, rows_of
+from viewshed.studies.deviation.page import CaseRow, rows_of
 from viewshed.studies.deviation.plan import DeviationPlan, Trials
 from viewshed.studies.records import Record, Results, from_table, to_table
 from viewshed.studies.samples import StudySample
@@ -74,13 +74,13 @@ def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Tri
     ]
 
 
-def _rows(records: Iterable[Record]) -> list[Row]:
+def _rows(records: Iterable[Record]) -> list[CaseRow]:
     results: Results[None] = Results(None)
     results.add(records)
     return rows_of(results, "ugv", "mcd")
 
 
-def _by_name(rows: list[Row]) -> dict[str, Row]:
+def _by_name(rows: list[CaseRow]) -> dict[str, CaseRow]:
     return {row.name or row.kind: row for row in rows}
 
 

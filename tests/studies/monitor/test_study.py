@@ -27,7 +27,6 @@ from viewshed.studies.monitor.results import (
     Rate,
     Scored,
     delays_of,
-    false_alarms_per_hour,
     placements,
 )
 from viewshed.studies.records import BENIGN, Case
@@ -149,26 +148,27 @@ def test_areas_and_limits_are_of_each_sensor_by_itself() -> None:
     assert np.isnan(Limits.of(many, INCONSISTENT, 0.01).alarms(attacked, INCONSISTENT)).all()
 
 
-def test_false_alarms_and_delays_by_hand() -> None:
-    """A detector that alarms on any p-value of .01; drives of five sweeps at 1 Hz."""
-    detector, rng = EDetector(float(e_values([0.01])[0])), np.random.default_rng(1)
+def test_delays_by_hand() -> None:
+    """A detector that alarms on any p-value of .01."""
+    limit = float(e_values([0.01])[0])
     rare, usual = np.array([1.0, 1.0, 0.01, 1.0, 1.0]), np.ones(5)
-    assert_array_equal(delays_of(detector, [rare, usual, rare[2:]]), [3, 0, 1])
-    rate, (low, high) = false_alarms_per_hour(detector, [rare, *[usual] * 9], 1.0, 10.0, rng)
-    assert low <= rate <= high
-    # One drive in ten has an alarm, a drive takes five seconds: 72 an hour.
-    assert rate == pytest.approx(72.0, rel=0.4)
-    assert false_alarms_per_hour(detector, [usual], 1.0, 1.0, rng) == (0.0, (0.0, 0.0))
+    assert_array_equal(delays_of([(EDetector(limit), p) for p in (rare, usual, rare[2:])]), [3, 0, 1])
+    # Two p-values of .03 together are as rare, unless a new run begins between them.
+    pair = EDetector(float(e_values([0.03])[0]) * 1.5, run=2)
+    assert_array_equal(delays_of([(pair, np.array([0.03, 0.03, 1.0]))]), [2, 0])
 
 
 def test_attacked_sweeps_are_streams_of_drives() -> None:
     names, ones = np.array(["a", "a", "b", "a"]), np.ones(4)
     attacked = AttackedSweeps(
         names, np.array(["x"] * 4), names, np.array([1, 1, 1, 2]), np.array([6, 5, 5, 5]), ones, ones, ones,
-        np.array([0.1, 0.2, 0.3, 0.4]),
+        np.array([0.1, 0.2, 0.3, 0.4]), np.array([1e-6, 0.2, 0.3, 0.4]), np.array([[1e3, np.nan]] * 4),
     )  # fmt: skip
-    streams = AttackedSweeps.joined([attacked]).streams(attacked.attack == "a")
-    assert [each.tolist() for each in streams] == [[0.2, 0.1], [0.4]]
+    joined, mask = AttackedSweeps.joined([attacked]), attacked.attack == "a"
+    assert [joined.p[rows].tolist() for rows in joined.streams(mask)] == [[0.2, 0.1], [0.4]]
+    # The second sweep of the first drive alarms, wherever a run of five begins.
+    assert sorted(joined.delays(mask, 0)) == [0] * 5 + [2] * 5
+    assert not len(joined.delays(mask, 1)), "refused"
 
 
 def test_a_rate_has_an_interval_over_scenes() -> None:
@@ -231,8 +231,10 @@ def test_the_command_runs_and_the_bytes_do_not_depend_on_the_engine(tmp_path: Pa
     with pytest.raises(SystemExit) as stop:
         main(["study", "monitor", "--preset", "tiny", "--out", str(tmp_path / "one"), "--workers", "1"])
     assert not stop.value.code
-    text = (tmp_path / "one" / "monitor.md").read_text("utf-8")
-    assert all(f"\n| {word} " in text for word in ("ghost_wall (6)", "replay, frozen (11)", "rain", "**all**"))
+    text, full = ((tmp_path / "one" / name).read_text("utf-8") for name in ("monitor.md", "monitor_full.md"))
+    assert all(f"\n| {word} " in text for word in ("ghost_wall (6)", "replay, frozen (11)", "**all**"))
+    assert "\n| rain " in full  # the published page is the short one
+    assert "\n| rain " not in text
     store = ResultStore.open(tmp_path / "two", TINY)
     assert list(run_study(store, LocalEngine(2), ("drives",))) == []
     files = sorted(path.name for path in (tmp_path / "one" / FOLDER).iterdir())

@@ -20,7 +20,7 @@ from viewshed.sim.lidar.optics import optics_of
 from viewshed.studies.store import ResultStore
 from viewshed.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, record_of, records_of
 from viewshed.studies.wild.jobs import do_job, run_study, scene_of
-from viewshed.studies.wild.openings import Opening
+from viewshed.studies.wild.openings import SetOpening
 from viewshed.studies.wild.page import page_of
 from viewshed.studies.wild.plan import WildPlan
 from viewshed.studies.wild.records import FINE_BINS, Pool, WildRecord, from_table, to_table
@@ -220,17 +220,17 @@ def test_the_sealed_set_is_run_with_a_logged_reason_only(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="opens the sealed set"):
         run_study(ResultStore.open(tmp_path / "x", sealed), LocalEngine(1))
     log = tmp_path / "log.md"
-    Opening("final table", ("shadow_map", "viewnet")).log(log)
-    Opening("once more", ("shadow_map",)).log(log)
+    SetOpening("final table", ("shadow_map", "viewnet")).log(log)
+    SetOpening("once more", ("shadow_map",)).log(log)
     lines = [line for line in log.read_text(encoding="utf-8").splitlines() if line.startswith("| 2")]
     assert [line.split(" | ")[2:] for line in lines] == [
         ["final table", "shadow_map, viewnet |"], ["once more", "shadow_map |"],
     ]  # fmt: skip
     assert log.read_text(encoding="utf-8").count("# Openings") == 1
     with pytest.raises(ValueError, match="must lie in a checkout"):
-        Opening("a", ()).log(tmp_path / "none" / "log.md")
+        SetOpening("a", ()).log(tmp_path / "none" / "log.md")
     with pytest.raises(ValueError, match="one line of words"):
-        Opening(" ", ())
+        SetOpening(" ", ())
 
 
 def test_jobs_are_the_sweeps_of_the_sets() -> None:

@@ -1,6 +1,7 @@
 """Each family on flat ground where everything is known: a wall ahead that reaches farther left than right."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from viewshed import ESTIMATORS, GRIDS, Sweep, lidar_model
 from viewshed.geometry import Rigid
 from viewshed.threats.attacks import RELIABILITY, Knowledge, Spoofer, Tampered, Wedge, at_severity
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
-from viewshed.threats.attacks.points import MODES, Cluster, Frustum, Uniform, WedgeCluster
+from viewshed.threats.attacks.points import Cluster, Frustum, Mode, Uniform, WedgeCluster
 from viewshed.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 
@@ -154,12 +155,12 @@ def test_a_frustum_moves_an_object_back_or_forth(flat_scene: FlatScene, rng: np.
 
 def test_clusters_lie_where_they_are_told(flat_scene: FlatScene, rng: np.random.Generator) -> None:
     clean, middle = flat_scene(), 20.0 * np.array([np.cos(2.0), np.sin(2.0)])
-    for mode in MODES:
+    for mode in get_args(Mode):
         attack = Cluster(80, range_m=(20.0, 20.0), azimuth=2.0, mode=mode, spoofer=SURE)
         new = _new(attack.apply(clean, rng))
         assert 20 < len(new) <= 80
         assert np.abs(new[:, :2] - middle).max() < 3.01
-    for mode in MODES:
+    for mode in get_args(Mode):
         wedge = WedgeCluster(60, azimuth=2.0, mode=mode, spoofer=SURE)
         new = _new(wedge.apply(clean, rng))
         assert len(new) == 60

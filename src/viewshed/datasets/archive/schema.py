@@ -310,7 +310,7 @@ class Manifest:
         try:
             raw = store.read(MANIFEST)
         except FileNotFoundError as error:
-            raise ValueError(f"{store.place} must be an archive, but has no {MANIFEST}") from error
+            raise ValueError(f"{store.place} must be a data set of viewshed, but has no {MANIFEST}") from error
         with reading(where):
             table = json.loads(raw)
         check_version(where, table)

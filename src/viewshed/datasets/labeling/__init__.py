@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from viewshed.datasets.labeling.labeler import DEFINITIONS, Rules, Track, label_sweep
+from viewshed.datasets.labeling.labeler import DEFINITIONS, LabeledDrive, LabelRules, label_sweep
 from viewshed.datasets.labeling.run import Origin, label
 
-__all__ = ["DEFINITIONS", "Origin", "Rules", "Track", "label", "label_sweep"]
+__all__ = ["DEFINITIONS", "LabelRules", "LabeledDrive", "Origin", "label", "label_sweep"]

@@ -53,7 +53,7 @@ LOWS_REACH = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Rules:
+class LabelRules:
     """How sweeps are labeled.
 
     Attributes:
@@ -86,12 +86,12 @@ class Rules:
         return self.grid.half_extent_m / NODES_PER_HALF
 
 
-def lows_of_sweep(sweep: Sweep, rules: Rules) -> Lows:
+def lows_of_sweep(sweep: Sweep, rules: LabelRules) -> Lows:
     """Return the lowest returns of ``sweep`` in the world, or in its own ``level`` frame if it has no pose."""
     return _lows_of_level(level(sweep, rules.grid), rules)
 
 
-def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules) -> tuple[Truth, Mask]:
+def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: LabelRules) -> tuple[Truth, Mask]:
     """Return the label of a sweep and where it is trusted (cells, cells).
 
     The probe is counted on every beam of the sensor's pattern, over the ground of all sweeps around. It is trusted
@@ -110,7 +110,7 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Rules
     return _Labeling(rules, image, patch, beam_ends_of(image, patch), _has_vehicle(leveled)).result()
 
 
-def _lows_of_level(leveled: LeveledSweep, rules: Rules) -> Lows:
+def _lows_of_level(leveled: LeveledSweep, rules: LabelRules) -> Lows:
     pose = leveled.world_from_level or Rigid.identity()
     return lows_of(leveled.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
@@ -131,7 +131,7 @@ class _Labeling:
         has_vehicle: whether a vehicle is assumed below the sensor.
     """
 
-    rules: Rules
+    rules: LabelRules
     image: BeamImage
     patch: Patch
     ends: BeamEnds
@@ -218,7 +218,7 @@ READ_AHEAD = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track(Generic[R]):
+class LabeledDrive(Generic[R]):
     """Sweeps of one sensor, looked through once.
 
     Attributes:
@@ -231,14 +231,14 @@ class Track(Generic[R]):
 
     sweep_of: Callable[[R], Sweep]
     refs: Sequence[R]
-    rules: Rules
+    rules: LabelRules
     moments: Sequence[StampedPose | None]
     lows: dict[int, Lows]
 
     @classmethod
     def of(
-        cls, sweep_of: Callable[[R], Sweep], refs: Sequence[R], rules: Rules, span: tuple[int, int] | None = None
-    ) -> Track[R]:
+        cls, sweep_of: Callable[[R], Sweep], refs: Sequence[R], rules: LabelRules, span: tuple[int, int] | None = None
+    ) -> LabeledDrive[R]:
         """Return the track of ``refs``, looked through as far as the labels of those in ``span`` (all) need it."""
         first, last = (0, len(refs)) if span is None else span
         ahead = READ_AHEAD * rules.neighbors

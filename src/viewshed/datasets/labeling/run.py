@@ -15,7 +15,7 @@ from viewshed.datasets.archive.archive import Archive, ArchiveSource
 from viewshed.datasets.archive.build import FRAMES_PER_SHARD, BuildPlan, ShardResult, build_archive, build_shard
 from viewshed.datasets.archive.schema import Layout, is_archive
 from viewshed.datasets.archive.storage import Storage
-from viewshed.datasets.labeling.labeler import TARGETS, Rules, Track
+from viewshed.datasets.labeling.labeler import TARGETS, LabeledDrive, LabelRules
 from viewshed.datasets.recordings import open_source
 from viewshed.datasets.recordings.source import SweepRef, SweepSource, open_index
 from viewshed.datasets.sample import Sample
@@ -80,12 +80,12 @@ class LabelJob:
     sensor: tuple[str, str]
     first: int
     last: int
-    rules: Rules
+    rules: LabelRules
 
 
 def label(
     origin: Origin,
-    rules: Rules,
+    rules: LabelRules,
     store: Storage,
     engine: Engine,
     on_progress: Callable[[ShardResult], None] | None = None,
@@ -115,7 +115,7 @@ def label(
     return build_archive(BuildPlan(recipe_of(origin, rules), layout, jobs, label_shard), store, engine, on_progress)
 
 
-def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
+def recipe_of(origin: Origin, rules: LabelRules) -> dict[str, Any]:
     """Return how a recording was labeled, as plain values."""
     about = {"command": "label", "source": Path(origin.place).name, "definition": rules.definition}
     config = {"kind": origin.kind, "sensor": origin.sensor, "every": origin.every}
@@ -123,7 +123,7 @@ def recipe_of(origin: Origin, rules: Rules) -> dict[str, Any]:
     return about | {"config": config, "targets": {target.name: asdict(target) for target in TARGETS}}
 
 
-def jobs_of(origin: Origin, rules: Rules, store: Storage) -> tuple[list[LabelJob], tuple[str, ...]]:
+def jobs_of(origin: Origin, rules: LabelRules, store: Storage) -> tuple[list[LabelJob], tuple[str, ...]]:
     """Return the shards of a recording's labels, in order, and one line for each thing that is damaged."""
     source = opened(origin)
     jobs: list[LabelJob] = []
@@ -163,7 +163,7 @@ def labeled_samples(job: LabelJob, problems: list[str]) -> Iterator[Sample]:
     refs = [ref for ref in source.refs(job.scene) if (ref.agent, ref.sensor) == job.sensor]
     wanted = [index for index, ref in enumerate(refs) if ref.keyframe or job.origin.every][job.first : job.last]
     reader = _Reader(source, job.origin)
-    track = Track.of(reader.sweep, refs, job.rules, (wanted[0], wanted[-1] + 1))
+    track = LabeledDrive.of(reader.sweep, refs, job.rules, (wanted[0], wanted[-1] + 1))
     for index in wanted:
         try:
             truth, known = track.label(index)

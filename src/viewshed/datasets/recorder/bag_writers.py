@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from viewshed._extras import needed_for
+from viewshed._files import require_parent
 from viewshed.datasets.recorder.mcap_file import McapFile
 
 
@@ -225,12 +226,14 @@ def open_bag_writer(path: Path, profile: str = "ros2") -> Iterator[BagWriter]:
 
 
 def check_bag_name(path: Path) -> None:
-    """Check that a name says of which kind a bag is, and that it does not replace a folder.
+    """Check that a name says of which kind a bag is, and that the bag does not replace a folder and lies in one.
 
     Raises:
         ValueError: it ends in something else, or the folder exists.
+        OSError: the folder that it is to lie in does not exist.
     """
     if path.suffix.lower() not in {".mcap", ".bag", ""}:
         raise ValueError(f"a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder NAME (ROS 2), got {path}")
     if path.is_dir():
         raise ValueError(f"a bag must not replace a folder, got {path}, which exists; choose another name")
+    require_parent(path)

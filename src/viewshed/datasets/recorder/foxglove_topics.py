@@ -12,20 +12,21 @@ from numpy.typing import NDArray
 
 from viewshed._extras import needed_for
 from viewshed.datasets.recorder.bag_writers import Schema
-from viewshed.datasets.recorder.moment import MAP, Moment, ObjectTruth, Verdict
-from viewshed.datasets.recorder.ros_topics import cloud_table, rigid_of_box
+from viewshed.datasets.recorder.moment import MAP, Moment, ObjectTruth, Severity
+from viewshed.datasets.recorder.ros_topics import rigid_of_box
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.polygons import star_ring
 from viewshed.fusion.legend import LEGEND, ShownTracks, tracks_of_center
 from viewshed.geometry import Rigid, quaternion_from_rotation
-from viewshed.integrity.evidence.base import SECTORS
+from viewshed.integrity.report import sector_corners
 from viewshed.io.export.ros import visibility_layer
+from viewshed.io.messages.pointcloud2 import cloud_table
 
 LAYERS = ("visibility", "state", "doubt")
 """Fields of the grid, int8 each, see :func:`visibility_layer`."""
 
 _VISIBLE, _SUSPECT, _OBJECT = (0.1, 0.7, 0.5, 1.0), (0.9, 0.1, 0.1, 0.35), (0.2, 0.7, 1.0, 0.5)
-_LEVELS = {Verdict.OK: "Info", Verdict.WARNING: "Warning", Verdict.ERROR: "Error"}
+_LEVELS = {Severity.OK: "Info", Severity.WARNING: "Warning", Severity.ERROR: "Error"}
 _NUMBERS = {"<f4": "Float32", "<u2": "Uint16", "|i1": "Int8"}
 
 
@@ -222,14 +223,6 @@ def _box_cube(box: NDArray[np.float64], color: tuple[float, float, float, float]
     fox = foxglove_types()
     x, y, z = box[3:6].tolist()
     return fox.CubePrimitive(pose=_pose(rigid_of_box(box)), size=fox.Vector3(x=x, y=y, z=z), color=_color(color))
-
-
-def sector_corners(suspect: NDArray[np.bool_], reach_m: float) -> NDArray[np.float64]:
-    """Return the corners (3 K, 2) of a triangle from the sensor for each of the K suspect sectors."""
-    step = 2 * np.pi / SECTORS
-    start = np.flatnonzero(suspect) * step - np.pi
-    ends = [np.column_stack([np.cos(angle), np.sin(angle)]) * reach_m for angle in (start, start + step)]
-    return np.stack([np.zeros((len(start), 2)), *ends], axis=1).reshape(-1, 2)
 
 
 def _points(corners: NDArray[np.float64]) -> list[Any]:

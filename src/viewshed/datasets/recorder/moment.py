@@ -23,7 +23,7 @@ SEAM_S = 0.1
 """Between two sweeps of a file whose times do not rise."""
 
 
-class Verdict(IntEnum):
+class Severity(IntEnum):
     """How bad it is; the levels of a DiagnosticStatus."""
 
     OK = 0
@@ -167,16 +167,16 @@ class Moment:
         objects, tracks = self.answer.objects, self.tracks()
         return None if objects is None or tracks is None else explained_rows(objects, tracks)
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Severity:
         """Return how bad it is: no answer or an alarm is an error, a worse view a warning."""
         answer = self.answer
         if answer.estimate is None:
-            return Verdict.ERROR
+            return Severity.ERROR
         if answer.report is None:
-            return Verdict.WARNING if answer.notes else Verdict.OK
+            return Severity.WARNING if answer.notes else Severity.OK
         if answer.report.alarm or answer.report.now.inconsistent:
-            return Verdict.ERROR
-        return Verdict.WARNING if answer.report.now.degraded or answer.notes else Verdict.OK
+            return Severity.ERROR
+        return Severity.WARNING if answer.report.now.degraded or answer.notes else Severity.OK
 
     def alarms(self) -> list[str]:
         """Return why sweep or stream alarm or are degraded, the strongest reason first; none where they are not."""

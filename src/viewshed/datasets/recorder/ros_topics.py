@@ -50,6 +50,7 @@ from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.grid import BevGrid
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import scan_of_sweep
+from viewshed.io.messages.pointcloud2 import cloud_table
 from viewshed.objects import BOX_COLUMNS, Detections, ObjectKind
 from viewshed.sweep import Sweep
 
@@ -60,13 +61,6 @@ NUMBER = "std_msgs/msg/Float64"
 MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
 
 _CODES = {"f4": 7, "u2": 4}
-_COLUMNS = (
-    ("intensity", "f4", "intensity"),
-    ("ring", "u2", "ring"),
-    ("azimuth", "f4", "azimuth"),
-    ("time_s", "f4", "time"),
-)
-"""Columns of a sweep, their types, and their fields in a cloud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,19 +291,6 @@ class RosMessages:
     def _turn(self, rigid: Rigid) -> Any:
         w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
         return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-
-def cloud_table(sweep: Sweep) -> NDArray[Any]:
-    """Return the points of a sweep and its columns as a structured array (N,), packed."""
-    columns = [(field, form, getattr(sweep, name)) for name, form, field in _COLUMNS]
-    columns = [(field, form, column) for field, form, column in columns if column is not None]
-    kinds = [*((axis, "<f4") for axis in "xyz"), *((field, f"<{form}") for field, form, _ in columns)]
-    table = np.empty(len(sweep), kinds)
-    for axis, name in enumerate("xyz"):
-        table[name] = sweep.points[:, axis]
-    for field, _, column in columns:
-        table[field] = column
-    return table
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from viewshed.datasets.recorder.moment import DriveTruth
 from viewshed.fusion.object_stream import SeenObjects
-from viewshed.object_metrics import gospa, match_objects, ospa_m
+from viewshed.object_metrics import IdSwitches, gospa, match_objects, ospa_m
 
 RANGE_M = 50.0
 """Objects and tracks that are farther from the sensor do not count."""
@@ -25,8 +25,7 @@ class TrackMetrics:
     """Compares the tracks of several agents with the truth of their drive; ids are remembered over time."""
 
     _seen_s: dict[tuple[str, int], float] = field(default_factory=dict)
-    _track_of: dict[tuple[str, int], int] = field(default_factory=dict)
-    _switches: dict[str, int] = field(default_factory=dict)
+    _switches: dict[str, IdSwitches] = field(default_factory=dict)
 
     def of(self, agent: str, t_s: float, objects: SeenObjects, truth: DriveTruth) -> dict[str, float]:
         """Return GOSPA with its parts, OSPA, the numbers of tracks and objects, and id switches so far."""
@@ -50,14 +49,9 @@ class TrackMetrics:
         ids, at, numbers, xy = ids[near], at[near], numbers[counted], xy[counted]
 
         whole = gospa(at, xy)
-        matched = match_objects(at, ids, xy, numbers)
-        for track, truth_number in zip(ids.tolist(), matched.truth_of_track.tolist(), strict=True):
-            if truth_number >= 0:
-                key = (agent, int(numbers[truth_number]))
-                self._switches[agent] = self._switches.get(agent, 0) + (self._track_of.get(key, track) != track)
-                self._track_of[key] = track
+        switches = self._switches.setdefault(agent, IdSwitches()).add(match_objects(at, ids, xy, numbers))
         return {
             "gospa_m": whole.distance_m, "localization_m2": whole.localization, "missed_m2": whole.missed,
             "false_m2": whole.false, "ospa_m": ospa_m(at, xy), "tracks": float(len(at)), "objects": float(len(xy)),
-            "id_switches": float(self._switches.get(agent, 0)),
+            "id_switches": float(switches),
         }  # fmt: skip

@@ -45,7 +45,7 @@ def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str
     if kind != "auto" and kind not in SOURCES:
         raise ValueError(f"kind must be auto or one of {', '.join(SOURCES)}, got {kind!r}")
     if not path.exists():
-        problem = "its links lead in a circle" if path.is_symlink() else "no such folder"
+        problem = "its links lead in a circle" if path.is_symlink() else "no such file or folder"
         raise FileNotFoundError(f"{path}: {problem}")
     with errors_named(path, path.parent):
         if topic is not None:

@@ -42,7 +42,7 @@ class Tokens(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Poses:
+class PoseTable:
     """A table of poses.
 
     Attributes:
@@ -56,7 +56,7 @@ class Poses:
     values: NDArray[np.float64]
 
     @classmethod
-    def read(cls, place: Path, needed: Container[str], damage: list[str]) -> Poses:
+    def read(cls, place: Path, needed: Container[str], damage: list[str]) -> PoseTable:
         """Return the poses whose tokens are needed; what is wrong with their rows is added to ``damage``."""
         rows: dict[str, int] = {}
         values = array("d")
@@ -78,7 +78,7 @@ class Poses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tables:
+class NuscenesTables:
     """What the tables of one version say about the LiDAR.
 
     Attributes:
@@ -90,18 +90,18 @@ class Tables:
 
     scenes: dict[str, list[SweepRef]]
     tokens: dict[str, Tokens]
-    calibrations: Poses
-    poses: Poses
+    calibrations: PoseTable
+    poses: PoseTable
 
     @classmethod
-    def read(cls, folder: Path, damage: list[str]) -> Tables:
+    def read(cls, folder: Path, damage: list[str]) -> NuscenesTables:
         """Return the tables in a folder; a line for each row that must be left out is added to ``damage``."""
         # 1. Which calibrations are the LiDAR's.
         channels = dict(_columns(folder / "sensor.json", {"token": str, "channel": str}, damage))
         sensors = dict(_columns(folder / "calibrated_sensor.json", {"token": str, "sensor_token": str}, damage))
         lidar = {token: channels.get(sensor) == CHANNEL for token, sensor in sensors.items() if sensor in channels}
         candidates = {token for token in sensors if lidar.get(token, True)}
-        calibrations = Poses.read(folder / "calibrated_sensor.json", candidates, damage)
+        calibrations = PoseTable.read(folder / "calibrated_sensor.json", candidates, damage)
         # 2. Which samples belong to which scene.
         names = dict(_columns(folder / "scene.json", {"token": str, "name": str}, damage))
         samples = {}
@@ -129,7 +129,7 @@ class Tables:
             for scene, sweeps in rows.items()
         }
         needed = {row.pose for row in tokens.values()}
-        return cls(scenes, tokens, calibrations, Poses.read(folder / "ego_pose.json", needed, damage))
+        return cls(scenes, tokens, calibrations, PoseTable.read(folder / "ego_pose.json", needed, damage))
 
 
 def _lidar_rows(folder: Path, lidar: Mapping[str, bool], damage: list[str]) -> Iterator[tuple[Any, ...]]:

@@ -110,8 +110,11 @@ def open_bag(root: Path, path: Path) -> BagFile:
     with stream:
         if head == b"SQLite format 3\0":
             return SqliteBag(stream.read() if packed else path, budget)
+    if not head:
+        raise ValueError("the file is empty")
     if path.suffix in {".bag", ".mcap"}:
-        raise ValueError(f"is no {'MCAP' if path.suffix == '.mcap' else 'ROS 1'} file: its first bytes are others")
+        kind = "an MCAP file" if path.suffix == ".mcap" else "a ROS 1 bag"
+        raise ValueError(f"does not begin like {kind}; it is damaged or of another format")
     raise ValueError("is damaged: it is no SQLite database")
 
 

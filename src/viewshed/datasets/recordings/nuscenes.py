@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from viewshed.datasets.recordings._nuscenes_boxes import Annotations
-from viewshed.datasets.recordings._nuscenes_tables import Poses, Tables
+from viewshed.datasets.recordings._nuscenes_tables import NuscenesTables, PoseTable
 from viewshed.datasets.recordings.source import ObjectBox, SweepRef
 from viewshed.geometry import Rigid
 from viewshed.io import FILE_FRAMES, read_sweep
@@ -28,7 +28,7 @@ class Nuscenes:
         self.problems: list[str] = []
         self.notes = ()
         self._folder = folder
-        self._tables = Tables.read(folder, self.problems)
+        self._tables = NuscenesTables.read(folder, self.problems)
         self._annotations: Annotations | None = None
         self.scenes = self._tables.scenes
 
@@ -72,7 +72,7 @@ class Nuscenes:
         t_ns, start_ns, end_ns = (other.t_ns or 0 for other in (ref, before, after))
         return self._annotations.between(first, last, (t_ns - start_ns) / max(end_ns - start_ns, 1))
 
-    def _pose(self, poses: Poses, token: str, ref: SweepRef) -> Rigid:
+    def _pose(self, poses: PoseTable, token: str, ref: SweepRef) -> Rigid:
         try:
             return poses.pose(token)
         except ValueError as error:

@@ -46,7 +46,11 @@ _ALL = (
     Evidence(
         "double_returns", measure_double_returns, "{value:.1%} of the beams at {degrees:.0f}° returned from two ranges"
     ),
-    Evidence("below_ground", measure_below_ground, "{value:.1%} of the returns at {degrees:.0f}° lie below the ground"),
+    Evidence(
+        "below_ground",
+        measure_below_ground,
+        "{value:.1%} of the returns at {degrees:.0f}° lie below the ground, no neighbor near them",
+    ),
     Evidence(
         "beyond_ground",
         measure_beyond_ground,

@@ -1,4 +1,4 @@
-"""sensor_msgs/PointCloud2 as a Sweep: every layout of fields, either byte order, padding, organized or not."""
+"""sensor_msgs/PointCloud2 and back: every layout of fields, either byte order, padding, organized or not."""
 
 from __future__ import annotations
 
@@ -18,6 +18,14 @@ _INTENSITY = ("intensity", "i", "reflectivity", "reflectance", "signal", "remiss
 _RING = ("ring", "channel", "laser_id", "ring_id", "line", "row")
 
 _TIME = ("time", "t", "timestamp", "time_stamp", "time_offset", "offset_time")
+
+_COLUMNS = (
+    ("intensity", "f4", "intensity"),
+    ("ring", "u2", "ring"),
+    ("azimuth", "f4", "azimuth"),
+    ("time_s", "f4", "time"),
+)
+"""Columns of a sweep, their types, and their fields in a cloud."""
 
 _NEAR_M = 3.0
 
@@ -157,3 +165,16 @@ def _order(laser: NDArray[np.int64], points: NDArray[np.float32]) -> int:
     count = np.bincount(laser)
     rising = np.diff(np.bincount(laser, slope)[count > 0] / count[count > 0])
     return int((rising > 0).all()) - int((rising < 0).all())
+
+
+def cloud_table(sweep: Sweep) -> NDArray[Any]:
+    """Return the points of a sweep and its columns as a structured array (N,), packed."""
+    columns = [(field, form, getattr(sweep, name)) for name, form, field in _COLUMNS]
+    columns = [(field, form, column) for field, form, column in columns if column is not None]
+    kinds = [*((axis, "<f4") for axis in "xyz"), *((field, f"<{form}") for field, form, _ in columns)]
+    table = np.empty(len(sweep), kinds)
+    for axis, name in enumerate("xyz"):
+        table[name] = sweep.points[:, axis]
+    for field, _, column in columns:
+        table[field] = column
+    return table

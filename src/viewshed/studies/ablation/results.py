@@ -195,7 +195,7 @@ SHADOW_MAP = "shadow_map"
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class AblationTarget:
     """One figure.
 
     Attributes:
@@ -211,7 +211,7 @@ class Target:
     met: bool
 
 
-def targets_of(validation: SettingResults, test: SettingResults, chosen: SettingResults) -> list[Target]:
+def targets_of(validation: SettingResults, test: SettingResults, chosen: SettingResults) -> list[AblationTarget]:
     """Return the targets with what was found on the reported scenes; none where our network was not tried."""
     if OURS not in test.methods:
         return []
@@ -220,12 +220,12 @@ def targets_of(validation: SettingResults, test: SettingResults, chosen: Setting
     return list(chain.from_iterable(parts))
 
 
-def targets_elsewhere(test: SettingResults) -> list[Target]:
+def targets_elsewhere(test: SettingResults) -> list[AblationTarget]:
     """Return the targets of another setting; none where our network was not tried."""
     return list(_elsewhere(test)) if OURS in test.methods else []
 
 
-def _elsewhere(test: SettingResults) -> Iterator[Target]:
+def _elsewhere(test: SettingResults) -> Iterator[AblationTarget]:
     pedestrian = test.config.target == PEDESTRIAN.name
     yield _at_least("F1, benign", test.f1(OURS, [BENIGN]), 0.94 if pedestrian else 0.96)
     if not pedestrian:
@@ -239,7 +239,7 @@ def label(case: Case) -> str:
     return case.name or case.kind
 
 
-def _agreement(test: SettingResults) -> Iterator[Target]:
+def _agreement(test: SettingResults) -> Iterator[AblationTarget]:
     benign, bare = (test.f1(OURS, [case]) for case in (BENIGN, BARE))
     mean, rival = (test.f1(name, FAMILIES) for name in (OURS, RIVAL))
     yield _at_least("F1, benign", benign, 0.96)
@@ -251,32 +251,34 @@ def _agreement(test: SettingResults) -> Iterator[Target]:
     if FLOAT in test.methods:
         for words, cases in (("benign", [BENIGN]), ("mean over the attacks", list(ATTACKS))):
             less = test.f1(OURS, cases) - test.f1(FLOAT, cases)
-            yield Target(f"F1 in bytes, less that in float32, {words}", "≥ -.002", f"{less:+.4f}", less >= -0.002)
+            yield AblationTarget(
+                f"F1 in bytes, less that in float32, {words}", "≥ -.002", f"{less:+.4f}", less >= -0.002
+            )
     less = test.f1(OURS, test.unseen) - test.f1(OURS, test.trained)
     yield _more_by("mean F1, unseen attacks less those trained on", less, -0.02)
 
 
-def _lead(test: SettingResults, cases: Iterable[Case], what: str) -> Target:
+def _lead(test: SettingResults, cases: Iterable[Case], what: str) -> AblationTarget:
     leads = {case: test.f1(OURS, [case]) - test.f1(RIVAL, [case]) for case in cases if test.has(OURS, case)}
     worst = min(leads, key=lambda case: leads[case])
-    return Target(what, "≥ 0", f"{leads[worst]:+.3f} ({label(worst)})", leads[worst] >= 0)
+    return AblationTarget(what, "≥ 0", f"{leads[worst]:+.3f} ({label(worst)})", leads[worst] >= 0)
 
 
-def _parts(test: SettingResults) -> Iterator[Target]:
+def _parts(test: SettingResults) -> Iterator[AblationTarget]:
     yield from _clear(test)
     sensors = {part: test.counts(OURS, BENIGN, part).f1 for part in test.parts if part.startswith(SENSOR)}
     if sensors:
         worst = min(sensors, key=lambda part: sensors[part])
         found = f"{sensors[worst]:.3f} ({worst.removeprefix(SENSOR)})"
-        yield Target("least F1 of any sensor, benign", "≥ 0.93", found, sensors[worst] >= 0.93)
+        yield AblationTarget("least F1 of any sensor, benign", "≥ 0.93", found, sensors[worst] >= 0.93)
 
 
-def _clear(test: SettingResults) -> Iterator[Target]:
+def _clear(test: SettingResults) -> Iterator[AblationTarget]:
     if CLEAR in test.parts:
         yield _at_least(f"F1, benign, cells {CLEAR}", test.counts(OURS, BENIGN, CLEAR).f1, 0.98)
 
 
-def _wedges(validation: SettingResults, test: SettingResults) -> Iterator[Target]:
+def _wedges(validation: SettingResults, test: SettingResults) -> Iterator[AblationTarget]:
     if WHOLE not in validation.methods:
         return
     step, (seen, unseen) = validation.sure, test.opening
@@ -289,7 +291,7 @@ def _wedges(validation: SettingResults, test: SettingResults) -> Iterator[Target
         )
 
 
-def _with_history(test: SettingResults) -> Iterator[Target]:
+def _with_history(test: SettingResults) -> Iterator[AblationTarget]:
     for kind, attacked in ((HONEST, ""), (ATTACKED, ", attacked")):
         name = f"{OURS}, {CONFIRMED}{kind}"
         for words, cases in zip(("trained on", "unseen"), test.opening, strict=True):
@@ -298,28 +300,28 @@ def _with_history(test: SettingResults) -> Iterator[Target]:
                 yield _opened(what, test.wedge(name, cases), 0.9)
 
 
-def _opened(what: str, scores: Scores, wanted: float, threshold: float = 0.5) -> Target:
+def _opened(what: str, scores: Scores, wanted: float, threshold: float = 0.5) -> AblationTarget:
     """Return the target of a precision in opened wedges, at a recall of at least one half."""
     precision, recall = scores.precision(threshold), scores.recall(threshold)
     found = f"{precision:.3f} / {recall:.3f}"
-    return Target(what, f"≥ {wanted:.2f} / .50", found, precision >= wanted and recall >= 0.5)
+    return AblationTarget(what, f"≥ {wanted:.2f} / .50", found, precision >= wanted and recall >= 0.5)
 
 
-def _chosen(chosen: SettingResults) -> Iterator[Target]:
+def _chosen(chosen: SettingResults) -> Iterator[AblationTarget]:
     for case in chosen.cases_of(OURS):
         if case != UNTOUCHED:
             precision, wedge = chosen.scores(OURS, [case]).precision(), chosen.wedge(OURS, [case]).precision()
             what = f"precision against {POINTS} points chosen with {case.level} queries"
-            yield Target(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9)
+            yield AblationTarget(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9)
 
 
-def _calibration(test: SettingResults) -> Iterator[Target]:
+def _calibration(test: SettingResults) -> Iterator[AblationTarget]:
     for words, cases, most in (("benign", (BENIGN,), 0.02), ("unseen attacks", test.unseen, 0.05)):
         ece = test.scores(OURS, cases).ece()
-        yield Target(f"ECE, {words}", f"≤ {most}", f"{ece:.4f}", ece <= most)
+        yield AblationTarget(f"ECE, {words}", f"≤ {most}", f"{ece:.4f}", ece <= most)
 
 
-def _doubt(test: SettingResults) -> Iterator[Target]:
+def _doubt(test: SettingResults) -> Iterator[AblationTarget]:
     if SEVERAL not in test.methods:
         return
     for words, cases in (("benign", (BENIGN,)), ("attacked", ATTACKS)):
@@ -328,12 +330,12 @@ def _doubt(test: SettingResults) -> Iterator[Target]:
         for name, figure in figures.items():
             ours, theirs = figure(one), figure(several)
             what = f"{name} of one pass beside that of 20, {words}"
-            yield Target(what, f"≤ {theirs:.4f}", f"{ours:.4f}", ours <= theirs)
+            yield AblationTarget(what, f"≤ {theirs:.4f}", f"{ours:.4f}", ours <= theirs)
 
 
-def _at_least(what: str, found: float, wanted: float) -> Target:
-    return Target(what, f"≥ {wanted:.2f}", f"{found:.3f}", found >= wanted)
+def _at_least(what: str, found: float, wanted: float) -> AblationTarget:
+    return AblationTarget(what, f"≥ {wanted:.2f}", f"{found:.3f}", found >= wanted)
 
 
-def _more_by(what: str, found: float, wanted: float) -> Target:
-    return Target(what, f"≥ {wanted:.3f}".replace("0.", "."), f"{found:+.3f}", found >= wanted)
+def _more_by(what: str, found: float, wanted: float) -> AblationTarget:
+    return AblationTarget(what, f"≥ {wanted:.3f}".replace("0.", "."), f"{found:+.3f}", found >= wanted)

@@ -8,7 +8,7 @@ from viewshed._page import Table
 from viewshed.metrics import Scores
 from viewshed.studies.ablation.evaluate import CASES, UNTOUCHED
 from viewshed.studies.ablation.plan import WHOLE, AblationPlan
-from viewshed.studies.ablation.results import JAMMING, OURS, SettingResults, Sure, Target, label
+from viewshed.studies.ablation.results import JAMMING, OURS, AblationTarget, SettingResults, Sure, label
 from viewshed.studies.formatting import (
     CALIBRATION,
     best_of_rates,
@@ -24,7 +24,7 @@ SURE = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """How sure a network must be before it decides a cell."""
 
 
-def targets_table(targets: list[Target]) -> Table:
+def targets_table(targets: list[AblationTarget]) -> Table:
     """Return targets beside what was found."""
     rows = [[one.what, one.wanted, one.found, "met" if one.met else "**missed**"] for one in targets]
     return Table(["what", "target", "here", ""], rows)

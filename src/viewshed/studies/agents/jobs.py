@@ -12,7 +12,7 @@ from viewshed._files import write_atomic
 from viewshed._jobs import Engine
 from viewshed.datasets.recorder.drive import SEEN_RETURNS
 from viewshed.fusion.claims import SMALL_M, ClaimTable
-from viewshed.fusion.honest import HonestModel, fit_honest
+from viewshed.fusion.honest import HonestModel, fit_honest, is_expected
 from viewshed.perception.detector import Detector
 from viewshed.studies.agents.plan import STEPS, AgentsPlan
 from viewshed.studies.agents.runs import SceneCases, claims_of, honest_examples
@@ -24,6 +24,9 @@ from viewshed.studies.store import JobResult, ResultStore
 
 CLAIMS, HONEST_MODEL = "claims.json", "honest.json"
 """What claims are worth, and what honest agents report: fitted on the scenes of the first split."""
+
+EXPECTED = "expected"
+"""Of the claims counted, those at which an agent is expected to see an object."""
 
 
 def run_study(
@@ -91,13 +94,18 @@ def do_job(job: Job[AgentsPlan]) -> JobResult:
 
 
 def coverage_of(scene: Scene) -> dict[str, list[int]]:
-    """Return of how many objects agents claim so much: by probability [claimed, of these without five returns]."""
+    """Return of how many objects agents claim so much: by probability [claimed, of these without five returns].
+
+    ``expected`` are those that an agent is expected to see, by probability and range.
+    """
     columns = claims_of(scene)
     large = columns["boxes"][:, 3:5].max(axis=1, initial=0.0) > SMALL_M
     out = {}
-    for least in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.995):
-        claimed = large & (columns["prob"] >= least)
-        out[f"{least:g}"] = [int(claimed.sum()), int((claimed & (columns["returns"] < SEEN_RETURNS)).sum())]
+    claims = {f"{least:g}": columns["prob"] >= least for least in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.995)}
+    claims[EXPECTED] = is_expected(columns["prob"], columns["range_m"])
+    for name, claimed in claims.items():
+        of_large = claimed & large
+        out[name] = [int(of_large.sum()), int((of_large & (columns["returns"] < SEEN_RETURNS)).sum())]
     return out
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
 from viewshed._page import Table, facts, to_markdown
+from viewshed.fusion.suspicion import Suspicion
 from viewshed.fusion.trust import TrustLimits, Verdicts
-from viewshed.fusion.view_checks import VIEW_CHECKS, ViewScale, view_doubt
+from viewshed.fusion.view_checks import VIEW_CHECKS
+from viewshed.studies.agents.jobs import EXPECTED
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
@@ -38,9 +40,9 @@ class ScoredRun:
     Attributes:
         scene: number of the scene.
         run: what it came to.
-        score: (A,) surprise of the evidence of the reports or of the doubt of the view, the larger one.
-        by_time: (T, A) the same up to each time; the doubt of the view is that of the whole scene.
-        views: (A,) doubt of the view alone.
+        score: (A,) how suspicious it is by reports and view (``viewshed.fusion.suspicion``), the most over time.
+        by_time: (T, A) the same at each time.
+        views: (A,) doubt of the view alone, the largest over time.
         evidence: (A,) evidence of the reports alone, the largest over time.
     """
 
@@ -50,40 +52,6 @@ class ScoredRun:
     by_time: Floats
     views: Floats
     evidence: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tail:
-    """How rare a number is among honest ones: as counted, and straight on beyond what half of the scenes reach.
-
-    So that what is far beyond all honest numbers is ever more surprising, in whichever unit it is measured. The unit is
-    the distance from the median of the scenes' largest numbers to one in ten of them: no single scene decides on it.
-
-    Attributes:
-        values: (N,) honest numbers, ascending.
-        begin: median of the largest ones of each scene.
-        unit: from there to what one scene in ten reaches.
-    """
-
-    values: Floats
-    begin: float
-    unit: float
-
-    @classmethod
-    def fit(cls, values: Floats) -> Self:
-        """Return the tail of the honest numbers (S, A) of several scenes."""
-        begin, tenth = np.quantile(values.max(axis=1), (0.5, 0.9))
-        return cls(np.sort(values, axis=None), float(begin), max(float(tenth - begin), 1e-6))
-
-    def __call__(self, values: Floats) -> Floats:
-        """Return -log10 of the share of honest numbers that are as large as each of the values (…,), at most 1, ...
-
-        ... and a unit more for each unit beyond.
-        """
-        share = (1.0 + len(self.values) - np.searchsorted(self.values, values, "left")) / (1.0 + len(self.values))
-        beyond = np.maximum(values - self.begin, 0.0) / self.unit
-        surprise: Floats = np.minimum(-np.log10(share), 1.0) + beyond
-        return surprise
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,39 +79,22 @@ class AgentsResults:
         return np.arange(self.plan.moving + self.plan.roadside) >= self.plan.moving
 
     @cached_property
-    def scale(self) -> ViewScale:
-        """How rare numbers of checks are among honest views."""
-        checks = np.array([run.checks for _, run in self.runs("claims")], np.float64)
-        low = checks[:, ~self.elevated].reshape(-1, checks.shape[-1])
-        return ViewScale.fit(low, checks[:, self.elevated].reshape(-1, checks.shape[-1]))
-
-    def _numbers(self, run: Run) -> tuple[Floats, Floats]:
-        """Return evidence (T, A), the largest so far, and the doubt of the views (A,) of a run."""
-        checks = np.array(run.checks, np.float64)
-        low, elevated = (view_doubt(self.scale(checks, elevated=flag)) for flag in (False, True))
-        return np.maximum.accumulate(np.array(run.evidence), axis=0), np.where(self.elevated, elevated, low)
-
-    @cached_property
-    def tails(self) -> tuple[tuple[Tail, Tail], tuple[Tail, Tail]]:
-        """How rare evidence of reports and doubt of views are where nobody lies, of low and of elevated sensors."""
-        found = [self._numbers(run) for _, run in self.runs("claims")]
-        evidence, views = np.stack([one[-1] for one, _ in found]), np.stack([two for _, two in found])
-        low, elevated = (
-            (Tail.fit(evidence[:, kind]), Tail.fit(views[:, kind])) for kind in (~self.elevated, self.elevated)
+    def suspicion(self) -> Suspicion:
+        """How rare evidence and checks of views are in the scenes of the first split."""
+        runs = [run for _, run in self.runs("claims")]
+        evidence, checks = (
+            np.array([getattr(run, name) for run in runs], np.float64) for name in ("evidence", "checks")
         )
-        return low, elevated
+        return Suspicion.fit(evidence, checks, self.elevated)
 
     def scored(self, split: str) -> list[ScoredRun]:
         """Return the runs of a split with their scores."""
-        (of_reports, of_views), elevated = self.tails
         out = []
         for scene, run in self.runs(split):
-            evidence, views = self._numbers(run)
-            reports = np.where(self.elevated, elevated[0](evidence), of_reports(evidence))
-            seen = np.where(self.elevated, elevated[1](views), of_views(views))
-            # The rarer of both counts: a lie about objects leaves the view as it was, and the other way round.
-            by_time = np.maximum(reports, seen)
-            out.append(ScoredRun(scene, run, by_time[-1], by_time, views, evidence[-1]))
+            evidence, checks = np.array(run.evidence), np.array(run.checks, np.float64)
+            by_time = self.suspicion(evidence, checks, self.elevated)
+            views = self.suspicion.doubt(checks, self.elevated)
+            out.append(ScoredRun(scene, run, by_time.max(axis=0), by_time, views.max(axis=0), evidence.max(axis=0)))
         return out
 
     @cached_property
@@ -168,17 +119,17 @@ class AgentsResults:
         """Share of benign scenes in which somebody may be accused, as far as the calibration scenes support it."""
         return max(RATE, self.limits.least_rate)
 
-    def _verdicts(self, one: ScoredRun, score: Floats, doubt: float) -> Verdicts:
-        agents, suspects = len(score), np.array(one.run.suspects[-1], np.bool_)
-        return Verdicts(score, doubt, np.ones(agents), np.zeros(0, np.int64), np.zeros(0), suspects, self.elevated)
-
     def accused(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is accused (A,) in a run at ``rate``, at any time."""
-        return self.limits.accused(self._verdicts(one, one.score, max(one.run.doubt)), self.rate)
+        return self.limits.accused(one.score, self.elevated, self.rate)
 
     def disputed(self, one: ScoredRun) -> NDArray[np.bool_]:
         """Return who is disputed (A,) in a run at its end."""
-        return self.limits.disputed(self._verdicts(one, one.score, max(one.run.doubt)), self.rate)
+        suspects, nothing = np.array(one.run.suspects[-1], np.bool_), np.zeros(0)
+        verdicts = Verdicts(
+            one.evidence, max(one.run.doubt), nothing, nothing.astype(np.int64), nothing, suspects, self.elevated
+        )
+        return self.limits.disputed(verdicts, self.accused(one), self.rate)
 
     @cached_property
     def benign(self) -> list[ScoredRun]:
@@ -253,7 +204,7 @@ class AgentsResults:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
         for time, score in enumerate(np.maximum.accumulate(one.by_time, axis=0)):
             t_s = (time + 0.5) / self.plan.hz
-            if t_s >= ONSET_S and self.limits.accused(self._verdicts(one, score, 0.0), self.rate)[one.run.liars].any():
+            if t_s >= ONSET_S and self.limits.accused(score, self.elevated, self.rate)[one.run.liars].any():
                 return t_s - ONSET_S
         return float("inf")
 
@@ -335,10 +286,14 @@ class AgentsResults:
         return Table(("claimed with at least", "objects", "of those at .5", "with fewer than five returns"), rows)
 
     def wrongly_expected(self) -> float:
-        """Return the least share of claimed objects with fewer than five returns, at 90 % of what .5 claims or more."""
+        """Return the share of the objects that agents are expected to see which gave fewer than five returns."""
+        claimed, wrong = self._claimed()[EXPECTED]
+        return float(wrong / max(claimed, 1))
+
+    def coverage(self) -> float:
+        """Return how many objects agents are expected to see, of those that they claim with .5 or more."""
         totals = self._claimed()
-        most = totals["0.5"][0]
-        return min((wrong / claimed for claimed, wrong in totals.values() if claimed >= 0.9 * most), default=np.nan)
+        return float(totals[EXPECTED][0] / max(totals["0.5"][0], 1))
 
     def checks_table(self) -> Table:
         """Return the AUROC of each check alone for the lies about views."""
@@ -354,11 +309,10 @@ class AgentsResults:
         return Table(("lie", *VIEW_CHECKS), rows)
 
     def _surprises(self, one: ScoredRun) -> Floats:
-        checks = np.array(one.run.checks, np.float64)
-        surprises = np.where(
-            self.elevated[:, None], self.scale(checks, elevated=True), self.scale(checks, elevated=False)
-        )
-        return np.asarray(surprises)
+        """Return how rare each check of each view (A, C) is, at the end."""
+        checks, scale = np.array(one.run.checks[-1], np.float64), self.suspicion.views
+        rare = [scale(checks, elevated=flag) for flag in (True, False)]
+        return np.where(self.elevated[:, None], *rare)
 
     def target_table(self) -> Table:
         """Return what was aimed at beside what was reached; what was not run is left out."""
@@ -383,6 +337,7 @@ class AgentsResults:
         # What, the bound, whether the figure must lie below it, and the figure.
         rows = (
             ("objects wrongly expected of an honest agent", 0.01, True, self.wrongly_expected()),
+            ("objects expected, of those claimed at .5", 0.9, False, self.coverage()),
             ("scenes with an honest agent accused, nobody lies", 0.01, True, mean(quiet)),
             ("the same, others lie", 0.01, True, mean(others)),
             ("one of five lies about objects, AUROC", 0.97, False, area(*alone)),

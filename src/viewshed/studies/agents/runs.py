@@ -13,7 +13,6 @@ from viewshed.datasets.recorder.drive import SEEN_RETURNS
 from viewshed.fusion.claims import ClaimTable
 from viewshed.fusion.honest import HonestExamples, HonestModel, ObjectReports
 from viewshed.fusion.many import FAR_M, GATE_M, AgentReport, CommandCenter, object_reports
-from viewshed.fusion.view_checks import ClaimedView, check_view
 from viewshed.object_metrics import gospa
 from viewshed.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
 from viewshed.studies.agents.plan import ONSET_S
@@ -24,9 +23,6 @@ from viewshed.tracking.views import GridView
 
 CENTERS = ("ours", "no trust", "published", "all tracks")
 """Whose pictures are measured, by what somebody reports now; of no trust also by all of its tracks, seen now or not."""
-
-CHECKED_TIMES = 2
-"""Times of a scene, evenly after the onset, at which views are checked."""
 
 FOUND_M = 2.0
 """A detection this near to an object is of it."""
@@ -56,7 +52,7 @@ class Run:
         trust: [T][A].
         published_trust: [T][A], of the published formulas.
         suspects: [T][A] 0 or 1.
-        checks: [A][C] of the claimed views, the mean over some times; None where a check abstained.
+        checks: [T][A][C] of the claimed views, the mean of the last ones; None where there is none.
         gospa: by center, [T] meters.
         touched: [T] objects, or share of the area, that the liars changed.
         overlap: other honest agents that see the places which were lied about, on average; NaN for lies about views.
@@ -70,19 +66,15 @@ class Run:
     trust: list[list[float]]
     published_trust: list[list[float]]
     suspects: list[list[int]]
-    checks: list[list[float | None]]
+    checks: list[list[list[float | None]]]
     gospa: dict[str, list[float]]
     touched: list[float]
     overlap: float
 
 
-Said = list[list[AgentReport]]
-"""What all agents of a scene say, time after time."""
-
-
 @dataclass(slots=True)
 class SceneCases:
-    """Runs the cases of one scene; what they share is made once.
+    """Runs the cases of one scene; its honest reports are made once.
 
     Attributes:
         scene: to be run.
@@ -97,14 +89,10 @@ class SceneCases:
     claims: ClaimTable
     honest: HonestModel
     compared: bool = True
-    _reports: Said = field(init=False, repr=False)
-    _of_honest: set[int] = field(init=False, repr=False)
-    _checks: dict[tuple[int, ...], Floats] = field(default_factory=dict, repr=False)
+    _reports: list[list[AgentReport]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._reports = [self.scene.reports(time) for time in range(len(self.scene.times_s))]
-        every = [report for reports in self._reports for report in reports]
-        self._of_honest = {id(part) for report in every for part in (report.estimate, report.detections)}
 
     def run(self, case: str) -> Run:
         """Return what a case of the scene comes to."""
@@ -114,15 +102,17 @@ class SceneCases:
         lie = LIES.get(case)
         count = min(lie.liars, (len(agents) - 1) // 2) if lie is not None else 0
         liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
-        said = self._said(liars)
 
         centers = {"ours": CommandCenter(agents, claims=self.claims, honest=self.honest)}
         if self.compared:
             centers["no trust"] = CommandCenter(agents, claims=self.claims, honest=self.honest, trusting=True)
         distances: dict[str, list[float]] = {name: [] for name in CENTERS}
-        evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
+        evidence, doubt, trust, suspects, checks, published_trust = [], [], [], [], [], []
         published = PublishedTrust()
-        for time, reports in enumerate(said):
+        for time, honest in enumerate(self._reports):
+            reports = list(honest)
+            if liars is not None:
+                reports = liars.forge(reports) if scene.times_s[time] >= ONSET_S else liars.look(reports)
             truth = seen_objects(scene, time)
             for name, center in centers.items():
                 picture = center.add(float(scene.times_s[time]), reports)
@@ -139,49 +129,18 @@ class SceneCases:
                     doubt.append(picture.verdicts.doubt)
                     trust.append(picture.verdicts.trust)
                     suspects.append(picture.verdicts.suspects)
+                    checks.append(picture.checks)
         return Run(
             case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence),
             _rounded(doubt), _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(),
-            self._checked(said),
-            {name: _rounded(values) for name, values in distances.items()}, liars.touched if liars else [],
-            overlap_of(scene, liars) if liars else float("nan"),
+            plain_checks(checks), {name: _rounded(values) for name, values in distances.items()},
+            liars.touched if liars else [], overlap_of(scene, liars) if liars else float("nan"),
         )  # fmt: skip
 
-    def _said(self, liars: Liars | None) -> Said:
-        """Return what all agents say, time after time."""
-        out = []
-        for reports, t_s in zip(self._reports, self.scene.times_s, strict=True):
-            said = list(reports)
-            if liars is not None:
-                said = liars.forge(said) if t_s >= ONSET_S else liars.look(said)
-            out.append(said)
-        return out
 
-    def _checked(self, said: Said) -> list[list[float | None]]:
-        """Return what every check says of each agent's claims [A][C], the mean over some times after the onset."""
-        first = int(np.searchsorted(self.scene.times_s, ONSET_S)) + 1
-        times = np.unique(np.linspace(first, len(said) - 1, CHECKED_TIMES).round().astype(int))
-        out: list[list[float | None]] = []
-        for number, _ in enumerate(self.scene.agents):
-            rows = [self._check(said[time - 1][number], said[time], number) for time in times.tolist()]
-            known: NDArray[np.bool_] = np.isfinite(np.array(rows))
-            mean = np.where(known, rows, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-            some: list[bool] = np.asarray(known.any(axis=0)).tolist()
-            out.append(
-                [float(f"{value:.5g}") if is_known else None for value, is_known in zip(mean, some, strict=True)]
-            )
-        return out
-
-    def _check(self, before: AgentReport, now: Sequence[AgentReport], number: int) -> Floats:
-        """Return what every check says of an agent's claim (C,); where only others lie about objects, it is known."""
-        others = tuple(report.estimate for place, report in enumerate(now) if place != number)
-        view = ClaimedView(now[number].estimate, now[number].detections, others, before.estimate)
-        key = tuple(id(part) for part in (view.estimate, view.detections, *others, before.estimate))
-        if not set(key) <= self._of_honest:
-            return check_view(view)
-        if key not in self._checks:
-            self._checks[key] = check_view(view)
-        return self._checks[key]
+def plain_checks(checks: Sequence[Floats]) -> list[list[list[float | None]]]:
+    """Return checks of views at each time (A, C) as plain values, None for NaN."""
+    return [[[None if np.isnan(x) else float(f"{x:.5g}") for x in row] for row in one.tolist()] for one in checks]
 
 
 def overlap_of(scene: Scene, liars: Liars) -> float:

@@ -19,11 +19,11 @@ from viewshed.sensors import lidar_model
 from viewshed.studies.crossview.faults import BLOB_M, SmallestDifference, with_known_faults
 from viewshed.studies.crossview.rates import (
     FIRST_RULES,
+    ColumnRate,
     CrossViewRow,
     CrossViewRules,
     CrossViewTruth,
     OnStep,
-    Rate,
     crossview_truth,
     rows_of,
 )
@@ -212,7 +212,7 @@ def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
 
 
 def _table(rows: Sequence[CrossViewRow]) -> Table:
-    def rate(of: Rate) -> str:
+    def rate(of: ColumnRate) -> str:
         return f"{of.value:.3f} [{of.low:.3f}, {of.high:.3f}] of {of.columns}" if of.columns else "no columns"
 
     return lines("estimator", {row.method: row for row in rows}, {

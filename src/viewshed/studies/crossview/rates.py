@@ -74,7 +74,7 @@ FIRST_RULES = CrossViewRules(foot_m=None, across_m=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class SeenColumns:
     """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each.
 
     Attributes:
@@ -93,12 +93,12 @@ class Columns:
         return ~self.seen & ~self.through
 
 
-CrossViewTruth = Sequence[tuple[Sweep, Columns]]
+CrossViewTruth = Sequence[tuple[Sweep, SeenColumns]]
 """Sweeps, each with what the others of its scene know about its view."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rate:
+class ColumnRate:
     """A rate, its 95 % interval, and how many columns it rests on.
 
     The interval is the wider of a bootstrap over sweeps and the exact binomial one (Clopper and Pearson 1934): with
@@ -116,17 +116,17 @@ class CrossViewRow:
     """One estimator's rates: over-claim, under-claim, over-claim with no column dropped, and the share dropped."""
 
     method: str
-    over: Rate
-    under: Rate
-    over_unfiltered: Rate
+    over: ColumnRate
+    under: ColumnRate
+    over_unfiltered: ColumnRate
     dropped_share: float
 
 
-def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules) -> Columns:
+def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules) -> SeenColumns:
     """Return the columns that ``others`` know about the view of ``a``; all need poses and times."""
     found = [columns for b in others for columns in [_columns_of_pair(a, b, others, rules)] if len(columns)]
     if not found:
-        return Columns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
+        return SeenColumns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
     # Places on a lattice of 0.25 m, each once.
     xy = np.unique(np.round(np.concatenate(found) / 0.25), axis=0) * 0.25
     band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
@@ -137,7 +137,7 @@ def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossView
     aimed, through = _aimed_and_through(a, xy, rules)
     known = (seen | clear) & (aimed >= rules.coverage)
     passes = (through >= 2) & (through >= rules.through_share * aimed) & ~seen
-    return Columns(xy[known], seen[known], passes[known])
+    return SeenColumns(xy[known], seen[known], passes[known])
 
 
 def _columns_of_pair(
@@ -257,9 +257,9 @@ def crossview_truth(
     sequences: Sequence[Sequence[Sweep]],
     rules: CrossViewRules | None = None,
     on_step: OnStep = lambda _: None,
-) -> list[tuple[Sweep, Columns]]:
+) -> list[tuple[Sweep, SeenColumns]]:
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
-    truth: list[tuple[Sweep, Columns]] = []
+    truth: list[tuple[Sweep, SeenColumns]] = []
     for sweeps in sequences:
         levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
         for k, a in enumerate(levels):
@@ -309,12 +309,12 @@ def _row(method: str, estimator: FovEstimator, truth: CrossViewTruth, rng: np.ra
     return CrossViewRow(method, rates[0], rates[1], rates[2], dropped / max(unseen, 1))
 
 
-def _rate(counts: NDArray[np.float64], picks: NDArray[np.intp]) -> Rate:
+def _rate(counts: NDArray[np.float64], picks: NDArray[np.intp]) -> ColumnRate:
     total = counts.sum(axis=0)
     if total[1] == 0:
-        return Rate(float("nan"), float("nan"), float("nan"), 0)
+        return ColumnRate(float("nan"), float("nan"), float("nan"), 0)
     sums = counts[picks].sum(axis=1)
     low, high = np.quantile(sums[sums[:, 1] > 0, 0] / sums[sums[:, 1] > 0, 1], [0.025, 0.975])
     wrong, columns = (int(count) for count in total)
     exact = binomtest(wrong, columns).proportion_ci(0.95)
-    return Rate(wrong / columns, min(float(low), exact.low), max(float(high), exact.high), columns)
+    return ColumnRate(wrong / columns, min(float(low), exact.low), max(float(high), exact.high), columns)

@@ -60,7 +60,7 @@ class Located:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CaseRow:
     """One case over all sweeps; ``dataclasses.asdict`` makes it plain.
 
     Attributes:
@@ -91,7 +91,7 @@ class Row:
     located: dict[str, Located]
 
 
-def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> list[Row]:
+def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> list[CaseRow]:
     """Return one row for each case of a method in a domain.
 
     Args:
@@ -108,14 +108,14 @@ def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> l
     ]
 
 
-def _row(results: Results[Any], series: Series, refused: int, seed: int) -> Row:
+def _row(results: Results[Any], series: Series, refused: int, seed: int) -> CaseRow:
     scores, alarms = results.by_sweep(series, "score"), results.numbers(series, "alarm")
     nothing = (_NAN, (_NAN, _NAN), _NAN, _NAN)
     compared = nothing if series.case == BENIGN or not scores else _compared(results, series, list(scores), seed)
     idle = int((results.numbers(series, "returns") == 0).sum())
     located = {region: found for region in REGIONS if (found := _located(results, series, region)) is not None}
     mean = float(alarms.mean()) if len(alarms) else _NAN
-    return Row(series.case.kind, series.case.name, len(scores), refused, idle, mean, *compared, located)
+    return CaseRow(series.case.kind, series.case.name, len(scores), refused, idle, mean, *compared, located)
 
 
 def _compared(
@@ -143,7 +143,7 @@ def _located(results: Results[Any], series: Series, region: str) -> Located | No
     )  # fmt: skip
 
 
-def monitor_table(rows: Mapping[str, list[Row]], kind: str) -> Table:
+def monitor_table(rows: Mapping[str, list[CaseRow]], kind: str) -> Table:
     """Return AUROC, its interval, detections at 1 % and alarms for every attack or corruption.
 
     Args:
@@ -163,10 +163,10 @@ def monitor_table(rows: Mapping[str, list[Row]], kind: str) -> Table:
     return Table(header, [[name, *line] for name, line in cells.items()])
 
 
-def located_table(rows: list[Row]) -> Table:
+def located_table(rows: list[CaseRow]) -> Table:
     """Return how well suspect cells fit what was touched, the wedge and what changed: precision (chance) / recall."""
 
-    def words(row: Row, region: str) -> str:
+    def words(row: CaseRow, region: str) -> str:
         found = row.located.get(region)
         if found is None:
             return "–"

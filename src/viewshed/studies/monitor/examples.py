@@ -20,7 +20,7 @@ DEGRADED_FROM = 4
 
 def examples_of(table: SweepTable) -> ScoreExamples:
     """Return the sweeps of a table with what is known of them; null attacks are for the test alone."""
-    inconsistent = _by_row(table, np.array([_is_inconsistent(case) for case in table.cases]))
+    inconsistent = np.array([_is_inconsistent(case) for case in table.cases], np.float32)[table.case]
     touched = table.touched.any(axis=1)
     inconsistent[(inconsistent == 1) & ~touched] = np.nan
     # What begins half-way in a drive is open: what lasts must be seen without a change before it.
@@ -50,10 +50,6 @@ def is_trained_on(table: SweepTable, left_out: str) -> NDArray[np.bool_]:
 def families_of(table: SweepTable) -> NDArray[np.str_]:
     """Return the number of the family of each case (cases,), empty for those that are no attack."""
     return np.array(["" if case.kind in HONEST else str(family_of(case.name)) for case in table.cases])
-
-
-def _by_row(table: SweepTable, of_cases: NDArray[np.floating]) -> NDArray[np.float32]:
-    return of_cases.astype(np.float32)[table.case]
 
 
 def _is_inconsistent(case: Case) -> float:

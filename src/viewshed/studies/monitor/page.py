@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 
 from viewshed._page import Table, facts, to_markdown
 from viewshed.integrity.calibration import alarm_limit, p_values
-from viewshed.integrity.over_time import EDetector, limit_per_drive
+from viewshed.integrity.over_time import EDetector, FalseAlarms, measure_false_alarms
 from viewshed.integrity.score import EvidenceScore
 from viewshed.integrity.sectors import discoveries
 from viewshed.studies.cases import DEFAULT, generator
@@ -39,15 +39,14 @@ from viewshed.studies.monitor.results import (
     INCONSISTENT,
     LOW_RATE,
     NOTHING,
+    PER_HOUR,
     RATE,
     AttackedSweeps,
     Detection,
     Evaluation,
     Rate,
     RecordedScores,
-    delays_of,
     detect,
-    false_alarms_per_hour,
     mean_rate,
     placements,
 )
@@ -59,16 +58,13 @@ from viewshed.threats.attacks import INFORMED
 
 FALSE_DISCOVERIES = 0.1
 
-PER_HOUR = 1.0
-"""False alarms that a detector over time is asked for."""
+HZ = 1.0 / INTERVAL_S
+"""Sweeps a second."""
 
 APART = ("relay", "replay", "pose_spoof", *LOSSES, "jamming")
 """Attacks that are no part of the mean: they are seen over time, or are no more than a degraded view."""
 
 _CHUNK = 512
-
-HOURS = 10.0
-"""Of driving that false alarms over time are counted in."""
 
 NOMINAL = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Rates at which p-values are compared with what they promise."""
@@ -137,7 +133,7 @@ class MonitorResults:
             alone = self._evaluation(str(family), test, self.over_time)
             found |= {case: detect(chosen, alone, test.is_case([case])) for case in cases}
             own = [case for case in cases if case.kind == "attack" and case.level == DEFAULT]
-            rows.append(AttackedSweeps.of(chosen, test.is_case(own)))
+            rows.append(AttackedSweeps.of(chosen, test.is_case(own), HZ))
         order = {case: place for place, case in enumerate(self.plan.all_cases())}
         return dict(sorted(found.items(), key=lambda item: order[item[0]])), AttackedSweeps.joined(rows)
 
@@ -181,7 +177,7 @@ class MonitorResults:
             ("corrupted sweeps called inconsistent at 1 %", "≤ .03", _mean(inconsistent[corrupted])),
             ("the most at a single sensor", "≤ .02", self._most_at_a_sensor(inconsistent, benign)),
             ("sweeps corrupted at severity 5 called degraded", "≥ .90", _mean(degraded[worst])),
-            ("false alarms an hour, over time", "≤ 1", self.false_alarms[0][1]),
+            self._false_alarms_target(),
             ("median delay over time, in sweeps (6: more than five)", "≤ 3", self._median_delay()),
             ("suspect sectors: overlap, mean of the attacks", "≥ .60", self._located_means()[0][0]),
             ("false discoveries, mean of their sweeps", "≤ .10", self._located_means()[1][1]),
@@ -205,8 +201,13 @@ class MonitorResults:
         """Return the median number of sweeps until a detector over time finds a measured spoofer's attacks."""
         attacked = self.attacked
         counted = np.array([name not in APART and _kind_of(name) == MEASURED for name in attacked.attack], np.bool_)
-        delays = delays_of(EDetector.for_rate(PER_HOUR, round(1.0 / INTERVAL_S)), attacked.streams(counted))
+        delays = attacked.delays(counted, self._supported[0][0])
         return float(np.median(np.where(delays > 0, delays, FRAMES - ONSET + 1))) if len(delays) else float("nan")
+
+    def _false_alarms_target(self) -> tuple[str, str, float]:
+        _, asked_for, found, _ = next(row for row in self.false_alarms[2:] if row[2] is not None)
+        assert found is not None
+        return f"false alarms an hour, over time, {asked_for} asked for", "≤ 1", found.per_hour
 
     def _recorded_targets(self) -> list[tuple[str, str, float]]:
         found = self.recorded
@@ -312,59 +313,58 @@ class MonitorResults:
         return Table(["p-value at most", "inconsistent, share of the sweeps", "degraded, of the clear ones"], rows)
 
     @cached_property
-    def false_alarms(self) -> list[tuple[str, float, tuple[float, float], float, float]]:
-        """Detectors over time on benign test drives: name, false alarms an hour, interval, stated ones, limit."""
-        benign, hz = self.whole.benign, round(1.0 / INTERVAL_S)
-        p = self.whole.p_values(benign, INCONSISTENT)
-        drives = [p[benign.table.drive == drive] for drive in np.unique(benign.table.drive)]
-        sweeps = [p[row : row + 1] for row in range(len(p))]
-        each, per_drive = EDetector.for_rate(PER_HOUR, hz), EDetector.for_rate(PER_HOUR, hz, len(drives[0]))
-        tried = [
-            ("a bet each sweep", each, drives, PER_HOUR),
-            ("the same, of sweeps drawn one by one", each, sweeps, PER_HOUR),
-            ("a bet each drive, the mean of its sweeps'", per_drive, drives, PER_HOUR),
-        ]
-        if len(drives[::2]) >= 1.0 / RATE - 1.0:
-            limited = limit_per_drive(each, drives[::2], RATE)
-            drives_an_hour = 3600.0 * hz / len(drives[0])
-            tried.append(("a bet each sweep, limit of whole drives", limited, drives[1::2], RATE * drives_an_hour))
-        return [
-            (name, *false_alarms_per_hour(detector, several, hz, HOURS, generator(self.plan.seed, name)), stated,
-             detector.limit)
-            for name, detector, several, stated in tried
+    def false_alarms(self) -> list[tuple[str, str, FalseAlarms | None, float]]:
+        """Detectors over time on the benign test drives: name, what was asked for, false alarms, limit."""
+        whole, benign, rng = self.whole, self.whole.benign, generator(self.plan.seed, "false alarms")
+        p, tail_p = whole.p_values(benign, INCONSISTENT), whole.tail_p_values(benign)
+        rows = [np.flatnonzero(benign.table.drive == drive) for drive in np.unique(benign.table.drive)]
+        stated = EDetector.for_rate(PER_HOUR[0], HZ)
+        shuffled = measure_false_alarms(stated, [rng.permutation(p)], HZ, rng)
+        found: list[tuple[str, str, FalseAlarms | None, float]] = [
+            ("bets as if sweeps were independent", f"{PER_HOUR[0]:g}",
+             measure_false_alarms(stated, [p[each] for each in rows], HZ, rng), stated.limit),
+            ("the same, of sweeps drawn one by one", f"{PER_HOUR[0]:g}", shuffled, stated.limit),
         ]  # fmt: skip
+        for per_hour, detector in whole.detectors(HZ).items():
+            drives, limit = [tail_p[each] for each in rows], float("nan") if detector is None else detector.limit
+            alarms = None if detector is None else measure_false_alarms(detector, drives, HZ, rng)
+            found.append(("limit of benign runs", f"{per_hour:.3g}", alarms, limit))
+        return found
+
+    @property
+    def _supported(self) -> list[tuple[int, float]]:
+        """Place and number of the false alarms an hour that there are runs enough for, ascending; one at least."""
+        found = enumerate(self.whole.detectors(HZ).items())
+        return [(place, per_hour) for place, (per_hour, detector) in found if detector is not None]
 
     def over_time_table(self) -> Table:
-        """Return the false alarms of detectors over time on benign test drives joined, beside what is stated."""
-        rows = [
-            [name, f"{stated:.3g}", f"{rate:.3g} [{low:.3g}, {high:.3g}]", f"{limit:.3g}"]
-            for name, rate, (low, high), stated, limit in self.false_alarms
-        ]
-        header = ["detector", "stated, an hour", f"false alarms an hour, in {HOURS:g} h", "limit"]
-        return Table(header, rows)
+        """Return the false alarms of detectors over time on the benign test drives, beside what was asked for."""
+        hours = self.whole.runs.hours(HZ)
+        rows = []
+        for name, per_hour, found, limit in self.false_alarms:
+            if found is None:
+                refused = f"refused: needs {1.0 / float(per_hour):.3g} h of benign runs, there are {hours:.2g}"
+                rows.append([name, per_hour, refused, "", ""])
+            else:
+                low, high = found.interval_per_hour
+                measured = f"{found.per_hour:.3g} [{low:.3g}, {high:.3g}]"
+                rows.append([name, per_hour, measured, str(found.alarms), f"{limit:.3g}"])
+        return Table(["detector", "asked for, an hour", "false alarms an hour", "alarms", "limit"], rows)
 
     def delay_table(self) -> Table:
-        """Return how many sweeps it takes until an attack is found, by single sweeps and by a detector over time."""
-        attacked, hz = self.attacked, round(1.0 / INTERVAL_S)
+        """Return how many sweeps it takes until an attack is found, by single sweeps and by detectors over time."""
+        attacked = self.attacked
         kinds = np.array([name if name in APART else _kind_of(name) for name in attacked.attack])
         rows = []
         for kind in sorted(set(kinds), key=lambda name: (name not in APART, name)):
-            streams = attacked.streams(kinds == kind)
+            streams = [attacked.p[each] for each in attacked.streams(kinds == kind)]
             single = np.array([np.argmax(p <= RATE) + 1 if (p <= RATE).any() else 0 for p in streams])
-            over_time = delays_of(EDetector.for_rate(PER_HOUR, hz), streams)
-            cells = [cell for delays in (single, over_time) for cell in _delay_cells(delays)]
+            over_time = [attacked.delays(kinds == kind, place) for place, _ in self._supported]
+            cells = [cell for delays in (single, *over_time) for cell in _delay_cells(delays)]
             rows.append([kind, *cells, str(len(streams))])
-        header = [
-            "attack",
-            "1 %: found in five sweeps",
-            "median",
-            "95 %",
-            "over time: found in five",
-            "median",
-            "95 %",
-            "drives",
-        ]
-        return Table(header, rows)
+        rates = [f"{per_hour:.3g} an hour" for _, per_hour in self._supported]
+        header = [cell for rate in ("1 % of sweeps", *rates) for cell in (f"{rate}: found in five", "median")]
+        return Table(["attack", *header, "drives"], rows)
 
     def published_table(self) -> Table | None:
         """Return the published detector beside this monitor on the same sweeps; None where it was not tried."""
@@ -550,6 +550,11 @@ def _mean(values: NDArray[np.floating[Any]]) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
+def _minutes(table: SweepTable) -> str:
+    """Return how long the sweeps of a table are together before which enough was measured."""
+    return f"{len(table.drives) * (FRAMES - ONSET) * INTERVAL_S / 60.0:.2g}"
+
+
 def _is_met(target: str, value: float) -> str:
     """Return whether a value meets a target, in a word.
 
@@ -571,17 +576,17 @@ def _kind_of(name: str) -> str:
 
 
 def _delay_cells(delays: NDArray[np.int64]) -> list[str]:
-    """Return the share of the drives that are found, and quantiles of the sweeps that it takes, of all drives.
+    """Return the share of the drives that are found, and the median of the sweeps that it takes, of all drives.
 
     >>> _delay_cells(np.array([1, 2, 2, 0]))
-    ['.750', '2', '> 5']
+    ['.750', '2']
     """
+    if not len(delays):
+        return ["–"] * 2
     late = np.where(delays > 0, delays, FRAMES - ONSET + 1)
-    words = [
-        f"> {FRAMES - ONSET}" if delay > FRAMES - ONSET else f"{delay:g}"
-        for delay in np.quantile(late, (0.5, 0.95), method="higher")
-    ]
-    return [format_rate(float((delays > 0).mean())), *words]
+    median = float(np.quantile(late, 0.5, method="higher"))
+    word = f"> {FRAMES - ONSET}" if median > FRAMES - ONSET else f"{median:g}"
+    return [format_rate(float((delays > 0).mean())), word]
 
 
 def _sectors(model: EvidenceScore, table: SweepTable) -> NDArray[np.float32]:
@@ -637,7 +642,9 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
     values = {
         "corruptions": len(plan.corruptions), "evidence": len(names), "names": ", ".join(names),
         "over_time": ", ".join(over_time) or "none", "apart": ", ".join(APART), "rate": f"{RATE:g}",
-        "low_rate": f"{LOW_RATE:g}", "hours": f"{HOURS:g} h", "published": plan.published[0],
+        "low_rate": f"{LOW_RATE:g}", "published": plan.published[0],
+        "run": f"{(FRAMES - ONSET) * INTERVAL_S:g}",
+        "minutes": _minutes(results.test), "calibration_minutes": _minutes(results.calibration),
     }  # fmt: skip
     title, blocks = fill_template("monitor/page.md", values, {
         "targets": results.target_table,

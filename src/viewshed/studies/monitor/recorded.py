@@ -74,6 +74,6 @@ def measure_recorded_drive(plan: MonitorPlan, number: int, sweeps: list[Sweep]) 
     shape = (-1, len(sweeps), len(EVIDENCE), SECTORS)
     return DriveEvidence(
         RECORDED, RECORDED, number, sensor_of(leveled[0]), BENIGN, tuple(EVIDENCE), benign,
-        benign[-1],        tuple(cases), np.array(evidence, np.float32).reshape(shape),
+        benign[-1], tuple(cases), np.array(evidence, np.float32).reshape(shape),
         np.array(touched, np.bool_).reshape(-1, len(sweeps), SECTORS), tuple(refused),
     )  # fmt: skip

@@ -10,8 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.integrity.calibration import Calibration, Group, alarm_limit, p_values
-from viewshed.integrity.over_time import EDetector
+from viewshed.integrity.calibration import (
+    Calibration,
+    Group,
+    alarm_limit,
+    p_values,
+    tail_p_values,
+    tail_p_values_among_others,
+)
+from viewshed.integrity.over_time import BenignRuns, EDetector
 from viewshed.integrity.score import STATISTICS, EvidenceScore
 from viewshed.studies.cases import generator
 from viewshed.studies.monitor.archive import SweepTable
@@ -26,8 +33,8 @@ RATE, LOW_RATE = 0.01, 0.001
 
 DRAWS = 1000
 
-LONG_DRIVES = 40
-"""Long drives that the hours of a detector over time are divided into."""
+PER_HOUR = (1.0, 10.0, 100.0)
+"""False alarms over time that limits of runs are asked for."""
 
 Floats = NDArray[np.float64]
 
@@ -236,6 +243,38 @@ class Evaluation:
                 p[mine] = p_values(known, scored.scores[mine, verdict])
         return p
 
+    def tail_p_values(self, scored: Scored) -> Floats:
+        """Return the p-values (N,) of what is inconsistent that go on beyond the calibration scenes, by sensor."""
+        benign, p = self.one_of_each_scene, np.ones(len(scored.scores))
+        for sensor in np.unique(scored.sensors):
+            known = np.sort(benign.scores[benign.sensors == sensor, INCONSISTENT].astype(np.float64))
+            if len(known):
+                mine = scored.sensors == sensor
+                p[mine] = tail_p_values(known, scored.scores[mine, INCONSISTENT])
+        return p
+
+    @cached_property
+    def runs(self) -> BenignRuns:
+        """The calibration drives as runs, each judged by all other drives of its sensor."""
+        scored, one = self.benign_calibration, self.one_of_each_scene
+        streams = list[Floats]()
+        for sensor in np.unique(one.sensors):
+            mine = one.sensors == sensor
+            sweeps = [scored.scores[scored.table.drive == drive, INCONSISTENT] for drive in one.table.drive[mine]]
+            streams += tail_p_values_among_others(one.scores[mine, INCONSISTENT].astype(np.float64), sweeps)
+        return BenignRuns.of(streams)
+
+    def detectors(self, hz: float) -> dict[float, EDetector | None]:
+        """Return a detector for each number of false alarms an hour, ascending; None where there are too few runs.
+
+        The numbers are ``PER_HOUR`` and the least that the runs support, if it is more than the first of these.
+        """
+        least = self.runs.least_per_hour(hz)
+        return {
+            per_hour: self.runs.detector(per_hour, hz) if per_hour >= least else None
+            for per_hour in sorted({max(PER_HOUR[0], least), *PER_HOUR})
+        }
+
     def limits(self, verdict: int, rate: float, *, five: bool = False) -> Limits:
         """Return the limits of a verdict; of *degraded* from clear drives alone, for rain is no false alarm there.
 
@@ -387,6 +426,8 @@ class AttackedSweeps:
         caught: (N,) 1 above the limit for 1 %.
         caught_low: (N,) 1 above that for .1 %.
         p: (N,) p-value among the calibration scenes of the sensor.
+        tail_p: (N,) the same, going on beyond them.
+        run_limits: (N, K) of its score's detectors, see :meth:`Evaluation.detectors`; NaN for none.
     """
 
     attack: NDArray[np.str_]
@@ -398,19 +439,23 @@ class AttackedSweeps:
     caught: Floats
     caught_low: Floats
     p: Floats
+    tail_p: Floats
+    run_limits: Floats
 
     @classmethod
-    def of(cls, chosen: Evaluation, mask: Mask) -> AttackedSweeps:
-        """Return those of a mask (N,) of the test table that an attack touched."""
+    def of(cls, chosen: Evaluation, mask: Mask, hz: float) -> AttackedSweeps:
+        """Return those of a mask (N,) of the test table that an attack touched, at so many sweeps a second."""
         scored = chosen.tested.rows(mask & chosen.test.touched.any(axis=1))
         table = scored.table
         drives = [table.drives[drive] for drive in table.drive]
+        limits = [np.nan if one is None else one.limit for one in chosen.detectors(hz).values()]
         return cls(
             np.array([table.cases[case].name for case in table.case]), np.array([drive.domain for drive in drives]),
             scored.sensors, np.array([drive.number for drive in drives]), table.frame.astype(np.int64),
             placements(chosen.benign, scored, INCONSISTENT),
             chosen.limits(INCONSISTENT, RATE).alarms(scored, INCONSISTENT),
             chosen.limits(INCONSISTENT, LOW_RATE).alarms(scored, INCONSISTENT), chosen.p_values(scored, INCONSISTENT),
+            chosen.tail_p_values(scored), np.tile(limits, (len(drives), 1)),
         )  # fmt: skip
 
     @classmethod
@@ -418,48 +463,44 @@ class AttackedSweeps:
         """Return those of several scores together."""
         return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in cls.__slots__))
 
-    def streams(self, mask: Mask) -> list[Floats]:
-        """Return the p-values of those of a mask (N,), drive by drive, in the order of time."""
+    def streams(self, mask: Mask) -> list[NDArray[np.intp]]:
+        """Return the rows of a mask (N,) drive by drive, in the order of time."""
         rows = np.flatnonzero(mask)
         names = [(self.attack[row], self.domain[row], int(self.number[row])) for row in rows]
         found: dict[tuple[str, str, int], list[int]] = {}
         for name, row in zip(names, rows, strict=True):
             found.setdefault(name, []).append(int(row))
-        return [self.p[sorted(own, key=lambda row: int(self.frame[row]))] for own in found.values()]
+        return [np.array(sorted(own, key=lambda row: int(self.frame[row]))) for own in found.values()]
+
+    def delays(self, mask: Mask, place: int) -> NDArray[np.int64]:
+        """Return :func:`delays_of` the drives of a mask (N,) by the detectors at a place of ``run_limits``.
+
+        Empty if one of them has none.
+        """
+        limits = [float(self.run_limits[rows[0], place]) for rows in self.streams(mask)]
+        if np.isnan(limits).any():
+            return np.zeros(0, np.int64)
+        run = FRAMES - ONSET
+        return delays_of([
+            (EDetector(limit, run=run), self.tail_p[rows])
+            for limit, rows in zip(limits, self.streams(mask), strict=True)
+        ])  # fmt: skip
 
 
-def delays_of(detector: EDetector, streams: Sequence[Floats]) -> NDArray[np.int64]:
-    """Return of each stream how many sweeps it takes until a detector alarms that begins with it; 0 for never."""
-    found = []
-    for p in streams:
-        one = detector.fresh()
-        found.append(next((number for number, each in enumerate(p.tolist(), 1) if one.add(each)), 0))
-    return np.array(found)
+def delays_of(streams: Sequence[tuple[EDetector, Floats]]) -> NDArray[np.int64]:
+    """Return how many sweeps it takes until each detector alarms on its attacked sweeps, 0 for never.
 
-
-def false_alarms_per_hour(
-    detector: EDetector, drives: Sequence[Floats], hz: float, hours: float, rng: np.random.Generator
-) -> tuple[float, tuple[float, float]]:
-    """Return the false alarms an hour on benign drives one after the other, and a 95 % interval over drives.
-
-    Each of ``LONG_DRIVES`` long drives is of another draw of as many drives as there are, with replacement.
-
-    Args:
-        detector: to be tried.
-        drives: p-values (sweeps,) of each, of scenes that the monitor was not calibrated on.
-        hz: sweeps a second.
-        hours: of driving in all.
-        rng: draws the drives.
+    A detector that begins anew after runs may be anywhere in one at the onset: each place counts once, the sweeps
+    before being as usual as can be.
     """
-    sweeps, found = round(3600.0 * hz * hours / LONG_DRIVES), []
-    for _ in range(LONG_DRIVES):
-        chosen = rng.integers(len(drives), size=len(drives))
-        order = rng.choice(chosen, -(-2 * sweeps // max(len(drives[0]), 1)))
-        p = np.concatenate([drives[number] for number in order])[:sweeps]
-        one = detector.fresh()
-        found.append(sum(one.add(each) for each in p.tolist()) * 3600.0 * hz / len(p))
-    low, high = np.quantile(found, (0.025, 0.975))
-    return float(np.mean(found)), (float(low), float(high))
+    found = []
+    for detector, p in streams:
+        for before in range(detector.run or 1):
+            one = detector.fresh()
+            for _ in range(before):
+                one.add(1.0)
+            found.append(next((number for number, each in enumerate(p.tolist(), 1) if one.add(each)), 0))
+    return np.array(found)
 
 
 def mean_rate(rates: Sequence[Rate]) -> float:

@@ -38,7 +38,17 @@ def monitor_of(score: EvidenceScore, calibration: SweepTable, seed: int, rates: 
     kept = np.array([scenes[drive.sensor] >= needed for drive in calibration.drives])
     if not kept.any():
         raise ValueError(f"a sensor must have {needed:.0f} clear drives to calibrate on, got {max(scenes.values())}")
-    return SweepMonitor.calibrate(score, _sweeps(calibration, kept, clear), generator(seed, "monitor"), rates=rates)
+    return SweepMonitor.calibrate(
+        score, _sweeps(calibration, kept, clear), generator(seed, "monitor"), rates=rates,
+        in_a_row=_in_a_row(calibration, kept),
+    )  # fmt: skip
+
+
+def _in_a_row(table: SweepTable, kept: NDArray[np.bool_]) -> Iterator[BenignSweep]:
+    """Yield all sweeps of the kept drives (D,) before which enough was measured, in the order of time."""
+    for row in np.flatnonzero((table.case == 0) & (table.frame >= ONSET) & kept[table.drive]):
+        drive = table.drives[table.drive[row]]
+        yield BenignSweep(drive.scene, Group(drive.sensor, "posed"), table.evidence[row].astype(np.float32))
 
 
 def _sweeps(table: SweepTable, kept: NDArray[np.bool_], clear: NDArray[np.bool_]) -> Iterator[BenignSweep]:

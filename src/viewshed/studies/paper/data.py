@@ -14,7 +14,7 @@ from viewshed.datasets.simulated import simulate
 from viewshed.studies.cases import case_generator
 from viewshed.studies.evaluate import Evaluation, Reference
 from viewshed.studies.paper.plan import PaperPlan
-from viewshed.studies.paper.protocols import Setting
+from viewshed.studies.paper.protocols import ProtocolSetting
 from viewshed.studies.records import STRICT
 from viewshed.studies.samples import BEFORE_S, StudySample
 from viewshed.studies.suite import EstimatorSuite
@@ -84,7 +84,9 @@ def held_out(plan: PaperPlan, folder: Path, domain: str, number: int) -> StudySa
     return StudySample(archive[index], earlier)
 
 
-def evaluation_of(plan: PaperPlan, folder: Path, setting: Setting, suite: EstimatorSuite, number: int) -> Evaluation:
+def evaluation_of(
+    plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite, number: int
+) -> Evaluation:
     """Return one of the held-out sweeps of the setting's domain, who is tried on it, and the setting's truth."""
     sample = held_out(plan, folder, setting.domain, number)
     rng_of = partial(case_generator, plan.test_seed, setting.domain, number)

@@ -32,7 +32,7 @@ from viewshed.studies.paper.models import (
     weights_of,
 )
 from viewshed.studies.paper.plan import CLASSICAL, MIXTURES, PROTOCOLS, STEPS, VARIANTS, Model, PaperPlan
-from viewshed.studies.paper.protocols import Setting, setting_of
+from viewshed.studies.paper.protocols import ProtocolSetting, setting_of
 from viewshed.studies.plan import JobKey, check_names
 from viewshed.studies.records import BENIGN, STRICT, Case, Record, pool
 from viewshed.studies.runner import Job, Progress, run_jobs
@@ -80,7 +80,7 @@ def _pair(job: Job[PaperPlan]) -> JobResult:
     return JobResult(pair_records(job.plan, job.folder, setting, setting.suite(estimators)))
 
 
-def pair_records(plan: PaperPlan, folder: Path, setting: Setting, suite: EstimatorSuite) -> list[Record]:
+def pair_records(plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite) -> list[Record]:
     """Return the counts of every held-out sweep, benign and attacked, and the scores of all of them together."""
     counts: list[Record] = []
     scores: list[Record] = []
@@ -116,7 +116,7 @@ def _strict(job: Job[PaperPlan]) -> JobResult:
     return JobResult(list(evaluation.records(strict_cases(job.plan), untouched=True)))
 
 
-def strict_estimators(plan: PaperPlan, setting: Setting, runners: dict[Model, Runner]) -> dict[str, Estimator]:
+def strict_estimators(plan: PaperPlan, setting: ProtocolSetting, runners: dict[Model, Runner]) -> dict[str, Estimator]:
     """Return the estimators that face every attack by name: networks of the domain, then the classical ones."""
     networks: dict[str, Estimator] = {
         model.short_name: UnetEstimator(runner, passes_of(plan, model), plan.test_seed, model.short_name)

@@ -19,7 +19,7 @@ from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.studies.cases import generator
 from viewshed.studies.paper.data import archive_path
 from viewshed.studies.paper.plan import Model, PaperPlan
-from viewshed.studies.paper.protocols import Setting, setting_of
+from viewshed.studies.paper.protocols import ProtocolSetting, setting_of
 from viewshed.sweep import Sweep
 from viewshed.training.config import PAPER, TrainConfig
 from viewshed.training.log import history_to_json
@@ -93,7 +93,9 @@ class NetworkAlone(ClassicalEstimator):
         return FovEstimate(self.grid, mean, state, std)
 
 
-def network_of(plan: PaperPlan, folder: Path, model: Model, setting: Setting, device: str = "cpu") -> NetworkAlone:
+def network_of(
+    plan: PaperPlan, folder: Path, model: Model, setting: ProtocolSetting, device: str = "cpu"
+) -> NetworkAlone:
     """Return a trained network in a setting."""
     runner = load_runner(weights_of(folder, model), device)
     return NetworkAlone(runner, setting.card(runner.card), passes_of(plan, model), plan.test_seed)

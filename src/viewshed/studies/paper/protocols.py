@@ -19,7 +19,7 @@ PAPER_EXTENT_M, PAPER_INDOOR_EXTENT_M = 80.0, 18.0
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ProtocolSetting:
     """What a network is given and held against in one domain.
 
     Attributes:
@@ -71,12 +71,12 @@ class Setting:
         return EstimatorSuite(self.grid, self.threshold, estimators)
 
 
-def setting_of(plan: PaperPlan, protocol: str, domain: str) -> Setting:
+def setting_of(plan: PaperPlan, protocol: str, domain: str) -> ProtocolSetting:
     """Return the setting of a protocol in a domain."""
     half_extent_m = preset_named(domain).grid_half_extent_m
     if protocol == STRICT:
         grid = BevGrid(plan.cells, half_extent_m)
-        return Setting(protocol, domain, grid, "probe", THRESHOLD, 100.0, (-10.0, 3.0))
+        return ProtocolSetting(protocol, domain, grid, "probe", THRESHOLD, 100.0, (-10.0, 3.0))
     indoor = half_extent_m < ROOM_M
     grid = BevGrid(plan.cells, PAPER_INDOOR_EXTENT_M if indoor else PAPER_EXTENT_M)
-    return Setting(protocol, domain, grid, LABEL, PAPER_THRESHOLD, 20.0 if indoor else 100.0, (-3.0, 3.0))
+    return ProtocolSetting(protocol, domain, grid, LABEL, PAPER_THRESHOLD, 20.0 if indoor else 100.0, (-3.0, 3.0))

@@ -119,7 +119,7 @@ OTHERS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class PublishedTarget:
     """One figure that the study set out to reach in the paper's protocol.
 
     Attributes:
@@ -142,7 +142,7 @@ class Target:
         return "not measured" if isnan(self.found) else "met" if self.found >= self.least else "missed"
 
 
-def targets_of(results: PaperResults) -> list[Target]:
+def targets_of(results: PaperResults) -> list[PublishedTarget]:
     """Return the targets of the paper's protocol beside what was reached."""
     in_domain = [(BENIGN_TABLE, 0.95), (ADVERSARIAL, 0.95), (ADVERSARIAL_MCD, 0.94)]
     worst = [(BENIGN_TABLE, 0.90), (ADVERSARIAL, 0.88)]
@@ -150,21 +150,21 @@ def targets_of(results: PaperResults) -> list[Target]:
     return targets + [_worst(results, table, least) for table, least in worst]
 
 
-def _in_domain(results: PaperResults, table: SubTable, least: float) -> Iterator[Target]:
+def _in_domain(results: PaperResults, table: SubTable, least: float) -> Iterator[PublishedTarget]:
     words = f"in-domain F1, {table.tested}{', MCD' if table.variant == 'mcd' else ''}"
     for domain in ORDER:
-        yield Target(
+        yield PublishedTarget(
             f"{words}, {domain}", _paper_f1(table, domain, domain), least, *_f1(results, table, domain, domain)
         )
 
 
-def _worst(results: PaperResults, table: SubTable, least: float) -> Target:
+def _worst(results: PaperResults, table: SubTable, least: float) -> PublishedTarget:
     """Return the target of the lowest F1 where training and test set differ."""
     crossed = [(test, train) for test, train in product(ORDER, ORDER) if test != train]
     found = zip(*(_f1(results, table, *pair) for pair in crossed), strict=True)
     lowest = [float("nan") if any(map(isnan, rates)) else min(rates) for rates in found]
     published = min(_paper_f1(table, *pair) for pair in crossed)
-    return Target(f"worst transfer F1, {table.tested}", published, least, *lowest)
+    return PublishedTarget(f"worst transfer F1, {table.tested}", published, least, *lowest)
 
 
 def _paper_f1(table: SubTable, test: str, train: str) -> float:

@@ -119,7 +119,7 @@ def scene_picture(store: ResultStore[RobustnessPlan]) -> Picture:
     return Picture("robustness_scenes.png", figures.scene_figure(scenes), alt)
 
 
-def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.Scene:
+def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.PictureRow:
     evaluation = evaluation_of(Job(store.plan, store.folder, ("attacks", store.plan.domains[0], "0")))
     tampered, suite, sample = evaluation.tampered(case), strict_suite(evaluation.suite.grid, DRAWN), evaluation.sample
     leveled = level(tampered.sweep, suite.grid)
@@ -128,7 +128,7 @@ def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.Scene:
         for name, estimate in suite.estimates(leveled).items()
     }
     wedge = None if tampered.wedge is None else (tampered.wedge.azimuth, tampered.wedge.width)
-    return figures.Scene(
+    return figures.PictureRow(
         f"{FAMILY[case.name]}  {case.name}\n{case.level}", suite.grid, sample.truth.visible(), sample.known,
         leveled.points[:, :2], tampered.added[leveled.rows], wedge, claims,
     )  # fmt: skip
@@ -254,7 +254,11 @@ def _withstood(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -
     lines = [
         f"- **{name}** withstands {len(names)} of {len(attacks)} in every domain: {_listed(names)}."
         for name, names in held.items()
+        if names
     ]
+    none = [name for name, names in held.items() if not names]
+    if none:
+        lines.append(f"- Withstand 0 of {len(attacks)} in every domain: {', '.join(f'**{name}**' for name in none)}.")
     nobody = [attack for attack in attacks if not any(attack in names for names in held.values())]
     return "\n".join([*lines, f"- Withstood in all domains by no single classical estimator: {_listed(nobody)}."])
 

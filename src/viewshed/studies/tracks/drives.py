@@ -21,7 +21,6 @@ from viewshed.fusion.sensor_view import SensorView
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.integrity import IntegrityReport, StreamMonitor
-from viewshed.integrity.over_time import EDetector
 from viewshed.integrity.sweep_monitor import shipped_monitor
 from viewshed.object_metrics import match_objects
 from viewshed.objects import Detections, ObjectKind, moved_boxes
@@ -249,7 +248,8 @@ def simulate_drive(
     world, agent = world_of(plan), world_of(plan).agents[0]
     estimator, polygon = load_estimator(DEFAULT_ESTIMATOR, grid=grid), load_estimator(POLYGON, grid=grid)
     simulated, perception = SimulatedDetector(np.random.Generator(np.random.PCG64(plan.seed(99)))), Detector()
-    monitor = None if forger is None else StreamMonitor(shipped_monitor(), EDetector.for_rate(per_hour=1.0, hz=HZ))
+    watching = shipped_monitor()
+    monitor = None if forger is None else StreamMonitor(watching, watching.detector(hz=HZ))
     movable = [
         k for k, thing in enumerate(world.things)
         if k != agent.carrier and (thing.kind in OBJECT_KINDS or thing.track is not None)

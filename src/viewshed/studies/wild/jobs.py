@@ -10,7 +10,7 @@ from viewshed.studies.plan import JobKey
 from viewshed.studies.runner import Job, Progress, ignore_progress, run_jobs
 from viewshed.studies.store import JobResult, ResultStore
 from viewshed.studies.wild.evaluate import records_of
-from viewshed.studies.wild.openings import Opening
+from viewshed.studies.wild.openings import SetOpening
 from viewshed.studies.wild.plan import WildPlan
 from viewshed.studies.wild.records import to_table
 
@@ -19,7 +19,7 @@ def run_study(
     store: ResultStore[WildPlan],
     engine: Engine,
     on_progress: Progress = ignore_progress,
-    opening: Opening | None = None,
+    opening: SetOpening | None = None,
 ) -> Iterator[str]:
     """Run what is not in the store yet, and yield one line for each job that failed.
 

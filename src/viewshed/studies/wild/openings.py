@@ -24,7 +24,7 @@ run on them adds a line here before it starts.
 
 
 @dataclass(frozen=True, slots=True)
-class Opening:
+class SetOpening:
     """One opening.
 
     Attributes:

@@ -29,9 +29,9 @@ JUDGED = ("shadow_map", "viewnet")
 """Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
 
 _WHAT = {
-    "rings": "Told ring, time and intensity of each return: no sensor, no height, no attitude",
-    "nothing": "Told nothing but points",
-    "table": "Told the maker's beam table, rings, height and attitude",
+    "rings": "Known: ring, time and intensity of each return; no sensor, no height, no attitude",
+    "nothing": "Known: points alone",
+    "table": "Known: the maker's beam table, rings, height and attitude",
 }
 
 

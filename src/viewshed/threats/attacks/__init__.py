@@ -41,10 +41,10 @@ from viewshed.threats.attacks.points import (
 )
 from viewshed.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
-from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, FINGERPRINT_RELIABILITY, RELIABILITY, Spoofer
+from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
 
 __all__ = [
-    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FINGERPRINT_RELIABILITY",
+    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY",
     "FREE_FORM", "FULL_WEDGE", "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY",
     "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BestOf", "BlackBox", "CopiedObject", "Evade",
     "Expectation", "Knowledge", "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",

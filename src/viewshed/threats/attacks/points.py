@@ -8,7 +8,7 @@ The attack of arXiv 2503.07375 as its code draws it, for its own profile.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,6 @@ from viewshed.threats.attacks.spoofer import (
 from viewshed.threats.parameters import Ascending, Azimuth, Between, Budget, Checked, Points, Share
 
 Mode = Literal["free_form", "beam_constrained"]
-
-MODES: tuple[Mode, ...] = get_args(Mode)
 
 Side = Literal["behind", "before"]
 

@@ -31,9 +31,6 @@ RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.4
 DEFAULT_RELIABILITY = 0.985
 """The same for other sensors."""
 
-FINGERPRINT_RELIABILITY = 0.02
-"""The same for a sensor whose pulses carry a fingerprint."""
-
 LEAVE, NO_RETURN = np.nan, np.inf
 """Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
 
