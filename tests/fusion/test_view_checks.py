@@ -155,7 +155,10 @@ def test_views_are_checked_in_turn_and_say_nothing_before_the_second_look() -> N
 
 
 def test_a_view_is_compared_with_the_nearest_others_alone() -> None:
-    far = [replace(OTHERS[0], agent=f"far{k}", world_from_level=Rigid(np.eye(3), np.array([500.0 + k, 0.0, 0.0]))) for k in range(9)]
+    far = [
+        replace(OTHERS[0], agent=f"far{k}", world_from_level=Rigid(np.eye(3), np.array([500.0 + k, 0.0, 0.0])))
+        for k in range(9)
+    ]
     some, near = CheckedViews(12), CheckedViews(12)
     nothing = Detections.none()
     crowd = {k + 3: (one, nothing) for k, one in enumerate(far)}
