@@ -47,7 +47,7 @@ ELEVATED_M = 4.0
 """Sensors higher than this look over cars: their views are compared with those of their kind."""
 
 TALLEST_M = 10.0
-"""Masts of the honest scenes are 4 to 8 m high. What is usual for a sensor above this is not known: it is not checked."""
+"""Masts of the honest scenes are 4 to 8 m high. What is usual for a higher sensor is not known: it is not checked."""
 
 SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
