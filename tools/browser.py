@@ -62,6 +62,7 @@ def open_browser(*, webgl: bool = False) -> Iterator[Browser]:
         process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, str(to_browser), str(from_browser), *command],
             pass_fds=(to_browser, from_browser), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**os.environ, "TMPDIR": profile},  # a browser that is ended leaves its files behind
         )  # fmt: skip
         os.close(to_browser)
         os.close(from_browser)

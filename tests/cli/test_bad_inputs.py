@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from tests.cli.test_cli import run
+from tests.cli.commands import run
 from tests.datasets.recordings.test_rosbag import ROS2, S, write_mcap, write_ros2
 from tests.io.test_bad_input import BAD
 

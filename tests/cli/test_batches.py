@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.cli.test_networks import SHAPE, run
+from tests.cli.commands import run
+from tests.cli.test_networks import SHAPE
 from tests.networks.made import card, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep

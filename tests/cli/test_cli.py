@@ -1,7 +1,6 @@
 """The commands as a stranger types them: exit codes, messages, files."""
 
 import contextlib
-import io
 import json
 import os
 import pty
@@ -14,26 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.cli.commands import run
 
 import viewshed
 from viewshed import BevGrid, read_sweep, write_sweep
-from viewshed.cli import main
 from viewshed.cli._options import NetworkOptions, parse_grid
 from viewshed.cli._outputs import output_names
 from viewshed.estimators import CLASSICAL
 from viewshed.io.export import read_npz
 from viewshed.io.samples import junction_path
-
-
-def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command in this process; :func:`start` is for what only a process of its own can show."""
-    words, out, err = [*map(str, arguments)], io.StringIO(), io.StringIO()
-    with (
-        contextlib.redirect_stdout(out), contextlib.redirect_stderr(err),
-        contextlib.chdir(cwd or Path.cwd()), pytest.raises(SystemExit) as exit_,
-    ):  # fmt: skip
-        main(words)
-    return subprocess.CompletedProcess(words, int(exit_.value.code or 0), out.getvalue(), err.getvalue())
 
 
 @contextlib.contextmanager

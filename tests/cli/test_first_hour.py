@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_cli import run
+from tests.cli.commands import run
 from typer.main import get_command
 
 import viewshed

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.cli.test_networks import run
+from tests.cli.commands import run
 
 from viewshed import read_sweep, write_sweep
 from viewshed.io.samples import junction_path

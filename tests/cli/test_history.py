@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_networks import run
+from tests.cli.commands import run
 
 from viewshed import BevGrid
 from viewshed._jobs import LocalEngine

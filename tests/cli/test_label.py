@@ -5,18 +5,12 @@ import shutil
 from pathlib import Path
 
 import pytest
+from tests.cli.commands import run
 
 from viewshed.cli import main
 from viewshed.datasets import Archive
 
 pytestmark = pytest.mark.slow
-
-
-def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as stop:
-        main(list(words))
-    told = capsys.readouterr()
-    return int(stop.value.code or 0), told.out, told.err
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +21,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_it_labels_a_data_set_on_its_own_grid(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_labels_a_data_set_on_its_own_grid(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "labels"
-    code, said, _ = _run(capsys, "label", str(recording), "--out", str(out), "--workers", "1")
+    code, said, _ = run("label", str(recording), "--out", str(out), "--workers", "1")
     assert code == 0
     assert re.fullmatch(rf"{re.escape(str(out))}: 6 labels in 2 scene\(s\), 2 shards, \d\.\d MB\n", said)
     labels, truths = Archive.open(out), Archive.open(recording)
@@ -43,14 +35,12 @@ def test_it_labels_a_data_set_on_its_own_grid(
     assert sum(same) / 6 > 0.97
 
 
-def test_a_damaged_shard_is_one_line_and_exit_code_2(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_shard_is_one_line_and_exit_code_2(recording: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(recording, tmp_path / "cut"))
     victim = sorted(folder.glob("*.parquet"))[0]
     victim.write_bytes(b"PAR1" + victim.read_bytes()[4:-99])
     out = tmp_path / "labels"
-    code, said, complaint = _run(capsys, "label", str(folder), "--out", str(out), "--workers", "1", "--grid", "24x8")
+    code, said, complaint = run("label", str(folder), "--out", str(out), "--workers", "1", "--grid", "24x8")
     assert code == 2
     assert len([line for line in complaint.splitlines() if line.startswith("viewshed: ")]) == 1
     assert f"{victim.name} is damaged" in complaint
@@ -69,11 +59,9 @@ def test_a_damaged_shard_is_one_line_and_exit_code_2(
         (("RECORDING", "--engine", "steam"), "engine must be one of local, ray, got 'steam'"),
     ],
 )
-def test_what_is_refused(
-    words: tuple[str, ...], message: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_refused(words: tuple[str, ...], message: str, recording: Path, tmp_path: Path) -> None:
     named = [str(recording) if word == "RECORDING" else word for word in words]
-    code, _, complaint = _run(capsys, "label", *named, "--out", str(tmp_path / "out"))
+    code, _, complaint = run("label", *named, "--out", str(tmp_path / "out"))
     assert code == 2
     assert message in complaint
     assert not (tmp_path / "out").exists()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.cli.commands import run
 from tests.networks.made import card, nearby
 
 from viewshed import Sweep, write_sweep
@@ -15,13 +16,6 @@ from viewshed.cli._verdicts import stream_monitor
 from viewshed.integrity import load_monitor, load_sweep_monitor
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import Stage, UNet
-
-
-def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as stop:
-        main(list(words))
-    told = capsys.readouterr()
-    return int(stop.value.code or 0), told.out, told.err
 
 
 def _network() -> UNet:
@@ -76,8 +70,8 @@ def _check(folder: Path, *files: str) -> list[str]:
     ]
 
 
-def test_fit_says_what_it_did(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, err = _run(capsys, *_fit(place, "--out", str(tmp_path / "again.npz")))
+def test_fit_says_what_it_did(place: Path, tmp_path: Path) -> None:
+    code, said, err = run(*_fit(place, "--out", str(tmp_path / "again.npz")))
     assert (code, err) == (0, "")
     assert re.search(r"fitted on 10 sweeps, calibrated on 10; alarms above a score of \d\.\d{4}, .* 10\.0% false", said)
     assert (tmp_path / "again.npz").read_bytes() == (place / "monitor.npz").read_bytes()
@@ -85,14 +79,12 @@ def test_fit_says_what_it_did(place: Path, tmp_path: Path, capsys: pytest.Captur
     assert (monitor.facts["passes"], monitor.facts["target"], monitor.grid.cells) == ("5", "car", 32)
 
 
-def test_worse_drives_calibrate_only_what_is_inconsistent(
-    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_worse_drives_calibrate_only_what_is_inconsistent(place: Path, tmp_path: Path) -> None:
     files = [str(place / f"benign{number:02}.npz") for number in range(12)]
     worse = [word for file in files[8:] for word in ("--worse", file)]
     out = tmp_path / "made.npz"
     words = ["monitor", "calibrate", *files[:8], *worse, "--rate", "0.2", "--grid", "32x16", "--out", str(out)]
-    code, said, err = _run(capsys, *words)
+    code, said, err = run(*words)
     assert (code, err) == (0, "")
     assert f"{out}: calibrated on 12 sweeps of 12 scenes" in said
     made = load_sweep_monitor(out)
@@ -102,23 +94,21 @@ def test_worse_drives_calibrate_only_what_is_inconsistent(
     assert "over time, at 10 Hz: expected false alarms at most 2.77e+03 an hour" in said
 
 
-def test_false_alarms_an_hour_are_chosen_or_refused(
-    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_false_alarms_an_hour_are_chosen_or_refused(place: Path, tmp_path: Path) -> None:
     files = [str(place / f"benign{number:02}.npz") for number in range(12)]
     out = tmp_path / "made.npz"
     words = ["monitor", "calibrate", *files, "--rate", "0.2", "--grid", "32x16", "--out", str(out), "--per-hour"]
-    code, said, err = _run(capsys, *words, "6000")
+    code, said, err = run(*words, "6000")
     assert (code, err) == (0, "")
     assert "over time, at 10 Hz: expected false alarms at most 6e+03 an hour" in said
     assert stream_monitor(out).detector.limit == load_sweep_monitor(out).runs.detector(6000, 10.0).limit
-    code, _, err = _run(capsys, *words, "1")
+    code, _, err = run(*words, "1")
     assert code == 2
     assert "1 false alarms an hour need 1 h of benign runs, got 0.000333 h; ask for 2.78e+03 or more" in err
 
 
-def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, err = _run(capsys, *_check(place, "calm.npz", "cut.npz"))
+def test_check_alarms_where_returns_are_gone(place: Path) -> None:
+    code, said, err = run(*_check(place, "calm.npz", "cut.npz"))
     assert (code, err) == (0, "")
     calm, cut, total = said.splitlines()
     assert re.fullmatch(r"calm\.npz: score 0\.\d{4}, limit 0\.\d{4}, no alarm", calm)
@@ -126,22 +116,22 @@ def test_check_alarms_where_returns_are_gone(place: Path, capsys: pytest.Capture
     assert total == "2 sweeps, 1 alarms"
 
 
-def test_a_page_shows_what_the_monitor_says(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_shows_what_the_monitor_says(place: Path, tmp_path: Path) -> None:
     page, net = tmp_path / "run.html", ["--weights", str(place / "net.onnx")]
     words = ["view", str(place / "calm.npz"), str(place / "cut.npz"), "--html", str(page), *net]
-    code, said, err = _run(capsys, *words, "--monitor-file", str(place / "monitor.npz"))
+    code, said, err = run(*words, "--monitor-file", str(place / "monitor.npz"))
     assert (code, err) == (0, "")
     assert ["ALARM" in line for line in said.splitlines()] == [False, True, False]
     calm, cut = map(json.loads, re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")))
     assert calm["score"] <= calm["limit"] == cut["limit"] < cut["score"]
     assert [len(about["alarms"]) for about in (calm, cut)] == [0, 1]
-    code, _, err = _run(capsys, *words, "--monitor-file", str(place / "monitor.npz"), "--method", "shadow_map")
+    code, _, err = run(*words, "--monitor-file", str(place / "monitor.npz"), "--method", "shadow_map")
     assert code == 2
     assert "--monitor-file was fitted on mc_dropout, got --method shadow_map" in err
 
 
-def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, _ = _run(capsys, *_check(place, "cut.npz"), "--out", str(tmp_path / "found"))
+def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path) -> None:
+    code, said, _ = run(*_check(place, "cut.npz"), "--out", str(tmp_path / "found"))
     assert code == 0
     area = re.search(r"ALARM, (\d+) m² suspect → (\S+)", said)
     assert area is not None
@@ -153,8 +143,8 @@ def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path, capsy
     assert abs(sum(signed)) == pytest.approx(float(area[1]), abs=0.6), "holes run the other way round"
 
 
-def test_one_bad_sweep_does_not_stop_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, err = _run(capsys, *_check(place, "empty.npz", "none.npz", "calm.npz"))
+def test_one_bad_sweep_does_not_stop_the_others(place: Path) -> None:
+    code, said, err = run(*_check(place, "empty.npz", "none.npz", "calm.npz"))
     assert code == 2
     assert said.splitlines()[-1] == "1 sweeps, 0 alarms"
     empty, none = err.splitlines()
@@ -162,24 +152,22 @@ def test_one_bad_sweep_does_not_stop_the_others(place: Path, capsys: pytest.Capt
     assert "none.npz" in none
 
 
-def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path) -> None:
     few = ["monitor", "fit", *map(str, sorted(place.glob("benign*.npz"))[:10])]
     net = ["--weights", str(place / "net.onnx"), "--grid", "32x16", "--out", str(tmp_path / "no.npz")]
-    code, _, err = _run(capsys, *few, *net)
+    code, _, err = run(*few, *net)
     assert (code, err) == (2, "viewshed: a false-alarm rate of 0.05 needs at least 19 benign sweeps, got 5\n")
     assert not (tmp_path / "no.npz").exists()
     (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
-    code, _, err = _run(
-        capsys, "monitor", "check", str(place / "calm.npz"), "--monitor-file", str(tmp_path / "bad.npz")
-    )
+    code, _, err = run("monitor", "check", str(place / "calm.npz"), "--monitor-file", str(tmp_path / "bad.npz"))
     assert code == 2
     assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; calibrate it again\n", err)
     other = card(threshold=0.7)
     export_onnx(tmp_path / "other.onnx", other, _network())
     words = _check(place, "calm.npz")[:-1]
-    code, _, err = _run(capsys, *words, str(tmp_path / "other.onnx"))
+    code, _, err = run(*words, str(tmp_path / "other.onnx"))
     assert code == 2
     assert re.fullmatch(r"viewshed: weights must be those of the monitor, made \w{12}, got made \w{12}; .*\n", err)
-    code, _, err = _run(capsys, *_fit(place, "--out", str(place / "benign00.npz")))
+    code, _, err = run(*_fit(place, "--out", str(place / "benign00.npz")))
     assert code == 2
     assert "is an input and would be replaced" in err

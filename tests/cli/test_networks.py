@@ -1,29 +1,20 @@
 """``viewshed estimate --method unet|mcd`` as a stranger types it."""
 
-import contextlib
-import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from tests.cli.commands import run
 from tests.networks.made import card, drawn, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep
-from viewshed.cli import main
 from viewshed.fov.estimate import CellState
 from viewshed.io.export import read_npz
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.onnx_export import export_onnx
 
 SHAPE = UNetShape(4, 2, 0.3)
-
-
-def run(*arguments: object) -> tuple[int, str, str]:
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as exit_:
-        main([*map(str, arguments)])
-    return int(exit_.value.code or 0), out.getvalue(), err.getvalue()
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.cli.test_cli import run
+from tests.cli.commands import run
 
 from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.io import read_sweep

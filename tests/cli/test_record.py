@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.test_networks import run
+from tests.cli.commands import run
 
 import viewshed.plot
 from viewshed import open_recording, read_sweep, write_sweep

@@ -4,17 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
+from tests.cli.commands import run
 
 from viewshed.cli import main
 
 pytestmark = pytest.mark.slow
-
-
-def _run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as stop:
-        main(["study", "robustness", *words])
-    told = capsys.readouterr()
-    return int(stop.value.code or 0), told.out, told.err
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +44,11 @@ def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
     assert verdicts["first_blocker"] == "yes"
 
 
-def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path) -> None:
     before = (made / "results.jsonl").read_bytes()
     page = tmp_path / "page.md"
-    code, said, progress = _run(
-        capsys, "--preset", "tiny", "--out", str(made), "--workers", "1", "--page", str(page)
-    )  # fmt: skip
+    words = ("--preset", "tiny", "--out", made, "--workers", "1", "--page", page)
+    code, said, progress = run("study", "robustness", *words)
     assert code == 0
     assert f"Markdown in {page}" in said
     assert "9 of 9" in progress
@@ -64,35 +57,31 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path, caps
     assert "### majority_vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
 
 
-def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, _, complaint = _run(capsys, "--preset", "nonsense", "--out", str(tmp_path))
+def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path) -> None:
+    code, _, complaint = run("study", "robustness", "--preset", "nonsense", "--out", str(tmp_path))
     assert (code, complaint) == (2, "viewshed: preset must be one of full, small, tiny, got 'nonsense'\n")
-    code, _, complaint = _run(capsys, "--preset", "small", "--out", str(made), "--no-run")
+    code, _, complaint = run("study", "robustness", "--preset", "small", "--out", str(made), "--no-run")
     assert code == 2
     assert "must hold results of this plan and version, got another plan; choose another folder" in complaint
-    code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(tmp_path / "new"), "--no-run")
+    code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(tmp_path / "new"), "--no-run")
     assert code == 2
     assert complaint.endswith("must hold results, got none; run without --no-run\n")
     assert not (tmp_path / "new").exists()
     (tmp_path / "file").touch()
-    code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(tmp_path / "file"))
+    code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(tmp_path / "file"))
     assert (code, complaint.count("\n")) == (2, 1)
     damaged = tmp_path / "damaged"
     damaged.mkdir()
     lines = (made / "results.jsonl").read_bytes().splitlines(keepends=True)
     (damaged / "results.jsonl").write_bytes(b"".join([*lines[:3], lines[3][:90] + b"\n", *lines[4:]]))
-    code, _, complaint = _run(capsys, "--preset", "tiny", "--out", str(damaged), "--no-run")
+    code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(damaged), "--no-run")
     assert (code, complaint.count("\n")) == (2, 1)
     assert "line 4 is damaged; delete that line, its job is done again" in complaint
 
 
-def test_the_former_command_does_the_same_and_is_not_listed(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["report", "vulnerability", "--preset", "tiny", "--out", str(made), "--no-run"])
-    assert not stop.value.code
-    assert f"Markdown in {made / 'robustness.md'}" in capsys.readouterr().out
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    listed = capsys.readouterr().out
+def test_the_former_command_is_the_same_and_is_not_listed(tmp_path: Path) -> None:
+    words = ("--preset", "nonsense", "--out", tmp_path)
+    assert run("report", "vulnerability", *words) == run("study", "robustness", *words)
+    listed = run("--help").stdout
     assert re.search(r"^ +study +Run a study", listed, re.MULTILINE)
     assert not re.search(r"^ +(report|reproduce) ", listed, re.MULTILINE)

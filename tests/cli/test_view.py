@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cli.test_networks import run
+from tests.cli.commands import run
 
 from viewshed import Sweep, read_sweep, write_sweep
 from viewshed.cli._outputs import Named

@@ -332,6 +332,6 @@ def _sentence(tracks: Tracks, k: int, why: Explanation, look: _Look, e_value: fl
 
 @lru_cache(maxsize=1)
 def shipped_model() -> EvidenceModel:
-    """Return the model in the box, calibrated on simulated drives (docs/fusion.md)."""
+    """Return the shipped model, calibrated on simulated drives (docs/fusion.md)."""
     with resources.as_file(resources.files("viewshed.fusion").joinpath("single.json")) as path:
         return EvidenceModel.load(path)

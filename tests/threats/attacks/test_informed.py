@@ -8,18 +8,13 @@ from tests.threats.attacks.conftest import MODEL, SENSOR_M, FlatScene
 from tests.threats.attacks.drawn import same
 from tests.threats.attacks.oracle import Scene, broken_on_beams
 
-from viewshed import ESTIMATORS, GRIDS, BevGrid, Sweep
+from viewshed import ESTIMATORS, BevGrid, Sweep
 from viewshed.integrity.evidence import MonitoredSweep
 from viewshed.threats.attacks import (
-    ATTACKS,
     BITS,
     INFORMED,
-    BestOf,
-    Evade,
     Knowledge,
     MonitorScore,
-    OverClaim,
-    UnderClaim,
     smallest_budget,
     tripped_shares,
 )
@@ -131,30 +126,6 @@ def test_informed_attacks_keep_the_rules(name: str, simulated: list[Scene]) -> N
             assert broken_on_beams(scene, tampered, budget) == [], scene.name
             effective += bool(tampered.added.any())
     assert effective >= 6
-
-
-def test_the_best_of_some_draws_is_worth_most(flat_scene: FlatScene) -> None:
-    clean = flat_scene(12.0)
-    aim = OverClaim(ESTIMATORS["shadow_map"](GRIDS["road"]))
-    attack = replace(ATTACKS["far_wall"](200), sector_deg=10.0)  # type: ignore[type-var]
-    tampered = BestOf(attack, aim, 6).apply(clean, _rng(3))
-    rng = _rng(3)
-    worth = []
-    for _ in range(6):
-        drawn = attack.apply(clean, rng)
-        assert drawn.wedge is not None
-        worth.append(aim.on(clean, drawn.wedge)(drawn.sweep))
-    assert tampered.wedge is not None
-    assert aim.on(clean, tampered.wedge)(tampered.sweep) == max(worth) > min(worth)
-
-
-def test_evading_takes_a_draw_that_the_monitor_does_not_see(flat_scene: FlatScene) -> None:
-    clean, count = flat_scene(12.0), len(flat_scene(12.0))
-    aim = UnderClaim(ESTIMATORS["shadow_map"](GRIDS["road"]))
-    attack = CopiedObject(sector_deg=60.0)
-    assert BestOf(attack, aim, 4).apply(clean, _rng(1)).added.any()
-    nothing = Evade(aim, lambda sweep: float(len(sweep) != count), 0.0)
-    assert not BestOf(attack, nothing, 4).apply(clean, _rng(1)).added.any()
 
 
 def test_a_monitor_is_an_objective(flat_scene: FlatScene) -> None:

@@ -65,7 +65,7 @@ class PoseFile:
         """
         path = Path(place)
         with open_input(path) as source:
-            rows, lines = _numbers(source.content(_BYTES_MAX), path)
+            rows, lines = _numbers(source.content(_BYTES_MAX))
             if len(rows[0]) == _TUM_NUMBERS:
                 times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
                 late = np.flatnonzero(np.diff(times_ns) <= 0)
@@ -201,7 +201,7 @@ def time_in_name(name: str) -> int | None:
     return int(numbers[-1]) * _UNIT_NS[len(numbers[-1])] if numbers else None
 
 
-def _numbers(content: bytes, path: Path) -> tuple[NDArray[np.float64], list[int]]:
+def _numbers(content: bytes) -> tuple[NDArray[np.float64], list[int]]:
     """Return the numbers (N, 12 or 8) of the lines, and the number of each line, from 1."""
     rows, lines = list[list[float]](), list[int]()
     for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), start=1):

@@ -27,7 +27,7 @@ from viewshed.threats.attacks.adaptive import (
 )
 from viewshed.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
-from viewshed.threats.attacks.informed import BestOf, CopiedObject, VanishedObject
+from viewshed.threats.attacks.informed import CopiedObject, VanishedObject
 from viewshed.threats.attacks.monitored import BITS, MonitorScore, smallest_budget, tripped_shares
 from viewshed.threats.attacks.null import null_of
 from viewshed.threats.attacks.placement import Placement
@@ -46,7 +46,7 @@ from viewshed.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
 __all__ = [
     "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY",
     "FREE_FORM", "FULL_WEDGE", "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY",
-    "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BestOf", "BlackBox", "CopiedObject", "Evade",
+    "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BlackBox", "CopiedObject", "Evade",
     "Expectation", "Knowledge", "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
     "Tampered", "Trip", "UnderClaim", "VanishedObject", "Wedge", "WhiteBox", "at_severity", "smallest_budget",
     "tripped_shares",

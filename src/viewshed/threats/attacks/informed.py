@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks.adaptive import Objective
 from viewshed.threats.attacks.assembly import untouched
-from viewshed.threats.attacks.base import Attack, Tampered, Wedge
+from viewshed.threats.attacks.base import Tampered, Wedge
 from viewshed.threats.attacks.beam_lattice import Rays, lattice_of, rays_in
 from viewshed.threats.attacks.spoofer import (
     FULL_CIRCLE,
@@ -29,7 +27,7 @@ from viewshed.threats.attacks.spoofer import (
     level_rays,
     scene_of,
 )
-from viewshed.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector
+from viewshed.threats.parameters import Azimuth, Budget, Checked, Range, Sector
 
 Floats = NDArray[np.float64]
 
@@ -458,34 +456,3 @@ def _hollows(image: _RayImage, chosen: _Object, turn: int) -> Ints:
     lost = within & (image.number[ring, column] >= 0) & np.isinf(image.depth_m[ring, column])
     number: Ints = image.number[ring[lost], (column[lost] + turn) % circle]
     return number[number >= 0]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BestOf(Checked):
-    """An attack drawn several times, of which the draw is carried out that is worth most to the attacker.
-
-    With :class:`Evade` it is an attacker who computes the monitor's score of each of its plans beforehand, noise
-    included. A draw that is worth no more than doing nothing is not carried out.
-
-    Attributes:
-        attack: that is drawn.
-        objective: what the attacker wants.
-        tries: how often.
-    """
-
-    attack: Attack
-    objective: Objective
-    tries: Annotated[int, Between(1, 10_000)] = 16
-
-    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
-        """Return the attacked sweep and what was done to it."""
-        best, gain = untouched(sweep), 0.0
-        for _ in range(self.tries):
-            tampered = self.attack.apply(sweep, rng)
-            if tampered.wedge is None:
-                continue
-            value_of = self.objective.on(sweep, tampered.wedge)
-            gained = value_of(tampered.sweep) - value_of(sweep)
-            if gained > gain:
-                best, gain = tampered, gained
-        return best
