@@ -2,8 +2,8 @@
 
 ``python tools/results_index.py`` writes the tables of ``docs/results/index.md`` anew, below the line
 ``<!-- pages -->``; what stands above is written by hand. Groups and titles come from
-``src/viewshed/result_pages.toml``, the numbers from the pages. It says how many words the pages of results and all
-other pages but those of the API hold: at most 40,000 and 15,000, so that somebody reads them.
+``src/viewshed/result_pages.toml``, the numbers from the pages. It says how many words the pages of results and the
+guides hold: at most 40,000 and 15,000, so that somebody reads them.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 MARK = "<!-- pages -->"
 LOG = "wild_openings"
 """A log, without numbers on its top."""
-BESIDE = ("first_hour", "ugv")
-"""Results that stand beside the folder, among the guides."""
+BESIDE = ("first_hour", "release", "ugv")
+"""Pages that commands write as well, which stand among the guides."""
 
 
 def overview(folder: Path) -> str:
@@ -37,12 +37,10 @@ def overview(folder: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def words(folder: Path) -> tuple[int, int]:
-    """Return the words of the pages of results and of the guides; bars and rules of tables are none."""
-    docs = folder.parent
-    results = {*folder.glob("*.md"), *(docs / f"{name}.md" for name in BESIDE)}
-    guides = set(docs.glob("*.md")) - results
-    return _words(results), _words(guides)
+def words(folder: Path) -> tuple[int, int, int]:
+    """Return the words of results, of pages beside them, and of guides; bars and rules of tables are none."""
+    beside = {folder.parent / f"{name}.md" for name in BESIDE}
+    return _words(set(folder.glob("*.md"))), _words(beside), _words(set(folder.parent.glob("*.md")) - beside)
 
 
 def _words(pages: set[Path]) -> int:
@@ -57,8 +55,8 @@ def main() -> int:
         print(f"{index} must have a line {MARK}", file=sys.stderr)
         return 1
     index.write_text(f"{above}{MARK}\n\n{overview(FOLDER)}", encoding="utf-8")
-    results, guides = words(FOLDER)
-    print(f"{results} words of results, {guides} of guides")
+    results, beside, guides = words(FOLDER)
+    print(f"{results} words of results, {beside} of {', '.join(BESIDE)}, {guides} of guides")
     return 0
 
 

@@ -154,8 +154,18 @@ def test_views_are_checked_in_turn_and_say_nothing_before_the_second_look() -> N
     assert np.array_equal(silent, found[-1], equal_nan=True)
 
 
+def test_a_mast_taller_than_those_of_the_honest_scenes_is_not_checked() -> None:
+    tall = replace(OWN, basis=Basis(20.0, "given", 0.9, 0.0, 0.0, 60.0))
+    checked, said = CheckedViews(2), {0: (tall, Detections.none()), 1: (OTHERS[0], Detections.none())}
+    found = [checked.add(said) for _ in range(4)][-1]
+    assert np.isfinite(found).any(axis=1).tolist() == [False, True]
+
+
 def test_a_view_is_compared_with_the_nearest_others_alone() -> None:
-    far = [replace(OTHERS[0], agent=f"far{k}", world_from_level=Rigid(np.eye(3), (500.0 + k, 0, 0))) for k in range(9)]
+    far = [
+        replace(OTHERS[0], agent=f"far{k}", world_from_level=Rigid(np.eye(3), np.array([500.0 + k, 0.0, 0.0])))
+        for k in range(9)
+    ]
     some, near = CheckedViews(12), CheckedViews(12)
     nothing = Detections.none()
     crowd = {k + 3: (one, nothing) for k, one in enumerate(far)}

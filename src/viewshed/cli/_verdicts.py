@@ -25,7 +25,7 @@ SCENE_NS = 20_000_000_000
 
 
 def monitor_of(file: Path | None) -> SweepMonitor:
-    """Return the monitor in a file of ``viewshed monitor calibrate``, or the one in the box."""
+    """Return the monitor in a file of ``viewshed monitor calibrate``, or the shipped one."""
     from viewshed.integrity.sweep_monitor import load_sweep_monitor, shipped_monitor
 
     return shipped_monitor() if file is None else load_sweep_monitor(file)

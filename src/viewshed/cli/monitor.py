@@ -329,7 +329,7 @@ class _Watching(Protocol):
 
 
 def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Watching:
-    """Return the monitor in a file at work, whichever kind it is; None is the one in the box."""
+    """Return the monitor in a file at work, whichever kind it is; None is the shipped one."""
     from viewshed.integrity.deviation import NAME, load_monitor
     from viewshed.integrity.sweep_monitor import kind_of_monitor
 

@@ -94,7 +94,7 @@ class ClaimTable:
 
 @lru_cache(maxsize=1)
 def claim_table() -> ClaimTable:
-    """Return the table in the box, of the default estimate and our detector (docs/results/agents.md)."""
+    """Return the shipped table, of the default estimate and our detector (docs/results/agents.md)."""
     return ClaimTable.from_json(resources.files("viewshed.fusion").joinpath(_FILE).read_text("utf-8"))
 
 

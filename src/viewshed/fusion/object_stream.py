@@ -81,7 +81,7 @@ class ObjectStream:
     Args:
         detector: finds the objects; None is the usual one.
         tamper: an attack on the detections, for trials; None for none.
-        model: what evidence is worth for this detector; None is the table in the box.
+        model: what evidence is worth for this detector; None is the shipped one.
         clock: of the time that it takes.
 
     Raises:
@@ -166,6 +166,6 @@ class ObjectStream:
 
 @lru_cache(maxsize=1)
 def stream_model() -> EvidenceModel:
-    """Return the model in the box: of benign drives with the package's detector (``tools/fit_object_stream.py``)."""
+    """Return the shipped model: of benign drives with the package's detector (``tools/fit_object_stream.py``)."""
     with resources.as_file(resources.files("viewshed.fusion").joinpath("object_stream.json")) as path:
         return EvidenceModel.load(path)

@@ -29,7 +29,7 @@ MOST_M, MOST_TURN = 0.25, float(np.radians(0.6))
 LEAST_M, LEAST_TURN = 0.03, float(np.radians(0.05))
 """Where both are smaller, a pose is left as it is."""
 
-REACH = 2.5
+REACH = 2.0
 """So many standard deviations a pose is moved along each axis, or turned, at most."""
 
 _STEPS = np.linspace(-REACH, REACH, 5)
@@ -133,18 +133,17 @@ def _placed(xy: Floats, pose: Rigid) -> Floats:
     return placed
 
 
-def _cells_of(xy: Floats) -> NDArray[np.int32]:
-    """Return the numbers (…,) of the cells of places (…, 2) in the world."""
-    cells = np.floor(xy / _CELL_M).astype(np.int32) & (_CELLS - 1)
-    numbers: NDArray[np.int32] = cells[..., 0] * np.int32(_CELLS) + cells[..., 1]
-    return numbers
+def _steps_of(along_m: Floats) -> NDArray[np.int32]:
+    """Return in which rows or columns of cells (…,) places along an axis of the world lie."""
+    steps: NDArray[np.int32] = np.floor(along_m / _CELL_M).astype(np.int32) & (_CELLS - 1)
+    return steps
 
 
 def _mark(seen_by: NDArray[np.uint32], number: int, xy: Floats, *, erase: bool = False) -> None:
     """Note that an agent sees surfaces half a meter wide at places (S, 2), or take that back."""
     flat, bit = seen_by.reshape(-1), np.uint32(1 << number % _BITS)
     # A surface covers the cell at its lower corner, and those beside it.
-    corner = _cells_of(xy - _CELL_M / 2)
+    corner = _steps_of(xy - _CELL_M / 2) @ np.array([_CELLS, 1], np.int32)
     cells = (corner + np.array([[0], [1], [_CELLS], [_CELLS + 1]], np.int32)) % _CELLS**2
     flat[cells] = flat[cells] & ~bit if erase else flat[cells] | bit
 
@@ -152,12 +151,12 @@ def _mark(seen_by: NDArray[np.uint32], number: int, xy: Floats, *, erase: bool =
 def _put_right(xy: Floats, pose: Rigid, std: PoseStd, seen_by: NDArray[np.uint32], number: int) -> Rigid:
     """Return the mean pose of an agent, given its surfaces (S, 2) in ``level`` and those that others see."""
     turns, shifts = _STEPS * std.bounded.yaw, _STEPS * std.bounded.place_m
-    # All poses about the stated one, (turns, shifts along x, along y, S).
+    # All poses about the stated one: (turns, shifts along x, along y, S).
     cos, sin = np.cos(pose.yaw + turns), np.sin(pose.yaw + turns)
     headings = np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=1)
     turned = xy @ headings + pose.translation[:2]
-    steps = np.stack(np.meshgrid(shifts, shifts, indexing="ij"), axis=-1)
-    cells = _cells_of(turned[:, None, None] + steps[None, :, :, None])
+    along_x, along_y = (_steps_of(turned[:, None, :, axis] + shifts[:, None]) for axis in (0, 1))
+    cells = along_x[:, :, None] * np.int32(_CELLS) + along_y[:, None]
     met = ((seen_by.reshape(-1)[cells] & ~np.uint32(1 << number % _BITS)) != 0).sum(axis=-1)
     if met.max() < _FEWEST_MET:
         return pose

@@ -46,6 +46,9 @@ MOST_SURFACES = 400
 ELEVATED_M = 4.0
 """Sensors higher than this look over cars: their views are compared with those of their kind."""
 
+TALLEST_M = 10.0
+"""Masts of the honest scenes are 4 to 8 m high. What is usual for a higher sensor is not known: it is not checked."""
+
 SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
 
@@ -143,6 +146,10 @@ def between(to: FovEstimate, of: FovEstimate) -> Rigid:
     assert to.world_from_level is not None
     assert of.world_from_level is not None
     return to.world_from_level.inverse() @ of.world_from_level
+
+
+def _is_too_tall(estimate: FovEstimate) -> bool:
+    return estimate.basis is not None and estimate.basis.sensor_height_m > TALLEST_M
 
 
 def _apart_m(one: FovEstimate, other: FovEstimate) -> float:
@@ -340,8 +347,9 @@ class CheckedViews:
             said: views and detections of one time, by the number of the agent.
         """
         self._times += 1
-        if said:
-            number = min(said, key=lambda one: (self._last[one], one))
+        known = [number for number, (estimate, _) in said.items() if not _is_too_tall(estimate)]
+        if known:
+            number = min(known, key=lambda one: (self._last[one], one))
             estimate, detections = said[number]
             # Others are the nearest ones: they see most of what the agent claims.
             others = sorted(
@@ -354,9 +362,9 @@ class CheckedViews:
         out = np.full((self.agents, len(VIEW_CHECKS)), np.nan)
         for number, rows in self._found.items():
             if len(rows) == LOOKS:
-                known = np.isfinite(rows)
-                some = known.any(axis=0)
-                out[number, some] = np.where(known, rows, 0.0).sum(axis=0)[some] / known.sum(axis=0)[some]
+                spoke = np.isfinite(rows)
+                some = spoke.any(axis=0)
+                out[number, some] = np.where(spoke, rows, 0.0).sum(axis=0)[some] / spoke.sum(axis=0)[some]
         return out
 
 

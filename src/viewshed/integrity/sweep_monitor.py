@@ -460,7 +460,7 @@ def _row(score: EvidenceScore, evidence: NDArray[np.floating[Any]]) -> Floats:
 FORMAT_VERSION = 2
 
 SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
-"""The monitor in the box."""
+"""The shipped monitor."""
 
 _MAX_BYTES = 1 << 26
 """Largest part of a file, unpacked: a hundred thousand scenes by 72 sectors."""
@@ -518,7 +518,7 @@ def load_sweep_monitor(path: str | Path) -> SweepMonitor:
 
 
 def shipped_monitor() -> SweepMonitor:
-    """Return the monitor in the box, calibrated on simulated scenes; see docs/monitor.md for its measured rates."""
+    """Return the shipped monitor, calibrated on simulated scenes; see docs/monitor.md for its measured rates."""
     return load_sweep_monitor(SHIPPED)
 
 

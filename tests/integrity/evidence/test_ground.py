@@ -46,6 +46,8 @@ def test_surfaces_below_the_ground_are_mirror_images_or_lower_ground_and_no_evid
     range_m, columns = street(), np.flatnonzero(columns_at(2.0, 4.0))
     range_m[2:5, columns] = 40.0
     assert measured(measure_below_ground, range_m).max() == 0.0
+    range_m[0, columns[3]] = 15.0  # at its edge, where one beam alone meets something else
+    assert measured(measure_below_ground, range_m).max() == 0.0
 
 
 def test_clutter_below_the_ground_counts_as_well() -> None:
