@@ -175,9 +175,8 @@ def check(
     """Check sweeps with a monitor: verdict and reason, a line each.
 
     A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
-    Sweeps of a recording are judged with those before them. What a verdict cannot rest on is said where it is new. A
-    sweep that cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2.
-    An alarm does not change the exit code.
+    Sweeps of a recording are judged with those before them. A sweep that cannot be checked costs one line on standard
+    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -355,7 +354,6 @@ class _SweepRun:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
     scene: str = ""
-    notes: tuple[str, ...] = ()
     estimator: Estimator | None = None
 
     def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
@@ -374,8 +372,7 @@ class _SweepRun:
 
         try:
             leveled, report = self.check(seen)
-            line = f"{seen.name}: {stream_verdicts(report, self.notes)}"
-            self.notes = report.now.notes
+            line = f"{seen.name}: {stream_verdicts(report)}"
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
                 write_atomic(place, self.picture(leveled, report.now, line))
