@@ -215,7 +215,7 @@ def explain(
 
     picture = place_of_result(out, "explained.png")
     refuse_inputs((picture,), [Path(source)])
-    run = _SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
+    run = SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
     for place, seen in enumerate(_Source((source,), split, sensor)):
         leveled, report = run.check(seen)
         if place == number:
@@ -337,11 +337,11 @@ def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path |
         return _DeviationRun(fitted, estimator_of(fitted, weights), out)
     if weights is not None:
         raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
-    return _SweepRun(stream_monitor(file), grid, out)
+    return SweepRun(stream_monitor(file), grid, out)
 
 
 @dataclass(slots=True)
-class _SweepRun:
+class SweepRun:
     """The monitor of all evidence at work."""
 
     monitor: StreamMonitor
