@@ -31,7 +31,7 @@ def seen() -> SeenBefore:
     """A car stands there from .6 s on."""
     past = SeenBefore()
     for t_s in np.arange(0.0, 1.0, 0.1):
-        past.add(t_s, cells(with_car=bool(t_s > 0.55)))
+        past.add(float(t_s), cells(with_car=bool(t_s > 0.55)))
     return past
 
 

@@ -79,9 +79,8 @@ def test_a_given_up_track_in_free_cells_is_forgotten() -> None:
 
 @pytest.mark.parametrize("was_there", [False, True])
 def test_a_ghost_with_a_surface_is_named_by_the_cells_before_it(was_there: bool) -> None:
-    """Made in the sweep, so that its own cells say nothing; a car that was missed at first had a surface before."""
-    hand = model()
-    fusion = SingleFusion(replace(hand, weights=(0.0,) * len(hand.weights)))
+    """Made in the sweep it has returns and a shadow as a car has; a car that was missed at first had them before."""
+    fusion = SingleFusion(model())
     for t_s in TIMES[:12]:
         fusion.explain(*tracks(t_s, [], []), [replace(view(t_s), cells=cells(with_car=was_there))])
     for t_s in TIMES[12:18]:

@@ -62,6 +62,18 @@ def test_what_raises_all_sectors_a_little_is_degraded_and_no_reason_is_told_of_u
     assert monitor.report(calm * np.float32(6.0), VLP, kinds=KINDS).degraded
 
 
+def test_there_is_no_verdict_without_a_reason() -> None:
+    monitor, told = _monitor(), list[str]()
+    for seed in range(40):
+        evidence = evidence_of(np.random.default_rng(seed))
+        # All sectors are nearly as high as the highest: usual of one sector, and not of all.
+        raised = np.maximum(evidence, 0.97 * np.nanmax(evidence, axis=1, keepdims=True))
+        report = monitor.report(raised, VLP, kinds=KINDS)
+        if report.inconsistent or report.degraded:
+            told.append(report.reasons[0])
+    assert any(reason.startswith("rare all together, each alone is not; the rarest: ") for reason in told)
+
+
 @pytest.mark.parametrize("per", ["sweep", "drive"])
 def test_both_verdicts_keep_their_rates_on_further_scenes(per: Per) -> None:
     """25 monitors of 99 scenes, each tried on 60 further ones; per drive any of its sweeps counts."""

@@ -64,7 +64,7 @@ def test_a_stopped_search_goes_on_and_chooses_the_best_mean(
 
 
 def test_optuna_asks_again_for_what_it_asked_before(short: TrainConfig, tmp_path: Path) -> None:
-    search = replace(SMALL, sampler="optuna", trials=3)
+    search = replace(SMALL, sampler="optuna", trials=2)
     found = crossval(short, tmp_path, search=search)
     before = (tmp_path / "folds.jsonl").read_bytes()
     again = crossval(short, tmp_path, search=search)

@@ -257,12 +257,12 @@ class _WithoutPoses:
 
 def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
     pair = replace(
-        preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("train",), scenes=(2,),
-        frames=(16,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
+        preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("train",), scenes=(1,),
+        frames=(8,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
     )  # fmt: skip
     simulate(pair, Storage.of(tmp_path / "pair"), LocalEngine(1))
     archived = ArchivedSamples((Archive.open(tmp_path / "pair"),), config)
-    for source in (archived, OnlineSimulation(replace(config, data=("roads",)), 16)):
+    for source in (archived, OnlineSimulation(replace(config, data=("roads",)), 8)):
         longest, agents = 0, set()
         for index in range(len(source)):
             now, few = source.clean(1, index).sweep, source.earlier(1, index, 2)

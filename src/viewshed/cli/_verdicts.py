@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,16 +74,16 @@ def watching(wanted: bool, file: Path | None) -> StreamMonitor | None:
     return stream_monitor(file) if wanted or file is not None else None
 
 
-def stream_verdicts(report: StreamReport, known: Collection[str] = ()) -> str:
+def stream_verdicts(report: StreamReport) -> str:
     """Return what a monitor says of a sweep and of its stream so far, in a line: see :func:`verdicts`."""
     over_time = f"; ALARM over the last {report.doubtful_sweeps} sweeps" if report.alarm else ""
-    return f"{verdicts(report.now, known)}{over_time}{''.join(f'; {note}' for note in report.notes)}"
+    return f"{verdicts(report.now)}{over_time}{''.join(f'; {note}' for note in report.notes)}"
 
 
-def verdicts(report: IntegrityReport, known: Collection[str] = ()) -> str:
+def verdicts(report: IntegrityReport) -> str:
     """Return what a monitor says of a sweep in a line: verdicts, p-values, suspect azimuths, and the first reason.
 
-    Notes that are ``known`` already are left out. The published detector has no p-value: score, limit and suspect area.
+    The published detector has no p-value: score, limit and suspect area.
 
     >>> import numpy as np
     >>> from viewshed.integrity import IntegrityReport
@@ -102,7 +101,7 @@ def verdicts(report: IntegrityReport, known: Collection[str] = ()) -> str:
     said = [f"{word} (p = {p:.2g})" for word, is_so, p in found if is_so]
     where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
     why = f": {report.reasons[0]}" if report.reasons and said else ""
-    notes = "".join(f"; {note}" for note in report.notes if note not in known)
+    notes = "".join(f"; {note}" for note in report.notes)
     return f"{' and '.join(said) or f'nothing found (p = {report.p_value:.2g})'}{where}{why}{notes}"
 
 

@@ -175,9 +175,8 @@ def check(
     """Check sweeps with a monitor: verdict and reason, a line each.
 
     A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
-    Sweeps of a recording are judged with those before them. What a verdict cannot rest on is said where it is new. A
-    sweep that cannot be checked costs one line on standard error and does not stop the others; the exit code is then 2.
-    An alarm does not change the exit code.
+    Sweeps of a recording are judged with those before them. A sweep that cannot be checked costs one line on standard
+    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
 
     Example: viewshed monitor check drive --monitor-file monitor.npz
     """
@@ -216,7 +215,7 @@ def explain(
 
     picture = place_of_result(out, "explained.png")
     refuse_inputs((picture,), [Path(source)])
-    run = _SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
+    run = SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
     for place, seen in enumerate(_Source((source,), split, sensor)):
         leveled, report = run.check(seen)
         if place == number:
@@ -338,11 +337,11 @@ def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path |
         return _DeviationRun(fitted, estimator_of(fitted, weights), out)
     if weights is not None:
         raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
-    return _SweepRun(stream_monitor(file), grid, out)
+    return SweepRun(stream_monitor(file), grid, out)
 
 
 @dataclass(slots=True)
-class _SweepRun:
+class SweepRun:
     """The monitor of all evidence at work."""
 
     monitor: StreamMonitor
@@ -355,7 +354,6 @@ class _SweepRun:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
     scene: str = ""
-    notes: tuple[str, ...] = ()
     estimator: Estimator | None = None
 
     def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
@@ -374,8 +372,7 @@ class _SweepRun:
 
         try:
             leveled, report = self.check(seen)
-            line = f"{seen.name}: {stream_verdicts(report, self.notes)}"
-            self.notes = report.now.notes
+            line = f"{seen.name}: {stream_verdicts(report)}"
             if self.out is not None:
                 place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
                 write_atomic(place, self.picture(leveled, report.now, line))

@@ -13,8 +13,8 @@ there. Its e-value is the geometric mean of the ratios R, weighted by exp(-age/�
     log E ← (1 - a) log E + a log R,  a = (1 - exp(-dt/τ)) / (1 - exp(-t/τ)) after t seconds.
 
 That is at most the arithmetic mean of the ratios, and so has mean 1 at most however they depend on each other.
-What was made in the sweep has cells nearly as a car has; it is multiplied by the ratio of where its surface came from
-(:mod:`.before`), which is asked twice, the later one counts.
+What was forged as a detection is betrayed by its cells. What was made in the sweep has cells as a car has, and is
+betrayed by where its surface came from (:mod:`.before`), asked twice. The e-value of *fabricated* is the mean of both.
 
 *Misses and jumps* happen anew. Their ratios enter the wealth
 

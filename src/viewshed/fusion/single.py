@@ -123,13 +123,13 @@ class SingleFusion:
         memory.log_mean[seen] = mean_after(
             memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
         )
-        # What its box holds, and where its surface came from.
+        # Cells betray a forged detection, and where its surface came from a ghost made in the sweep: half each.
         asked = is_matched & ~alarmed & np.isin(memory.hits, ASKED_AFTER)
         surface = np.zeros(count)
         surface[asked] = surface_shares(views[0].cells, both.boxes[asked])
         birth = birth_bins(self._before.free_shares(both, surface, asked))
         memory.birth = np.where(birth == BLIND, memory.birth, ratios_of(model.birth, birth))
-        memory.wealth[seen, FABRICATED] = memory.birth[seen] * np.exp(memory.log_mean[seen])
+        memory.wealth[seen, FABRICATED] = 0.5 * (np.exp(memory.log_mean[seen]) + memory.birth[seen])
         for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
             after = wealth_after(memory.wealth[quiet, suspicion], ratios[quiet, suspicion], dt_s, block_s)
             memory.wealth[quiet, suspicion] = np.minimum(after, _MOST_WEALTH)

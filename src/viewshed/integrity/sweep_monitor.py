@@ -303,14 +303,20 @@ class SweepMonitor:
             note = f"{group} was not calibrated, no rate is promised: judged by the most cautious of {like} sensors"
             notes = (*notes, note)
         inconsistent, threshold = float(row[0]), self.inconsistent.limit(group)
+        degraded = float(row[1]) > self.degraded.limit(group)
+        reasons = self._reasons(evidence, row[2 + SECTORS :], group, kinds)
+        if not reasons and (inconsistent > threshold or degraded):
+            # What is usual one by one can be rare together: there is no verdict without a reason.
+            reasons = self._reasons(evidence, row[2 + SECTORS :], group, kinds, most=1.0)[:1]
+            reasons = tuple(f"rare all together, each alone is not; the rarest: {reason}" for reason in reasons)
         suspect = np.zeros(SECTORS, np.bool_)
         if inconsistent > threshold:
             suspect = self.suspect_sectors(row[2 : 2 + SECTORS], group)
         return IntegrityReport(
             NAME, inconsistent, threshold, self.inconsistent.p_value(inconsistent, group),
-            float(row[1]) > self.degraded.limit(group), self.degraded.p_value(float(row[1]), group), suspect, grid,
+            degraded, self.degraded.p_value(float(row[1]), group), suspect, grid,
             np.zeros((0, 0), np.bool_) if grid is None else cells_of_sectors(suspect, grid),
-            self._reasons(evidence, row[2 + SECTORS :], group, kinds), notes, np.asarray(evidence, np.float32),
+            reasons, notes, np.asarray(evidence, np.float32),
             self.inconsistent.tail_p_value(inconsistent, group),
         )  # fmt: skip
 
@@ -392,9 +398,14 @@ class SweepMonitor:
         return found, group_of(found), tuple(notes)
 
     def _reasons(
-        self, evidence: NDArray[np.floating[Any]], strongest: Floats, group: Group, kinds: Mapping[str, Evidence]
+        self,
+        evidence: NDArray[np.floating[Any]],
+        strongest: Floats,
+        group: Group,
+        kinds: Mapping[str, Evidence],
+        most: float = UNUSUAL,
     ) -> tuple[str, ...]:
-        """Return the sentences of the evidence that is unusual for the group, the strongest first."""
+        """Return the sentences of the evidence with p-values up to ``most`` for the group, the rarest first."""
         p, beyond = np.zeros(len(strongest)), np.full(len(strongest), np.inf)
         least = 0.0
         for each in self.inconsistent.alike(group):
@@ -406,7 +417,7 @@ class SweepMonitor:
                 ratio = (strongest - highest) / np.maximum(highest - lowest, 1e-9)
             beyond = np.minimum(beyond, np.nan_to_num(ratio, nan=np.inf))
             least = max(least, 1.0 / (benign.scenes + 1))
-        unusual = np.flatnonzero((p <= max(UNUSUAL, least) + 1e-12) & np.isfinite(strongest))
+        unusual = np.flatnonzero((p <= max(most, least) + 1e-12) & np.isfinite(strongest))
         order = sorted(unusual.tolist(), key=lambda number: (p[number], -beyond[number]))
         return tuple(kinds[self.score.names[number]].reason(np.asarray(evidence[number])) for number in order)
 
