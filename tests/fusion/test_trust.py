@@ -137,7 +137,7 @@ def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_t
 def test_many_mild_errors_count_less_than_few_gross_ones() -> None:
     """Of all that speaks against an agent only the most telling objects count."""
     rules = TrustRules()
-    mild = after(4, [[1, 1, 1, 0]] * 40, chance=0.6)
+    mild = after(4, [[1, 1, 1, 0]] * 40, chance=0.85)
     gross = after(4, [[1, 1, 1, 0]] * rules.objects, chance=0.99)
     assert gross.evidence[3] > mild.evidence[3] + 3.0
 
