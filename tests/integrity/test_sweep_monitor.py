@@ -302,4 +302,10 @@ def test_what_check_refuses() -> None:
         replace(monitor, estimates=("viewnet",)).check(now, KINDS)
     with pytest.raises(ValueError, match="sweep must have usable returns, got none"):
         monitor.check(MonitoredSweep(_leveled(1, points=0)), KINDS)
-    assert monitor.check(MonitoredSweep(_leveled(1, points=1)), KINDS).score is not None
+
+
+@pytest.mark.parametrize("points", [1, SECTORS - 1])
+def test_a_sweep_of_hardly_any_returns_is_never_all_fine(points: int) -> None:
+    report = _monitor().check(MonitoredSweep(_leveled(1, points=points)), KINDS)
+    assert report.degraded
+    assert report.reasons[0] == f"too few returns to judge a sweep by: {points}, less than one in each 5° of azimuth"

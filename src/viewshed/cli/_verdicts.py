@@ -98,7 +98,7 @@ def verdicts(report: IntegrityReport) -> str:
     found = (
         ("INCONSISTENT", report.inconsistent, report.p_value), ("DEGRADED", report.degraded, report.degraded_p_value)
     )  # fmt: skip
-    said = [f"{word} (p = {p:.2g})" for word, is_so, p in found if is_so]
+    said = [word if math.isnan(p) else f"{word} (p = {p:.2g})" for word, is_so, p in found if is_so]
     where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
     why = f": {report.reasons[0]}" if report.reasons and said else ""
     notes = "".join(f"; {note}" for note in report.notes)

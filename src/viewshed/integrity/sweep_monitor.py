@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -255,7 +256,8 @@ class SweepMonitor:
         """Return what the monitor says of a sweep.
 
         It uses as much of the earlier sweeps as it was calibrated with: all of ``EARLIER_SWEEPS``, with poses or
-        without, or none; so what evidence abstains from is the same as on benign scenes, and the rates hold.
+        without, or none; so what evidence abstains from is the same as on benign scenes, and the rates hold. A sweep of
+        fewer returns than sectors is degraded, without a p-value.
 
         Args:
             monitored: the sweep, with those before it.
@@ -273,7 +275,8 @@ class SweepMonitor:
             raise ValueError(
                 f"monitored must have the estimates of {', '.join(missing)}, got none; estimate them first"
             )
-        if not len(monitored.leveled.points):
+        returns = len(monitored.leveled.points)
+        if not returns:
             raise ValueError("sweep must have usable returns, got none; nothing can be said of it")
         grid = next((estimate.grid for estimate in monitored.estimates.values()), None)
         monitored, group, notes = self._as_calibrated(monitored)
@@ -282,7 +285,12 @@ class SweepMonitor:
             measured = held.add(measured, evidence)
         elif held is not None:
             held.clear()
-        return self.report(measured, group, grid, notes, evidence)
+        report = self.report(measured, group, grid, notes, evidence)
+        if returns >= SECTORS:
+            return report
+        # Hardly anything is measured, so nothing is found: that is no sign of health.
+        few = f"too few returns to judge a sweep by: {returns}, less than one in each 5° of azimuth"
+        return replace(report, degraded=True, degraded_p_value=math.nan, reasons=(few, *report.reasons))
 
     def report(
         self,
