@@ -26,7 +26,7 @@ def _run(
     ("words", "complaint"),
     [
         (["--preset", "huge"], "preset must be one of paper, small, tiny, got 'huge'"),
-        (["--only", "data,magic"], "only must be among data, models, .*, got 'magic'"),
+        (["--only", "data,magic"], "--only must be some of data, models, .*, got 'magic'"),
         (["--protocol", "loose"], "protocol must be among paper, strict, got 'loose'"),
         (["--device", "tpu"], "device must be among cpu, cuda, got 'tpu'"),
         (["--workers", "0"], "workers must be at least 1, got 0"),
