@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib import pyplot
 from numpy.typing import NDArray
 
-from benchmarks.agent_scenes import MAST_M, PITCH_DEG, share, with_tall_masts
+from benchmarks.agent_scenes import share
 from viewshed._page import facts, page, table
 from viewshed.datasets.recorder.drive import drive_sweeps
 from viewshed.datasets.simulated import world_of
@@ -31,7 +31,7 @@ from viewshed.perception.detector import Detector
 from viewshed.studies.agents.plan import AgentsPlan
 from viewshed.studies.agents.published import PublishedTrust
 from viewshed.studies.agents.runs import seen_objects
-from viewshed.studies.agents.scenes import Scene
+from viewshed.studies.agents.scenes import MAST_M, PITCH_DEG, Scene, with_tall_masts
 from viewshed.studies.cases import generator
 from viewshed.threats.object_attacks import OBJECT_ATTACKS, RunningAttack
 

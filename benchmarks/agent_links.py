@@ -37,7 +37,7 @@ from viewshed.studies.agents.lies import LIES, Liars
 from viewshed.studies.agents.page import AgentsResults, ScoredRun
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run, plain_checks
-from viewshed.studies.agents.scenes import GRID, Scene, scene_path
+from viewshed.studies.agents.scenes import GRID, Scene, scene_path, scene_world
 from viewshed.studies.cases import generator
 from viewshed.studies.records import Results
 from viewshed.studies.store import ResultStore
@@ -175,8 +175,8 @@ class Spoofing:
         who = min(away, key=lambda number: float(away[number].min()))
         if away[who].min() > WITHIN_M:
             return reports
-        plan = self.plan.scene("test", self.number)
-        sweep = scan_frame(plan, time * len(reports) + who)[1].sweep()
+        plan, world = self.plan.scene("test", self.number), scene_world(self.plan, "test", self.number)
+        sweep = scan_frame(plan, time * len(reports) + who, world=world)[1].sweep()
         sweep = with_car(sweep, liars.places[int(away[who].argmin())], rng)
         leveled = level(sweep, GRID)
         estimate = replace(load_estimator("shadow_map", grid=GRID).estimate(leveled), agent=reports[who].agent)

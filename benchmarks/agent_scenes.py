@@ -1,4 +1,4 @@
-"""What the benchmarks of many agents share: a tall mast, truth as a view with a pose, shares with intervals."""
+"""What the benchmarks of many agents share: truth as a view with a pose, shares with intervals."""
 
 from __future__ import annotations
 
@@ -10,20 +10,10 @@ from numpy.typing import NDArray
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
-from viewshed.sim.world import World
-from viewshed.sim.worlds.layout import with_masts_of
-
-MAST_M, PITCH_DEG = 20.0, 30.0
-"""Height and downward pitch of the published infrastructure sensor."""
 
 DRAWS = 1000
 
 Mask = NDArray[np.bool_]
-
-
-def with_tall_masts(world: World) -> World:
-    """Return the world with its masts as tall and their sensors pitched as published."""
-    return with_masts_of(world, MAST_M, float(np.radians(PITCH_DEG)))
 
 
 def as_view(truth: Truth, known: Mask, world_from_sensor: Rigid, agent: str, target: str = "car") -> FovEstimate:

@@ -20,7 +20,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
 
-from benchmarks.agent_scenes import MAST_M, PITCH_DEG, Mask, as_view, share, with_tall_masts
+from benchmarks.agent_scenes import Mask, as_view, share
 from viewshed._page import facts, page, table
 from viewshed.datasets.recorder.drive import SEEN_RETURNS, box_of, object_at
 from viewshed.estimators import load_estimator
@@ -34,6 +34,7 @@ from viewshed.sim.observe import Setting, measure_sweep
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import AgentPlan, World
 from viewshed.sim.worlds import WORLDS
+from viewshed.studies.agents.scenes import MAST_M, PITCH_DEG, with_tall_masts
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "results" / "infrastructure.md"

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.agent_cases import MAST, ONSET_S, PLAN, SEED, scene_of
-from benchmarks.agent_scenes import Mask, as_view, share, with_tall_masts
+from benchmarks.agent_scenes import Mask, as_view, share
 from viewshed._page import facts, page, table
 from viewshed.datasets.simulated import ScenePlan, scan_frame, world_of
 from viewshed.estimators import load_estimator
@@ -32,7 +32,7 @@ from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import World
-from viewshed.studies.agents.scenes import GRID, Scene
+from viewshed.studies.agents.scenes import GRID, Scene, with_tall_masts
 from viewshed.studies.cases import generator
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.attacks.base import Wedge

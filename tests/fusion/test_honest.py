@@ -36,7 +36,7 @@ def reports(seen: np.ndarray, surface: np.ndarray, rng: np.random.Generator) -> 
     cells[..., 0], cells[..., 1] = surface, 1.0 - surface
     return ObjectReports(
         seen, np.ones(seen.shape, bool), np.full(seen.shape, 0.9), rng.uniform(5, 45, seen.shape),
-        np.zeros(agents, bool), np.full(count, 4.5), cells, np.where(seen[..., None], cells, 0.0),
+        np.zeros(agents, np.int64), np.full(count, 4.5), cells, np.where(seen[..., None], cells, 0.0),
         np.full(seen.shape, 9.0), np.zeros(seen.shape, np.int64), np.full(count, 0.9),
     )  # fmt: skip
 

@@ -145,6 +145,9 @@ def test_a_message_says_on_what_the_sensor_stands_and_how_well_its_place_is_know
     )  # fmt: skip
     mast = AgentReport.of_message(sent)
     assert mast.elevated
+    heights = (1.8, 4.1, 8.0, 20.0)
+    said = [AgentReport.of_message(replace(sent, sensor=SensorFacts("lidar", height, 60.0))) for height in heights]
+    assert [each.height for each in said] == [0, 1, 1, 2]
     assert mast.own_box is None
     assert (mast.pose_std.place_m, mast.pose_std.yaw) == pytest.approx((0.2, 0.02))
     car = AgentReport.of_message(replace(sent, sensor=SensorFacts("lidar", 1.8), detections=None))
@@ -215,9 +218,9 @@ def test_claims_are_worth_what_was_found_and_never_less_where_more_is_claimed() 
     boxes = np.tile(CARS[:1], (20000, 1))
     hits = rng.random(20000) < 0.8 * prob
     table = ClaimTable.fit(prob, boxes, rng.uniform(1.0, 50.0, 20000), np.zeros(20000), hits)
-    assert table.found.shape == (2, 2, len(RANGES_M) + 1, len(EDGES) + 1)
+    assert table.found.shape == (3, 2, len(RANGES_M) + 1, len(EDGES) + 1)
     assert (np.diff(table.found, axis=-1) >= 0).all()
-    said = table(np.array([0.05, 0.6, 0.95]), CARS[[0, 0, 0]], np.array([5.0, 20.0, 40.0]), elevated=False)
+    said = table(np.array([0.05, 0.6, 0.95]), CARS[[0, 0, 0]], np.array([5.0, 20.0, 40.0]), height=0)
     assert np.allclose(said, [0.05, 0.48, 0.75], atol=0.06)
     again = ClaimTable.from_json(table.to_json())
     assert np.allclose(again.found, table.found, atol=1e-4)

@@ -58,12 +58,30 @@ def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
 
 @pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])
 def test_a_third_view_tells_who_lies(said: list[int]) -> None:
-    verdicts = after(4, [said, said])
+    verdicts = after(4, [said, said], seconds=6)
     assert verdicts.evidence.argmax() == 3
     assert verdicts.suspects.tolist() == [False, False, False, True]
     assert verdicts.trust[3] < 0.3
     assert (verdicts.trust[:3] > 0.9).all()
     assert np.allclose(verdicts.existence, said[0], atol=0.05)
+
+
+@pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])
+def test_a_liar_that_goes_on_stays_as_suspicious(said: list[int]) -> None:
+    """What one object says is bounded for all hypotheses together: the wrong ones do not catch up."""
+    lied = [after(4, [said, said], seconds=seconds) for seconds in (3, 10, 30)]
+    evidence = [verdicts.evidence[3] for verdicts in lied]
+    assert evidence[-1] > 0.9 * max(evidence)
+    assert lied[-1].trust[3] < 0.05
+    assert (lied[-1].trust[:3] > 0.9).all()
+
+
+def test_tempered_probabilities_are_less_sure_and_evidence_is_the_same() -> None:
+    seen = np.array([[1, 1, 1, 0]] * 2, bool)
+    reports = reports_of(seen, np.full(seen.shape, 0.95))
+    sure, tempered = (Trust(4, TrustRules(temper=temper)).add(reports, 1.0) for temper in (1.0, 4.0))
+    assert tempered.trust[3] > sure.trust[3]
+    assert (tempered.evidence == sure.evidence).all()
 
 
 def test_two_who_lie_together_are_found_by_three_honest_ones() -> None:

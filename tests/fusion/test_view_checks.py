@@ -155,7 +155,7 @@ def test_views_are_checked_in_turn_and_say_nothing_before_the_second_look() -> N
 
 
 def test_a_mast_taller_than_those_of_the_honest_scenes_is_not_checked() -> None:
-    tall = replace(OWN, basis=Basis(20.0, "given", 0.9, 0.0, 0.0, 60.0))
+    tall = replace(OWN, basis=Basis(30.0, "given", 0.9, 0.0, 0.0, 60.0))
     checked, said = CheckedViews(2), {0: (tall, Detections.none()), 1: (OTHERS[0], Detections.none())}
     found = [checked.add(said) for _ in range(4)][-1]
     assert np.isfinite(found).any(axis=1).tolist() == [False, True]

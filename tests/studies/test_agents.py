@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from viewshed._jobs import LocalEngine
+from viewshed.datasets.simulated import world_of
 from viewshed.fusion.claims import ClaimTable
 from viewshed.fusion.honest import HonestModel
 from viewshed.fusion.many import CommandCenter
@@ -17,9 +18,9 @@ from viewshed.perception.detector import Detector
 from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL, run_study
 from viewshed.studies.agents.lies import APART_M, FORGED, LIES, Liars
 from viewshed.studies.agents.page import AgentsResults, page_of
-from viewshed.studies.agents.plan import HONEST, AgentsPlan
+from viewshed.studies.agents.plan import HONEST, SPLITS, AgentsPlan
 from viewshed.studies.agents.runs import seen_objects
-from viewshed.studies.agents.scenes import Scene, scene_path
+from viewshed.studies.agents.scenes import Scene, scene_path, with_tall_masts
 from viewshed.studies.store import ResultStore
 
 PLAN = replace(AgentsPlan.load("tiny"), seconds=3.0, claims=1, calibration=4, test=1, each=2)
@@ -34,13 +35,29 @@ def test_presets_can_be_loaded_and_scenes_differ_between_splits() -> None:
     for name in ("tiny", "small", "full"):
         plan = AgentsPlan.load(name)
         assert set(plan.lies) == set(LIES)
-        assert plan.cases_of("calibration", 3) == [HONEST]
+        assert plan.cases_of("calibration", 3) == plan.cases_of("benign", 3) == [HONEST]
         tried = {case for number in range(plan.test) for case in plan.cases_of("test", number)}
         assert tried == {HONEST, *LIES} or name == "tiny"
-    seeds = {str(PLAN.scene(split, 0).seed(0).entropy) for split in ("claims", "calibration", "test")}
-    assert len(seeds) == 3
+    seeds = {str(PLAN.scene(split, 0).seed(0).entropy) for split in SPLITS}
+    assert len(seeds) == 4
     with pytest.raises(ValueError, match="lies must be"):
         replace(PLAN, lies=("flattery",))
+
+
+def test_every_third_scene_has_masts_as_published_in_each_world_and_with_each_sensor() -> None:
+    plan = AgentsPlan.load("small")
+    tall = [number for number in range(36) if plan.has_tall_masts(number)]
+    assert len(tall) == 12
+    kinds = {(one.preset.worlds, one.preset.sensors) for one in (plan.scene("test", number) for number in tall)}
+    assert len(kinds) == len(plan.worlds) * len(plan.sensors)
+    assert not any(replace(plan, tall_masts=0).has_tall_masts(number) for number in range(36))
+    world = world_of(plan.scene("test", tall[0]))
+    before, after = (
+        [agent.mount.translation[2] for agent in one.agents if agent.carrier is None]
+        for one in (world, with_tall_masts(world))
+    )
+    assert before[0] < 10.0
+    assert after[0] - before[0] > 10.0
 
 
 def test_a_scene_is_kept_in_a_file_as_it_was(scene: Scene, tmp_path: Path) -> None:

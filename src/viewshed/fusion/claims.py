@@ -11,6 +11,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.fusion.honest import HEIGHTS
+
 Floats = NDArray[np.float64]
 
 EDGES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 0.995)
@@ -33,7 +35,8 @@ class ClaimTable:
     """Share of the objects that honest agents report, by what their views claim before them.
 
     Attributes:
-        found: (2, 2, ranges, bins) for low and elevated sensors, for large and small objects, by range and probability.
+        found: (3, 2, ranges, bins) for sensors among the traffic, above it and on tall masts, for large and small
+            objects, by range and probability.
 
     Raises:
         ValueError: the table has another shape, or a number is no share.
@@ -42,30 +45,30 @@ class ClaimTable:
     found: Floats
 
     def __post_init__(self) -> None:
-        shape = (2, 2, len(RANGES_M) + 1, len(EDGES) + 1)
+        shape = (HEIGHTS, 2, len(RANGES_M) + 1, len(EDGES) + 1)
         if self.found.shape != shape or not ((self.found >= 0) & (self.found <= 1)).all():
             raise ValueError(f"found must be shares of shape {shape}, got shape {self.found.shape}")
 
-    def __call__(self, prob: Floats, boxes: Floats, range_m: Floats, *, elevated: bool) -> Floats:
+    def __call__(self, prob: Floats, boxes: Floats, range_m: Floats, *, height: int) -> Floats:
         """Return the chance (K,) that an honest agent reports an object in each box.
 
         Args:
             prob: (K,) probability that it could be seen, as the agent claims.
             boxes: (K, 7) of the objects.
             range_m: (K,) from the agent's sensor.
-            elevated: whether the sensor looks over cars.
+            height: where the sensor is: 0 among the traffic, 1 above it, 2 on a tall mast.
         """
-        chance: Floats = self.found[int(elevated), _is_small(boxes), _bin(RANGES_M, range_m), _bin(EDGES, prob)]
+        chance: Floats = self.found[height, _is_small(boxes), _bin(RANGES_M, range_m), _bin(EDGES, prob)]
         return chance
 
     @classmethod
-    def fit(cls, prob: Floats, boxes: Floats, range_m: Floats, elevated: Any, found: Any) -> Self:
+    def fit(cls, prob: Floats, boxes: Floats, range_m: Floats, height: Any, found: Any) -> Self:
         """Return the table of N objects before honest agents: what was claimed, and which (N,) were reported.
 
         A bin of few claims leans on all of its probability; shares never fall as the probability rises.
         """
-        rows = (np.asarray(elevated, np.intp), _is_small(boxes), _bin(RANGES_M, range_m), _bin(EDGES, prob))
-        shape = (2, 2, len(RANGES_M) + 1, len(EDGES) + 1)
+        rows = (np.asarray(height, np.intp), _is_small(boxes), _bin(RANGES_M, range_m), _bin(EDGES, prob))
+        shape = (HEIGHTS, 2, len(RANGES_M) + 1, len(EDGES) + 1)
         total, hits = np.zeros(shape), np.zeros(shape)
         np.add.at(total, rows, 1.0)
         np.add.at(hits, rows, np.asarray(found, np.float64))

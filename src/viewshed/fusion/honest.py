@@ -67,6 +67,9 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
 }
 """Bounds of the bins of each measure."""
 
+HEIGHTS = 3
+"""Where sensors are: among the traffic, above it, on tall masts."""
+
 MOST_OTHERS, MOST_DENIERS = 4, 2
 """More agents that report an object, or see its place and are silent, are as good as these."""
 
@@ -90,7 +93,7 @@ class ObjectReports:
         able: (J, A) bool, who could: it speaks now, the object is near enough and is not its own vehicle.
         visible: (J, A) probability that the object could be seen, as the agent claims.
         range_m: (J, A) from the agent's sensor.
-        elevated: (A,) bool, whose sensors look over cars.
+        height: (A,) where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast.
         size_m: (J,) longer side of the object.
         cells: (J, A, 8) ``BoxCells`` of the object's box in the agent's view.
         own_cells: (J, A, 8) the same of the agent's own box; 0 where it reports none.
@@ -103,7 +106,7 @@ class ObjectReports:
     able: Mask
     visible: Floats
     range_m: Floats
-    elevated: Mask
+    height: NDArray[np.int64]
     size_m: Floats
     cells: Floats
     own_cells: Floats
@@ -123,7 +126,7 @@ class ObjectReports:
 
     def take(self, chosen: Mask) -> Self:
         """Return some of the objects, by a mask (J,)."""
-        arrays = (getattr(self, name) if name == "elevated" else getattr(self, name)[chosen] for name in self.__slots__)
+        arrays = (getattr(self, name) if name == "height" else getattr(self, name)[chosen] for name in self.__slots__)
         return type(self)(*arrays)
 
 
@@ -162,11 +165,11 @@ def _bin(name: str, values: Floats) -> tuple[NDArray[np.intp], int]:
     return np.searchsorted(np.array(bounds), values, side="right"), len(bounds) + 1
 
 
-def _add_cells(bins: _Bins, cells: Floats, range_m: Floats, size_m: Floats, elevated: Mask) -> None:
+def _add_cells(bins: _Bins, cells: Floats, range_m: Floats, size_m: Floats, height: NDArray[np.int64]) -> None:
     """Add what the cells of a view say of a box."""
     surface, free = _bin("surface", cells[..., _COLUMNS["surface"]]), _bin("free", cells[..., _COLUMNS["free"]])
     ranges = _bin("range_m", range_m)
-    kind = (np.broadcast_to(elevated, range_m.shape).astype(np.int32), 2)
+    kind = (np.broadcast_to(height, range_m.shape).astype(np.int32), HEIGHTS)
     bins.add(ranges, _bin("size_m", np.broadcast_to(size_m[:, None], range_m.shape)), kind)
     bins.add(surface, kind)
     bins.add(ranges, surface)
@@ -178,8 +181,8 @@ def _add_cells(bins: _Bins, cells: Floats, range_m: Floats, size_m: Floats, elev
 def reported_columns(said: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *reported*, without the numbers of others, and how many columns there are."""
     bins = _Bins(said.seen.shape)
-    _add_cells(bins, said.cells, said.range_m, said.size_m, said.elevated)
-    kind = (np.broadcast_to(said.elevated, said.seen.shape).astype(np.int32), 2)
+    _add_cells(bins, said.cells, said.range_m, said.size_m, said.height)
+    kind = (np.broadcast_to(said.height, said.seen.shape).astype(np.int32), HEIGHTS)
     bins.add(_bin("visible", said.visible), _bin("surface", said.cells[..., _COLUMNS["surface"]]))
     bins.add((np.minimum(said.before, MOST_BEFORE), MOST_BEFORE + 1), kind)
     bins.add(_bin("apart_m", said.apart_m), _bin("size_m", np.broadcast_to(said.size_m[:, None], said.seen.shape)))
@@ -195,7 +198,7 @@ def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any
 def own_box_columns(said: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *invented* and *displaced*: what the agent's own view says of its own box."""
     bins = _Bins(said.seen.shape)
-    _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.elevated)
+    _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.height)
     return bins.columns(), bins.size
 
 
@@ -219,7 +222,7 @@ def there_columns(said: ObjectReports) -> tuple[Columns, int, Columns]:
     """
     bins, seen = _Bins(said.seen.shape), (said.seen.astype(np.int32), 2)
     size = _bin("size_m", np.broadcast_to(said.size_m[:, None], said.seen.shape))
-    kind = (np.broadcast_to(said.elevated, said.seen.shape).astype(np.int32), 2)
+    kind = (np.broadcast_to(said.height, said.seen.shape).astype(np.int32), HEIGHTS)
     bins.add(seen, _bin("visible", said.visible), kind)
     bins.add(seen, _bin("surface", said.cells[..., _COLUMNS["surface"]]))
     bins.add(seen, _bin("range_m", said.range_m), size)
@@ -423,7 +426,7 @@ def _labeled(columns: Columns, label: NDArray[Any]) -> Columns:
 def _counts() -> dict[str, int]:
     """Return how many columns each question has."""
     nothing = ObjectReports(
-        *(np.zeros((0, 1), np.bool_),) * 2, *(np.zeros((0, 1)),) * 2, np.zeros(1, np.bool_), np.zeros(0),
+        *(np.zeros((0, 1), np.bool_),) * 2, *(np.zeros((0, 1)),) * 2, np.zeros(1, np.int64), np.zeros(0),
         *(np.zeros((0, 1, len(BoxCells._fields))),) * 2, np.zeros((0, 1)), np.zeros((0, 1), np.int64), np.zeros(0),
     )  # fmt: skip
     return {

@@ -40,7 +40,7 @@ from viewshed.fusion.honest import (
 from viewshed.fusion.registration import EXACT, PoseStd, registered_poses
 from viewshed.fusion.suspicion import Suspicion, suspicion_in_box
 from viewshed.fusion.trust import Reports, Trust, TrustRules, Verdicts
-from viewshed.fusion.view_checks import ELEVATED_M, CheckedViews
+from viewshed.fusion.view_checks import ELEVATED_M, TALL_M, CheckedViews
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections
@@ -141,8 +141,13 @@ class AgentReport:
     @property
     def elevated(self) -> bool:
         """Whether its sensor looks over cars."""
+        return self.height > 0
+
+    @property
+    def height(self) -> int:
+        """Where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast."""
         basis = self.estimate.basis
-        return basis is not None and basis.sensor_height_m > ELEVATED_M
+        return 0 if basis is None else int(np.searchsorted((ELEVATED_M, TALL_M), basis.sensor_height_m))
 
     @cached_property
     def in_world(self) -> Detections:
@@ -188,7 +193,7 @@ def chances(reports: Sequence[AgentReport], boxes: Floats, claims: ClaimTable) -
     for column, (report, chosen, visible) in enumerate(
         zip(reports, near, visible_to(reports, [boxes[chosen] for chosen in near]), strict=True)
     ):
-        out[chosen, column] = claims(visible, boxes[chosen], range_m[column, chosen], elevated=report.elevated)
+        out[chosen, column] = claims(visible, boxes[chosen], range_m[column, chosen], height=report.height)
     return out
 
 
@@ -337,7 +342,7 @@ class CommandCenter:
             tracks.existence[reported],
         )  # fmt: skip
         # An agent that is silent now stays of its kind: it is judged by what it said before.
-        self._elevated[columns] = said.elevated[columns]
+        self._elevated[columns] = said.height[columns] > 0
         seconds = 0.5 if self._last_s is None else t_s - self._last_s
         judged = self._judged(tracks.ids[reported], said, reports, columns, members)
         verdicts, self._last_s = self._trust.add(judged, seconds), t_s
@@ -422,7 +427,7 @@ def object_reports(
     seen, able, visible = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), np.zeros(shape)
     range_m, apart_m = np.full(shape, 2.0 * FAR_M), np.full(shape, NO_DETECTION_M)
     cells, own_cells = (np.zeros((*shape, len(BoxCells._fields))) for _ in range(2))
-    elevated = np.zeros(agents, np.bool_)
+    height = np.zeros(agents, np.int64)
     for report, column in zip(reports, columns, strict=True):
         range_m[:, column] = report.range_m(boxes)
     nearby = range_m <= FAR_M
@@ -433,7 +438,7 @@ def object_reports(
         theirs[hit] = found[members[hit, place]]
         if own is not None:
             theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
-        elevated[column], seen[:, column] = report.elevated, hit
+        height[column], seen[:, column] = report.height, hit
         near = nearby[:, column]
         able[:, column] = near & ~report.is_own(boxes)
         visible[near, column] = seen_before[place]
@@ -447,7 +452,7 @@ def object_reports(
         away[np.flatnonzero(members[:, place] >= 0), members[members[:, place] >= 0, place]] = NO_DETECTION_M
         apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)
     return ObjectReports(
-        seen, able, visible, range_m, elevated, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,
+        seen, able, visible, range_m, height, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,
         before, existence,
     )  # fmt: skip
 

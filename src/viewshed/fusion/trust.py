@@ -20,6 +20,11 @@ bounded by :attr:`TrustRules.most_of_object`, and against a hypothesis only the 
 (:attr:`TrustRules.objects`): an honest agent whose detector is poor errs mildly about many, a liar grossly about some.
 What is older fades.
 
+**Probabilities.** What objects say depends on each other: who misses one behind a bush misses the next one there too.
+Log-likelihoods that add up make up their mind too soon, so they are divided by :attr:`TrustRules.temper` before they
+become probabilities (a tempered posterior; Grünwald 2012). It is the smallest whole number with which at most one in
+twenty honest agents is ever trusted less than .5, in the first 60 calibration scenes of docs/results/agents.md.
+
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
 it does not: the ratio of universal inference (Wasserman, Ramdas, Balakrishnan 2020), an e-value if the likelihoods were
 exact. They are pseudo-likelihoods of measured errors, so accusations are calibrated on benign scenes
@@ -62,6 +67,7 @@ class TrustRules:
         objects: so many objects count against a hypothesis, those that say most.
         most_of_object: bound in nats of what one object says against a hypothesis.
         half_life_s: after so many seconds a report counts half.
+        temper: log-likelihoods are divided by this before they become probabilities.
 
     Raises:
         ValueError: a number is out of range.
@@ -76,14 +82,15 @@ class TrustRules:
     disc_m: float = 4.0
     astray: float = 0.4
     objects: int = 4
-    most_of_object: float = 10.0
+    most_of_object: float = 20.0
     half_life_s: float = 10.0
+    temper: float = 4.0
 
     def __post_init__(self) -> None:
         for name in ("false_report", "lie", "prior", "least", "agreeing", "astray"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
-        for name in ("most_ratio", "disc_m", "objects", "most_of_object", "half_life_s"):
+        for name in ("most_ratio", "disc_m", "objects", "most_of_object", "half_life_s", "temper"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name):g}")
 
@@ -272,9 +279,11 @@ class Trust:
         known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
         # A hypothesis is the mean over the sets of its liars that may lie about an object.
         of_objects = _mixed(known, self._share_of_lies)
-        # What an object says for a hypothesis, against that nobody lies, is bounded, and few objects count.
-        bound = self.rules.most_of_object
-        gain = bound * np.tanh((of_objects - of_objects[:, :1]) / bound)
+        # What an object says for hypotheses, against that nobody lies, is scaled down to the bound, and few objects
+        # count. All hypotheses are scaled alike: the worse ones, bounded each by itself, would catch up over time.
+        gain, bound = of_objects - of_objects[:, :1], self.rules.most_of_object
+        largest = np.maximum(np.abs(gain).max(axis=1, initial=0.0, keepdims=True), 1e-9)
+        gain *= bound * np.tanh(largest / bound) / largest
         most = np.sort(np.maximum(gain, 0.0), axis=0)[::-1][: self.rules.objects]
         logs = most.sum(axis=0) + np.minimum(gain, 0.0).sum(axis=0)
         # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
@@ -283,7 +292,8 @@ class Trust:
             lies = self._lies[:, agent]
             evidence[agent] = _log_mean_exp(logs[lies]) - logs[~lies].max() if lies.any() else 0.0
         liars = self._lies.sum(axis=1)
-        posterior = logs + liars * np.log(self.rules.prior) + (self.agents - liars) * np.log1p(-self.rules.prior)
+        prior = liars * np.log(self.rules.prior) + (self.agents - liars) * np.log1p(-self.rules.prior)
+        posterior = prior + logs / self.rules.temper
         posterior = np.exp(posterior - posterior.max())
         posterior /= posterior.sum()
         best = logs >= logs.max() - 1.0

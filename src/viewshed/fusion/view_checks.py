@@ -46,8 +46,11 @@ MOST_SURFACES = 400
 ELEVATED_M = 4.0
 """Sensors higher than this look over cars: their views are compared with those of their kind."""
 
-TALLEST_M = 10.0
-"""Masts of the honest scenes are 4 to 8 m high. What is usual for a higher sensor is not known: it is not checked."""
+TALL_M = 10.0
+"""Masts of the honest scenes are 4 to 8 m and 20 m high; those from here on err in their own way."""
+
+TALLEST_M = 22.0
+"""What is usual for a sensor that is higher than all masts of the honest scenes is not known: it is not checked."""
 
 SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""

@@ -191,6 +191,13 @@ def test_further_drives_to_train_on_are_never_attacked_and_corrupted_as_often_as
     assert abs(np.mean([one != BENIGN for one in conditions]) - CORRUPTED) < 0.045
 
 
+def test_benign_drives_are_never_attacked_and_corrupted_as_often_as_others() -> None:
+    plan = MonitorPlan.load("small")
+    assert not any(plan.cases_of("drives", "benign", number) for number in range(1000))
+    conditions = [_conditions(plan, ("drives", "benign", number)) for number in range(1000)]
+    assert abs(np.mean([one != BENIGN for one in conditions]) - CORRUPTED) < 0.045
+
+
 def test_every_attack_is_tried_in_its_turn() -> None:
     plan = replace(MonitorPlan.load("small"), test=(400, 70), attacked=(200, 70))
     every = plan.all_cases()

@@ -10,13 +10,13 @@ import numpy as np
 
 from viewshed._files import write_atomic
 from viewshed._jobs import Engine
-from viewshed.datasets.recorder.drive import SEEN_RETURNS
+from viewshed.datasets.recorder.drive import SEEN_RETURNS, drive_sweeps
 from viewshed.fusion.claims import SMALL_M, ClaimTable
 from viewshed.fusion.honest import HonestModel, fit_honest, is_expected
 from viewshed.perception.detector import Detector
 from viewshed.studies.agents.plan import STEPS, AgentsPlan
 from viewshed.studies.agents.runs import SceneCases, claims_of, honest_examples
-from viewshed.studies.agents.scenes import FOLDER, Scene, scene_path
+from viewshed.studies.agents.scenes import FOLDER, Scene, scene_path, scene_world
 from viewshed.studies.cases import generator
 from viewshed.studies.plan import check_names
 from viewshed.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
@@ -66,7 +66,7 @@ def fitted_claims(store: ResultStore[AgentsPlan]) -> ClaimTable:
     """Return what claims are worth in the scenes of their split."""
     parts = [claims_of(Scene.load(scene_path(store.folder, "claims", number))) for number in range(store.plan.claims)]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return ClaimTable.fit(*(columns[name] for name in ("prob", "boxes", "range_m", "elevated", "found")))
+    return ClaimTable.fit(*(columns[name] for name in ("prob", "boxes", "range_m", "height", "found")))
 
 
 def fitted_honest(store: ResultStore[AgentsPlan], claims: ClaimTable) -> HonestModel:
@@ -82,7 +82,9 @@ def do_job(job: Job[AgentsPlan]) -> JobResult:
     step, split, number = job.key
     path = scene_path(job.folder, split, int(number))
     if step == "scene":
-        scene = Scene.simulate(job.plan.scene(split, int(number)), _detector())
+        plan = job.plan.scene(split, int(number))
+        sweeps = drive_sweeps(plan, scene_world(job.plan, split, int(number)))
+        scene = Scene.simulate(plan, _detector(), sweeps)
         scene.save(path)
         return JobResult(facts={"file": path.name, "objects": scene.objects.shape[1], "detections": len(scene.found)})
     scene, claims = Scene.load(path), ClaimTable.from_json((job.folder / CLAIMS).read_text("utf-8"))

@@ -19,6 +19,7 @@ from viewshed.studies.agents.jobs import EXPECTED
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed.studies.agents.runs import Run
+from viewshed.studies.agents.scenes import MAST_M, PITCH_DEG
 from viewshed.studies.formatting import commits, format_interval, format_rate, mean
 from viewshed.studies.records import Results
 from viewshed.studies.store import ResultStore
@@ -26,6 +27,8 @@ from viewshed.studies.templates import fill_template
 
 RATE = 0.01
 """Share of benign scenes in which somebody may be accused; more where there are too few scenes for it."""
+
+DISTRUSTED = 0.5
 
 OVERLAPS = ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, np.inf))
 """Numbers of other agents that see what was lied about, from and up to."""
@@ -136,6 +139,11 @@ class AgentsResults:
         """Test scenes in which nobody lies."""
         return [one for one in self.test if one.run.case == HONEST]
 
+    @cached_property
+    def honest(self) -> list[ScoredRun]:
+        """These, and the further scenes in which nobody lies."""
+        return [*self.benign, *self.scored("benign")]
+
     def of(self, case: str, *, counting: bool = True) -> list[ScoredRun]:
         """Return the runs of a lie; those in which the liars changed something for a second, unless all are wanted."""
         runs = [one for one in self.test if one.run.case == case]
@@ -143,8 +151,9 @@ class AgentsResults:
 
     def benign_table(self) -> Table:
         """Return what happens where nobody lies."""
-        accused = [bool(self.accused(one).any()) for one in self.benign]
-        disputed = [bool(self.disputed(one).any()) for one in self.benign]
+        accused = [bool(self.accused(one).any()) for one in self.honest]
+        disputed = [bool(self.disputed(one).any()) for one in self.honest]
+        distrusted = np.array([np.min(one.run.trust, axis=0) for one in self.honest]) < DISTRUSTED
         ours, other, every = (
             float(np.mean([_gospa(one, name) for one in self.benign])) for name in ("ours", "no trust", "all tracks")
         )
@@ -152,7 +161,12 @@ class AgentsResults:
             ("scenes", str(len(accused))),
             ("of these with an honest agent accused", _share(accused)),
             ("with honest agents disputed", _share(disputed)),
-            ("GOSPA of the common picture, mean over times", f"{ours:.2f} m"),
+            *(
+                (f"{kind} ever trusted less than {DISTRUSTED:g}", format_rate(float(distrusted[:, mask].mean())))
+                for kind, mask in (("vehicles", ~self.elevated), ("masts", self.elevated))
+                if mask.any()
+            ),
+            ("GOSPA of the common picture, mean over times, in the scenes that are tried with lies", f"{ours:.2f} m"),
             ("the same where everybody is believed alike", f"{other:.2f} m"),
             ("ratio", f"{ours / other:.3f}"),
             ("where everybody is believed, with tracks that nobody reports now", f"{every:.2f} m"),
@@ -190,7 +204,7 @@ class AgentsResults:
 
     def _area(self, runs: Sequence[ScoredRun], part: str) -> float:
         """Return the share of honest agents of benign scenes that score below liars, ties half."""
-        benign = np.sort(np.concatenate([getattr(one, part) for one in self.benign]))
+        benign = np.sort(np.concatenate([getattr(one, part) for one in self.honest]))
         values = np.concatenate([getattr(one, part)[one.run.liars] for one in runs])
         below = np.searchsorted(benign, values, "left") + np.searchsorted(benign, values, "right")
         return float((below / (2.0 * len(benign))).mean())
@@ -298,7 +312,7 @@ class AgentsResults:
     def checks_table(self) -> Table:
         """Return the AUROC of each check alone for the lies about views."""
         names = [name for name in self.plan.lies if LIES[name].about == "view" and self.of(name)]
-        benign = np.concatenate([self._surprises(one) for one in self.benign])
+        benign = np.concatenate([self._surprises(one) for one in self.honest])
         rows = []
         for name in names:
             lied = np.concatenate([self._surprises(one)[one.run.liars] for one in self.of(name)])
@@ -332,7 +346,7 @@ class AgentsResults:
         of_alone = [one for name in alone for one in self.of(name)]
         victims = [float(self.accused(one)[one.run.victim]) for one in lied if one.run.victim >= 0]
         others = [float(np.delete(self.accused(one), one.run.liars).any()) for one in lied]
-        quiet = [float(self.accused(one).any()) for one in self.benign]
+        quiet = [float(self.accused(one).any()) for one in self.honest]
         delays = [delay for delay in map(self._delay_s, of_alone) if np.isfinite(delay)]
         # What, the bound, whether the figure must lie below it, and the figure.
         rows = (
@@ -389,6 +403,16 @@ def _share(flags: Sequence[bool]) -> str:
     return format_interval(sum(flags) / len(flags), (float(low), float(high)))
 
 
+def _masts(plan: AgentsPlan) -> str:
+    """Return how tall masts are, in a sentence."""
+    if not plan.tall_masts:
+        return "Masts are 4 to 8 m tall."
+    return (
+        f"One mast in {plan.tall_masts} is {MAST_M:g} m tall and its sensor pitched {PITCH_DEG:g}° down, as published;"
+        " the others are of 4 to 8 m."
+    )
+
+
 def page_of(store: ResultStore[AgentsPlan]) -> str:
     """Return the page as Markdown.
 
@@ -402,7 +426,7 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
     values: dict[str, Any] = {
         "agents": plan.moving + plan.roadside, "moving": plan.moving, "roadside": plan.roadside,
         "rate": f"{100 * found.rate:.3g}", "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}",
-        "onset": f"{ONSET_S:g}",
+        "onset": f"{ONSET_S:g}", "masts": _masts(plan),
     }  # fmt: skip
     title, blocks = fill_template("agents/page.md", values, {
         "targets": found.target_table,
@@ -414,7 +438,7 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
         "checks": found.checks_table,
         "claims": found.claims_table,
     })  # fmt: skip
-    scenes = f"{plan.claims} claims, {plan.calibration} calibration, {plan.test} test"
+    scenes = f"{plan.claims} claims, {plan.calibration} calibration, {plan.test} test, {plan.benign} benign"
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), worlds=", ".join(plan.worlds),
         sensors=", ".join(plan.sensors), scenes=scenes, commits=commits(results),

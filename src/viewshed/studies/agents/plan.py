@@ -12,9 +12,9 @@ from viewshed.sim.worlds import WORLDS
 from viewshed.studies.agents.lies import LIES
 from viewshed.studies.plan import JobKey, Plan, check_names, check_seed
 
-SPLITS = ("claims", "calibration", "test")
+SPLITS = ("claims", "calibration", "test", "benign")
 """No scene is in two of them: what claims are worth, and how honest views err, is from the first, limits are from the
-second, figures from the third."""
+second, figures from the third; how many are accused where nobody lies is from the fourth as well."""
 
 ONSET_S = 2.0
 """Agents lie from this time of a scene on."""
@@ -34,11 +34,13 @@ class AgentsPlan(Plan):
         sensors: beam tables of the vehicles, which the scenes take in turn.
         moving: vehicles that measure and report.
         roadside: sensors on masts that do.
+        tall_masts: one scene in so many has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none.
         seconds: how long a scene lasts.
         hz: reports a second of each agent.
         claims: scenes from which it is learned what claims are worth.
         calibration: scenes that limits are from.
         test: scenes that are reported on.
+        benign: further ones in which nobody lies.
         lies: names of ``LIES``.
         each: lies that each test scene is tried with, in turn; all scenes are run without any as well.
         seed: of all that is random.
@@ -56,11 +58,13 @@ class AgentsPlan(Plan):
     sensors: tuple[str, ...]
     moving: int
     roadside: int
+    tall_masts: int
     seconds: float
     hz: float
     claims: int
     calibration: int
     test: int
+    benign: int
     lies: tuple[str, ...]
     each: int
     seed: int
@@ -70,7 +74,7 @@ class AgentsPlan(Plan):
         check_names("lies", self.lies, LIES, once=True)
         check_seed("seed", self.seed)
         self.check_at_least(1, "claims", "calibration", "test", "moving")
-        self.check_at_least(0, "roadside", "each")
+        self.check_at_least(0, "roadside", "tall_masts", "benign", "each")
         if not (self.seconds > ONSET_S and 0 < self.hz <= 10):
             raise ValueError(f"seconds must be above {ONSET_S:g} and hz in (0, 10], got {self.seconds:g}, {self.hz:g}")
 
@@ -92,6 +96,10 @@ class AgentsPlan(Plan):
             return [HONEST]
         count = min(self.each, len(self.lies))
         return [HONEST, *(self.lies[(number * count + k) % len(self.lies)] for k in range(count))]
+
+    def has_tall_masts(self, number: int) -> bool:
+        """Return whether the masts of a scene are as tall as published: in each kind of world and with each sensor."""
+        return self.tall_masts > 0 and (number // len(self.worlds) + number) % self.tall_masts == 0
 
     def scene(self, split: str, number: int) -> ScenePlan:
         """Return the scene of a split: its world, its sensors and its agents."""

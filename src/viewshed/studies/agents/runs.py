@@ -220,7 +220,7 @@ def _ways(azimuth: Floats) -> Floats:
 def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:
     """Return what agents claim of all objects near them, and which they see and report: columns of N rows."""
     columns: dict[str, list[NDArray[Any]]] = {
-        name: [] for name in ("prob", "boxes", "range_m", "elevated", "found", "returns")
+        name: [] for name in ("prob", "boxes", "range_m", "height", "found", "returns")
     }
     for time in range(0, len(scene.times_s), 4):
         for number, report in enumerate(scene.reports(time)):
@@ -232,7 +232,7 @@ def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:
             columns["prob"].append(GridView(report.estimate, 0.0).visible(boxes[near]))
             columns["boxes"].append(boxes[near])
             columns["range_m"].append(range_m[near])
-            columns["elevated"].append(np.full(int(near.sum()), report.elevated))
+            columns["height"].append(np.full(int(near.sum()), report.height))
             columns["found"].append(away.min(axis=1, initial=np.inf) < FOUND_M)
             columns["returns"].append(scene.returns[time, number, near])
     return {name: np.concatenate(parts) for name, parts in columns.items()}

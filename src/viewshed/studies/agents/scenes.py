@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from viewshed._files import write_atomic
 from viewshed.datasets.recorder.drive import drive_sweeps
 from viewshed.datasets.recorder.moment import DriveTruth, ObjectTruth
-from viewshed.datasets.simulated import ScenePlan
+from viewshed.datasets.simulated import ScenePlan, world_of
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import Basis, FovEstimate
 from viewshed.fusion.many import AgentReport
@@ -24,16 +25,34 @@ from viewshed.grid import GRIDS
 from viewshed.objects import Detections, moved_boxes
 from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
+from viewshed.sim.world import World
+from viewshed.sim.worlds.layout import with_masts_of
+from viewshed.studies.agents.plan import AgentsPlan
 from viewshed.sweep import Sweep
 
 FOLDER = "scenes"
 
 GRID = GRIDS["road"]
 
+MAST_M, PITCH_DEG = 20.0, 30.0
+"""Height and downward pitch of the published infrastructure sensor."""
+
 LEVELS = 255
 """Steps in which probabilities are kept."""
 
 Floats = NDArray[np.float64]
+
+
+def with_tall_masts(world: World) -> World:
+    """Return the world with its masts as tall and their sensors pitched as published."""
+    return with_masts_of(world, MAST_M, float(np.radians(PITCH_DEG)))
+
+
+@lru_cache(maxsize=2)
+def scene_world(plan: AgentsPlan, split: str, number: int) -> World:
+    """Return the world of a scene of a study, with tall masts where the plan has them."""
+    world = world_of(plan.scene(split, number))
+    return with_tall_masts(world) if plan.has_tall_masts(number) else world
 
 
 @dataclass(frozen=True, slots=True, eq=False)

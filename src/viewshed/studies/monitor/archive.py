@@ -198,9 +198,9 @@ class SweepTable:
         )  # fmt: skip
 
     @classmethod
-    def read(cls, folder: Path, split: str) -> Self:
-        """Return the sweeps of a split of the drives in a folder, in the order of their names."""
-        paths = sorted((folder / FOLDER).glob(f"*-{split}-*.npz"))
+    def read(cls, folder: Path, *splits: str) -> Self:
+        """Return the sweeps of some splits of the drives in a folder, in the order of their names."""
+        paths = [path for split in splits for path in sorted((folder / FOLDER).glob(f"*-{split}-*.npz"))]
         return cls.of(DriveEvidence.load(path) for path in paths)
 
     def with_statistics(self) -> Self:

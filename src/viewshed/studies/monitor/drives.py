@@ -19,6 +19,7 @@ from viewshed.studies.cases import generator, untouched
 from viewshed.studies.monitor.archive import DriveEvidence
 from viewshed.studies.monitor.plan import (
     ALL_ATTACKS,
+    ATTACKED_SPLITS,
     BEFORE,
     CORRUPTED,
     FRAMES,
@@ -150,7 +151,8 @@ def _corrupted_share(plan: MonitorPlan, key: tuple[str, str, int]) -> float:
     domain, split, number = key
     place = plan.domains.index(domain)
     drives: int = getattr(plan, split)[place]
-    attacked = 0 if split == "calibration" or number >= drives else min(plan.attacked[place], drives)
+    is_attacked = split in ATTACKED_SPLITS and number < drives
+    attacked = min(plan.attacked[place], drives) if is_attacked else 0
     return float(min(CORRUPTED * drives / max(drives - attacked, 1), 1.0))
 
 

@@ -99,6 +99,11 @@ class MonitorResults:
         return SweepTable.read(self.folder, "test").with_statistics()
 
     @cached_property
+    def every_test(self) -> SweepTable:
+        """Sweeps that are reported on, and those of the drives that nobody attacks."""
+        return SweepTable.read(self.folder, "test", "benign").with_statistics()
+
+    @cached_property
     def over_time(self) -> Mask:
         """Which evidence (E,) needs earlier sweeps."""
         return over_time_of(self.calibration.names)
@@ -106,7 +111,7 @@ class MonitorResults:
     @cached_property
     def whole(self) -> Evaluation:
         """The score that was trained on all families."""
-        return self._evaluation(ALL_FAMILIES, self.test)
+        return self._evaluation(ALL_FAMILIES, self.every_test)
 
     def _evaluation(self, left_out: str, test: SweepTable, silent: Mask | None = None) -> Evaluation:
         score = load_score(score_path(self.folder, left_out))
@@ -150,7 +155,7 @@ class MonitorResults:
             found = own.get(Case("attack", name, DEFAULT))
             return float("nan") if found is None else part(found).value
 
-        tested, test = self.whole.tested, self.test
+        tested, test = self.whole.tested, self.every_test
         inconsistent = self.whole.limits(INCONSISTENT, RATE).alarms(tested, INCONSISTENT)
         rarely = self.whole.limits(INCONSISTENT, LOW_RATE).alarms(tested, INCONSISTENT)
         degraded = self.whole.limits(DEGRADED, RATE).alarms(tested, DEGRADED)
@@ -397,7 +402,7 @@ class MonitorResults:
 
     def corruption_table(self) -> Table:
         """Return how often corrupted sweeps are called inconsistent and degraded, by severity."""
-        tested, table = self.whole.tested, self.test
+        tested, table = self.whole.tested, self.every_test
         alarms = [
             self.whole.limits(verdict, RATE).alarms(tested, verdict) for verdict in (INCONSISTENT, DEGRADED)
         ]  # fmt: skip
@@ -425,12 +430,12 @@ class MonitorResults:
 
     def null_table(self) -> Table:
         """Return how often attacks at zero strength are called inconsistent, and their area under the curve."""
-        cases = [case for case in self.test.cases if case.kind == "null"]
+        cases = [case for case in self.every_test.cases if case.kind == "null"]
         order = {case: place for place, case in enumerate(self.plan.all_cases())}
         limits, rows = self.whole.limits(INCONSISTENT, RATE), []
         clear = self.whole.benign.rows(self.whole.benign.is_clear)
         for case in (*sorted(cases, key=order.__getitem__), None):
-            scored = self.whole.tested.rows(self.test.is_case(cases if case is None else [case]))
+            scored = self.whole.tested.rows(self.every_test.is_case(cases if case is None else [case]))
             if not len(scored.scores):
                 continue
             alarms = Rate.of(limits.alarms(scored, INCONSISTENT), scored.table.drive)
@@ -442,13 +447,13 @@ class MonitorResults:
     @cached_property
     def located(self) -> dict[str, tuple[float, float, int]]:
         """By attack mean overlap and share of false discoveries of suspect sectors, and the sweeps that alarm."""
-        tested, found = self.whole.tested, dict[str, tuple[float, float, int]]()
+        tested, table, found = self.whole.tested, self.every_test, dict[str, tuple[float, float, int]]()
         alarms = self.whole.limits(INCONSISTENT, RATE).alarms(tested, INCONSISTENT) == 1
         model, benign = self.whole.model, _sectors(self.whole.model, self.whole.one_of_each_scene.table).ravel()
         for name in self.plan.attacks:
-            mask = self.test.is_case([Case("attack", name, DEFAULT)]) & alarms & self.test.touched.any(axis=1)
+            mask = table.is_case([Case("attack", name, DEFAULT)]) & alarms & table.touched.any(axis=1)
             if mask.any():
-                rows = tested.table.rows(mask)
+                rows = table.rows(mask)
                 found[name] = (*_located(_sectors(model, rows), rows.touched, benign), int(mask.sum()))
         return found
 
@@ -550,9 +555,9 @@ def _mean(values: NDArray[np.floating[Any]]) -> float:
     return float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
 
 
-def _minutes(table: SweepTable) -> str:
+def _hours(table: SweepTable) -> str:
     """Return how long the sweeps of a table are together before which enough was measured."""
-    return f"{len(table.drives) * (FRAMES - ONSET) * INTERVAL_S / 60.0:.2g}"
+    return f"{len(table.drives) * (FRAMES - ONSET) * INTERVAL_S / 3600.0:.2g}"
 
 
 def _is_met(target: str, value: float) -> str:
@@ -644,7 +649,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "over_time": ", ".join(over_time) or "none", "apart": ", ".join(APART), "rate": f"{RATE:g}",
         "low_rate": f"{LOW_RATE:g}", "published": plan.published[0],
         "run": f"{(FRAMES - ONSET) * INTERVAL_S:g}",
-        "minutes": _minutes(results.test), "calibration_minutes": _minutes(results.calibration),
+        "hours": _hours(results.every_test), "calibration_hours": _hours(results.calibration),
     }  # fmt: skip
     title, blocks = fill_template("monitor/page.md", values, {
         "targets": results.target_table,
@@ -664,7 +669,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "recorded_attacks": results.recorded_attacks_table,
         "evidence": results.evidence_table,
     })  # fmt: skip
-    tables = {"calibration": results.calibration, "test": results.test}
+    tables = {"calibration": results.calibration, "test": results.test, "test and benign": results.every_test}
     drives = [f"{len(table.drives)} {word}" for word, table in tables.items()]
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domains=", ".join(plan.domains),

@@ -15,8 +15,13 @@ from viewshed.studies.records import Case
 from viewshed.threats.attacks import ATTACKS, FAMILY, INFORMED
 from viewshed.threats.corruptions import CORRUPTIONS
 
-SPLITS = ("train", "calibration", "test")
-"""No scene is in two of them: the score is trained on the first, calibrated on the second, reported on the third."""
+SPLITS = ("train", "calibration", "test", "benign")
+"""No scene is in two of them: the score is trained on the first, calibrated on the second, reported on the third.
+
+False alarms are counted on the fourth as well, which nobody attacks.
+"""
+
+ATTACKED_SPLITS = ("train", "test")
 
 FRAMES = 10
 """Sweeps of a drive, .1 s apart."""
@@ -63,6 +68,7 @@ class MonitorPlan(Plan):
         unattacked: further ones to train on, none of which is attacked: they cost little, and what is usual is in them.
         calibration: drives of each domain that its limits are from.
         test: drives of each domain that it is reported on.
+        benign: further ones, none of which is attacked: they cost little, and false alarms are counted on many.
         attacked: drives of each domain, in training and in test, that are tried in several cases as well.
         cases: of each such drive, in turn.
         published: drives of the first domain that the published detector is fitted, calibrated and tried on, each a
@@ -93,6 +99,7 @@ class MonitorPlan(Plan):
     unattacked: tuple[int, ...]
     calibration: tuple[int, ...]
     test: tuple[int, ...]
+    benign: tuple[int, ...]
     attacked: tuple[int, ...]
     cases: int
     published: tuple[int, ...]
@@ -116,7 +123,8 @@ class MonitorPlan(Plan):
         self.check_at_least(0, "cases")
         for key in (*SPLITS, "unattacked", "attacked"):
             counts = getattr(self, key)
-            if len(counts) != len(self.domains) or min(counts) < (1 if key in SPLITS else 0):
+            least = 0 if key in ("benign", "unattacked", "attacked") else 1
+            if len(counts) != len(self.domains) or min(counts) < least:
                 raise ValueError(f"{key} must have a number of drives for each of {len(self.domains)} domains")
         most = (self.drives_of(0, "train"), self.calibration[0], self.test[0])
         if len(self.published) != 3 or not all(0 <= n <= of for n, of in zip(self.published, most, strict=True)):
@@ -179,7 +187,7 @@ class MonitorPlan(Plan):
         return cases + corruption_cases(self.corruptions, self.severities)
 
     def cases_of(self, domain: str, split: str, number: int) -> list[Case]:
-        """Return what is done to a drive, each in its turn: none of calibration."""
+        """Return what is done to a drive, each in its turn: nothing in the splits that nobody attacks."""
         every = self.all_cases()
         order = generator(self.seed, "cases").permutation(len(every))
         place = self.domains.index(domain)
@@ -188,7 +196,7 @@ class MonitorPlan(Plan):
             return []
         # Attacked drives lie evenly among the others; the turn is how many there were before.
         turn, after = number * attacked // drives, (number + 1) * attacked // drives
-        if split == "calibration" or turn == after:
+        if split not in ATTACKED_SPLITS or turn == after:
             return []
         count = min(self.cases, len(every))
         return [every[order[(turn * count + k) % len(every)]] for k in range(count)]
