@@ -192,7 +192,7 @@ class MonitorResults:
     def target_table(self) -> Table:
         """Return what was aimed at beside what was reached."""
         rows = [
-            [what, target, f"{value:.3g}" if value > 1 or value == 0 else format_rate(value), _is_met(target, value)]
+            [what, target, f"{value:.3g}" if value >= 1 or value == 0 else format_rate(value), _is_met(target, value)]
             for what, target, value in self.targets
         ]
         return Table(["what", "target", "reached", ""], rows)
