@@ -193,6 +193,11 @@ def test_highest_scores_give_the_p_values_of_all_scores_where_these_are_small(sc
         expected = p_values(benign[:, column], scores[[column]])[0]
         assert found == pytest.approx(expected) if expected <= 0.2 else found >= min(expected, 0.2)
     assert kept.p_values(np.full(3, np.nan)).tolist() == [1.0, 1.0, 1.0]
+    # A single column is asked as many scores as one likes, ties among them.
+    asked = np.array([*range(-1, 10), 7.5, np.nan, np.inf])
+    single = HighestScores(kept.scenes, kept.highest[:, :1]).p_values(asked)
+    tripled = [kept.p_values(np.full(3, one))[0] for one in asked]
+    assert single.tolist() == tripled
 
 
 _TRIALS = 1500

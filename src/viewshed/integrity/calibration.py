@@ -152,8 +152,15 @@ class HighestScores:
         return cls(len(lowered), -np.sort(-lowered, axis=0)[:keep])
 
     def p_values(self, scores: ArrayLike) -> Floats:
-        """Return the p-values (C,) of scores (C,); 1 where it is beyond those kept, or the score is NaN."""
-        reached = (self.highest >= np.asarray(scores, np.float32)).sum(axis=0)
+        """Return the p-values (C,) of scores (C,), or of any number of scores in a single column.
+
+        They are 1 where a score is below those kept, or NaN.
+        """
+        asked = np.asarray(scores, np.float32)
+        if self.highest.shape[1] == 1:
+            reached = len(self.highest) - np.searchsorted(self.highest[::-1, 0], asked)
+        else:
+            reached = (self.highest >= asked).sum(axis=0)
         known = (reached < len(self.highest)) & ~np.isnan(np.asarray(scores, np.float64))
         return np.where(known, (reached + 1.0) / (self.scenes + 1.0), 1.0)
 
