@@ -39,8 +39,8 @@ Columns = NDArray[np.int32]
 LEAST_SEEN, SEEN_AT_0_M, SEEN_PER_M = 0.5, 0.43, 0.008
 """From these probabilities of visible on an agent is expected to see an object: at least, by a line in range.
 
-Claims err with the range. In the first set of scenes of docs/results/agents.md nine in ten objects that are claimed with
-.5 or more are expected so, and .011 of them gave fewer than five returns. The best table by range, height and
+Claims err with the range. In the first set of scenes of docs/results/agents.md nine in ten objects that are claimed
+with .5 or more are expected so, and .011 of them gave fewer than five returns. The best table by range, height and
 probability, chosen on these very scenes, would reach .010.
 """
 
