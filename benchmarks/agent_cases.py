@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 from benchmarks.agent_scenes import share
 from viewshed._page import facts, page, table
 from viewshed.datasets.recorder.drive import drive_sweeps
-from viewshed.datasets.simulated import world_of
 from viewshed.fusion.many import AgentReport, CommandCenter
 from viewshed.fusion.rounds import judged
 from viewshed.object_metrics import gospa
 from viewshed.perception.detector import Detector
+from viewshed.studies.agents.page import DISTRUSTED
 from viewshed.studies.agents.plan import AgentsPlan
 from viewshed.studies.agents.published import PublishedTrust
 from viewshed.studies.agents.runs import seen_objects
-from viewshed.studies.agents.scenes import MAST_M, PITCH_DEG, Scene, with_tall_masts
+from viewshed.studies.agents.scenes import MAST_M, PITCH_DEG, Scene, scene_world
 from viewshed.studies.cases import generator
 from viewshed.threats.object_attacks import OBJECT_ATTACKS, RunningAttack
 
@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "results"
 SEED = 20_261_124
 ONSET_S = 2.0
-PLAN = replace(AgentsPlan.load("small"), seconds=12.0, seed=SEED)
+PLAN = replace(AgentsPlan.load("small"), tall_masts=1, seconds=12.0, seed=SEED)
 MAST = PLAN.moving
 """Number of the agent on the mast."""
 
@@ -54,9 +54,6 @@ DRAWS = 3
 
 ON = 0.7
 """Probability that an agent is attacked at all in the Monte Carlo."""
-
-TRUSTED = 0.5
-"""Whose trust falls below this at some time counts as distrusted."""
 
 FALSE_COST = 8.0
 """What a false track adds to GOSPA's sum: half the square of its cutoff of 4 m."""
@@ -192,7 +189,7 @@ def scene_of(number: int, work: Path, study: AgentsPlan = PLAN) -> Scene:
     path = work / (f"case-{number:03d}.npz" if study is PLAN else f"case-{study.moving}-{number:03d}.npz")
     if not path.exists():
         plan = study.scene("test", number)
-        sweeps = drive_sweeps(plan, with_tall_masts(world_of(plan)))
+        sweeps = drive_sweeps(plan, scene_world(study, "test", number))
         Scene.simulate(plan, Detector(), sweeps).save(path)
     return Scene.load(path)
 
@@ -292,18 +289,18 @@ def rows_of(outcomes: Sequence[Outcome]) -> list[list[str]]:
 
     def below(name: str, who: Callable[[Outcome], Sequence[int]]) -> str:
         return shares(
-            lambda one: float((one.lowest(name)[list(who(one))] < TRUSTED).sum()), lambda one: float(len(who(one)))
+            lambda one: float((one.lowest(name)[list(who(one))] < DISTRUSTED).sum()), lambda one: float(len(who(one)))
         )
 
     some = [one for one in outcomes if one.attacked]
     rows = [
         ["AUROC of the lowest trust", f"{auroc(some, OURS):.3f}", f"{auroc(some, MATE):.3f}", "–"],
         [
-            f"attacked agents whose trust falls below {TRUSTED:g}",
+            f"attacked agents whose trust falls below {DISTRUSTED:g}",
             below(OURS, lambda one: one.attacked), below(MATE, lambda one: one.attacked), "–",
         ],
         [
-            f"honest agents whose trust falls below {TRUSTED:g}",
+            f"honest agents whose trust falls below {DISTRUSTED:g}",
             below(OURS, lambda one: one.honest), below(MATE, lambda one: one.honest), "–",
         ],
         [

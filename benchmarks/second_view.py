@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from benchmarks.agent_cases import MAST, ONSET_S, PLAN, SEED, scene_of
 from benchmarks.agent_scenes import Mask, as_view, share
 from viewshed._page import facts, page, table
-from viewshed.datasets.simulated import ScenePlan, scan_frame, world_of
+from viewshed.datasets.simulated import ScenePlan, scan_frame
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fusion.many import AgentReport, CommandCenter, claimed_at, confirmed
@@ -32,7 +32,7 @@ from viewshed.perception.detector import Detector
 from viewshed.preprocess.leveling import level
 from viewshed.sim.truth.exact import exact_truth
 from viewshed.sim.world import World
-from viewshed.studies.agents.scenes import GRID, Scene, with_tall_masts
+from viewshed.studies.agents.scenes import GRID, Scene, scene_world
 from viewshed.studies.cases import generator
 from viewshed.threats.attacks import ATTACKS
 from viewshed.threats.attacks.base import Wedge
@@ -94,7 +94,7 @@ def run(number: int, scene: Scene) -> Counts:
     rng = generator(SEED, "second view", number)
     victim, liar = (int(agent) for agent in rng.permutation(MAST)[:2])
     plan = PLAN.scene("test", number)
-    world = with_tall_masts(world_of(plan))
+    world = scene_world(PLAN, "test", number)
     attack: Any = ATTACKS[ATTACK_NAMES[number % len(ATTACK_NAMES)]]()
     wedge: Wedge | None = None
     center, counts = CommandCenter(scene.agents), defaultdict[str, list[float]](lambda: [0.0, 0.0, 0.0])

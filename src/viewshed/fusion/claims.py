@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fusion.honest import HEIGHTS
+from viewshed.fusion.view_checks import HEIGHTS
 
 Floats = NDArray[np.float64]
 

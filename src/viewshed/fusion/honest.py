@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fusion.cells import BoxCells
+from viewshed.fusion.view_checks import HEIGHTS
 
 Floats = NDArray[np.float64]
 
@@ -67,9 +68,6 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
     "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
 }
 """Bounds of the bins of each measure."""
-
-HEIGHTS = 3
-"""Where sensors are: among the traffic, above it, on tall masts."""
 
 MOST_OTHERS, MOST_DENIERS = 4, 2
 """More agents that report an object, or see its place and are silent, are as good as these."""

@@ -40,7 +40,7 @@ from viewshed.fusion.honest import (
 from viewshed.fusion.registration import EXACT, PoseStd, registered_poses
 from viewshed.fusion.suspicion import Suspicion, suspicion_in_box
 from viewshed.fusion.trust import Reports, Trust, TrustRules, Verdicts
-from viewshed.fusion.view_checks import ELEVATED_M, TALL_M, CheckedViews
+from viewshed.fusion.view_checks import CheckedViews, height_of
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects import Detections
@@ -146,8 +146,7 @@ class AgentReport:
     @property
     def height(self) -> int:
         """Where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast."""
-        basis = self.estimate.basis
-        return 0 if basis is None else int(np.searchsorted((ELEVATED_M, TALL_M), basis.sensor_height_m))
+        return height_of(self.estimate)
 
     @cached_property
     def in_world(self) -> Detections:

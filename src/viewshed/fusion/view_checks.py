@@ -49,6 +49,9 @@ ELEVATED_M = 4.0
 TALL_M = 10.0
 """Masts of the honest scenes are 4 to 8 m and 20 m high; those from here on err in their own way."""
 
+HEIGHTS = 3
+"""Where sensors are: among the traffic, above it, on tall masts."""
+
 TALLEST_M = 22.0
 """What is usual for a sensor that is higher than all masts of the honest scenes is not known: it is not checked."""
 
@@ -90,8 +93,7 @@ class ClaimedView:
     @property
     def elevated(self) -> bool:
         """Whether the sensor looks over cars."""
-        basis = self.estimate.basis
-        return basis is not None and basis.sensor_height_m > ELEVATED_M
+        return height_of(self.estimate) > 0
 
     @cached_property
     def _samples(self) -> tuple[Floats, Floats]:
@@ -149,6 +151,12 @@ def between(to: FovEstimate, of: FovEstimate) -> Rigid:
     assert to.world_from_level is not None
     assert of.world_from_level is not None
     return to.world_from_level.inverse() @ of.world_from_level
+
+
+def height_of(estimate: FovEstimate) -> int:
+    """Return where the sensor of a view is, one of ``HEIGHTS``: 0 among the traffic, 1 above it, 2 on a tall mast."""
+    basis = estimate.basis
+    return 0 if basis is None else int(np.searchsorted((ELEVATED_M, TALL_M), basis.sensor_height_m))
 
 
 def _is_too_tall(estimate: FovEstimate) -> bool:

@@ -29,6 +29,7 @@ RATE = 0.01
 """Share of benign scenes in which somebody may be accused; more where there are too few scenes for it."""
 
 DISTRUSTED = 0.5
+"""Whose trust falls below this at some time counts as distrusted."""
 
 OVERLAPS = ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, np.inf))
 """Numbers of other agents that see what was lied about, from and up to."""

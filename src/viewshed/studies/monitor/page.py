@@ -96,7 +96,9 @@ class MonitorResults:
     @cached_property
     def test(self) -> SweepTable:
         """Sweeps that are reported on."""
-        return SweepTable.read(self.folder, "test").with_statistics()
+        table = self.every_test
+        is_test = np.array([drive.split == "test" for drive in table.drives])
+        return table.rows(is_test[table.drive])
 
     @cached_property
     def every_test(self) -> SweepTable:
@@ -670,7 +672,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "evidence": results.evidence_table,
     })  # fmt: skip
     tables = {"calibration": results.calibration, "test": results.test, "test and benign": results.every_test}
-    drives = [f"{len(table.drives)} {word}" for word, table in tables.items()]
+    drives = [f"{len(np.unique(table.drive))} {word}" for word, table in tables.items()]
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domains=", ".join(plan.domains),
         drives=f"{sum(plan.train)} + {sum(plan.unattacked)} train, {', '.join(drives)}",
