@@ -6,6 +6,7 @@ JOBS ?= 2
 BIN := $(VENV)/bin
 # pip says what it does: the first install takes a minute or more.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
+BENCHMARKS := PYTHONPATH=packages/viewshed-lab $(BIN)/python -m benchmarks
 # One thread for each process. Bytecode of the tests is kept: without it each process rewrites all their files. Workers
 # take neighbors in a file, so that most fixtures are made once.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
@@ -49,20 +50,19 @@ unit: $(VENV)/.test
 	$(PYTEST)
 
 properties: $(VENV)/.test  ## the property tests with new examples, drawn by chance
-	VIEWSHED_HYPOTHESIS=random $(PYTEST) -m hypothesis tests
+	VIEWSHED_HYPOTHESIS=random $(PYTEST) -m hypothesis
 
 docs: $(VENV)/.docs  ## the documentation as a site, warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-bench: $(VENV)/.bench  ## speed against named alternatives; writes docs/results/speed.md
-	$(BIN)/python -m benchmarks
+bench: $(VENV)/.test  ## speed against named alternatives; writes docs/results/speed.md
+	$(BENCHMARKS)
 
 MINUTES ?= 30
 FORGED ?= 1000000
-soak: $(VENV)/.bench  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less), a million forged messages; docs/results/soak.md
-	$(PIP) --editable '.[agents]'
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.messages --flood --forged $(FORGED)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --minutes $(MINUTES)
+soak: $(VENV)/.test  ## pipeline and ROS 2 node worked for half an hour each (MINUTES=2 for less), a million forged messages; docs/results/soak.md
+	OMP_NUM_THREADS=1 $(BENCHMARKS).messages --flood --forged $(FORGED)
+	OMP_NUM_THREADS=1 $(BENCHMARKS).soak --minutes $(MINUTES)
 
 fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers
 	$(BIN)/python tools/fuzz_core.py --sanitize --seconds 30
@@ -77,10 +77,10 @@ $(VENV)/.made:
 	@touch $@
 
 # The native core is compiled by the install, and again when its sources change.
-CORE := pyproject.toml CMakeLists.txt $(wildcard src/core/*)
+CORE := $(addprefix packages/viewshed/,pyproject.toml CMakeLists.txt) $(wildcard packages/viewshed/src/core/*)
 
 $(VENV)/.core: $(CORE) $(VENV)/.made
-	$(PIP) --editable .
+	$(PIP) --editable packages/viewshed
 	@touch $@
 
 # The CPU build of torch first: a bare range would pull several gigabytes for graphics cards.
@@ -88,14 +88,10 @@ $(VENV)/.torch: $(VENV)/.made
 	$(PIP) 'torch==2.13.0'
 	@touch $@
 
-$(VENV)/.test: $(CORE) $(VENV)/.torch
-	$(PIP) --editable '.[test]'
-	@touch $@ $(VENV)/.core
-
-$(VENV)/.bench: $(CORE) $(VENV)/.made
-	$(PIP) --editable '.[bench]'
+$(VENV)/.test: $(CORE) packages/viewshed-lab/pyproject.toml $(VENV)/.torch
+	$(PIP) --editable packages/viewshed --editable 'packages/viewshed-lab[test]'
 	@touch $@ $(VENV)/.core
 
 $(VENV)/.docs: $(CORE) $(VENV)/.made
-	$(PIP) --editable '.[docs]'
+	$(PIP) --editable packages/viewshed --editable 'packages/viewshed-lab[docs]'
 	@touch $@ $(VENV)/.core

@@ -3,12 +3,12 @@
 import numpy as np
 
 from viewshed import ESTIMATORS, GRIDS, lidar_model
-from viewshed.sim import cast_world
-from viewshed.sim.lidar.measurement import measure
-from viewshed.sim.lidar.weather import CONDITIONS
-from viewshed.sim.truth.exact import exact_truth
-from viewshed.sim.world import AgentPlan
-from viewshed.sim.worlds import WORLDS
+from viewshed_lab.sim import cast_world
+from viewshed_lab.sim.lidar.measurement import measure
+from viewshed_lab.sim.lidar.weather import CONDITIONS
+from viewshed_lab.sim.truth.exact import exact_truth
+from viewshed_lab.sim.world import AgentPlan
+from viewshed_lab.sim.worlds import WORLDS
 
 SEED, TIME_S, HEIGHT_M = 7, 5.0, 1.84
 

@@ -9,9 +9,9 @@ from itertools import islice
 import numpy as np
 
 from viewshed import ESTIMATORS, BevGrid, FovEstimate, Sweep
-from viewshed.integrity import DeviationMonitor
-from viewshed.studies.samples import sample_of
-from viewshed.threats.attacks import ATTACKS, Knowledge
+from viewshed.monitor import DeviationMonitor
+from viewshed_lab.studies.samples import sample_of
+from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 
 GRID = BevGrid(64, 16.0)
 

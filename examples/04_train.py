@@ -4,12 +4,12 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from viewshed._jobs import engine_named
-from viewshed.datasets.archive.storage import Storage
-from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulated import simulate
 from viewshed.networks.runtime import load_runner
-from viewshed.training import read_config, train
+from viewshed_lab._jobs import engine_named
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import simulate
+from viewshed_lab.training import read_config, train
 
 CELLS, HALF_M = 64, 32.0
 

@@ -9,25 +9,25 @@ from dataclasses import replace
 import numpy as np
 
 from viewshed import GRIDS, load_estimator
-from viewshed.datasets.presets import preset_named
-from viewshed.datasets.recorder.drive import drive_plan, drive_sweeps
-from viewshed.fusion.many import AgentReport, CommandCenter, joint_fov
-from viewshed.messages.receiver import Receiver
-from viewshed.messages.signing import KeyRing, SigningKey, sign_message
-from viewshed.messages.view_message import SensorFacts, ViewMessage
-from viewshed.perception.detector import Detector
+from viewshed.agents.many import AgentReport, CommandCenter, joint_fov
+from viewshed.agents.receiver import Receiver
+from viewshed.agents.signing import KeyRing, SigningKey, sign_message
+from viewshed.agents.view_message import SensorFacts, ViewMessage
+from viewshed.objects.detector import Detector
 from viewshed.preprocess.leveling import level
-from viewshed.threats.object_attacks import OBJECT_ATTACKS
+from viewshed_lab.data.drive import drive_plan, drive_sweeps
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 
 LIAR, SECONDS, HZ, SEED = "vehicle_1", 6.0, 2.0, 5
-EPOCH_NS = 1_760_000_000_000_000_000
+START_NS = 1_760_000_000_000_000_000
 
 # A junction with two cars that measure and a mast; everybody has a key, and the center knows the public ones.
 preset = replace(preset_named("carla"), roadside=1, sensors=("hdl32e",))
 plan = drive_plan(preset, seconds=SECONDS, hz=HZ, agents=2, world="junction", seed=SEED)
 agents = ("vehicle_0", LIAR, "roadside_0")
 keys = {agent: SigningKey.generate(agent) for agent in agents}
-receiver = Receiver(KeyRing(tuple(key.verifying() for key in keys.values())))
+receiver = Receiver(KeyRing(tuple(key.verifying() for key in keys.values())), start_ns=START_NS - 1_000_000_000)
 center = CommandCenter(agents)
 estimator, detector = load_estimator("shadow_map", grid=GRIDS["road"]), Detector()
 lie = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=3.0).begin(np.random.default_rng(SEED))
@@ -38,7 +38,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     # 1. Each agent estimates what it sees and finds objects; the liar adds some after two seconds.
     leveled = level(sweep, estimator.grid)
     view, found = estimator.estimate(leveled), detector.detect(leveled)
-    pose, t_ns = view.world_from_level, EPOCH_NS + (sweep.t_ns or 0)
+    pose, t_ns = view.world_from_level, START_NS + (sweep.t_ns or 0)
     assert pose is not None
     if sweep.agent == LIAR:
         found = lie.apply(found.moved(pose), (sweep.t_ns or 0) / 1e9, pose.translation).detections.moved(pose.inverse())
@@ -57,7 +57,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     assert taken is not None
     reports.append(AgentReport.of_message(taken))
     if len(reports) == len(agents):
-        picture = center.add((t_ns - EPOCH_NS) / 1e9, reports)
+        picture = center.add((t_ns - START_NS) / 1e9, reports)
         trust = ", ".join(f"{agent} {one:.2f}" for agent, one in zip(agents, picture.verdicts.trust, strict=True))
         print(f"{picture.t_s:.2f} s: {picture.believed.sum():2} of {len(picture.tracks):2} objects; {trust}")
         last, reports = reports, []

@@ -1,4 +1,4 @@
-"""Record LiDAR sweeps, poses and boxes in a running CARLA server, in the layout of viewshed.datasets.recordings.carla.
+"""Record LiDAR sweeps, poses and boxes in a running CARLA server, in the layout of viewshed.recordings.read.carla.
 
     pip install carla
     ./CarlaUE4.sh -RenderOffScreen &
@@ -27,8 +27,8 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from viewshed.datasets.recordings.carla import MIRROR, POSE_COLUMNS, rotation_of_carla
 from viewshed.io import write_sweep
+from viewshed.recordings.read.carla import MIRROR, POSE_COLUMNS, rotation_of_carla
 from viewshed.sweep import Sweep
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Carrier:
     Attributes:
         actor: number of the vehicle, or None for a mast.
         sensor_height_m: height of the sensor above the road.
-        beams: what ``recording.json`` says about them, :data:`viewshed.datasets.recordings.carla.BEAMS`.
+        beams: what ``recording.json`` says about them, :data:`viewshed.recordings.read.carla.BEAMS`.
     """
 
     actor: int | None

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# The tests of the ROS 2 node, in an environment of its own (ros/python.sh makes it): ros/test.sh [WHEEL]
-# Without a wheel of viewshed the checkout is taken.
+# The tests of the ROS 2 node, in an environment of its own (ros/python.sh makes it): ros/test.sh [WHEELS]
+# Without wheels of viewshed and viewshed-lab the checkout is taken, after make demo or without it.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
+[ -z "${1:-}" ] || export VIEWSHED_SOURCES=
 "$here/python.sh" -c "" || { [ $? = 3 ] && echo "SKIPPED: the ROS 2 node was not tested" && exit 0; exit 1; }
 if [ -n "${1:-}" ]; then
-    "$here/python.sh" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$1"
-    export VIEWSHED_SOURCES=
+    "$here/python.sh" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$@"
 fi
 cd "$here/viewshed_ros"
 export PYTHONDONTWRITEBYTECODE=1

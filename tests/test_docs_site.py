@@ -21,9 +21,9 @@ def test_every_mark_on_a_page_is_generated() -> None:
 
 def test_generated_tables_hold_the_program() -> None:
     from viewshed.sensors import sensor_names
-    from viewshed.sim.worlds import WORLDS
-    from viewshed.threats.attacks import ATTACKS
-    from viewshed.threats.corruptions import SEVERITIES
+    from viewshed_lab.sim.worlds import WORLDS
+    from viewshed_lab.threats.attacks import ATTACKS
+    from viewshed_lab.threats.corruptions import SEVERITIES
 
     for table, names in (
         ("sensors", sensor_names()),
@@ -84,7 +84,7 @@ def test_figures_of_the_methods_are_those_of_the_results() -> None:
 def _literals() -> str:
     """All texts of the package; what is filled in is …"""
     texts = []
-    for path in sorted((ROOT / "src" / "viewshed").rglob("*.py")):
+    for path in sorted((ROOT / "packages").glob("*/src/**/*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.JoinedStr):
                 texts.append(

@@ -18,7 +18,7 @@ import yaml
 import viewshed
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = sorted((ROOT / "src" / "viewshed").rglob("*.py"))
+SOURCES = sorted((ROOT / "packages").glob("*/src/**/*.py"))
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 RUN = ("index", "tutorial", "conventions", "simulate", "attacks", "agents", "messages")
 """Pages whose Python blocks are run."""
@@ -59,7 +59,7 @@ def test_every_public_name_is_in_the_docs() -> None:
     assert [name for name in viewshed.__all__ if not re.search(rf"\b{name}\b", words)] == []
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT / "src")))
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT / "packages")))
 def test_public_definitions_have_docstrings(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
@@ -110,7 +110,20 @@ def _is_text(path: Path) -> bool:
 
 def test_license_is_apache() -> None:
     assert "Apache License" in _text("LICENSE")
-    assert 'license = "Apache-2.0"' in _text("pyproject.toml")
+    for package in ("viewshed", "viewshed-lab"):
+        assert 'license = "Apache-2.0"' in _text(f"packages/{package}/pyproject.toml")
+        assert _text(f"packages/{package}/LICENSE") == _text("LICENSE")
+
+
+def test_what_a_robot_installs_names_no_module_of_the_laboratory() -> None:
+    """Nor where types are checked alone, which import-linter does not see."""
+    named = set()
+    for path in (ROOT / "packages" / "viewshed" / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            modules += [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            named |= {str(path) for module in modules if module.partition(".")[0] == "viewshed_lab"}
+    assert named == set()
 
 
 def test_every_page_is_in_the_navigation_and_every_link_leads_somewhere() -> None:

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples.record_carla import Plan, connect, main, record_carla, sweep_of
 from numpy.typing import NDArray
 
-from viewshed.datasets.recordings import open_source
-from viewshed.datasets.recordings.source import each_sweep
+from examples.record_carla import Plan, connect, main, record_carla, sweep_of
+from viewshed.recordings.read import open_source
+from viewshed.recordings.read.source import each_sweep
 
 SIGNS = np.array([[30.0, 5.0, 2.5], [-12.0, 21.0, 4.0], [8.0, -17.0, 1.0]])
 """In CARLA's left-handed world; ours has y with the other sign."""
@@ -403,7 +403,7 @@ def test_the_stand_in_has_only_names_that_the_real_client_has() -> None:
 
 def test_frames_agree_with_the_real_client() -> None:
     carla = pytest.importorskip("carla", reason="CARLA's client is not installed: frames are not compared")
-    from viewshed.datasets.recordings.carla import rigid_of_carla
+    from viewshed.recordings.read.carla import rigid_of_carla
 
     rng = np.random.default_rng(3)
     for roll, pitch, yaw in rng.uniform(-80, 80, (20, 3)):

@@ -54,7 +54,12 @@ def test_the_named_checkout_is_imported(python: Path, tmp_path: Path) -> None:
     assert imported(python, TOOL, tmp_path / "wanted", "-c", child) == wanted
 
 
+def test_a_checkout_of_two_packages_is_imported_as_well(python: Path, tmp_path: Path) -> None:
+    wanted = write_package(tmp_path / "wanted" / "packages" / "viewshed")
+    assert imported(python, TOOL, tmp_path / "wanted", "-c", PRINT) == wanted
+
+
 def test_a_folder_without_viewshed_is_refused(tmp_path: Path) -> None:
     run = subprocess.run((sys.executable, TOOL, tmp_path, "-c", ""), capture_output=True, text=True, check=False)
     assert run.returncode == 1
-    assert run.stderr.endswith("CHECKOUT must have src/viewshed\n")
+    assert run.stderr.endswith("CHECKOUT must have viewshed's sources\n")

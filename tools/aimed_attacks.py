@@ -14,24 +14,25 @@ from typing import Any, get_args
 
 import numpy as np
 
-from viewshed._page import facts, page, table
-from viewshed._results import write_page
-from viewshed.datasets.presets import preset_named
-from viewshed.datasets.simulated import ScenePlan, simulate_frame, world_of
+from viewshed.arrays import Mask
 from viewshed.estimators import CLASSICAL, DEFAULT_ESTIMATOR, Estimator, load_estimator
 from viewshed.estimators.temporal import where_confirmed
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
-from viewshed.metrics import ConfusionCounts, Mask
+from viewshed.metrics import ConfusionCounts
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, level
-from viewshed.studies.ablation.evaluate import PriorSweeps
-from viewshed.studies.samples import StudySample
-from viewshed.studies.statistics import bootstrap, precision
 from viewshed.sweep import Sweep
-from viewshed.threats.attacks import ATTACKS, Placement, Tampered
-from viewshed.threats.attacks.adaptive import cells_in
+from viewshed_lab._page import facts, page, table
+from viewshed_lab._results import write_page
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import ScenePlan, simulate_frame, world_of
+from viewshed_lab.studies.ablation.evaluate import PriorSweeps
+from viewshed_lab.studies.samples import StudySample
+from viewshed_lab.studies.statistics import bootstrap, precision
+from viewshed_lab.threats.attacks import ATTACKS, Placement, Tampered
+from viewshed_lab.threats.attacks.adaptive import cells_in
 
 SEED, FRAME = 77, 11
 """Of the scenes; the frame of each that is attacked, so that five lie before it."""

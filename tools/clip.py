@@ -21,7 +21,7 @@ from pathlib import Path
 from browser import Browser, open_browser
 from PIL import Image
 
-from viewshed._canvas import Canvas
+from viewshed.show._canvas import Canvas
 
 _HEAD = 46
 """Pixels above a picture for its two lines."""

@@ -15,12 +15,12 @@ from pathlib import Path
 
 from viewshed import GRIDS, CellState
 from viewshed._files import write_atomic
-from viewshed._page import facts, page, table
-from viewshed._results import write_page
 from viewshed.estimators import ESTIMATORS
 from viewshed.io import IndexEntry, read_index, read_indexed
-from viewshed.plot import Panel, contact_sheet
 from viewshed.preprocess.leveling import level
+from viewshed.show.plot import Panel, contact_sheet
+from viewshed_lab._page import facts, page, table
+from viewshed_lab._results import write_page
 
 HEADER = ("no.", "file", "sensor", "grid", "points", "visible m²", "hidden", "unknown", "sensor height m", "tilt", "ms")
 _INDOORS = ("indoor", "office", "room")

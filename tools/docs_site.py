@@ -21,8 +21,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import results_index
+
 import viewshed
-from viewshed._page import table
+from viewshed_lab._page import table
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
@@ -30,7 +32,7 @@ TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
 """The real sweep of the tutorial, in the folder of real sweeps."""
 ELSEWHERE = {
     "contribute/contributing.md": "CONTRIBUTING.md",
-    "contribute/core.md": "src/core/README.md",
+    "contribute/core.md": "packages/viewshed/src/core/README.md",
     "contribute/changes.md": "CHANGELOG.md",
     "reference/ros_node.md": "ros/viewshed_ros/README.md",
 }
@@ -69,6 +71,8 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Write generated tables into a page, and turn its links to files elsewhere into those to their pages."""
+    if results_index.MARK in markdown:
+        markdown = results_index.with_overview(markdown)
     for page, path in ELSEWHERE.items():
         markdown = markdown.replace(f"](../{path})", f"]({page})")
     return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
@@ -141,7 +145,7 @@ def commands() -> str:
 def attacks() -> str:
     """Return the table of attacks: family, name, mode, what it does, its own parameters with their defaults."""
     from viewshed import Sweep
-    from viewshed.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, Knowledge
+    from viewshed_lab.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, Knowledge
 
     common = {"spoofer", "mode", "earlier", "first", "first_ns"}
     knowledge = Knowledge((Sweep([[1.0, 0.0, 0.0]]),))  # type: ignore[arg-type]
@@ -159,7 +163,7 @@ def attacks() -> str:
 
 def corruptions() -> str:
     """Return the parameters of each corruption in its five severities."""
-    from viewshed.threats.corruptions import SEVERITIES, Weather
+    from viewshed_lab.threats.corruptions import SEVERITIES, Weather
 
     weather = ("extinction_per_m", "particles_per_m", "particle_reach", "wet", "noise")
     rows = []
@@ -172,7 +176,7 @@ def corruptions() -> str:
 
 def defenses() -> str:
     """Return the parameters of each defense."""
-    from viewshed.threats.defenses import DEFENSES
+    from viewshed_lab.threats.defenses import DEFENSES
 
     rows = []
     for name, make in DEFENSES.items():
@@ -184,7 +188,7 @@ def defenses() -> str:
 
 def worlds() -> str:
     """Return the kinds of simulated worlds, each with the first line of its module."""
-    from viewshed.sim.worlds import WORLDS
+    from viewshed_lab.sim.worlds import WORLDS
 
     return table(("kind", "what is there"), [[f"`{name}`", _first_line(make)] for name, make in WORLDS.items()])
 
@@ -197,7 +201,7 @@ def _first_line(make: Any) -> str:
 
 def materials() -> str:
     """Return the materials of simulated worlds."""
-    from viewshed.sim.assets.shapes import MATERIALS
+    from viewshed_lab.sim.assets.shapes import MATERIALS
 
     rows = [
         [one.name, f"{one.reflectivity:g}", "–" if math.isinf(one.per_m) else f"{one.per_m:g}"] for one in MATERIALS
@@ -207,7 +211,7 @@ def materials() -> str:
 
 def weather() -> str:
     """Return the weather and faults of the simulator by name."""
-    from viewshed.sim.lidar.weather import CONDITIONS
+    from viewshed_lab.sim.lidar.weather import CONDITIONS
 
     keys = ("extinction_per_m", "particles_per_m", "particle_reach", "wet", "noise")
     rows = [[f"`{name}`", *(f"{getattr(air, key):g}" for key in keys)] for name, air in CONDITIONS.items()]
@@ -217,7 +221,7 @@ def weather() -> str:
 def sensors() -> str:
     """Return the beam tables: beams, elevations, range, reach, how the simulator measures with each, and the source."""
     from viewshed.sensors import lidar_model, sensor_names
-    from viewshed.sim.lidar.optics import optics_of
+    from viewshed_lab.sim.lidar.optics import optics_of
 
     rows = []
     for name in sensor_names():

@@ -23,7 +23,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from viewshed._page import facts, page
+from viewshed_lab._page import facts, page
 
 ROOT = Path(__file__).resolve().parents[1]
 SILENT_S = 3.0
@@ -121,13 +121,18 @@ def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[H
         archived = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
         subprocess.run(["tar", "x"], input=archived, cwd=checkout, check=True)
         wrong += faults(home.type(f"make demo PYTHON={Path(python).name}", checkout), checkout)
-        install = f"{checkout}/.venv/bin/python -m pip install --disable-pip-version-check '{checkout}[sim]'"
+        install = (
+            f"{checkout}/.venv/bin/python -m pip install --disable-pip-version-check {checkout}/packages/viewshed-lab"
+        )
         wrong += faults(home.type(install, work), work)
         home.path = f"{checkout}/.venv/bin:{home.path}"
     else:
         wrong += faults(home.type(f"{Path(python).name} -m venv ~/env", work), work)
-        shutil.copy2(wheel, home.folder)
-        install = f"~/env/bin/python -m pip install --disable-pip-version-check ~/{wheel.name}'[sim]'"
+        wheels = sorted(wheel.parent.glob("*.whl"))  # that of the laboratory lies beside it
+        for each in wheels:
+            shutil.copy2(each, home.folder)
+        names = " ".join(f"~/{each.name}" for each in wheels)
+        install = f"~/env/bin/python -m pip install --disable-pip-version-check {names}"
         wrong += faults(home.type(install, work), work)
         home.path = f"{home.folder}/env/bin:{home.path}"
     own = ["viewshed info demo/sweep.pcd.bin.gz", "viewshed compare demo/sweep.pcd.bin.gz --out demo/compare.png",

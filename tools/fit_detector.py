@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 
-from viewshed._page import facts
-from viewshed.datasets.detector_counts import measure_table
-from viewshed.datasets.object_truth import indoor_sweeps, road_sweeps
-from viewshed.perception import detection_table, shape_classifier
-from viewshed.perception.detector import Detector
-from viewshed.training.shape_classifier import fit_shape_classifier
+from viewshed.objects import detection_table, shape_classifier
+from viewshed.objects.detector import Detector
+from viewshed_lab._page import facts
+from viewshed_lab.data.detector_counts import measure_table
+from viewshed_lab.data.object_truth import indoor_sweeps, road_sweeps
+from viewshed_lab.training.shape_classifier import fit_shape_classifier
 
 INDOOR_SEED, TABLE_SEED = 30_000, 50_000
 """Indoor drives have seeds from the first on plus this one, those of the table plus that one."""

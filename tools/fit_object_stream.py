@@ -1,11 +1,12 @@
 """Fit what evidence is worth where the package's own detector finds the objects: ``python tools/fit_object_stream.py``.
 
 ``single.json`` is calibrated with a detector by tables, whose boxes stand where the objects do. Those of
-``viewshed.perception`` move as the car that they are about is seen from another side, and a limit for the one accuses
+``viewshed.objects`` move as the car that they are about is seen from another side, and a limit for the one accuses
 honest tracks of the other. This fits tables and limits on benign simulated drives that go through
-``viewshed.fusion.object_stream``: even ones for the tables, odd ones for the limits; then it counts, on further drives,
-how many honest tracks are accused by either, and how many forged objects are found. Writes
-src/viewshed/fusion/object_stream.json and docs/results/object_stream.md.
+``viewshed.objects.object_stream``: even ones for the tables, odd ones for the limits; then it counts, on more drives,
+how many honest tracks are accused by either, and how many forged objects (three fabricated, or three removed) are
+named within a second, and how many are not shown. Writes object_stream.json of
+``viewshed.objects``, prints the table.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from pathlib import Path
 import numpy as np
 
 from viewshed import load_estimator
-from viewshed._page import facts, page, table
-from viewshed.datasets.presets import preset_named
-from viewshed.datasets.recorder.drive import drive_plan, drive_sweeps
-from viewshed.fusion.calibration import count_drive, highest_e_values, limits_of, model_of_counts
-from viewshed.fusion.evidence import EvidenceCounts, EvidenceModel
-from viewshed.fusion.object_stream import ObjectStream, SeenObjects, stream_model
-from viewshed.fusion.sensor_view import Observed
-from viewshed.fusion.single import shipped_model
-from viewshed.objects import Detections
+from viewshed.detections import Detections
+from viewshed.objects.calibration import count_drive, highest_e_values, limits_of, model_of_counts
+from viewshed.objects.evidence import EvidenceCounts, EvidenceModel
+from viewshed.objects.object_stream import ObjectStream, SeenObjects, stream_model
+from viewshed.objects.sensor_view import Observed
+from viewshed.objects.single import shipped_model
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
-from viewshed.threats.adversary import Adversary
+from viewshed_lab._page import table
+from viewshed_lab.data.drive import drive_plan, drive_sweeps
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.threats.adversary import Adversary
 
-PLACE = Path(__file__).resolve().parents[1] / "src" / "viewshed" / "fusion" / "object_stream.json"
+PLACE = Path(__file__).resolve().parents[1] / "packages/viewshed/src/viewshed/objects/object_stream.json"
 
 WORLDS, SENSORS = ("street", "junction", "parking"), ("hdl32e", "os1_64", "vlp32c", "hdl64e")
 
@@ -40,16 +41,6 @@ SEED, ACCUSED, START_S = 20_261_123, 0.03, 2.0
 
 NEAR_M = 2.0
 """A track so near to a forged object is of it."""
-
-PAGE = PLACE.parents[3] / "docs" / "results" / "object_stream.md"
-
-INTRODUCTION = f"""\
-Simulated drives with the package's detector, tracker and fusion, as `--objects` runs them, with four sensors in three
-kinds of world. Honest: share of the confirmed tracks of benign drives that are accused at any time; at most
-{ACCUSED:g} is what the limits are taken for, on other drives. Forged: three detections are fabricated anywhere about
-the sensor, or three objects are removed, from {START_S:g} s on. Named: accused within a second. Not shown: not accused,
-and not among the confirmed tracks at the end of it; of removed ones that is a miss, the object is forgotten.
-`single.json` is the model of the study of tracks, of a detector whose boxes stand where the objects do."""
 
 
 def sweeps_of(number: int, seconds: float) -> Iterator[Sweep]:
@@ -138,13 +129,12 @@ def _forged_at_first(attack: str, honest: Detections, seen: SeenObjects) -> dict
 
 
 def main() -> None:
-    """Fit where it is wanted, check, and write the page."""
+    """Fit where it is wanted, check, and print the table."""
     parser = argparse.ArgumentParser(prog="fit_object_stream.py", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep the model in the box, and only check it")
     parser.add_argument("--drives", type=int, default=16, help="benign drives, half of them for limits")
     parser.add_argument("--checks", type=int, default=6, help="further drives on which accusations are counted")
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drive")
-    parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
     chosen = parser.parse_args()
     if not chosen.keep:
         fit(chosen.drives, chosen.seconds).save(PLACE)
@@ -159,17 +149,8 @@ def main() -> None:
             named, hidden, total = found_share(checks, START_S + 1.2, attack, model)
             cells += [f"{named / max(total, 1):.2f}", f"{hidden / max(total, 1):.2f}", str(total)]
         rows.append([f"`{name}`", *cells])
-        print(rows[-1], flush=True)
-    content = page(
-        "Objects while it runs",
-        facts(command="`python tools/fit_object_stream.py`", seed=str(SEED)),
-        INTRODUCTION,
-        table(
-            ["model", "honest tracks accused", "fabricated: named", "not shown", "of", "removed: named",
-             "not shown", "of"], rows,
-        ),
-    )  # fmt: skip
-    chosen.page.write_text(content, encoding="utf-8")
+    header = ["model", "honest tracks accused", "fabricated: named", "not shown", "of", "removed: named"]
+    print(table([*header, "not shown", "of"], rows))
 
 
 def fit(drives: int, seconds: float) -> EvidenceModel:

@@ -4,7 +4,8 @@
 
 The arguments are those of real calls: estimates, files, polygons and streams are made once while every function of the
 core is watched. Then, for S seconds a function, some arguments are damaged: other types and shapes, rows left out or
-doubled, values that are not finite, huge, denormal or out of range, all values the same, numbers far too large. A call
+doubled, values that are not finite, huge, denormal or out of range, all values the same, numbers far too large. For
+half that time another thread writes such values into an array of a call, and the real ones back, while it runs. A call
 may raise ValueError, TypeError, OverflowError or MemoryError. With --sanitize the core is compiled with checks of
 addresses and of undefined behavior first (into build/sanitize), and the calls run against that; with --tests these
 tests run against it beforehand.
@@ -19,8 +20,9 @@ import argparse
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +41,11 @@ def build_sanitized() -> Path:
     """Compile the core with sanitizers and return the folder that holds it."""
     folder = ROOT / "build" / "sanitize"
     options = ("-DVIEWSHED_SANITIZE=ON", f"-DPython_EXECUTABLE={sys.executable}", f"-DVIEWSHED_OUTPUT={folder}")
-    subprocess.run(("cmake", "-S", str(ROOT), "-B", str(folder), *options), check=True, capture_output=True)
+    subprocess.run(
+        ("cmake", "-S", str(ROOT / "packages" / "viewshed"), "-B", str(folder), *options),
+        check=True,
+        capture_output=True,
+    )
     subprocess.run(("cmake", "--build", str(folder), "--parallel", "2"), check=True, capture_output=True)
     return folder
 
@@ -115,7 +121,7 @@ def use_everything() -> None:
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
     from viewshed.io import read_sweep, write_sweep
-    from viewshed.perception.detector import Detector
+    from viewshed.objects.detector import Detector
     from viewshed.preprocess.beam_matching import match_beams, polar
     from viewshed.preprocess.elevation_clusters import find_clusters
     from viewshed.preprocess.history import History
@@ -124,7 +130,7 @@ def use_everything() -> None:
     from viewshed.preprocess.sensor_identification import identify_sensor, infer_sensor
     from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
     from viewshed.sensors import lidar_model
-    from viewshed.sim import Box, Scene, cast
+    from viewshed_lab.sim import Box, Scene, cast
 
     _core.set_threads(_core.threads())
     _core.least_confirmations(1.0)
@@ -182,7 +188,7 @@ def use_everything() -> None:
 def _use_evidence(sweep: Any) -> None:
     """Measure all evidence of a sweep by itself."""
     from viewshed import BevGrid
-    from viewshed.integrity.evidence import EVIDENCE, MonitoredSweep
+    from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
     from viewshed.preprocess.leveling import level
 
     monitored = MonitoredSweep(level(sweep, BevGrid(64, 32.0)))
@@ -243,7 +249,7 @@ def _use_polygons(rng: np.random.Generator) -> None:
 def _use_codes(rng: np.random.Generator) -> None:
     """Encode and decode views, with deviations and without."""
     from viewshed import BevGrid, FovEstimate
-    from viewshed.messages.fov_code import decode_fov, encode_fov
+    from viewshed.agents.fov_code import decode_fov, encode_fov
 
     grid = BevGrid(40, 10.0, (3.0, -2.0))
     prob = np.clip(0.8 - np.hypot(*np.moveaxis(grid.centers, -1, 0)) / 20 + rng.normal(0, 0.03, grid.shape), 0.0, 1.0)
@@ -293,13 +299,17 @@ def _damaged_array(value: np.ndarray[Any, Any], rng: np.random.Generator) -> Any
         case 8:
             return np.zeros_like(value)
         case _:
-            copy = value.copy()
-            if copy.size:
-                at = rng.integers(copy.size, size=int(rng.integers(1, 1 + copy.size)) if rng.random() < 0.5 else 1)
-                odd = _ODD_FLOATS if copy.dtype.kind == "f" else _ODD_WHOLE
-                with np.errstate(all="ignore"):
-                    copy.flat[at] = np.array(rng.choice(np.array(odd, np.float64), at.size)).astype(copy.dtype)
-            return copy
+            return _with_odd_values(value, rng)
+
+
+def _with_odd_values(value: np.ndarray[Any, Any], rng: np.random.Generator) -> np.ndarray[Any, Any]:
+    copy = value.copy()
+    if copy.size:
+        at = rng.integers(copy.size, size=int(rng.integers(1, 1 + copy.size)) if rng.random() < 0.5 else 1)
+        odd = _ODD_FLOATS if copy.dtype.kind == "f" else _ODD_WHOLE
+        with np.errstate(all="ignore"):
+            copy.flat[at] = np.array(rng.choice(np.array(odd, np.float64), at.size)).astype(copy.dtype)
+    return copy
 
 
 def fuzz(name: str, calls: list[tuple[tuple[Any, ...], dict[str, Any]]], seconds: float, seed: int) -> tuple[int, int]:
@@ -326,6 +336,61 @@ def fuzz(name: str, calls: list[tuple[tuple[Any, ...], dict[str, Any]]], seconds
     return answered, refused
 
 
+def fuzz_written(
+    name: str, calls: list[tuple[tuple[Any, ...], dict[str, Any]]], seconds: float, seed: int
+) -> tuple[int, int]:
+    """Call a function for some seconds while another thread writes into its arrays; return what ``fuzz`` does."""
+    from viewshed import _core
+
+    function = getattr(_core, name)
+    end, rounds, counts = time.monotonic() + seconds, 0, [0, 0]
+    while time.monotonic() < end:
+        rng = np.random.default_rng([seed, 1, rounds])
+        args, named = calls[int(rng.integers(len(calls)))]
+        values, of_names = (
+            [_deep_copied(each) for each in args],
+            {key: _deep_copied(each) for key, each in named.items()},
+        )
+        arrays = [each for each in _arrays_in([*values, *of_names.values()]) if each.size]
+        if not arrays:
+            break
+        chosen = arrays[int(rng.integers(len(arrays)))]
+        own, odd, done = chosen.copy(), _with_odd_values(chosen, rng), threading.Event()
+
+        def write(to: Any = chosen, both: Any = (odd, own), until: threading.Event = done) -> None:
+            while not until.is_set():
+                for each in both:
+                    to[...] = each
+
+        sys.stdout.write(f"\r{name} seed {seed} written, round {rounds} ")
+        sys.stdout.flush()
+        writer = threading.Thread(target=write)
+        writer.start()
+        stop = min(time.monotonic() + 0.1, end)
+        while time.monotonic() < stop:
+            try:
+                function(*values, **of_names)
+                counts[0] += 1
+            except ALLOWED:
+                counts[1] += 1
+        done.set()
+        writer.join()
+        rounds += 1
+    return counts[0], counts[1]
+
+
+def _deep_copied(value: Any) -> Any:
+    return type(value)(map(_deep_copied, value)) if isinstance(value, list | tuple) else _copied(value)
+
+
+def _arrays_in(values: Iterable[Any]) -> Iterator[np.ndarray[Any, Any]]:
+    for value in values:
+        if isinstance(value, np.ndarray):
+            yield value
+        elif isinstance(value, list | tuple):
+            yield from _arrays_in(value)
+
+
 def main() -> int:
     """Fuzz the functions of the core and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -341,7 +406,8 @@ def main() -> int:
     unused = [name for name, made in calls.items() if not made]
     for name, made in calls.items():
         if made and given.only in name and name != "set_threads":
-            answered, refused = fuzz(name, made, given.seconds, given.seed)
+            counts = [each(name, made, given.seconds / 2, given.seed) for each in (fuzz, fuzz_written)]
+            answered, refused = map(sum, zip(*counts, strict=True))
             print(f"\r{name}: {answered} calls answered, {refused} refused")
     if unused:
         print(f"never called: {', '.join(unused)}; add what calls them to use_everything", file=sys.stderr)

@@ -16,12 +16,12 @@ from pathlib import Path
 
 from viewshed import FovEstimate, read_sweep
 from viewshed._files import write_atomic
-from viewshed._page import facts, page
 from viewshed.cli._outputs import summary_line
 from viewshed.estimators import load_estimator
 from viewshed.io import read_index, read_indexed
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
+from viewshed_lab._page import facts, page
 
 _ABOUT = """Ten real sweeps, each as `viewshed estimate FILE` draws it. Sweeps of nuScenes, KITTI and Argoverse 2 are
 left out, because their licenses forbid commercial use; no point cloud is published here.

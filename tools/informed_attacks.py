@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import ESTIMATORS, GRIDS, Sweep
-from viewshed._page import facts, page, table
-from viewshed.datasets.simulated import ScenePlan, measure_frame
-from viewshed.integrity.evidence import EVIDENCE, MonitoredSweep
-from viewshed.integrity.roc import auroc
-from viewshed.integrity.score import measure_all
-from viewshed.integrity.sweep_monitor import shipped_monitor
+from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
+from viewshed.monitor.roc import auroc
+from viewshed.monitor.score import measure_all
+from viewshed.monitor.sweep_monitor import shipped_monitor
 from viewshed.preprocess.leveling import level
-from viewshed.studies.cases import generator
-from viewshed.studies.monitor.plan import BEFORE, MonitorPlan
-from viewshed.threats.attacks import (
+from viewshed_lab._page import facts, page, table
+from viewshed_lab.data.simulated import ScenePlan, measure_frame
+from viewshed_lab.studies.cases import generator
+from viewshed_lab.studies.monitor.plan import BEFORE, MonitorPlan
+from viewshed_lab.threats.attacks import (
     ATTACKS,
     BITS,
     INFORMED,

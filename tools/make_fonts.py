@@ -10,7 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 from fontTools import subset
 
-FOLDER = Path(__file__).parents[1] / "src" / "viewshed" / "fonts"
+FOLDER = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/show/fonts"
 CHARACTERS = (
     "U+0020-007E,U+00A0-024F,U+0370-03FF,U+0400-045F,U+2010-2026,U+2030,U+20AC,U+2190-2193,U+2212,U+2248,U+2260,"
     "U+2264-2265,U+FFFD"

@@ -12,9 +12,9 @@ from viewshed.grid import GRIDS
 from viewshed.io import write_sweep
 from viewshed.io.samples import junction_path, junction_truth_path
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed.sim import cast, junction
-from viewshed.sim.scene import scan_of
-from viewshed.sim.truth.exact import exact_truth
+from viewshed_lab.sim import cast, junction
+from viewshed_lab.sim.scene import scan_of
+from viewshed_lab.sim.truth.exact import exact_truth
 
 SEED = 20
 HEIGHT_M = 1.84

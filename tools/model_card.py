@@ -6,14 +6,14 @@ import argparse
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from viewshed._page import facts, page, table
-from viewshed.datasets.presets import Preset, preset_named
-from viewshed.datasets.wild import wild_tables
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.runtime import load_runner
 from viewshed.networks.weights import WEIGHTS, float32_name, manifest
-from viewshed.studies.cases import TOUCHING
-from viewshed.training.config import PAPER, read_config
+from viewshed_lab._page import facts, page, table
+from viewshed_lab.data.presets import Preset, preset_named
+from viewshed_lab.data.wild import wild_tables
+from viewshed_lab.studies.cases import TOUCHING
+from viewshed_lab.training.config import PAPER, read_config
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "results" / "model_card.md"
 _ABOUT = """\
@@ -37,8 +37,8 @@ positions, motion and traffic by the seed ([simulator](../simulate.md))."""
 _WORTH = """\
 ## What they are worth
 
-On scenes of other seeds, beside the classical estimators: [the networks and their parts](ablation.md), with 8-bit
-weights; the published shape on [roads](weights_road.md) and [indoors](weights_indoor.md); on real sweeps of ten sensors
+On scenes of other seeds, beside the classical estimators, with 8-bit weights: [the networks and their parts, the
+published shape on roads and indoors](archive.md), of version 0.3.0; on real sweeps of ten sensors
 [cross-view truth](crossview.md); [speed](network_speed.md).
 
 ## What they are not for

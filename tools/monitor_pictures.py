@@ -19,9 +19,9 @@ from viewshed._files import write_atomic
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts
 from viewshed.cli.monitor import Seen, SweepRun
 from viewshed.grid import GRIDS
-from viewshed.studies.monitor.drives import Drive
-from viewshed.studies.monitor.plan import FROZEN, ONSET, MonitorPlan
-from viewshed.studies.records import Case
+from viewshed_lab.studies.monitor.drives import Drive
+from viewshed_lab.studies.monitor.plan import FROZEN, ONSET, MonitorPlan
+from viewshed_lab.studies.records import Case
 
 ASSETS = Path(__file__).resolve().parents[1] / "docs" / "assets"
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.arrays import F64
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
-from viewshed.sim.assets.shapes import BOX, material_index
-from viewshed.sim.raycast.caster import cast_world
-from viewshed.sim.raycast.scan import ExactScan
-from viewshed.sim.world import Snapshot
+from viewshed_lab.sim.assets.shapes import BOX, material_index
+from viewshed_lab.sim.raycast.caster import cast_world
+from viewshed_lab.sim.raycast.scan import ExactScan
+from viewshed_lab.sim.world import Snapshot
 
 GAP_M = 0.05
 """A probe stands at least so far from anything else."""
@@ -25,8 +26,6 @@ _APART = 0.02
 """Least angle between two probes of one cast, so that no beam can meet both."""
 
 _PER_CAST = 40
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +40,9 @@ class Boxes:
     """
 
     cell: NDArray[np.intp]
-    center_m: Floats
-    yaw: Floats
-    half_m: Floats
+    center_m: F64
+    yaw: F64
+    half_m: F64
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Boxes:
         """Return the boxes that ``keep`` names."""
@@ -64,7 +63,7 @@ class Probes:
 
     target: Target
     boxes: Boxes
-    range_m: Floats
+    range_m: F64
     expected: NDArray[np.int64]
     met: NDArray[np.int64]
 
@@ -106,18 +105,16 @@ def solids(
     return _boxes(cells, center, snapshot.terrain.at(center), rng.uniform(-np.pi, np.pi, len(cells)), sizes)
 
 
-def _sensor(scan: ExactScan) -> Floats:
+def _sensor(scan: ExactScan) -> F64:
     return scan.world_from_sensor.translation[:2]
 
 
-def _world_of(scan: ExactScan, grid: BevGrid, cells: NDArray[np.intp]) -> tuple[Floats, float]:
+def _world_of(scan: ExactScan, grid: BevGrid, cells: NDArray[np.intp]) -> tuple[F64, float]:
     """Return centers (N, 2) in the ``level`` frame, and that frame's heading in the world."""
     return grid.centers[cells[:, 0], cells[:, 1]], scan.world_from_sensor.yaw
 
 
-def _boxes(
-    cells: NDArray[np.intp], center: Floats, foot_m: Floats, yaw: Floats, sizes_m: tuple[float, float, float]
-) -> Boxes:
+def _boxes(cells: NDArray[np.intp], center: F64, foot_m: F64, yaw: F64, sizes_m: tuple[float, float, float]) -> Boxes:
     half = np.broadcast_to(np.array([sizes_m[0], sizes_m[1], sizes_m[2] + SINK_M]) / 2, (len(cells), 3))
     middle = np.column_stack([center, foot_m - SINK_M + half[:, 2]])
     return Boxes(cells, middle, np.broadcast_to(yaw, len(cells)).astype(np.float64), half)
@@ -141,7 +138,7 @@ def free_of(snapshot: Snapshot, boxes: Boxes, period_s: float = 0.0) -> NDArray[
     return np.asarray(clear.all(axis=1))
 
 
-def _extent(half_m: Floats, angle: Floats) -> Floats:
+def _extent(half_m: F64, angle: F64) -> F64:
     """Return half the extent of a rectangle along an axis at an angle from its length."""
     return np.asarray(half_m[..., 0] * np.abs(np.cos(angle)) + half_m[..., 1] * np.abs(np.sin(angle)))
 
@@ -159,7 +156,7 @@ def apart(scan: ExactScan, boxes: Boxes, most: int) -> NDArray[np.intp]:
     return np.array(chosen, np.intp)
 
 
-def _seen(scan: ExactScan, boxes: Boxes) -> tuple[Floats, Floats]:
+def _seen(scan: ExactScan, boxes: Boxes) -> tuple[F64, F64]:
     """Return azimuth (N,) of each box and half the azimuths (N,) that it may cover, from wherever the sensor goes."""
     offset = boxes.center_m[:, :2] - _sensor(scan)
     moved = float(np.hypot(scan.origin_m[..., 0], scan.origin_m[..., 1]).max())

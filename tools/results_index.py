@@ -1,62 +1,95 @@
-"""The overview of the pages of results: a line for each, with its first number.
+"""The overview of the pages of results: a line for each, with its first number, and whether its code is an older one.
 
-``python tools/results_index.py`` writes the tables of ``docs/results/index.md`` anew, below the line
-``<!-- pages -->``; what stands above is written by hand. Groups and titles come from
-``src/viewshed/result_pages.toml``, the numbers from the pages. It says how many words the pages of results and the
-guides hold: at most 40,000 and 15,000, so that somebody reads them.
+    python tools/results_index.py                  # writes the tables of docs/results/index.md anew
+    python tools/results_index.py --rebind COMMIT  # after a change that only moves code since COMMIT
+
+What stands above the line ``<!-- pages -->`` is written by hand. Groups, titles and the files and folders that a page
+depends on come from ``result_pages.toml`` of ``viewshed_lab``, the numbers from the pages. A page holds a hash of its
+files as they were when it was made: where they differ now, the page is older than the code. ``--rebind`` gives the hash
+of now to the pages that were not older at COMMIT.
 """
 
 from __future__ import annotations
 
+import argparse
 import re
+import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
-from viewshed._page import table
-from viewshed._results import result_pages
+from viewshed_lab._page import sources_hash, table
+from viewshed_lab._results import result_pages
 
-FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "docs" / "results"
 MARK = "<!-- pages -->"
 LOG = "wild_openings"
 """A log, without numbers on its top."""
-BESIDE = ("first_hour", "release", "ugv")
-"""Pages that commands write as well, which stand among the guides."""
+OLDER = "older"
+_BOUND = re.compile(r"^- sources: (\w+)$", re.MULTILINE)
 
 
 def overview(folder: Path) -> str:
     """Return the tables of the overview, one for each group, of the pages in a folder."""
     groups: dict[str, list[list[str]]] = {}
     for page in result_pages().values():
+        now = sources_hash(page.sources)
         for name in page.files:
             text = (folder / f"{name}.md").read_text(encoding="utf-8")
-            title = page.title if len(page.files) == 1 else f"{page.title}: {name.replace('_', ' ')}"
             first = re.search(r"^- (.*)$", text, re.MULTILINE)
             number = first[1] if first and name != LOG else ""
-            groups.setdefault(page.group, []).append([f"[{title}]({name}.md)", number])
-    parts = [f"## {group}\n\n{table(['page', 'its first number'], rows)}" for group, rows in groups.items()]
+            bound = _BOUND.search(text)
+            is_older = now and bound and bound[1] != now
+            made = re.search(r"^- date: (\S+)", text, re.MULTILINE)
+            age = f"{OLDER}, of {made[1]}" if is_older and made else OLDER if is_older else ""
+            groups.setdefault(page.group, []).append([f"[{page.title}]({name}.md)", number, age])
+    parts = [f"## {group}\n\n{table(['page', 'its first number', 'code'], rows)}" for group, rows in groups.items()]
     return "\n\n".join(parts) + "\n"
 
 
-def words(folder: Path) -> tuple[int, int, int]:
-    """Return the words of results, of pages beside them, and of guides; bars and rules of tables are none."""
-    beside = {folder.parent / f"{name}.md" for name in BESIDE}
-    return _words(set(folder.glob("*.md"))), _words(beside), _words(set(folder.parent.glob("*.md")) - beside)
+def with_overview(index: str) -> str:
+    """Return the page of the overview with its tables anew."""
+    above, mark, _ = index.partition(MARK)
+    if not mark:
+        raise ValueError(f"index.md must have a line {MARK}")
+    return f"{above}{MARK}\n\n{overview(FOLDER)}"
 
 
-def _words(pages: set[Path]) -> int:
-    return sum(len(re.findall(r"\S*[^\s|-]\S*", page.read_text(encoding="utf-8"))) for page in pages)
+def rebind(commit: str) -> list[str]:
+    """Bind the pages that were not older at a commit to the files of now; return their names."""
+    paths = _git("ls-tree", "-r", "--name-only", commit).splitlines()
+    (settings,) = [path for path in paths if path.endswith("/result_pages.toml")]
+    then = {
+        page["title"]: page.get("sources", []) for page in tomllib.loads(_git("show", f"{commit}:{settings}"))["page"]
+    }
+    bound = []
+    for page in result_pages().values():
+        before, now = sources_hash(then.get(page.title, []), commit), sources_hash(page.sources)
+        for name in page.files if before and now else ():
+            path = FOLDER / f"{name}.md"
+            old = [each for each in paths if each.endswith(f"docs/results/{name}.md")]
+            was = _BOUND.search(_git("show", f"{commit}:{old[0]}")) if old else None
+            if was and was[1] == before:
+                path.write_text(_BOUND.sub(f"- sources: {now}", path.read_text(encoding="utf-8")), encoding="utf-8")
+                bound.append(name)
+    return bound
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, check=True, capture_output=True, text=True).stdout
 
 
 def main() -> int:
     """Write the overview; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rebind", metavar="COMMIT", help="bind pages whose code only moved since this commit")
+    given = parser.parse_args()
+    if given.rebind:
+        print(f"bound to the files of now: {', '.join(rebind(given.rebind)) or 'none'}")
     index = FOLDER / "index.md"
-    above, mark, _ = index.read_text(encoding="utf-8").partition(MARK)
-    if not mark:
-        print(f"{index} must have a line {MARK}", file=sys.stderr)
-        return 1
-    index.write_text(f"{above}{MARK}\n\n{overview(FOLDER)}", encoding="utf-8")
-    results, beside, guides = words(FOLDER)
-    print(f"{results} words of results, {beside} of {', '.join(BESIDE)}, {guides} of guides")
+    index.write_text(with_overview(index.read_text(encoding="utf-8")), encoding="utf-8")
+    print(f"{index.read_text(encoding='utf-8').count(f'| {OLDER}')} pages are older than the code")
     return 0
 
 

@@ -41,8 +41,8 @@ version against those of the other. *All alike*: share of the sweeps in which no
 def write_simulated(folder: Path, count: int) -> None:
     """Write simulated sweeps, every third attacked, into a folder."""
     from viewshed import write_sweep
-    from viewshed.datasets.wild import wild_samples
-    from viewshed.threats.attacks import ATTACKS, EARLIER
+    from viewshed_lab.data.wild import wild_samples
+    from viewshed_lab.threats.attacks import ATTACKS, EARLIER
 
     attacks = itertools.cycle(sorted(ATTACKS.keys() - EARLIER))
     own = max(1, count // 6)  # sweeps, each in three ways
@@ -111,7 +111,7 @@ def main() -> int:
     if given.answer:
         answer(*given.answer)
         return 0
-    from viewshed._page import commit_of, facts, page, table
+    from viewshed_lab._page import commit_of, facts, page, table
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

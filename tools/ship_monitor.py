@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from viewshed.integrity.sweep_monitor import SHIPPED, load_sweep_monitor, save_sweep_monitor
-from viewshed.studies.monitor.archive import SweepTable
-from viewshed.studies.monitor.jobs import load_score, score_path
-from viewshed.studies.monitor.plan import ALL_FAMILIES
-from viewshed.studies.monitor.shipped import monitor_of
+from viewshed.monitor.sweep_monitor import SHIPPED, load_sweep_monitor, save_sweep_monitor
+from viewshed_lab.studies.monitor.archive import SweepTable
+from viewshed_lab.studies.monitor.jobs import load_score, score_path
+from viewshed_lab.studies.monitor.plan import ALL_FAMILIES
+from viewshed_lab.studies.monitor.shipped import monitor_of
 
 
 def main(words: Sequence[str] | None = None) -> None:

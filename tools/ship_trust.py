@@ -11,12 +11,12 @@ import sys
 from pathlib import Path
 
 from viewshed._files import write_atomic
-from viewshed.studies.agents.jobs import CLAIMS, HONEST_MODEL
-from viewshed.studies.agents.page import AgentsResults
-from viewshed.studies.agents.plan import AgentsPlan
-from viewshed.studies.store import FILE, ResultStore
+from viewshed_lab.studies.agents.jobs import CLAIMS, HONEST_MODEL
+from viewshed_lab.studies.agents.page import AgentsResults
+from viewshed_lab.studies.agents.plan import AgentsPlan
+from viewshed_lab.studies.store import FILE, ResultStore
 
-FUSION = Path(__file__).parents[1] / "src/viewshed/fusion"
+FUSION = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/agents"
 
 
 def main() -> None:

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from viewshed import CAR, GRIDS, load_estimator, read_sweep, write_sweep
-from viewshed._page import facts, page, table
 from viewshed.fov.estimate import CellState
 from viewshed.grid import polar_of_cells
-from viewshed.integrity.roc import auroc
 from viewshed.metrics import ConfusionCounts
+from viewshed.monitor.roc import auroc
+from viewshed_lab._page import facts, page, table
 
 TOLD = ("rings", "nothing")
 """What the sweeps say: a file of an array holds no beam table."""
@@ -41,8 +41,8 @@ reflectivity, all scenes together. *Told rings*: ring, time and intensity of eac
 
 def write_sweeps(set_name: str, folder: Path) -> None:
     """Write the sweeps of a set on roads, told in each way: ``SCENE.TOLD.npz``, and the truth ``SCENE.truth.npz``."""
-    from viewshed.datasets.wild import OPEN_SEALED, SEALED, wild_scenes
-    from viewshed.sim.lidar.optics import optics_of
+    from viewshed_lab.data.wild import OPEN_SEALED, SEALED, wild_scenes
+    from viewshed_lab.sim.lidar.optics import optics_of
 
     folder.mkdir(parents=True, exist_ok=True)
     for scene in wild_scenes(set_name, "road", unseal=OPEN_SEALED if set_name == SEALED else ""):

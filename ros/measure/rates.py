@@ -22,7 +22,7 @@ from rclpy.serialization import serialize_message
 from viewshed.estimators import load_estimator
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
-from viewshed.integrity.evidence import SECTORS
+from viewshed.monitor.evidence import SECTORS
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_ros.conversions import stamp_of

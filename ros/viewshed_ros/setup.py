@@ -27,6 +27,7 @@ setup(
             f"field_of_view = {NAME}.node:main",
             f"viewshed_adversary = {NAME}.adversary:main",
             f"viewshed_center = {NAME}.center:main",
+            f"watchdog = {NAME}.watchdog:main",
         ]
     },
 )

@@ -1,4 +1,4 @@
-"""The node, configured and activated; with ``rviz:=true`` beside it a view of it."""
+"""The node, configured and activated, and the watchdog that stops in its place; with ``rviz:=true`` a view of it."""
 
 from pathlib import Path
 
@@ -29,6 +29,15 @@ def generate_launch_description() -> LaunchDescription:
                 name="field_of_view",
                 namespace=LaunchConfiguration("namespace"),
                 parameters=[LaunchConfiguration("parameters"), simulated, {"autostart": True}],
+                output="screen",
+            ),
+            Node(
+                package="viewshed_ros",
+                executable="watchdog",
+                name="field_of_view_watchdog",
+                namespace=LaunchConfiguration("namespace"),
+                parameters=[LaunchConfiguration("parameters"), simulated],
+                respawn=True,
                 output="screen",
             ),
             Node(

@@ -1,8 +1,11 @@
 """The files beside the node say what the node understands, and what makes no sense is refused until it is mended."""
 
 import ast
+import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -33,22 +36,115 @@ def test_the_example_is_read_and_what_is_missing_for_it_is_refused_and_can_be_me
             ("front", "front/points", "PointCloud2"), ("laser", "scan", "LaserScan"),
         ]  # fmt: skip
         assert settings.sensors[1].changes == {"sensor_height_m": 0.25}
-        for wrong, value in (
-            ("pose_source", "tf"),
-            ("profile", "car"),
-            ("front.model", "vlp17"),
-            ("vehicle_braking_mps2", 0.0),
-        ):
-            right = node.get_parameter(wrong).value if wrong != "pose_source" else "odometry"
-            node.set_parameters([Parameter(wrong, value=value)])
-            assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
-            node.set_parameters([Parameter(wrong, value=right)])
+        # What only configuring can tell is said there, and can be mended.
+        assert node.trigger_configure() == TransitionCallbackReturn.FAILURE  # pose_source tf needs tf2_ros
+        assert node.set_parameters([Parameter("pose_source", value="odometry")])[0].successful
         for _ in range(2):
             assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
             assert node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
     finally:
         node.destroy_node()
         context.shutdown()
+
+
+NONSENSE = [
+    ("profile", "car", "profile must be one of robot, infrastructure, mapping, contested, got 'car'"),
+    ("method", "nonesuch", "method: method must be one of"),
+    ("grid", "street", "grid must be one of profile, road"),
+    ("monitor_file", "/nonesuch.npz", "nonesuch.npz"),
+    ("sensors", ["a", "a"], "sensors must be different names"),
+    ("rate_hz", -2.0, "rate_hz"),
+    ("rate_hz", float("nan"), "rate_hz"),
+    ("stale_s", 0.0, "stale_s"),
+    ("vehicle_braking_mps2", 0.0, "vehicle_braking_mps2"),
+    ("history", -2, "history"),
+    ("lidar.model", "vlp17", "lidar.model: sensor must be one of"),
+    ("lidar.type", "clouds", "lidar.type must be one of cloud"),
+    ("lidar.attitude", [2.0, 0.0, 0.0, 0.0], "lidar.attitude"),
+    ("lidar.mounting", [0.0], "lidar.mounting: mounting must be seven numbers, got 1"),
+    ("speed_unseen_mps", "fast", "Wrong parameter type"),
+    ("autostart", True, "read-only"),
+]
+
+
+@pytest.fixture
+def node() -> Iterator[FieldOfView]:
+    context = rclpy.Context()
+    context.init(args=["--ros-args", "-p", "monitor:=never"])
+    made = FieldOfView(context=context)
+    parameters.read(made)  # declares those of the sensor
+    yield made
+    if made._settings is not None:
+        made.trigger_cleanup()
+    made.destroy_node()
+    context.shutdown()
+
+
+@pytest.mark.parametrize(("name", "value", "reason"), NONSENSE)
+def test_nonsense_is_refused_when_it_is_set_with_the_reason(
+    node: FieldOfView, name: str, value: Any, reason: str
+) -> None:
+    before = node.get_parameter(name).value
+    result = node.set_parameters([Parameter(name, value=value)])[0]
+    assert not result.successful
+    assert reason in result.reason
+    assert "\n" not in result.reason
+    assert node.get_parameter(name).value == before
+
+
+def test_what_can_change_at_run_time_does_and_the_rest_says_how(node: FieldOfView) -> None:
+    assert node.set_parameters([Parameter("profile", value="contested")])[0].successful
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    for name, value in (("method", "first_blocker"), ("sensors", ["other"]), ("lidar.topic", "other")):
+        result = node.set_parameters([Parameter(name, value=value)])[0]
+        assert not result.successful
+        assert "deactivate it, clean it up" in result.reason
+    # What is set to what it is changes nothing, and is no fault.
+    assert node.set_parameters([Parameter("profile", value="contested")])[0].successful
+    for name, value in (
+        ("rate_hz", 2.0), ("diagnostics_hz", 0.0), ("diagnostics_hz", 20.0), ("stale_s", 3.0), ("stale_periods", 4.0),
+        ("pose_wait_s", 0.5), ("speed_unseen_mps", 4.0),
+    ):  # fmt: skip
+        assert node.set_parameters([Parameter(name, value=value)])[0].successful, name
+    settings = node._settings_now()
+    assert (settings.rate_hz, settings.stale_s, settings.stale_periods, settings.diagnostics_hz) == (
+        2.0,
+        3.0,
+        4.0,
+        20.0,
+    )
+    assert settings.limits == SpeedLimits(10.0, 4.0)
+    # 4 m/s are taken alone, 40 m/s contradict the greatest speed.
+    result = node.set_parameters([Parameter("speed_unseen_mps", value=40.0)])[0]
+    assert "speeds must satisfy" in result.reason
+    # -1 leaves the rate to the profile again.
+    assert node.set_parameters([Parameter("rate_hz", value=-1.0)])[0].successful
+    assert node._settings_now().rate_hz == settings.profile.rate_hz
+
+
+def test_a_range_that_is_given_wrongly_at_the_start_is_told_and_can_be_mended() -> None:
+    context = rclpy.Context()
+    context.init(args=["--ros-args", "-p", "stale_s:=-1.0", "-p", "monitor:=never"])
+    node = FieldOfView(context=context)
+    try:
+        with pytest.raises(ValueError, match=r"stale_s must lie in \[0\.05, 60\], got -1\.0"):
+            parameters.read(node)
+        assert node.trigger_configure() == TransitionCallbackReturn.FAILURE
+        assert node.set_parameters([Parameter("stale_s", value=1.0)])[0].successful
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.trigger_cleanup() == TransitionCallbackReturn.SUCCESS
+    finally:
+        node.destroy_node()
+        context.shutdown()
+
+
+def test_descriptors_have_ranges_and_read_only_flags(node: FieldOfView) -> None:
+    rate, history = node.describe_parameter("rate_hz"), node.describe_parameter("history")
+    assert (rate.floating_point_range[0].from_value, rate.floating_point_range[0].to_value) == (-1.0, 1000.0)
+    assert (history.integer_range[0].from_value, history.integer_range[0].to_value) == (-1, 1000)
+    assert node.describe_parameter("autostart").read_only
+    assert "read when the node is configured" in history.additional_constraints
+    assert rate.additional_constraints == ""
 
 
 def test_every_parameter_has_a_description() -> None:
@@ -83,3 +179,20 @@ def test_launch_files_are_python_that_names_this_package(file: Path) -> None:
     tree = ast.parse(file.read_text(encoding="utf-8"))
     assert any(isinstance(node, ast.FunctionDef) and node.name == "generate_launch_description" for node in tree.body)
     assert "viewshed_ros" in file.read_text(encoding="utf-8")
+
+
+def test_the_package_names_what_it_imports_by_keys_that_rosdep_knows() -> None:
+    package = ET.parse(PACKAGE / "package.xml").getroot()
+    named = {each.text for each in package.iter("exec_depend")}
+    imported = set[str]()
+    for file in [*(PACKAGE / "viewshed_ros").glob("*.py"), *(PACKAGE / "launch").glob("*.py")]:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                imported.add(str(node.module).partition(".")[0])
+    # The library, its laboratory and shapely are of wheels; what Ubuntu packages has another name there.
+    imported -= {*sys.stdlib_module_names, "viewshed_ros", "viewshed", "viewshed_lab", "shapely"}
+    assert {{"numpy": "python3-numpy"}.get(name, name) for name in imported} <= named
+    # Of the build type, which is no key.
+    assert "ament_python" not in {each.text for each in package.iter() if "depend" in each.tag}

@@ -1,119 +1,27 @@
 """A real graph: the node in a process of its own, a publisher and a subscriber here, over DDS."""
 
-import os
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from messages import cloud
-from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import LaserScan, PointCloud2
+from nav_msgs.msg import OccupancyGrid
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from robot import POINTS, STEP_NS, Robot, pose_at, running
+from sensor_msgs.msg import LaserScan
 
 import viewshed
-from viewshed.geometry import Rigid
-from viewshed.io import read_sweep
 from viewshed.io.export.ros import visibility_layer
-from viewshed.io.samples import junction_path
 from viewshed.sweep import Sweep
-from viewshed_ros.conversions import pose_of, stamp_of
+from viewshed_ros.conversions import stamp_of
 from viewshed_ros.layers import LAYERS
-from viewshed_ros.node import LATCHED
-
-STEP_NS = 100_000_000
-POINTS = read_sweep(junction_path()).points[::2]
-
-
-class Robot:
-    """What is around the node: publishers of clouds and odometry, subscribers of all that comes back."""
-
-    def __init__(self) -> None:
-        self.node: Node = rclpy.create_node("robot", namespace="bot")
-        self.got: dict[str, list[Any]] = {}
-        self.t_ns = 10**12
-        self.clouds = self.publisher()
-        self.scans = self.node.create_publisher(LaserScan, "laser/points", qos_profile_sensor_data)
-        self.odometry = self.node.create_publisher(Odometry, "odometry", 10)
-        for name, layer in LAYERS.items():
-            self.subscribe(layer.message_type, f"front/{name}", LATCHED if layer.latched else 10)
-        self.subscribe(DiagnosticStatus, "front/alarm", LATCHED)
-        self.subscribe(DiagnosticArray, "/diagnostics", 10)
-        self.change = self.node.create_client(ChangeState, "field_of_view/change_state")
-        self.state = self.node.create_client(GetState, "field_of_view/get_state")
-
-    def publisher(self) -> Any:
-        return self.node.create_publisher(PointCloud2, "lidar_front", qos_profile_sensor_data)
-
-    def subscribe(self, message_type: type[Any], topic: str, qos: Any) -> None:
-        name = topic.rpartition("/")[2]
-        self.got[name] = []
-        self.node.create_subscription(message_type, topic, self.got[name].append, qos)
-
-    def spin(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            rclpy.spin_once(self.node, timeout_sec=left)
-
-    def until(self, is_so: Callable[[], bool], seconds: float = 20.0) -> None:
-        end = time.monotonic() + seconds
-        while not is_so():
-            assert time.monotonic() < end, f"not within {seconds} s"
-            rclpy.spin_once(self.node, timeout_sec=0.1)
-
-    def call(self, client: Any, request: Any) -> Any:
-        assert client.wait_for_service(timeout_sec=20.0)
-        future = client.call_async(request)
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=30.0)
-        assert future.done()
-        return future.result()
-
-    def transition(self, number: int) -> bool:
-        return bool(self.call(self.change, ChangeState.Request(transition=Transition(id=number))).success)
-
-    def state_now(self) -> int:
-        return int(self.call(self.state, GetState.Request()).current_state.id)
-
-    def drive(self, step_ns: int = STEP_NS) -> int:
-        """Publish the next cloud and the odometry around it, and return its time."""
-        self.t_ns += step_ns
-        for t_ns in (self.t_ns - STEP_NS // 2, self.t_ns + STEP_NS // 2):
-            message = Odometry()
-            message.header.stamp, message.header.frame_id = stamp_of(t_ns), "map"
-            message.pose.pose = pose_of(pose_at(t_ns) @ Rigid(np.eye(3), np.array([0.0, 0.0, -1.8])))
-            self.odometry.publish(message)
-        self.clouds.publish(cloud(POINTS, self.t_ns))
-        return self.t_ns
-
-    def answer(self, name: str = "state", step_ns: int = STEP_NS) -> Any:
-        """Publish a cloud until its answer comes, and return that; a best-effort cloud may be lost."""
-        for _ in range(5):
-            stamp = stamp_of(self.drive(step_ns))
-            end = time.monotonic() + 4.0
-            while time.monotonic() < end:
-                rclpy.spin_once(self.node, timeout_sec=0.1)
-                for message in self.got[name]:
-                    if message.header.stamp == stamp:
-                        return message
-            step_ns = STEP_NS
-        raise AssertionError(f"no {name} came")
-
-    def told(self, word: str) -> bool:
-        """Return whether the last diagnostics hold a word."""
-        return bool(self.got["diagnostics"]) and word in str(self.got["diagnostics"][-1])
-
-
-def pose_at(t_ns: int) -> Rigid:
-    return Rigid.from_yaw(0.5, (1e-9 * t_ns % 100, 3.0, 1.8))
+from viewshed_ros.stops import LATCHED
 
 
 @pytest.fixture(scope="module")
@@ -123,19 +31,13 @@ def robot() -> Iterator[Robot]:
         "sensors": "[front, laser]", "profile": "contested", "history": "2", "monitor": "never",
         "pose_source": "odometry", "pose_wait_s": "0.2", "front.topic": "cloud", "laser.type": "scan",
         "front.mounting": "[0.0, 0.0, 1.8, 1.0, 0.0, 0.0, 0.0]",
-        "diagnostics_hz": "5.0",
+        "diagnostics_hz": "5.0", "stale_s": "5.0",
     }  # fmt: skip
-    given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    command = [sys.executable, "-m", "viewshed_ros.node", "--ros-args", "-r", "__ns:=/bot", "-r", "cloud:=lidar_front"]
-    process = subprocess.Popen([*command, *given], env=os.environ)
-    try:
+    with running(parameters):
         rclpy.init()
         yield (made := Robot())
         made.node.destroy_node()
-    finally:
         rclpy.try_shutdown()
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
 
 
 def test_nothing_is_published_before_it_is_active(robot: Robot) -> None:
@@ -208,7 +110,11 @@ def test_a_cloud_that_is_broken_costs_that_cloud_and_is_counted(robot: Robot) ->
     broken.point_step = 11
     robot.clouds.publish(broken)
     robot.until(lambda: robot.told("leaves a point of 11 bytes"))
-    assert robot.got["alarm"][-1].level == DiagnosticStatus.ERROR
+    # STALE where the last view has grown too old meanwhile; either way the reason is told.
+    worst = (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
+    robot.until(
+        lambda: any(each.level in worst and "leaves a point of 11 bytes" in str(each) for each in robot.got["alarm"])
+    )
     other = cloud(POINTS, robot.t_ns + STEP_NS // 2, frame="rear")
     robot.clouds.publish(other)
     robot.until(lambda: robot.told("a cloud must be in frame 'lidar'"))
@@ -218,6 +124,30 @@ def test_a_cloud_that_is_broken_costs_that_cloud_and_is_counted(robot: Robot) ->
 def test_time_that_goes_back_is_told_and_answered(robot: Robot) -> None:
     robot.answer(step_ns=-20 * STEP_NS)
     robot.until(lambda: robot.told("time went back"))
+    robot.answer()
+
+
+def test_parameters_change_while_it_runs_or_say_why_not(robot: Robot) -> None:
+    client = robot.node.create_client(SetParameters, "field_of_view/set_parameters")
+
+    def change(name: str, value: Any) -> Any:
+        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return robot.call(client, request).results[0]
+
+    assert "must lie" in change("rate_hz", 5e3).reason or "range" in change("rate_hz", 5e3).reason
+    assert "deactivate it" in change("target", "pedestrian").reason
+    assert change("rate_hz", 0.1).successful
+    robot.drive(step_ns=20 * 10**9)
+    for _ in range(20):
+        robot.drive()
+        robot.spin(0.1)
+    robot.until(lambda: robot.told("beyond the rate"))
+    beyond = next(
+        int(pair.value) for status in robot.got["diagnostics"][-1].status for pair in status.values
+        if pair.key == "beyond the rate" and int(pair.value)
+    )  # fmt: skip
+    assert beyond >= 10
+    assert change("rate_hz", 0.0).successful
     robot.answer()
 
 

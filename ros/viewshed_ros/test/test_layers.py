@@ -15,7 +15,8 @@ from viewshed.grid import BevGrid
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed_ros import costmap_filters, nav2
 from viewshed_ros.conversions import rigid_of, stamp_of
-from viewshed_ros.layers import LAYERS, PosedEstimate
+from viewshed_ros.layers import LAYERS, PosedEstimate, Unseen, area_of
+from viewshed_ros.stops import everywhere
 
 U, F, S, H = CellState.UNKNOWN, CellState.FREE, CellState.SURFACE, CellState.HIDDEN
 GRID = BevGrid(4, 2.0, (1.0, 0.0))
@@ -110,6 +111,30 @@ def test_the_speed_mask_limits_what_is_not_seen_and_the_place_where_the_robot_is
     assert values[3].tolist() == [20, 20, 20, 20]
     assert values[:2, 1:3].tolist() == [[30, 30], [30, 30]]
     assert values[2].tolist() == [0, 0, 0, 20]
+
+
+def test_what_stops_the_vehicle_claims_nothing_in_any_cell() -> None:
+    # Turned by 30°, so that a mask along the axes has corners outside the view: they stop as well.
+    last, stamp, since = view(Rigid.from_yaw(np.pi / 6, (10.0, 20.0, 0.0))), stamp_of(9 * 10**9), stamp_of(8 * 10**9)
+    assert -1 in LAYERS["speed_mask"].make(last).data
+    unseen = Unseen(last, "map", area_of(last), stamp, since)
+    made = {name: layer.stop(unseen) for name, layer in LAYERS.items() if layer.stop is not None}
+    for name, value in (("speed_mask", 1), ("keepout_mask", 100), ("visibility", -1), ("state", -1), ("doubt", -1)):
+        assert set(made[name].data) == {value}
+        assert len(made[name].data) == 16
+        assert (made[name].header.stamp, made[name].info.map_load_time) == (stamp, since)
+    mask = LAYERS["speed_mask"].make(last)
+    assert (made["speed_mask"].info.origin, made["speed_mask"].header.frame_id) == (mask.info.origin, "map")
+    assert made["state"].header.frame_id == "lidar"
+    assert len(deserialize_message(made["view"], PolygonStamped).polygon.points) == 0
+    assert [len(marker.points) for marker in made["markers"].markers] == [0, 0]
+    assert made["clearing"].width == 0
+    assert set(LAYERS) - set(made) == {"obstruction"}  # what the body hides goes on to be hidden
+    # Before any view there are masks, which cover the map; grids have no place yet.
+    before = Unseen(None, "map", everywhere(), stamp, stamp)
+    assert set(LAYERS["keepout_mask"].stop(before).data) == {100}
+    with pytest.raises(ValueError, match="got none before"):
+        LAYERS["state"].stop(before)
 
 
 def test_a_mask_without_a_pose_is_refused() -> None:

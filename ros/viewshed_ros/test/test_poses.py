@@ -8,10 +8,10 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 
-from viewshed.datasets.recordings.bag_files import open_bag
-from viewshed.datasets.recordings.rosbag import TF, TRANSFORMS, decoder
-from viewshed.datasets.recordings.tf_tree import TransformBuffer
 from viewshed.geometry import Rigid
+from viewshed.recordings.read.bag_files import open_bag
+from viewshed.recordings.read.rosbag import TF, TRANSFORMS, decoder
+from viewshed.recordings.read.tf_tree import TransformBuffer
 from viewshed_ros.conversions import nanoseconds_of, pose_of, stamp_of
 from viewshed_ros.poses import MOST_POSES, POSE_TOPICS, PoseBuffer, TfPoses, tf_buffer
 

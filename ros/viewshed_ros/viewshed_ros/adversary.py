@@ -16,7 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from viewshed.io.messages.pointcloud2 import cloud_table
 from viewshed.sweep import Sweep
-from viewshed.threats.adversary import Adversary
+from viewshed_lab.threats.adversary import Adversary
 from viewshed_ros import parameters
 from viewshed_ros.conversions import INPUTS, nanoseconds_of
 from viewshed_ros.object_layers import detection_cubes, detections_of

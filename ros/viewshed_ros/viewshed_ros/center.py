@@ -12,30 +12,33 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64, Header, String, UInt8MultiArray
 from visualization_msgs.msg import MarkerArray
 
-from viewshed.fusion.legend import tracks_of_center
-from viewshed.fusion.many import AgentReport
-from viewshed.fusion.rounds import Round, Rounds
+from viewshed.agents.legend import tracks_of_center
+from viewshed.agents.many import AgentReport
+from viewshed.agents.receiver import Receiver
+from viewshed.agents.rounds import HEARD_S, Round, Rounds
+from viewshed.agents.signing import KeyRing, read_verifying_keys
 from viewshed.io.export.ros import visibility_layer
-from viewshed.messages.receiver import Receiver
-from viewshed.messages.signing import KeyRing
 from viewshed_ros import parameters
 from viewshed_ros.conversions import stamp_of
 from viewshed_ros.layers import grid_message
 from viewshed_ros.object_layers import track_cubes
 from viewshed_ros.parameters import Parameter
-from viewshed_ros.sharing import read_verifying_keys
 from viewshed_ros.spinning import spin
 
 VIEWS = QoSProfile(depth=64, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of the messages of agents: what is late is of no use any more."""
+
+TICK_S = 0.1
+"""How often rounds are looked at that wait for an agent."""
 
 PARAMETERS: dict[str, Parameter] = {
     "agents": Parameter([""], "Names of the agents that are believed to be who they say."),
     "keys": Parameter([""], "Files of their public keys, 64 hexadecimal digits each, in the same order."),
     "topic": Parameter("/viewshed/views", "Topic of the messages of all agents."),
     "world_frame": Parameter("map", "Frame of their poses."),
-    "slop_s": Parameter(0.1, "Seconds by which reports of one round may lie apart."),
+    "slop_s": Parameter(0.1, "Seconds by which reports of one round may lie apart, by the center's clock."),
     "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
+    "state": Parameter("", "File that remembers the newest message of each key, so that a restart takes no replay."),
 }
 """Of the node."""
 
@@ -50,11 +53,11 @@ class CenterNode(Node):
         agents = list(given["agents"])
         self._frame = given["world_frame"]
         ring = KeyRing(read_verifying_keys(agents, list(given["keys"])))
-        self._receiver = Receiver(ring, frozenset({self._frame}))
+        self._receiver = Receiver(ring, frozenset({self._frame}), state=given["state"] or None)
         self._rounds = Rounds(tuple(agents), given["slop_s"])
         self._notes: list[str] = []
         self._done: Round | None = None
-        self._count = 0
+        self._count, self._done_ns = 0, 0
         self._topics = {
             name: self.create_publisher(kind, f"center/{name}", 5)
             for name, kind in (("visibility", OccupancyGrid), ("tracks", MarkerArray), ("picture", String))
@@ -65,10 +68,12 @@ class CenterNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 5)
         self.create_subscription(UInt8MultiArray, given["topic"], self._take, VIEWS)
         self.create_timer(1.0 / given["diagnostics_hz"], self._diagnose)
+        self.create_timer(TICK_S, self._tick)
 
     def _take(self, message: UInt8MultiArray) -> None:
         """Take what an agent tells; what is refused is counted with its reason."""
-        receipt = self._receiver.receive(bytes(message.data), self.get_clock().now().nanoseconds)
+        now_ns = self.get_clock().now().nanoseconds
+        receipt = self._receiver.receive(bytes(message.data), now_ns)
         told = receipt.message
         if told is None:
             reason = "" if receipt.reason is None else receipt.reason.value
@@ -77,17 +82,28 @@ class CenterNode(Node):
         if told.view is None:
             return
         try:
-            done = self._rounds.add(1e-9 * told.t_ns, AgentReport.of_message(told))
-        except ValueError as error:
-            self._notes.append(f"{told.agent}: {error}")
-            return
-        self._notes = [*self._notes, *self._rounds.notes][-10:]
+            self._publish_all(self._rounds.add(1e-9 * told.t_ns, AgentReport.of_message(told), 1e-9 * now_ns))
+        except Exception as error:  # one message costs no other
+            self._note([f"{told.agent}: {type(error).__name__}: {error}"])
+
+    def _tick(self) -> None:
+        """Publish the rounds that need not wait any longer."""
+        try:
+            self._publish_all(self._rounds.close(1e-9 * self.get_clock().now().nanoseconds))
+        except Exception as error:
+            self._note([f"{type(error).__name__}: {error}"])
+
+    def _note(self, notes: list[str]) -> None:
+        self._notes = [*self._notes, *notes][-10:]
+
+    def _publish_all(self, done: list[Round]) -> None:
+        self._note(self._rounds.notes)
         for each in done:
             self._publish(each)
 
     def _publish(self, done: Round) -> None:
         """Publish a round: where somebody listens, the joint view; tracks, numbers and trust always."""
-        self._done, self._count = done, self._count + 1
+        self._done, self._count, self._done_ns = done, self._count + 1, self.get_clock().now().nanoseconds
         header = Header(stamp=stamp_of(done.t_ns), frame_id=self._frame)
         self._topics["picture"].publish(String(data=json.dumps(done.numbers())))
         self._topics["tracks"].publish(track_cubes(tracks_of_center(done.picture), header))
@@ -99,24 +115,34 @@ class CenterNode(Node):
             self._topics["visibility"].publish(grid_message(layer, joint.grid, header, joint.world_from_grid))
 
     def _diagnose(self) -> None:
-        """Publish what was taken and refused, whom the center trusts, and who is accused or disputed."""
+        """Publish what was taken and refused, whom the center trusts, and who is accused, disputed or missing."""
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         lines = self._receiver.summary()
         status = DiagnosticStatus(name=f"{self.get_name()}: messages", message=lines[0], hardware_id="center")
         status.values = [KeyValue(key=str(k), value=line) for k, line in enumerate([*lines[1:], *self._notes])]
         message.status.append(status)
-        if self._done is not None:
-            said = self._done.sentences()
-            level = DiagnosticStatus.WARN if said else DiagnosticStatus.OK
-            trust = DiagnosticStatus(name=f"{self.get_name()}: trust", level=level, hardware_id="center")
-            trust.message = "; ".join(said) or f"{self._count} rounds, nobody contradicts the others"
-            trust.values = [
-                KeyValue(key=f"trust of {agent}", value=f"{each['trust']:.3f}")
-                for agent, each in self._done.numbers()["agents"].items()
-            ]
-            message.status.append(trust)
+        message.status.append(self._trust_status())
         self._diagnostics.publish(message)
+
+    def _trust_status(self) -> DiagnosticStatus:
+        """Return what the last round says of the agents, STALE where it says nothing of now."""
+        status = DiagnosticStatus(name=f"{self.get_name()}: trust", hardware_id="center")
+        if self._done is None:
+            status.level, status.message = DiagnosticStatus.STALE, "no round yet: nothing is known"
+            return status
+        silent_s = 1e-9 * (self.get_clock().now().nanoseconds - self._done_ns)
+        said = self._done.sentences()
+        status.level = DiagnosticStatus.WARN if said else DiagnosticStatus.OK
+        if silent_s > HEARD_S:
+            said.insert(0, f"no round for {silent_s:.1f} s: nothing is known of now")
+            status.level = DiagnosticStatus.STALE
+        status.message = "; ".join(said) or f"{self._count} rounds, nobody contradicts the others"
+        for agent, each in self._done.numbers()["agents"].items():
+            status.values.append(KeyValue(key=f"trust of {agent}", value=f"{each['trust']:.3f}"))
+            if each["refused"]:
+                status.values.append(KeyValue(key=f"refused reports of {agent}", value=str(each["refused"])))
+        return status
 
 
 def topic_name(agent: str) -> str:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import shapely
 from geometry_msgs.msg import Point, PolygonStamped
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
@@ -23,13 +25,14 @@ from shapely.geometry.polygon import orient
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.integrity.report import sector_corners
 from viewshed.io.export.ros import visibility_layer
+from viewshed.monitor.report import sector_corners
 from viewshed_ros import nav2
-from viewshed_ros.conversions import pose_of
+from viewshed_ros.conversions import nanoseconds_of, pose_of, stamp_of
+from viewshed_ros.stops import MASK_STOPS, stop_mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +74,47 @@ class PosedEstimate:
         return self.estimate.world_from_level
 
 
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """What stop messages are made of: nothing is seen any more, or not yet.
+
+    Attributes:
+        last: the last view.
+        world_frame: name of the map's frame.
+        area: where masks lie in it.
+        stamp: now.
+        since: time of the newest sweep.
+    """
+
+    last: PosedEstimate | None
+    world_frame: str
+    area: MapMetaData
+    stamp: Any
+    since: Any
+
+    def view(self) -> PosedEstimate:
+        """Return the last view with every cell UNKNOWN.
+
+        Raises:
+            ValueError: there was none.
+        """
+        if self.last is None:
+            raise ValueError("a grid must lie where the last one did, got none before")
+        grid = self.last.estimate.grid
+        estimate = FovEstimate(
+            grid, np.zeros(grid.shape, np.float32), np.full(grid.shape, CellState.UNKNOWN, np.uint8),
+            t_ns=nanoseconds_of(self.since),
+        )  # fmt: skip
+        suspect = np.zeros_like(self.last.suspect)
+        return replace(self.last, estimate=estimate, stamp=self.stamp, suspect=suspect, speed_mps=0.0)
+
+
 def own_grid(view: PosedEstimate, layer: str) -> OccupancyGrid:
     """Return a layer of :func:`viewshed.io.export.ros.visibility_layer`: visibility, state or doubt."""
-    return grid_message(
-        visibility_layer(view.estimate, layer), view.estimate.grid, view.header(), view.frame_from_level
-    )
+    values = visibility_layer(view.estimate, layer)
+    message = grid_message(values, view.estimate.grid, view.header(), view.frame_from_level)
+    message.info.map_load_time = stamp_of(view.estimate.t_ns or 0)
+    return message
 
 
 def speed_mask(view: PosedEstimate) -> OccupancyGrid:
@@ -93,13 +132,26 @@ def _mask(view: PosedEstimate, values: NDArray[np.int8]) -> OccupancyGrid:
     return grid_message(in_map, grid, Header(stamp=view.stamp, frame_id=view.world_frame), Rigid.identity())
 
 
+def area_of(view: PosedEstimate) -> MapMetaData:
+    """Return where the masks of a view lie in the map.
+
+    Raises:
+        ValueError: its pose is not known.
+    """
+    grid = nav2.grid_in_the_map(view.estimate.grid, view.world_from_level())
+    return _info(grid, stamp_of(view.estimate.t_ns or 0), Rigid.identity())
+
+
+def _info(grid: BevGrid, stamp: Any, frame_from_grid: Rigid) -> MapMetaData:
+    origin = pose_of(frame_from_grid @ Rigid(np.eye(3), np.array([*grid.origin_m, 0.0])))
+    return MapMetaData(
+        map_load_time=stamp, resolution=grid.cell_m, width=grid.cells, height=grid.cells, origin=origin
+    )  # fmt: skip
+
+
 def grid_message(values: NDArray[np.int8], grid: BevGrid, header: Header, frame_from_grid: Rigid) -> OccupancyGrid:
     """Return values (cells, cells), x first, as a grid, whose data go along x first."""
-    message = OccupancyGrid(header=header)
-    message.info.map_load_time = header.stamp
-    message.info.resolution = grid.cell_m
-    message.info.width, message.info.height = values.shape
-    message.info.origin = pose_of(frame_from_grid @ Rigid(np.eye(3), np.array([*grid.origin_m, 0.0])))
+    message = OccupancyGrid(header=header, info=_info(grid, header.stamp, frame_from_grid))
     message.data = array("b", values.T.tobytes())
     return message
 
@@ -173,10 +225,7 @@ def markers(view: PosedEstimate) -> MarkerArray:
     ends = np.cumsum(shapely.get_num_coordinates(rings)).tolist()
     # A LINE_LIST takes the two ends of each line; no line leads from the last corner of a ring to the next ring.
     lines = [
-        point
-        for first, last in zip([0, *ends[:-1]], ends, strict=True)
-        for at in range(first, last - 1)
-        for point in corners[at : at + 2]
+        point for first, last in pairwise([0, *ends]) for at in range(first, last - 1) for point in corners[at : at + 2]
     ]
     outline = _marker(view, "view", Marker.LINE_LIST, lines, ColorRGBA(r=0.1, g=0.8, b=0.3, a=1.0))
     outline.scale.x = 0.1
@@ -214,24 +263,52 @@ def obstruction(view: PosedEstimate) -> String:
     return String(data=nav2.obstruction_polygons(view.estimate))
 
 
+def _unseen(make: Callable[[PosedEstimate], Any]) -> Callable[[Unseen], Any]:
+    """Return what makes the stop message of a layer: the layer of a view in which every cell is UNKNOWN."""
+    return lambda unseen: make(unseen.view())
+
+
+def _stopped(mask: str) -> Callable[[Unseen], OccupancyGrid]:
+    """Return what makes the stop message of a mask: cells that no filter of nav2 skips, also where no view was."""
+
+    def make(unseen: Unseen) -> OccupancyGrid:
+        area = copy(unseen.area)
+        area.map_load_time = unseen.since
+        return stop_mask(Header(stamp=unseen.stamp, frame_id=unseen.world_frame), area, MASK_STOPS[mask])
+
+    return make
+
+
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A topic: the type of its messages, what makes one or its bytes, and whether who comes late is given the last."""
+    """A topic that is made from a view.
+
+    Attributes:
+        message_type: of its messages.
+        make: makes one, or its bytes.
+        latched: whether who comes late is given the last.
+        stop: makes what replaces a message that is too old; None where that claims nothing of what is clear.
+    """
 
     message_type: type[Any]
     make: Callable[[PosedEstimate], Any]
     latched: bool
+    stop: Callable[[Unseen], Any] | None
+
+
+def _layer(message_type: type[Any], make: Callable[[PosedEstimate], Any], *, latched: bool) -> Layer:
+    return Layer(message_type, make, latched, _unseen(make))
 
 
 LAYERS = {
-    "visibility": Layer(OccupancyGrid, partial(own_grid, layer="visibility"), latched=True),
-    "state": Layer(OccupancyGrid, partial(own_grid, layer="state"), latched=True),
-    "doubt": Layer(OccupancyGrid, partial(own_grid, layer="doubt"), latched=True),
-    "view": Layer(PolygonStamped, largest_part, latched=False),
-    "markers": Layer(MarkerArray, markers, latched=False),
-    "speed_mask": Layer(OccupancyGrid, speed_mask, latched=True),
-    "keepout_mask": Layer(OccupancyGrid, keepout_mask, latched=True),
-    "clearing": Layer(PointCloud2, clearing, latched=False),
-    "obstruction": Layer(String, obstruction, latched=True),
+    "visibility": _layer(OccupancyGrid, partial(own_grid, layer="visibility"), latched=True),
+    "state": _layer(OccupancyGrid, partial(own_grid, layer="state"), latched=True),
+    "doubt": _layer(OccupancyGrid, partial(own_grid, layer="doubt"), latched=True),
+    "view": _layer(PolygonStamped, largest_part, latched=False),
+    "markers": _layer(MarkerArray, markers, latched=False),
+    "speed_mask": Layer(OccupancyGrid, speed_mask, latched=True, stop=_stopped("speed_mask")),
+    "keepout_mask": Layer(OccupancyGrid, keepout_mask, latched=True, stop=_stopped("keepout_mask")),
+    "clearing": _layer(PointCloud2, clearing, latched=False),
+    "obstruction": Layer(String, obstruction, latched=True, stop=None),
 }
 """The topics of a sensor that are made from an estimate, by name below the sensor's."""

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.io.export.nav2 import NOTHING_KNOWN, in_the_map, keepout_values
+from viewshed.io.export.nav2 import NOTHING_KNOWN, grid_in_the_map, in_the_map, keepout_values
 
 __all__ = [
-    "NOTHING_KNOWN", "NO_LIMIT", "SpeedLimits", "blind_m", "clearing_ends", "in_the_map", "keepout_values",
-    "speed_values",
+    "NOTHING_KNOWN", "NO_LIMIT", "SpeedLimits", "blind_m", "clearing_ends", "grid_in_the_map", "in_the_map",
+    "keepout_values", "speed_values",
 ]  # fmt: skip
 
 NO_LIMIT = 0

@@ -2,43 +2,45 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import OccupancyGrid
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from std_msgs.msg import UInt8MultiArray
+from std_msgs.msg import Header, UInt8MultiArray
 
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.geometry import Rigid
-from viewshed.integrity.stream_monitor import StreamMonitor
-from viewshed.integrity.sweep_monitor import load_sweep_monitor, shipped_monitor
-from viewshed.pipeline import Answer, Pipeline, RateLimit, prepare_process
+from viewshed.monitor.stream_monitor import StreamMonitor
+from viewshed.monitor.sweep_monitor import load_sweep_monitor, shipped_monitor
+from viewshed.pipeline import Answer, Caution, Pipeline, RateLimit, prepare_process
 from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
 from viewshed_ros.conversions import nanoseconds_of, stamp_of
-from viewshed_ros.layers import LAYERS, PosedEstimate
+from viewshed_ros.layers import LAYERS, PosedEstimate, Unseen, area_of
 from viewshed_ros.object_layers import OBJECT_LAYERS, ObjectsView
+from viewshed_ros.outlets import FrameVote, Outlet, Sensor
 from viewshed_ros.packets import Revolution, Revolutions
 from viewshed_ros.parameters import OF_PROFILE, NodeSettings, SensorSettings
+from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, Stale, stale_alarm
 
 NO_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 """Each event of each publisher would be waited for anew at every message, which takes longer than a laser scan;
 subscribers still say themselves where their quality of service does not fit."""
-
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Reliable, and who comes late is given the last message."""
 
 PACKETS = QoSProfile(depth=256, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Of sensors that send packets: two revolutions of most of them."""
@@ -50,18 +52,11 @@ LIVE = QoSProfile(depth=5)
 """Reliable, for who is there."""
 
 
-@dataclass(slots=True)
-class Sensor:
-    """A sensor while the node is configured."""
+ALARM, VIEWS_TOPIC = "alarm", "views"
+"""Outlets of a sensor that are no layers: its alarm, and what other agents are told."""
 
-    settings: SensorSettings
-    publishers: dict[str, Any]
-    alarm: Any
-    counts: status.SensorCounts = field(default_factory=status.SensorCounts)
-    frame: str = ""
-    last_view: PosedEstimate | None = None
-    last_said: tuple[object, ...] = ()
-    subscription: Any = None
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+"""Of timers that also run where simulated time stands still."""
 
 
 class FieldOfView(LifecycleNode):
@@ -70,6 +65,8 @@ class FieldOfView(LifecycleNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("field_of_view", **options)
         parameters.declare(self)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
         self._settings: NodeSettings | None = None
         self._limit = RateLimit(0.0)
         self._pipeline: Pipeline | None = None
@@ -77,8 +74,10 @@ class FieldOfView(LifecycleNode):
         self._sensors: dict[str, Sensor] = {}
         self._facts: dict[str, str] = {}
         self._speaker: Any = None
-        self._views: Any = None
         self._destroy: list[Callable[[], object]] = []
+        self._diagnostics: Any = None
+        self._diagnostics_timer: Any = None
+        self._is_active = False
         self._told_s = 0.0
 
     # Transitions of the lifecycle
@@ -103,11 +102,20 @@ class FieldOfView(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         returned = super().on_activate(state)
         for sensor in self._sensors.values():
-            costmap_filters.publish_infos(sensor.publishers, self._settings_now().limits)
+            publishers = {name: outlet.publisher for name, outlet in sensor.outlets.items()}
+            costmap_filters.publish_infos(publishers, self._settings_now().limits)
+            # Until the first view masks and alarm say that there is none.
+            for name, outlet in sensor.outlets.items():
+                outlet.is_open = True
+                if name in MASK_STOPS or name == ALARM:
+                    outlet.seen_s = -math.inf
+        self._is_active = True
+        self._watch()
         return returned
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop listening; what was learned of the streams is kept."""
+        """Claim nothing more and stop listening; what was learned of the streams is kept."""
+        self._close_outlets()
         self._stop_listening()
         return super().on_deactivate(state)
 
@@ -117,7 +125,8 @@ class FieldOfView(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End for good."""
+        """Claim nothing more and end for good."""
+        self._close_outlets()
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
@@ -147,13 +156,10 @@ class FieldOfView(LifecycleNode):
         # 2. Where poses are from, and what is published.
         self._poses = self._pose_source(settings)
         self._sensors = {each.name: self._sensor(each) for each in settings.sensors}
-        diagnostics = self._publisher(DiagnosticArray, "/diagnostics", LIVE)
-        if settings.diagnostics_hz:
-            clock = Clock(clock_type=ClockType.STEADY_TIME)  # diagnostics come where simulated time stands still, too
-            timer = self.create_timer(
-                1.0 / settings.diagnostics_hz, partial(self._diagnose, diagnostics), clock=clock
-            )  # fmt: skip
-            self._destroy.append(partial(self.destroy_timer, timer))
+        self._diagnostics = self._publisher(DiagnosticArray, "/diagnostics", LIVE)
+        self._diagnose_at(settings.diagnostics_hz)
+        watch = self.create_timer(CHECK_S, self._watch, clock=STEADY)
+        self._destroy.append(partial(self.destroy_timer, watch))
         # 3. The threads that do it.
         history = SweepBuffer(settings.history) if settings.history else None
         self._pipeline = Pipeline(
@@ -161,6 +167,12 @@ class FieldOfView(LifecycleNode):
             vehicle=settings.vehicle, objects=self._objects(settings),
         )  # fmt: skip
         self._told_s = time.monotonic()
+
+    def _diagnose_at(self, hz: float) -> None:
+        """Publish diagnostics so often from now on; 0 for never."""
+        if self._diagnostics_timer is not None:
+            self.destroy_timer(self._diagnostics_timer)
+        self._diagnostics_timer = self.create_timer(1.0 / hz, self._diagnose, clock=STEADY) if hz else None
 
     def _objects(self, settings: NodeSettings) -> Any:
         """Return what follows objects, or None; and prepare to tell others, where that is wanted.
@@ -170,13 +182,15 @@ class FieldOfView(LifecycleNode):
             OSError, ValueError: the key cannot be read.
         """
         if settings.agent:
-            from viewshed_ros.sharing import Speaker, read_signing_key  # needs packages that other nodes do without
+            from viewshed.agents.signing import read_signing_key  # needs packages that other nodes do without
+            from viewshed_ros.sharing import Speaker
 
             self._speaker = Speaker(read_signing_key(settings.agent, settings.agent_key), settings.world_frame)
-            self._views = self._publisher(UInt8MultiArray, settings.agent_topic, VIEWS)
+            views = self._publisher(UInt8MultiArray, settings.agent_topic, VIEWS)
+            self._sensors[settings.sensors[0].name].outlets[VIEWS_TOPIC] = Outlet(views)
         if not (settings.objects or settings.agent):
             return None
-        from viewshed.fusion.object_stream import ObjectStream
+        from viewshed.objects.object_stream import ObjectStream
 
         return ObjectStream()
 
@@ -204,16 +218,25 @@ class FieldOfView(LifecycleNode):
 
     def _sensor(self, settings: SensorSettings) -> Sensor:
         settings.input.message_type()
-        publishers = {
-            name: self._publisher(layer.message_type, f"{settings.name}/{name}", LATCHED if layer.latched else LIVE)
-            for name, layer in LAYERS.items()
+        name = settings.name
+        qos = {topic: LATCHED if layer.latched else LIVE for topic, layer in LAYERS.items()}
+        outlets = {
+            topic: Outlet(
+                self._publisher(layer.message_type, f"{name}/{topic}", qos[topic]),
+                layer.stop and partial(self._stop_message, name, layer.stop),
+            )
+            for topic, layer in LAYERS.items()
         }
         if self._settings_now().objects:
-            for name, objects in OBJECT_LAYERS.items():
-                publishers[name] = self._publisher(objects.message_type, f"{settings.name}/{name}", LIVE)
-        for name, message_type in costmap_filters.info_types().items():
-            publishers[name] = self._publisher(message_type, f"{settings.name}/{name}", LATCHED)
-        return Sensor(settings, publishers, self._publisher(DiagnosticStatus, f"{settings.name}/alarm", LATCHED))
+            for topic, objects in OBJECT_LAYERS.items():
+                outlets[topic] = Outlet(self._publisher(objects.message_type, f"{name}/{topic}", LIVE))
+        for topic, message_type in costmap_filters.info_types().items():
+            outlets[topic] = Outlet(self._publisher(message_type, f"{name}/{topic}", LATCHED))
+        outlets[ALARM] = Outlet(
+            self._publisher(DiagnosticStatus, f"{name}/{ALARM}", LATCHED), partial(self._stop_alarm, name)
+        )
+        heartbeat = self._publisher(OccupancyGrid, f"{name}/heartbeat", LIVE)
+        return Sensor(settings, outlets, heartbeat, FrameVote(settings.frame))
 
     def _publisher(self, message_type: type[Any], topic: str, qos: QoSProfile) -> Any:
         publisher = self.create_lifecycle_publisher(
@@ -241,22 +264,34 @@ class FieldOfView(LifecycleNode):
                 self.destroy_subscription(sensor.subscription)
                 sensor.subscription = None
 
+    def _close_outlets(self) -> None:
+        """Replace what was said by stop messages, after which nothing more is said."""
+        self._is_active, now_s = False, time.monotonic()
+        for sensor in self._sensors.values():
+            for outlet in sensor.outlets.values():
+                self._stop_one(sensor, partial(outlet.close, now_s))
+
     def _release(self) -> None:
         """Undo what was configured, the threads first: they use the rest."""
+        self._is_active = False
         self._stop_listening()
         pipeline, destroy, self._pipeline, self._destroy = self._pipeline, self._destroy, None, []
         if pipeline is not None:
             pipeline.close()
+        if self._diagnostics_timer is not None:
+            self.destroy_timer(self._diagnostics_timer)
         for each in destroy:
             each()
+        self._diagnostics = self._diagnostics_timer = None
         self._sensors, self._poses, self._settings = {}, None, None
-        self._speaker = self._views = None
+        self._speaker = None
 
     # Messages in
 
     def _take(self, sensor: Sensor, message: Any) -> None:
         """Put in a message that holds a sweep."""
         sensor.counts.received += 1
+        sensor.frames.add(message.header.frame_id.lstrip("/"), time.monotonic())
         source = partial(self._sweep, sensor, message)
         self._put(sensor, nanoseconds_of(message.header.stamp), source)
 
@@ -280,11 +315,12 @@ class FieldOfView(LifecycleNode):
         if not self._limit.takes(sensor.settings.name, t_ns):
             sensor.counts.skipped += 1
         elif self._pipeline is not None:
+            sensor.arrived(t_ns, time.monotonic())
             self._pipeline.put(source, sensor.settings.name)
 
     def _sweep_of_packets(self, sensor: Sensor, revolutions: Revolutions, revolution: Revolution) -> Sweep:
         """Return the sweep of a revolution's packets; the pipeline calls this in its thread."""
-        sensor.frame = sensor.settings.frame
+        sensor.frames.frame = sensor.settings.frame or sensor.settings.name
         pose = self._pose(sensor, revolution.t_ns)
         sweep = revolutions.sweep(revolution)
         return sweep.replace(agent=sensor.settings.name, world_from_sensor=pose, **sensor.settings.changes)
@@ -295,12 +331,7 @@ class FieldOfView(LifecycleNode):
         Raises:
             ValueError: the message contradicts itself, or is in another frame than those before.
         """
-        frame = message.header.frame_id.lstrip("/")
-        if not frame:
-            raise ValueError("header.frame_id must name the sensor's frame, got none")
-        sensor.frame = sensor.frame or frame
-        if frame != sensor.frame:
-            raise ValueError(f"a cloud must be in frame {sensor.frame!r} like those before, got {frame!r}")
+        sensor.frames.check(message.header.frame_id.lstrip("/"))
         known = sensor.settings.changes
         pose = self._pose(sensor, nanoseconds_of(message.header.stamp))
         return sensor.settings.input.sweep(message, agent=sensor.settings.name, world_from_sensor=pose, **known)
@@ -310,7 +341,7 @@ class FieldOfView(LifecycleNode):
         if self._poses is None:
             return None
         try:
-            return self._poses.world_from_sensor(sensor.frame, t_ns, sensor.settings.base_from_sensor)
+            return self._poses.world_from_sensor(sensor.frames.frame, t_ns, sensor.settings.base_from_sensor)
         except LookupError as error:
             sensor.counts.last_note = f"without a pose: {error}"
             sensor.counts.count("without a pose")
@@ -329,47 +360,64 @@ class FieldOfView(LifecycleNode):
     def _publish(self, answer: Answer) -> None:
         """Publish of an answer what somebody listens to; the pipeline calls this in its thread."""
         sensor = self._sensors[answer.agent]
-        name = f"{self.get_name()}: {answer.agent}"
-        # Who comes late is given the last alarm that said something new.
-        says = (answer.reaction.caution, answer.refused, answer.notes)
-        is_new, sensor.last_said = says != sensor.last_said, says
-        self._publish_one(sensor, sensor.alarm, partial(status.alarm, name, answer), always=is_new)
+        # 1. What it shows, since when, and whether that is too old already.
+        view, now_s = self._counted_view(sensor, answer), time.monotonic()
+        t_ns = None if answer.estimate is None else answer.estimate.t_ns
+        seen_s = sensor.arrival_s(t_ns, now_s - answer.latency_s)
+        is_late = answer.reaction.caution == Caution.STALE or now_s - seen_s > self._limit_s(sensor)
+        if view is not None and not is_late:
+            sensor.last_view = view
+            if view.estimate.world_from_level is not None:
+                sensor.area = area_of(view)
+            if view.estimate.world_from_level is not None or self._poses is None:
+                sensor.newest_s = seen_s
+        # 2. The alarm, whose last one who comes late is given.
+        stale = self._stale(sensor, now_s, is_late=is_late)
+        make = partial(status.alarm, f"{self.get_name()}: {answer.agent}", answer, stale)
+        self._publish_one(sensor, ALARM, make, seen_s if stale is None else now_s, always=True)
+        # 3. The layers; what is too late is left to the watch, as is what has no pose.
+        if view is None:
+            return
+        if is_late:
+            sensor.counts.count("answered too late")
+            return
+        for topic, layer in LAYERS.items():
+            self._publish_one(sensor, topic, partial(layer.make, view), seen_s)
+        self._publish_objects(sensor, answer, seen_s)
+
+    def _counted_view(self, sensor: Sensor, answer: Answer) -> PosedEstimate | None:
+        """Return an answer with where it stands; None, counted, where it has no estimate or lacks its pose."""
         if answer.notes:
             sensor.counts.last_note = answer.notes[0]
         if answer.estimate is None:
             sensor.counts.count(f"refused: {answer.refused}")
             self.get_logger().warning(f"{answer.agent}: {answer.refused}", throttle_duration_sec=5.0)
-            return
+            return None
         sensor.counts.answered += 1
         try:
-            view = self._view(sensor, answer)
+            return self._view(sensor, answer)
         except ValueError as error:
             sensor.counts.count(str(error))
-            return
-        sensor.last_view = view
-        for topic, layer in LAYERS.items():
-            self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
-        self._publish_objects(sensor, answer)
+            return None
 
-    def _publish_objects(self, sensor: Sensor, answer: Answer) -> None:
+    def _publish_objects(self, sensor: Sensor, answer: Answer, seen_s: float) -> None:
         """Publish the objects of an answer, and tell other agents of it, where that is wanted."""
         settings, objects, leveled = self._settings_now(), answer.objects, answer.leveled
         if settings.objects and objects is not None and leveled is not None:
             stamp = stamp_of(leveled.sweep.t_ns or 0)
             frame_from_level = leveled.level_from_sensor.inverse()
-            view = ObjectsView(objects, stamp, sensor.frame, frame_from_level, settings.world_frame)
+            view = ObjectsView(objects, stamp, sensor.frames.frame, frame_from_level, settings.world_frame)
             for topic, layer in OBJECT_LAYERS.items():
-                self._publish_one(sensor, sensor.publishers[topic], partial(layer.make, view))
+                self._publish_one(sensor, topic, partial(layer.make, view), seen_s)
         if self._speaker is not None:
-            self._publish_one(sensor, self._views, partial(self._speaker.message, answer))
+            self._publish_one(sensor, VIEWS_TOPIC, partial(self._speaker.message, answer), seen_s)
 
     def _publish_one(
-        self, sensor: Sensor, publisher: Any, make: Callable[[], Any], *, always: bool = False
+        self, sensor: Sensor, topic: str, make: Callable[[], Any], seen_s: float, *, always: bool = False
     ) -> None:  # fmt: skip
         """Make and publish a message where somebody listens; one that cannot be made is counted, the others go out."""
         try:
-            if always or publisher.get_subscription_count():
-                publisher.publish(make())
+            sensor.outlets[topic].publish(make, seen_s, always=always)
         except Exception as error:
             sensor.counts.count(f"not published: {error}")
 
@@ -382,7 +430,7 @@ class FieldOfView(LifecycleNode):
         settings, estimate, leveled = self._settings_now(), answer.estimate, answer.leveled
         if estimate is None or leveled is None:
             raise ValueError("an answer without an estimate has no view")
-        frame, frame_from_level = sensor.frame, leveled.level_from_sensor.inverse()
+        frame, frame_from_level = sensor.frames.frame, leveled.level_from_sensor.inverse()
         if settings.output == "world":
             if estimate.world_from_level is None:
                 raise ValueError(f"output in {settings.world_frame!r} needs a pose: not published")
@@ -392,7 +440,90 @@ class FieldOfView(LifecycleNode):
             answer.reaction.suspect, answer.speed_mps, settings.limits,
         )  # fmt: skip
 
-    def _diagnose(self, publisher: Any) -> None:
+    # What is too old
+
+    def _limit_s(self, sensor: Sensor) -> float:
+        """Return the age from which a view of a sensor is too old."""
+        settings = self._settings_now()
+        return max(settings.stale_s, settings.stale_periods * sensor.pace.period_s())
+
+    def _stale(self, sensor: Sensor, now_s: float, *, is_late: bool = False) -> Stale | None:
+        """Return why nothing is claimed of a sensor's view; None where its newest one is not too old."""
+        limit_s = self._limit_s(sensor)
+        age_s = math.inf if sensor.newest_s is None else now_s - sensor.newest_s
+        if age_s <= limit_s and not is_late:
+            return None
+        what = "view" if self._poses is None else "view with a pose"
+        return Stale(what, age_s, limit_s, self._settings_now().limits.unseen_mps)
+
+    def _watch(self) -> None:
+        """Replace what is too old by stop messages, whatever the cause; then tell the watchdog that this is done."""
+        if not self._is_active:
+            return
+        settings, now_s = self._settings_now(), time.monotonic()
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=settings.world_frame)
+        for sensor in self._sensors.values():
+            limit_s = self._limit_s(sensor)
+            stopped = {
+                topic: self._stop_one(sensor, partial(outlet.stop_if_older, limit_s, now_s))
+                for topic, outlet in sensor.outlets.items()
+            }
+            if stopped[ALARM] and all(stopped[mask] for mask in MASK_STOPS):
+                sensor.heartbeat.publish(OccupancyGrid(header=header, info=sensor.area))
+
+    def _stop_one(self, sensor: Sensor, stop: Callable[[], None]) -> bool:
+        """Replace what one topic said, and return whether that could be done."""
+        try:
+            stop()
+        except Exception as error:  # a context that has been shut down, say; the watchdog stops the vehicle then
+            sensor.counts.count(f"no stop message: {' '.join(str(error).split())}")
+            return False
+        return True
+
+    def _stop_message(self, name: str, stop: Callable[[Unseen], Any]) -> Any:
+        """Return the stop message of a layer: of now, since the newest sweep."""
+        sensor, now = self._sensors[name], self.get_clock().now().nanoseconds
+        age_s = 0.0 if sensor.newest_s is None else time.monotonic() - sensor.newest_s
+        stamp, since = stamp_of(now), stamp_of(max(now - round(1e9 * age_s), 0))
+        return stop(Unseen(sensor.last_view, self._settings_now().world_frame, sensor.area, stamp, since))
+
+    def _stop_alarm(self, name: str) -> DiagnosticStatus:
+        """Return the alarm of a sensor whose view is too old, or that is watched no more."""
+        stale = self._stale(self._sensors[name], time.monotonic(), is_late=True)
+        assert stale is not None
+        return stale_alarm(f"{self.get_name()}: {name}", stale)
+
+    # Parameters
+
+    def _check_parameters(self, changed: Sequence[Parameter]) -> SetParametersResult:
+        """Refuse values that make no sense, and changes that need another configuration."""
+        try:
+            for each in changed:
+                if self.has_parameter(each.name):
+                    is_same = each.value == self.get_parameter(each.name).value
+                    parameters.check_change(each.name, each.value, is_configured=bool(self._settings) and not is_same)
+            if self._settings is not None:
+                parameters.changed(self._settings, {each.name: each.value for each in changed})
+        except Exception as error:  # whatever it is: rclpy would end the node
+            return SetParametersResult(successful=False, reason=" ".join(str(error).split()))
+        return SetParametersResult(successful=True)
+
+    def _apply_parameters(self, changed: Sequence[Parameter]) -> None:
+        """Let changes that are possible at run time hold from now on."""
+        if self._settings is None:
+            return
+        before, now = self._settings, parameters.changed(self._settings, {each.name: each.value for each in changed})
+        self._settings = now
+        if now.rate_hz != before.rate_hz:
+            self._limit = RateLimit(now.rate_hz)
+        if now.diagnostics_hz != before.diagnostics_hz:
+            self._diagnose_at(now.diagnostics_hz)
+        if self._poses is not None:
+            self._poses.wait_s = now.pose_wait_s
+
+    # Diagnostics
+
+    def _diagnose(self) -> None:
         """Publish how the pipeline and the sensors are."""
         if self._pipeline is None:
             return
@@ -404,7 +535,7 @@ class FieldOfView(LifecycleNode):
             status.pipeline_status(self.get_name(), self._pipeline.statistics(), self._facts),
             *(self._sensor_status(name, each, passed_s) for name, each in self._sensors.items()),
         ]
-        publisher.publish(message)
+        self._diagnostics.publish(message)
 
     def _sensor_status(self, name: str, sensor: Sensor, passed_s: float) -> DiagnosticStatus:
         view, facts = sensor.last_view, dict[str, object]()

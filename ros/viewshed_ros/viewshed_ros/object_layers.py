@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from viewshed.fusion.legend import LEGEND, ShownTracks, explained_rows, tracks_of_agent
+from viewshed.agents.legend import LEGEND, ShownTracks, explained_rows, tracks_of_agent
+from viewshed.detections import BOX_COLUMNS, Detections, ObjectKind
 from viewshed.geometry import Rigid
-from viewshed.objects import BOX_COLUMNS, Detections, ObjectKind
 from viewshed_ros.conversions import pose_of, rigid_of
 
 if TYPE_CHECKING:  # a node that follows no objects loads none of it
-    from viewshed.fusion.object_stream import SeenObjects
+    from viewshed.objects.object_stream import SeenObjects
 
 _FOUND = (0.6, 0.6, 0.6)
 

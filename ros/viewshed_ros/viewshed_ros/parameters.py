@@ -2,68 +2,185 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 
+from viewshed.estimators import load_estimator
+from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid, rotation_from_quaternion
-from viewshed.pipeline.profiles import Profile, profile_named
+from viewshed.grid import GRIDS
+from viewshed.monitor.sweep_monitor import load_sweep_monitor
+from viewshed.pipeline.profiles import PROFILES, Profile, profile_named
 from viewshed.pipeline.reactions import VEHICLE, Vehicle
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_ros.conversions import INPUTS, Input
 from viewshed_ros.nav2 import SpeedLimits
 from viewshed_ros.packets import Revolutions
 from viewshed_ros.poses import POSE_TOPICS
+from viewshed_ros.stops import STALE_PERIODS, STALE_S
+
+OF_PROFILE = "profile"
+"""The value of a parameter that leaves it to the profile."""
 
 Value = bool | str | float | int | list[str] | list[float]
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter: its value where none is given, what it means, and its values where they are few."""
+    """A parameter.
+
+    Attributes:
+        default: its value where none is given.
+        description: what it means.
+        choices: its values where they are few.
+        least_and_most: bounds of a number.
+        check: raises where a value makes no sense.
+        at_run: whether a change holds at once; else it needs another configuration.
+        fixed: whether it is read once, when the process starts.
+    """
 
     default: Value
     description: str
     choices: tuple[str, ...] = ()
+    least_and_most: tuple[float, float] | None = None
+    check: Callable[[Any], object] | None = None
+    at_run: bool = False
+    fixed: bool = False
+
+    def descriptor(self, *, with_range: bool = True) -> ParameterDescriptor:
+        """Return what ``ros2 param describe`` says."""
+        words = [", ".join(self.choices)] if self.choices else []
+        words += [] if self.at_run or self.fixed else ["read when the node is configured"]
+        made = ParameterDescriptor(
+            description=self.description, additional_constraints="; ".join(words), read_only=self.fixed
+        )  # fmt: skip
+        if with_range and self.least_and_most is not None:
+            least, most = self.least_and_most
+            if isinstance(self.default, float):
+                made.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
+            else:
+                made.integer_range = [IntegerRange(from_value=int(least), to_value=int(most), step=1)]
+        return made
+
+    def refuse(self, name: str, value: Any) -> None:
+        """Refuse a value that is no choice, or out of bounds.
+
+        Raises:
+            ValueError: it is; the text says which are not.
+        """
+        if self.choices and value not in self.choices:
+            raise ValueError(f"{name} must be one of {', '.join(self.choices)}, got {value!r}")
+        if self.least_and_most is not None:
+            least, most = self.least_and_most
+            if not least <= value <= most:
+                raise ValueError(f"{name} must lie in [{least:g}, {most:g}], got {value}")
 
 
-OF_PROFILE = "profile"
-"""The value of a parameter that leaves it to the profile."""
+def _check_method(value: str) -> None:
+    if value != OF_PROFILE:
+        load_estimator(value)
+
+
+def _check_monitor_file(value: str) -> None:
+    if value:
+        load_sweep_monitor(value)
+
+
+def _check_sensors(names: Sequence[str]) -> None:
+    if not names or len(set(names)) != len(names) or not all(name.isidentifier() and name.isascii() for name in names):
+        raise ValueError(f"sensors must be different names of letters and digits, got {list(names)}")
+
+
+def _model(value: str) -> LidarModel | None:
+    return None if value in ("auto", "none") else lidar_model(value)
+
+
+def _check_attitude(value: Sequence[float]) -> None:
+    if any(value):
+        rotation_from_quaternion(np.array(value))
+
+
+def _mounting(value: Sequence[float]) -> Rigid:
+    if len(value) != 7:
+        raise ValueError(f"mounting must be seven numbers, got {len(value)}")
+    return Rigid.from_quaternion(value[3:], value[:3])
+
+
+_SPEEDS_MPS = (1e-3, 1e3)
+
 
 # No value is on, off, yes or no: on a command line these are true and false, not text.
 PARAMETERS: dict[str, Parameter] = {
-    "profile": Parameter("robot", "What the pipeline is for: robot, infrastructure, mapping or contested."),
-    "method": Parameter(OF_PROFILE, "Name of the estimator, or profile."),
-    "grid": Parameter(OF_PROFILE, "road, indoor, paper, paper_indoor, or profile."),
-    "target": Parameter("car", "What would have to be seen: car or pedestrian."),
+    "profile": Parameter("robot", "What the pipeline is for.", tuple(PROFILES)),
+    "method": Parameter(OF_PROFILE, "Name of the estimator, or profile.", check=_check_method),
+    "grid": Parameter(OF_PROFILE, "Name of the grid, or profile.", (OF_PROFILE, *GRIDS)),
+    "target": Parameter("car", "What would have to be seen.", tuple(TARGETS)),
     "history": Parameter(
-        -1, "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile."
+        -1,
+        "Earlier sweeps of a sensor that help, where poses are known; -1 leaves it to the profile.",
+        least_and_most=(-1, 1000),
     ),
-    "rate_hz": Parameter(-1.0, "Sweeps of a sensor estimated in a second; 0 for all, -1 leaves it to the profile."),
+    "rate_hz": Parameter(
+        -1.0,
+        "Sweeps of a sensor estimated in a second; 0 for all, -1 leaves it to the profile.",
+        least_and_most=(-1.0, 1e3),
+        at_run=True,
+    ),
     "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
-    "monitor_file": Parameter("", "File of viewshed monitor calibrate; empty for the monitor in the box."),
-    "sensors": Parameter(["lidar"], "Names of the sensors; each has the parameters and topics below its name."),
+    "monitor_file": Parameter(
+        "", "File of viewshed monitor calibrate; empty for the monitor in the box.", check=_check_monitor_file
+    ),
+    "sensors": Parameter(
+        ["lidar"], "Names of the sensors; each has the parameters and topics below its name.", check=_check_sensors
+    ),
     "pose_source": Parameter("none", "Where poses are from.", ("none", "tf", *POSE_TOPICS)),
     "pose_topic": Parameter("odometry", "Topic of poses, unless they are from tf."),
-    "pose_wait_s": Parameter(0.02, "How long a pose that is still to come is waited for."),
+    "pose_wait_s": Parameter(
+        0.02, "How long a pose that is still to come is waited for.", least_and_most=(0.0, 100.0), at_run=True
+    ),
     "world_frame": Parameter("map", "Frame of poses and masks."),
     "output": Parameter("sensor", "Frame of grids, polygons and markers.", ("sensor", "world")),
-    "speed_most_mps": Parameter(10.0, "100 percent of the speed mask."),
-    "speed_unseen_mps": Parameter(1.0, "Speed of the mask where nothing is seen."),
-    "vehicle_front_m": Parameter(VEHICLE.front_m, "From the sensor to the front of the vehicle."),
-    "vehicle_half_width_m": Parameter(VEHICLE.half_width_m, "Half of the width of the lane that must be free."),
-    "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act."),
-    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes."),
+    "speed_most_mps": Parameter(10.0, "100 percent of the speed mask.", least_and_most=_SPEEDS_MPS),
+    "speed_unseen_mps": Parameter(
+        1.0,
+        "Speed of the mask where nothing is seen, and speed limit of a stale alarm.",
+        least_and_most=_SPEEDS_MPS,
+        at_run=True,
+    ),
+    "stale_s": Parameter(
+        STALE_S,
+        "Age of a view from which nothing is claimed, if stale_periods have passed as well.",
+        least_and_most=(0.05, 60.0),
+        at_run=True,
+    ),
+    "stale_periods": Parameter(
+        STALE_PERIODS,
+        "Periods of its sensor from which nothing is claimed, if stale_s have passed as well.",
+        least_and_most=(1.0, 100.0),
+        at_run=True,
+    ),
+    "vehicle_front_m": Parameter(
+        VEHICLE.front_m, "From the sensor to the front of the vehicle.", least_and_most=(-1e3, 1e3)
+    ),
+    "vehicle_half_width_m": Parameter(
+        VEHICLE.half_width_m, "Half of the width of the lane that must be free.", least_and_most=(1e-3, 1e3)
+    ),
+    "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act.", least_and_most=(0.0, 1e3)),
+    "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes.", least_and_most=(1e-3, 1e3)),
     "objects": Parameter(False, "Detect, track and explain objects as well; needs scipy."),
     "agent": Parameter("", "Name under which the first sensor's answers are told to other agents; empty for not."),
     "agent_key": Parameter("", "File of the agent's private key, 64 hexadecimal digits."),
     "agent_topic": Parameter("/viewshed/views", "Topic of the signed messages of all agents."),
-    "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does."),
-    "diagnostics_hz": Parameter(1.0, "How often /diagnostics is published."),
+    "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does.", fixed=True),
+    "diagnostics_hz": Parameter(
+        1.0, "How often /diagnostics is published; 0 for never.", least_and_most=(0.0, 100.0), at_run=True
+    ),
 }
 """Of the node."""
 
@@ -71,13 +188,18 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
     "topic": Parameter("", "Topic of its messages; empty for NAME/points."),
     "type": Parameter("cloud", "Type of its messages.", tuple(INPUTS)),
     "metadata": Parameter("", "Of type ouster or ouster_bytes: file of the sensor's metadata (JSON)."),
-    "frame": Parameter("", "Frame of a sensor whose messages name none (packets); empty for NAME."),
-    "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none."),
+    "frame": Parameter(
+        "", "The only frame whose clouds are taken, and that of packets; empty for that of most clouds, and NAME."
+    ),
+    "model": Parameter("auto", "Name of a beam table, auto to infer it from the points, or none.", check=_model),
     "height_m": Parameter(0.0, "Height above the ground; 0 to estimate it."),
-    "attitude": Parameter([0.0, 0.0, 0.0, 0.0], "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it."),
+    "attitude": Parameter(
+        [0.0, 0.0, 0.0, 0.0], "Quaternion w, x, y, z of level_from_sensor; zeros to estimate it.", check=_check_attitude
+    ),
     "mounting": Parameter(
         [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
         "Where it stands on the vehicle: x, y, z, w, x, y, z of base_from_sensor; tf knows it by itself.",
+        check=_mounting,
     ),
 }
 """Of each sensor, below its name."""
@@ -94,7 +216,7 @@ class SensorSettings:
     """Attributes of its sweeps that are given."""
     base_from_sensor: Rigid
     frame: str
-    """Of messages that name none."""
+    """That its messages must be in; empty where no parameter names it."""
     revolutions: Revolutions | None
     """Gathers packets, of a sensor whose messages hold one each."""
 
@@ -120,6 +242,8 @@ class NodeSettings:
     limits: SpeedLimits
     vehicle: Vehicle
     diagnostics_hz: float
+    stale_s: float = STALE_S
+    stale_periods: float = STALE_PERIODS
     objects: bool = False
     agent: str = ""
     agent_key: str = ""
@@ -140,11 +264,7 @@ def read(node: Node) -> NodeSettings:
     given: dict[str, Any] = values_of(node, PARAMETERS)
     profile = profile_named(given["profile"])
     names = given["sensors"]
-    if not names or len(set(names)) != len(names) or not all(name.isidentifier() and name.isascii() for name in names):
-        raise ValueError(f"sensors must be different names of letters and digits, got {list(names)}")
-    for name in ("diagnostics_hz", "pose_wait_s"):
-        if not 0.0 <= given[name] <= 100.0:
-            raise ValueError(f"{name} must lie in [0, 100], got {given[name]}")
+    _check_sensors(names)
     if given["agent"] and (given["pose_source"] == "none" or not given["agent_key"] or len(names) > 1):
         raise ValueError(
             f"agent {given['agent']} needs one sensor, a pose_source and an agent_key, got sensors {list(names)},"
@@ -158,7 +278,7 @@ def read(node: Node) -> NodeSettings:
         grid=profile.grid if given["grid"] == OF_PROFILE else given["grid"],
         target=given["target"],
         history=profile.history if given["history"] < 0 else given["history"],
-        rate_hz=profile.rate_hz if given["rate_hz"] < 0.0 else given["rate_hz"],
+        rate_hz=_rate_hz(profile, given["rate_hz"]),
         monitor=given["monitor"],
         monitor_file=given["monitor_file"],
         sensors=tuple(_sensor(node, name) for name in names),
@@ -175,6 +295,8 @@ def read(node: Node) -> NodeSettings:
             given["vehicle_braking_mps2"],
         ),
         diagnostics_hz=given["diagnostics_hz"],
+        stale_s=given["stale_s"],
+        stale_periods=given["stale_periods"],
         objects=given["objects"],
         agent=given["agent"],
         agent_key=given["agent_key"],
@@ -188,49 +310,79 @@ def _sensor(node: Node, name: str) -> SensorSettings:
     given = {key.partition(".")[2]: value for key, value in values_of(node, table).items()}
     changes: dict[str, Any] = {}
     if given["model"] != "auto":
-        model: LidarModel | None = None if given["model"] == "none" else lidar_model(given["model"])
-        changes |= {"model": model, "infer_sensor": False}
+        changes |= {"model": _model(given["model"]), "infer_sensor": False}
     if given["height_m"]:
         changes["sensor_height_m"] = given["height_m"]
     if any(given["attitude"]):
         changes["attitude"] = np.array(given["attitude"])
-        rotation_from_quaternion(changes["attitude"])
-    if len(given["mounting"]) != 7:
-        raise ValueError(f"{name}.mounting must be seven numbers, got {len(given['mounting'])}")
-    base_from_sensor = Rigid.from_quaternion(given["mounting"][3:], given["mounting"][:3])
+        _check_attitude(changes["attitude"])
+    base_from_sensor = _mounting(given["mounting"])
     topic = given["topic"] or f"{name}/points"
     kind, revolutions = INPUTS[given["type"]], None
     if kind.packet:
         if not given["metadata"]:
             raise ValueError(f"{name}.metadata must name the file of the sensor's metadata for packets, got none")
         revolutions = Revolutions.of(given["metadata"])
-    return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"] or name, revolutions)
+    return SensorSettings(name, topic, kind, changes, base_from_sensor, given["frame"], revolutions)
 
 
 def declare_table(node: Node, table: dict[str, Parameter]) -> None:
     """Declare the parameters of a table that are not declared yet."""
     for name, parameter in table.items():
         if not node.has_parameter(name):
-            node.declare_parameter(
-                name, parameter.default,
-                ParameterDescriptor(
-                    description=parameter.description, additional_constraints=", ".join(parameter.choices)
-                ),
-            )  # fmt: skip
+            try:
+                node.declare_parameter(name, parameter.default, parameter.descriptor())
+            except InvalidParameterValueException:  # said when it is read, so that it can be mended
+                node.declare_parameter(name, parameter.default, parameter.descriptor(with_range=False))
 
 
 def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
     """Return the values of the parameters of a table.
 
     Raises:
-        ValueError: one is none of its choices.
+        ValueError: one is none of its choices, or out of bounds.
     """
     values = {name: node.get_parameter(name).value for name in table}
     for name, parameter in table.items():
-        _check_choice(name, values[name], parameter.choices)
+        parameter.refuse(name, values[name])
     return values
 
 
-def _check_choice(name: str, value: Any, choices: Sequence[str]) -> None:
-    if choices and value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+def check_change(name: str, value: Any, *, is_configured: bool) -> None:
+    """Refuse a value of a parameter of the node or of a sensor that makes no sense, or comes too late.
+
+    Raises:
+        ValueError, ImportError, OSError: it is refused; the text says why.
+    """
+    parameter = PARAMETERS.get(name) or SENSOR_PARAMETERS.get(name.partition(".")[2])
+    if parameter is None:
+        return
+    parameter.refuse(name, value)
+    if parameter.check is not None:
+        try:
+            parameter.check(value)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from error
+    if is_configured and not parameter.at_run:
+        raise ValueError(
+            f"{name} must be set before the node is configured, got {value!r} after it; deactivate it, clean it up, set"
+            f" {name}, and configure it anew"
+        )
+
+
+def changed(settings: NodeSettings, values: Mapping[str, Any]) -> NodeSettings:
+    """Return settings with other values of parameters that may change at run time; of others nothing is taken.
+
+    Raises:
+        ValueError: they contradict each other.
+    """
+    changes = {name: value for name, value in values.items() if name in PARAMETERS and PARAMETERS[name].at_run}
+    if "rate_hz" in changes:
+        changes["rate_hz"] = _rate_hz(settings.profile, changes["rate_hz"])
+    if "speed_unseen_mps" in changes:
+        changes["limits"] = SpeedLimits(settings.limits.most_mps, changes.pop("speed_unseen_mps"))
+    return replace(settings, **changes)
+
+
+def _rate_hz(profile: Profile, given: float) -> float:
+    return profile.rate_hz if given < 0.0 else given

@@ -15,8 +15,8 @@ from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.time import Time
 
-from viewshed.datasets.recordings.tf_tree import slerp
 from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.recordings.read.tf_tree import slerp
 from viewshed_ros.conversions import nanoseconds_of, rigid_of
 
 MOST_POSES = 2000
@@ -27,7 +27,9 @@ LONGEST_GAP_S = 1.0
 
 
 class PoseSource(Protocol):
-    """Knows where a sensor stood."""
+    """Knows where a sensor stood; a pose that is still to come is waited for so long."""
+
+    wait_s: float
 
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
         """Return the pose of a sensor's frame at a time.
@@ -78,7 +80,7 @@ class PoseBuffer:
     """
 
     def __init__(self, topic: PoseTopic, world_frame: str, wait_s: float = 0.0) -> None:
-        self._topic, self._world_frame, self._wait_s = topic, world_frame, wait_s
+        self._topic, self._world_frame, self.wait_s = topic, world_frame, wait_s
         self._times: deque[int] = deque(maxlen=MOST_POSES)
         self._poses: deque[Rigid] = deque(maxlen=MOST_POSES)
         self._changed = Condition()
@@ -106,7 +108,7 @@ class PoseBuffer:
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
         """Return the pose of a sensor; see :class:`PoseSource`."""
         with self._changed:
-            self._changed.wait_for(lambda: bool(self._times) and self._times[-1] >= t_ns, self._wait_s)
+            self._changed.wait_for(lambda: bool(self._times) and self._times[-1] >= t_ns, self.wait_s)
             return self._at(t_ns) @ base_from_sensor
 
     def _at(self, t_ns: int) -> Rigid:
@@ -142,13 +144,13 @@ class TfPoses:
     """
 
     def __init__(self, buffer: Any, world_frame: str, wait_s: float = 0.0) -> None:
-        self._buffer, self._world_frame = buffer, world_frame
-        self._wait = Duration(seconds=wait_s)
+        self._buffer, self._world_frame, self.wait_s = buffer, world_frame, wait_s
 
     def world_from_sensor(self, frame: str, t_ns: int, base_from_sensor: Rigid) -> Rigid:
         """Return the pose of a sensor's frame; its mounting is known to tf."""
         try:
-            found = self._buffer.lookup_transform(self._world_frame, frame, Time(nanoseconds=t_ns), timeout=self._wait)
+            wait = Duration(seconds=self.wait_s)
+            found = self._buffer.lookup_transform(self._world_frame, frame, Time(nanoseconds=t_ns), timeout=wait)
             return rigid_of(found.transform.translation, found.transform.rotation)
         except Exception as error:  # tf2's own errors have no base that could be named without tf2
             raise LookupError(" ".join(str(error).split()) or type(error).__name__) from error

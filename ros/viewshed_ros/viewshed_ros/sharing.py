@@ -1,21 +1,22 @@
-"""What an agent tells others: each answer as a signed message of ``viewshed.messages``, as bytes."""
+"""What an agent tells others: each answer as a signed message of ``viewshed.agents``, as bytes."""
 
 from __future__ import annotations
 
-import time
 from array import array
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from std_msgs.msg import UInt8MultiArray
 
-from viewshed.messages.signing import SigningKey, VerifyingKey, sign_message
-from viewshed.messages.view_message import SensorFacts, SharedTracks, ViewMessage
+from viewshed.agents.signing import SigningKey, sign_message
+from viewshed.agents.view_message import SensorFacts, SharedTracks, ViewMessage
 from viewshed.pipeline import Answer
 
 POSE_STD_M, POSE_STD = 0.1, 0.01
 """Standard deviations of poses whose source tells none: meters, and radians."""
+
+AHEAD_MS = 500
+"""Receivers take messages of clocks that are ahead by no more."""
 
 POSE_COVARIANCE = np.diag([POSE_STD_M**2] * 3 + [POSE_STD**2] * 3)
 
@@ -31,7 +32,8 @@ class Speaker:
 
     key: SigningKey
     frame: str
-    _sequence: int = field(default_factory=lambda: round(1e3 * time.time()))  # greater than before a restart
+    _epoch: int = -1
+    _sequence: int = 0
 
     def message(self, answer: Answer) -> UInt8MultiArray:
         """Return an answer as a signed message.
@@ -43,6 +45,11 @@ class Speaker:
         if estimate is None or estimate.world_from_level is None or estimate.t_ns is None:
             raise ValueError("what is told to others must have a pose and a time, got none for this sweep")
         basis = estimate.basis
+        # The first time in milliseconds is greater than before a restart. Where the clock was so far ahead that nobody
+        # took a message, and is put right, an epoch begins anew: it must not be later than its messages.
+        t_ms = estimate.t_ns // 1_000_000
+        if self._epoch < 0 or t_ms < self._epoch - AHEAD_MS:
+            self._epoch, self._sequence = t_ms, 0
         self._sequence += 1
         told = ViewMessage(
             agent=self.key.agent,
@@ -56,38 +63,6 @@ class Speaker:
             detections=None if objects is None else objects.detections,
             tracks=None if objects is None else SharedTracks.of(objects.explained.trusted()),
             report=None if answer.report is None else answer.report.now,
+            epoch=self._epoch,
         )
         return UInt8MultiArray(data=array("B", sign_message(told, self.key)))
-
-
-def read_signing_key(agent: str, path: str) -> SigningKey:
-    """Return the private key of an agent in a file: 64 hexadecimal digits.
-
-    Raises:
-        ValueError: the file holds something else.
-        OSError: it cannot be read.
-    """
-    return SigningKey(agent, _key_bytes(path))
-
-
-def read_verifying_keys(agents: list[str], paths: list[str]) -> tuple[VerifyingKey, ...]:
-    """Return the public keys of agents, a file of 64 hexadecimal digits each.
-
-    Raises:
-        ValueError: there is another number of files, or one holds something else.
-        OSError: one cannot be read.
-    """
-    if len(agents) != len(paths) or len(set(agents)) != len(agents) or not agents:
-        raise ValueError(f"keys must be one file for each agent, got {len(paths)} for {', '.join(agents) or 'none'}")
-    return tuple(VerifyingKey(agent, _key_bytes(path)) for agent, path in zip(agents, paths, strict=True))
-
-
-def _key_bytes(path: str) -> bytes:
-    text = Path(path).read_text(encoding="ascii").strip()
-    try:
-        found = bytes.fromhex(text)
-    except ValueError:
-        found = b""
-    if len(found) != 32:
-        raise ValueError(f"a key must be 64 hexadecimal digits, got {len(text)} characters in {path}")
-    return found

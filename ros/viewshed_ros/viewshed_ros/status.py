@@ -11,6 +11,7 @@ from threading import Lock
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from viewshed.pipeline import Answer, Caution, Statistics
+from viewshed_ros.stops import Stale, stale_alarm
 
 MOST_REASONS = 20
 """Different reasons of a sensor that are counted apart; all further ones together."""
@@ -66,11 +67,12 @@ def pipeline_status(name: str, statistics: Statistics, facts: Mapping[str, str])
         "cores busy": f"{statistics.busy_cores:.2f}",
     }  # fmt: skip
     values |= {f"refused: {reason}": count for reason, count in statistics.refused.items()}
-    level = DiagnosticStatus.WARN if statistics.refused else DiagnosticStatus.OK
+    values |= {f"not published: {reason}": count for reason, count in statistics.unpublished.items()}
+    level = DiagnosticStatus.WARN if statistics.refused or statistics.unpublished else DiagnosticStatus.OK
     return DiagnosticStatus(level=level, name=name, message=statistics.line(), values=key_values(values))
 
 
-def alarm(name: str, answer: Answer) -> DiagnosticStatus:
+def alarm(name: str, answer: Answer, stale: Stale | None = None) -> DiagnosticStatus:
     """Return what one answer says: how far its view is trusted, at what speed, and why."""
     caution = answer.reaction.caution
     values: dict[str, object] = {
@@ -87,6 +89,9 @@ def alarm(name: str, answer: Answer) -> DiagnosticStatus:
             values["p-value"] = f"{now.p_value:.4f}"
         values |= {f"reason {number}": reason for number, reason in enumerate(now.reasons, 1)}
     values |= {f"note {number}": note for number, note in enumerate(answer.notes, 1)}
+    if stale is not None:
+        values |= {"refused": answer.refused} if answer.refused else {}
+        return stale_alarm(name, stale, key_values(values))
     if answer.refused:
         level, message = DiagnosticStatus.ERROR, answer.refused
     elif caution >= Caution.WIDEN:

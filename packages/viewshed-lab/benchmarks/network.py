@@ -1,0 +1,287 @@
+"""From points to the network's mask: ``python -m benchmarks.network [--out FILE] [--weights FILE] [--only ENGINE]``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections import defaultdict, deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from importlib import metadata
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from benchmarks import clouds
+from benchmarks.timing import Timing, summary, times_of
+from viewshed.estimators.batch import estimate_all
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.unet import UnetEstimator
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import INT8, NetworkCard, Runner
+from viewshed.networks.mc_dropout import mean_and_deviation
+from viewshed.networks.runtime import OnnxRunner, load_runner
+from viewshed.sweep import Sweep
+from viewshed_lab._page import facts, page, table
+from viewshed_lab._results import write_page
+
+T = TypeVar("T")
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "network_speed.md"
+SEED, PASSES = 11, 20
+ROUNDS, BUDGET_S = 3, 6.0
+SIZES = ("35k", "120k")
+ENGINE, TORCH, NONE = "onnxruntime", "torch, eager", "no network"
+ONE_PASS = "one torch pass"
+OURS = "viewnet"
+ESTIMATE = f"{OURS} to estimate"
+MANY, MANY_SWEEPS = f"{ESTIMATE}, of many sweeps", 64
+TARGETS_HZ = {
+    ("MLE to mask", "35k"): 200, (ESTIMATE, "35k"): 350, (ESTIMATE, "120k"): 250,
+    (MANY, "35k"): 350, (MANY, "120k"): 250, (f"{OURS} MCD T = {PASSES} to mask", "35k"): 50,
+}  # fmt: skip
+"""By row, without its engine, and size."""
+HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "GFLOP/s", "target", ""]
+TEXT = """\
+The paper's network (width 8, depth 4: {parameters:.2f} M parameters, {gflop:.2f} GFLOP a pass) on 256 × 256 cells.
+The rows **to mask** begin with a sweep in memory whose attitude is known and end with the mask: count, network,
+mean and deviation over {passes} passes where dropout is on, threshold. The rows **to estimate** are the whole
+estimator on a sweep without attitude: leveling, local ground and the states of the cells as well. Each engine runs in
+processes of its own, {rounds} of them in an order drawn anew each round, because the idle threads of one engine slow
+the next; within a process the rows take turns. **Of one torch pass** is the ratio to one eager pass of the paper's
+network in torch, in its own processes of the same run. {ours}GFLOP/s count every pass in full. Threads of the engines
+and of torch: {threads}. {weights}
+
+**The floor.** A product of two matrices of 2048 × 2048 with {threads} threads reaches {single:.0f} GFLOP/s in float32
+and {half:.0f} in bfloat16 here and now. At that rate one pass takes {floor_one:.1f} or {floor_one_half:.1f} ms, and
+{passes} passes {floor_all:.0f} or {floor_all_half:.0f} ms. Of each pass {own:.0%} depends on its mask; what lies before
+the first mask, and the half of the last decoder stage that reads stage 1, is computed once for all passes, exactly."""
+
+
+OUR_TEXT = """\
+The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
+leveled sweep and its beams; int8: the same network in bytes. It was trained without dropout, so that no estimator asks
+it for several passes: its MCD row is the time that {passes} masked passes take, all of them alike. "Channels alone"
+begin with a sweep whose attitude is known, leveling it included. "Of many sweeps": time per sweep where {many} of them
+are estimated together, one a core with ONNX Runtime (`estimate_all`); the other rows are of one sweep at a time, by all
+cores. """
+
+
+def main() -> None:
+    """Measure and write the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.network", description=__doc__)
+    parser.add_argument("--out", type=Path, default=PAGE)
+    parser.add_argument(
+        "--weights", type=Path, help="a network that viewshed train exported; drawn weights if not given"
+    )
+    parser.add_argument(
+        "--ours", default="", help="our networks to stand beside it, by commas: files, or names of shipped weights"
+    )
+    parser.add_argument("--only", default="", help="measure only the engines with this word, and write no page")
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    chosen = parser.parse_args()
+    names = [name for name in (ENGINE, TORCH, NONE) if chosen.only in name]
+    with tempfile.TemporaryDirectory() as folder:
+        path = chosen.weights or Path(folder) / "drawn.onnx"
+        if chosen.weights is None:
+            alone(draw_weights, path)
+        tasks = [(name, "") for name in names]
+        mine = [each for each in chosen.ours.split(",") if each]
+        for each in mine:
+            tasks += [(name, each) for name in names if name == ENGINE]
+        timings = measured(tasks, path, chosen.threads)
+        card = OnnxRunner(path, 1).card
+        ours = load_runner(mine[0], 1).card if mine else None
+    rows = rows_of(timings, card.shape.flops(card.grid.cells))
+    if chosen.only:
+        return
+    libraries = ("numpy", "onnxruntime", "torch")
+    told = facts(
+        libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
+        load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
+    )
+    words = text((card, ours), chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
+    write_page(chosen.out, page("Speed of the network", told, words, table(HEAD, rows)))
+    print(f"written to {chosen.out}")
+
+
+def alone(work: Callable[..., T], *args: object) -> T:
+    """Return what ``work`` returns in a process that ends with it."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *args).result()
+
+
+def draw_weights(path: Path) -> None:
+    """Write a network of random weights."""
+    import torch
+
+    from viewshed.networks.onnx_export import export_onnx
+    from viewshed.networks.unet_torch import UNet
+
+    torch.manual_seed(SEED)
+    export_onnx(path, NetworkCard("drawn", UNetShape(8, 4)), UNet(UNetShape(8, 4)).eval())
+
+
+def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tuple[str, str], Timing]:
+    """Return the timing of each row and size of cloud; a task is an engine and, if any, our network."""
+    rng = np.random.default_rng(SEED)
+    taken: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for turn in range(ROUNDS):
+        for pick in rng.permutation(len(tasks)):
+            for key, times in alone(measure, tasks[pick], path, threads, turn).items():
+                taken[key] += times
+    order = {name: k for k, name in enumerate((f"{ENGINE} {INT8}", ENGINE, TORCH, NONE))}
+    keys = sorted(taken, key=lambda key: (SIZES.index(key[1]), order.get(key[0].partition(": ")[2], len(order))))
+    return {key: summary(taken[key]) for key in keys}
+
+
+def measure(task: tuple[str, str], path: Path, threads: int, turn: int) -> dict[tuple[str, str], list[float]]:
+    """Return the milliseconds of the rows of one task, in this process; a second network's threads would slow it."""
+    name, ours = task
+    runner: Runner | None = None
+    if ours:
+        runner = load_runner(ours, threads)
+    elif name != NONE:
+        runner = runner_of(name, path, threads)
+    found: dict[tuple[str, str], list[float]] = {}
+    for size in SIZES:
+        sweep = clouds.synthetic(size, np.random.default_rng(SEED))
+        card = OnnxRunner(path, 1).card if runner is None else runner.card
+        jobs = our_jobs(runner, sweep) if ours and runner else jobs_of(name, runner, sweep, card)
+        times = times_of(jobs, np.random.default_rng([SEED, turn]), BUDGET_S)
+        times |= {MANY: [each / MANY_SWEEPS for each in times[MANY]]} if MANY in times else {}
+        label = f"{name} {INT8}" if card.precision == INT8 else name
+        found |= {(f"{row}: {label}", size): each for row, each in times.items()}
+    return found
+
+
+def runner_of(name: str, path: Path, threads: int) -> Runner:
+    """Return what runs the network by the name of its row."""
+    if name == TORCH:
+        import torch
+
+        from viewshed.networks.unet_torch import TorchRunner, UNet
+
+        torch.set_num_threads(threads)
+        torch.manual_seed(SEED)
+        card = NetworkCard("drawn", UNetShape(8, 4))
+        return TorchRunner(card, UNet(card.shape).eval())
+    return OnnxRunner(path, threads)
+
+
+def our_jobs(runner: Runner, sweep: Sweep) -> dict[str, Callable[[], object]]:
+    """Return what is measured of our network on a sweep, by name."""
+    level = sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=clouds.SENSOR_HEIGHT_M)
+    estimator, inputs = UnetEstimator(runner), runner.card.input_of(level)[None]
+    return {
+        f"{OURS} channels alone": lambda: runner.card.input_of(level),
+        f"{OURS} one pass alone": lambda: runner.run(inputs),
+        ESTIMATE: lambda: estimator.estimate(sweep),
+        MANY: lambda: deque(estimate_all(estimator, [sweep] * MANY_SWEEPS), 0),
+        f"{OURS} MCD T = {PASSES} to mask": mask_job(runner, level, PASSES),
+    }
+
+
+def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -> dict[str, Callable[[], object]]:
+    """Return what is measured of an engine on a sweep, by name."""
+    level = sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=clouds.SENSOR_HEIGHT_M)
+    if runner is None:
+        shadows = ShadowMap(card.grid)
+        return {
+            "count alone": lambda: card.input_of(level),
+            "`shadow_map` to estimate": lambda: shadows.estimate(sweep),
+        }
+    jobs = {"MLE to mask": mask_job(runner, level, 1), f"MCD T = {PASSES} to mask": mask_job(runner, level, PASSES)}
+    if name == TORCH:
+        inputs = np.zeros((1, 1, *card.grid.shape), np.float32)
+        return {**jobs, ONE_PASS: lambda: runner.run(inputs)}
+    estimator = UnetEstimator(runner)
+    return {**jobs, "MLE to estimate": lambda: estimator.estimate(sweep)}
+
+
+def mask_job(runner: Runner, sweep: Sweep, passes: int) -> Callable[[], object]:
+    """Return a job from a sweep to its mask."""
+    card = runner.card
+    masks = None if passes == 1 else card.shape.masks(passes, np.random.default_rng(SEED))
+
+    def job() -> object:
+        found = runner.run(card.input_of(sweep)[None], masks)
+        prob, std = (found[0], None) if passes == 1 else mean_and_deviation(found)
+        return prob >= np.float32(card.threshold), std
+
+    return job
+
+
+def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[str]]:
+    """Return the rows of the table, and print them."""
+    rows = []
+    for (name, size), each in timings.items():
+        one = timings.get((f"{ONE_PASS}: {TORCH}", size))
+        passes = PASSES if name.startswith("MCD") else 1
+        network = name.startswith(("MLE to mask", "MCD", ONE_PASS))
+        rate = f"{1e-6 * passes * flops / each.median_ms:.0f}" if network else "–"
+        target = None if TORCH in name else TARGETS_HZ.get((name.partition(": ")[0], size))
+        verdict = "–" if target is None else "met" if 1e3 / each.median_ms >= target else "**missed**"
+        low_high = f"{each.median_ms:.2f} ({each.low_ms:.2f}–{each.high_ms:.2f})"
+        ratio = "–" if one is None else f"{each.median_ms / one.median_ms:.2f}"
+        what = name.removesuffix(f": {NONE}")
+        rows.append(
+            [
+                what,
+                size,
+                low_high,
+                f"{1e3 / each.median_ms:.0f}",
+                ratio,
+                rate,
+                "–" if target is None else f"≥ {target} Hz",
+                verdict,
+            ]
+        )
+        print(" | ".join(rows[-1]), flush=True)
+    return rows
+
+
+def text(
+    cards: tuple[NetworkCard, NetworkCard | None], threads: int, peaks: tuple[float, float], weights: Path | None
+) -> str:
+    """Return the page's words."""
+    card, ours = cards
+    shape, flops = card.shape, card.shape.flops(card.grid.cells)
+    own = own_share(shape, card.grid.cells)
+    one, half = (1e3 * flops / peak for peak in peaks)
+    every = 1 + (PASSES - 1) * own
+    return TEXT.format(
+        parameters=shape.parameters / 1e6, gflop=flops / 1e9, passes=PASSES, rounds=ROUNDS, threads=threads,
+        single=peaks[0] / 1e9, half=peaks[1] / 1e9, own=own, floor_one=one, floor_one_half=half,
+        floor_all=one * every, floor_all_half=half * every,
+        ours="" if ours is None else OUR_TEXT.format(
+            name=ours.name, channels=ours.shape.channels, gflop=ours.shape.flops(ours.grid.cells) / 1e9,
+            many=MANY_SWEEPS, passes=PASSES,
+        ),
+        weights="Weights drawn at random." if weights is None else f"Weights: {card.name}.",
+    )  # fmt: skip
+
+
+def own_share(shape: UNetShape, cells: int) -> float:
+    """Return the share of a pass's work that depends on its mask."""
+    first, second = shape.width, 2 * shape.width
+    shared = 9 * (shape.channels + first) * first + 9 * (first + second) * second / 4 + 9 * first * first
+    return 1.0 - 2 * shared * cells**2 / shape.flops(cells)
+
+
+def peak_flops(threads: int, side: int = 2048) -> tuple[float, float]:
+    """Return the floating point operations a second of a large product of matrices, in float32 and in bfloat16."""
+    import torch
+
+    torch.set_num_threads(threads)
+    single = torch.rand(side, side)
+    half = single.bfloat16()
+    times = times_of({"single": lambda: single @ single, "half": lambda: half @ half}, np.random.default_rng(0), 3.0)
+    fast_ms = [summary(times[name]).low_ms for name in ("single", "half")]
+    return 2e3 * side**3 / fast_ms[0], 2e3 * side**3 / fast_ms[1]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""The rows as a table for a terminal, a page and a JSON file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from viewshed_lab import _page as report
+from viewshed_lab._results import write_page
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measured step.
+
+    Attributes:
+        step: what was done.
+        size: to what.
+        median_ms: our median.
+        low_ms: 10th percentile.
+        high_ms: 90th percentile.
+        repeats: how often it ran.
+        floor_ms: bytes that must be moved over the bandwidth measured in the same run, or None.
+        target: in words, empty where there is none.
+        met: whether the target is met, None where there is none.
+        others_ms: medians of the alternatives by name.
+        peak_mb: most memory that a process held, in 10⁶ bytes, or None where it is not measured.
+    """
+
+    step: str
+    size: str
+    median_ms: float
+    low_ms: float
+    high_ms: float
+    repeats: int
+    floor_ms: float | None
+    target: str
+    met: bool | None
+    others_ms: dict[str, float]
+    peak_mb: float | None = None
+
+    def cells(self) -> list[str]:
+        """Return the row as text, cell by cell."""
+        verdict = {True: "met", False: "**missed**", None: "–"}[self.met]
+        ratios = "; ".join(f"{name} {_ratio(value / self.median_ms)} ×" for name, value in self.others_ms.items())
+        return [
+            self.step,
+            self.size,
+            f"{_ms(self.median_ms)} ({_ms(self.low_ms)}–{_ms(self.high_ms)})",
+            "–" if self.floor_ms is None else _ms(self.floor_ms),
+            self.target or "–",
+            verdict,
+            ratios or "–",
+            "–" if self.peak_mb is None else f"{self.peak_mb:.0f}",
+        ]
+
+
+HEAD = [
+    "step",
+    "points",
+    "median, ms (10–90 %)",
+    "floor, ms",
+    "target",
+    "",
+    "time of the alternatives, as a multiple of ours",
+    "peak, MB",
+]
+INTRODUCTION = """\
+Grid of 256 × 256 cells, one thread, medians in milliseconds with the 10th and 90th percentile. The alternatives are
+measured in the same run, interleaved with ours round by round in an order drawn anew, so the ratios hold better than
+the milliseconds do: a ratio above 1 says that ours is faster. The **floor** is the time that moving the input and the
+output once through memory takes at the bandwidth measured in the same run; what fits into a cache can pass below it.
+
+The sweeps are a simulated street junction as an HDL-32E (35k points) and an HDL-64E (120k) see it, with rings but
+without attitude, height or beam azimuth, so that leveling and the ground, which have a row of their own, are part of
+every estimator's time; rows marked *real* are a nuScenes and a KITTI sweep from the folder
+in `VIEWSHED_REAL_DATA`. The estimators start from points in memory
+and end with probability and state of every cell. Processes are timed on the wall clock. **First** is the first
+one in a home that is empty, where nothing is cached; later ones follow in the same home."""
+
+
+def write(rows: Sequence[Row], facts: dict[str, str], page: Path) -> None:
+    """Write the page (Markdown) and beside it the same as JSON."""
+    body = report.table(HEAD, [row.cells() for row in rows])
+    write_page(page, report.page("Speed", facts, INTRODUCTION, _verdict(rows), body))
+    content = {"facts": facts, "rows": [asdict(row) for row in rows]}
+    page.with_suffix(".json").write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _verdict(rows: Sequence[Row]) -> str:
+    judged = [row for row in rows if row.met is not None]
+    return f"{sum(row.met is True for row in judged)} of {len(judged)} targets are met; the table marks the others."
+
+
+def _ms(value: float) -> str:
+    return f"{value:.3f}" if value < 1 else f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.1f}" if value >= 1 else f"{value:.2f}"

@@ -1,0 +1,405 @@
+"""Hours of work in little: ``python -m benchmarks.soak [--minutes 30]``, or ``make soak``.
+
+Sweeps come as fast as they are taken; one in a hundred is malformed, clocks repeat, go back and jump, bursts make the
+pipeline drop, and everything is restarted again and again. First through ``viewshed.pipeline``, then through the ROS 2
+node where ``ros/python.sh`` finds or makes its environment. Writes docs/results/soak.md; exits with 1 where a sweep is
+not accounted for, where memory grows or where anything crashes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.damage import DAMAGES, Cloud, cloud_of
+from viewshed.estimators import load_estimator
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import BevGrid
+from viewshed.io import read_sweep
+from viewshed.io.messages.pointcloud2 import sweep_of_cloud
+from viewshed.io.samples import junction_path
+from viewshed.monitor import StreamMonitor
+from viewshed.monitor.sweep_monitor import shipped_monitor
+from viewshed.pipeline import Answer, Pipeline, prepare_process
+from viewshed.pipeline.latency import Latencies
+from viewshed.sweep import Sweep
+from viewshed_lab._page import facts, page, table
+from viewshed_lab._results import write_page
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "results" / "soak.md"
+SEED = 20_261_123
+STEP_NS = 100_000_000
+
+MALFORMED_SHARE = 0.01
+CLOCK_SHARE = 0.004
+BURST_SHARE = 0.002
+BURST = 6
+"""Sweeps at once."""
+
+UNDER_WAY = 3
+LINES = 30
+"""Of the log, whatever the time."""
+
+RESTARTS, LEAST_S = 20, 10.0
+"""How often everything begins anew, but not sooner than after so many seconds."""
+
+WARM_SHARE, GROWTH = 0.2, 0.05
+"""Memory counts from this share of the time on, and may grow by this share from there."""
+
+CLOCKS = {
+    "time repeats": (0, "a sweep must have another time"),
+    "time goes back by 5 s": (-50 * STEP_NS, "time went back"),
+    "time jumps by 60 s": (600 * STEP_NS, "time jumped"),
+}
+"""What a clock may do: its step in nanoseconds, and what the refusal or the note says."""
+
+
+@dataclass(slots=True)
+class Kind:
+    """What became of the sweeps of one kind.
+
+    Attributes:
+        sent: how many were put in.
+        answered: with an estimate.
+        refused: with a reason.
+        dropped: a newer sweep took their place, or the pipeline ended.
+        reasons: refusals and notes, and how many.
+    """
+
+    sent: int = 0
+    answered: int = 0
+    refused: int = 0
+    dropped: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(slots=True)
+class Soaked:
+    """A soak.
+
+    Attributes:
+        seconds: how long it took.
+        restarts: how often everything began anew.
+        kinds: by kind of sweep.
+        log: a line each: seconds, sent, answered, dropped, refused, median and 99 % latency in ms, memory in MB.
+        faults: what must not be; empty where the soak is passed.
+    """
+
+    seconds: float = 0.0
+    restarts: int = 0
+    kinds: dict[str, Kind] = field(default_factory=dict)
+    log: list[list[float]] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+
+def main() -> None:
+    """Soak, print and write the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=30.0, help="of each of the two soaks")
+    parser.add_argument("--page", type=Path, default=PAGE, help="where the Markdown goes")
+    chosen = parser.parse_args()
+    prepare_process()
+    pipeline = soak_pipeline(60.0 * chosen.minutes, np.random.default_rng(SEED))
+    node = _soak_node(60.0 * chosen.minutes)
+    parts = ["## Through `viewshed.pipeline`", *_told(pipeline)]
+    parts += ["## Through the ROS 2 node"]
+    parts += (
+        ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _told(node)
+    )
+    content = page(
+        "Soak",
+        facts(
+            command=f"`python -m benchmarks.soak --minutes {chosen.minutes:g}`",
+            sweeps="the embedded junction: HDL-32E, 32,731 returns",
+            seed=str(SEED), load=f"{os.getloadavg()[0]:.1f} in the minute before the end, on all cores",
+        ),
+        _INTRO, *parts, _COLUMNS,
+    )  # fmt: skip
+    write_page(chosen.page, content)
+    print(content)
+    if pipeline.faults or (node is not None and node.faults):
+        sys.exit(1)
+
+
+_INTRO = f"""Sweeps are put in as fast as they are answered, {UNDER_WAY} under way at once; of all
+{MALFORMED_SHARE:.0%} are malformed, {CLOCK_SHARE:.1%} come with a clock that repeats, goes back or jumps, and
+{BURST_SHARE:.1%} as a burst of {BURST} at once, of which some must be dropped. Everything is ended and begun anew
+{RESTARTS} times, evenly spread (not sooner than after {LEAST_S:g} s). A soak is passed where each sweep is
+accounted for, where no good sweep is refused and none answered that contradicts itself, where each reason is the
+one expected, where nothing crashes, and where memory after the first {WARM_SHARE:.0%} of the time stays within
+{GROWTH:.0%} of what it was there."""
+
+_COLUMNS = """## How to read the log
+
+- **s**: since the beginning. **sent**, **answered**, **dropped**, **refused**: until then, over all restarts.
+- **dropped** sweeps were replaced by newer ones of the same sensor before their turn (bursts), or were on their way
+  when everything was ended. Through ROS the messages that the best-effort profile lost before the node received
+  them count as dropped as well.
+- **refused** sweeps are the malformed ones and those whose time repeats: nothing else may be.
+- **median** and **99 %**: latency since the line before, in milliseconds, from putting a sweep in to its answer,
+  its time in the inbox included.
+- **MB**: resident memory of the process. The first lines after a restart of the node are lower: it is a new
+  process; of the node the memories at the end of each process are compared."""
+
+
+@dataclass(slots=True)
+class Script:
+    """What is sent, one sweep after the other: its kind and its time.
+
+    Attributes:
+        rng: draws what is wrong.
+        t_ns: of the last sweep.
+    """
+
+    rng: np.random.Generator
+    t_ns: int = 10**15
+    _left_of_burst: int = 0
+    _last: str = "no points"
+
+    def next(self) -> tuple[str, int, bool]:
+        """Return the next sweep's kind and time in nanoseconds, and whether another comes at once."""
+        drawn, kind = self.rng.random(), "good"
+        if self._left_of_burst:
+            self._left_of_burst -= 1
+        elif drawn < MALFORMED_SHARE:
+            kind = str(self.rng.choice(list(DAMAGES)))
+        elif drawn < MALFORMED_SHARE + CLOCK_SHARE and self._last == "good":
+            # A time repeats that of a sweep which was taken: not after a malformed one, nor after a burst.
+            kind = str(self.rng.choice(list(CLOCKS)))
+        elif drawn > 1.0 - BURST_SHARE:
+            self._left_of_burst = BURST - 1
+        self.t_ns += CLOCKS[kind][0] if kind in CLOCKS else STEP_NS
+        self._last = kind if not self._left_of_burst else "burst"
+        return kind, self.t_ns, self._left_of_burst > 0
+
+
+def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
+    """Return what became of a pipeline that was worked for some time."""
+    cloud, script, soaked = cloud_of(_sweep()), Script(rng), Soaked()
+    soaked.kinds = {name: Kind() for name in ("good", *DAMAGES, *CLOCKS)}
+    taken = [Latencies()]
+    begin_s = time.perf_counter()
+    while time.perf_counter() - begin_s < seconds:
+        answers: list[Answer] = []
+        pipeline = Pipeline(
+            load_estimator("shadow_map"), partial(_take, answers, taken), monitor=_monitor(), stale_after_s=math.inf,
+        )  # fmt: skip
+        sent: dict[int, str] = {}
+        begun = [0]
+        number, dropped, until_s = 0, 0, time.perf_counter() + period_s(seconds)
+        while (now_s := time.perf_counter()) < min(until_s, begin_s + seconds):
+            # 1. The next sweep; its bytes are made when its turn comes.
+            kind, t_ns, is_more = script.next()
+            pipeline.put(partial(_decoded, begun, number, cloud, kind, t_ns))
+            sent[number], number = kind, number + 1
+            soaked.kinds[kind].sent += 1
+            # 2. As many under way as are wanted, and none that still waits for its turn: the next would take its place.
+            # A burst waits for nobody.
+            dropped += _settle(soaked, sent, answers)
+            while not is_more and (len(sent) >= UNDER_WAY or begun[0] < number - 1):
+                time.sleep(0.0002)
+                dropped += _settle(soaked, sent, answers)
+            if now_s - begin_s >= (len(soaked.log) + 1) * seconds / LINES:
+                soaked.log.append(log_line(soaked, now_s - begin_s, taken[0], memory_mb(os.getpid())))
+                taken[0] = Latencies()
+        # 3. Begin anew. What waits is still answered; what has no answer was dropped, as many as the pipeline says.
+        statistics = pipeline.close()
+        dropped += _settle(soaked, sent, answers)
+        said = statistics.dropped + sum(statistics.unpublished.values())
+        if sent or dropped != said:
+            soaked.faults.append(
+                f"{len(sent)} sweeps without an answer, {dropped} replaced, {said} said to be dropped or not published"
+            )
+        soaked.restarts += 1
+    soaked.seconds = time.perf_counter() - begin_s
+    soaked.log.append(log_line(soaked, soaked.seconds, taken[0], memory_mb(os.getpid())))
+    soaked.faults += faults_of(soaked)
+    return soaked
+
+
+def period_s(seconds: float) -> float:
+    """Return after how long everything begins anew in a soak of so many seconds."""
+    return max(seconds / (RESTARTS + 1), LEAST_S)
+
+
+def _take(answers: list[Answer], taken: list[Latencies], answer: Answer) -> None:
+    taken[0].add(answer.latency_s)
+    answers.append(replace(answer, leveled=None, estimate=answer.estimate and _NOTHING))
+
+
+_NOTHING = FovEstimate(
+    BevGrid(2, 1.0), np.zeros((2, 2), np.float32), np.full((2, 2), CellState.UNKNOWN, np.uint8)
+)  # fmt: skip
+"""In place of estimates that were answered: they are not kept."""
+
+
+def _decoded(begun: list[int], number: int, cloud: Cloud, kind: str, t_ns: int) -> Sweep:
+    begun[0] = number
+    damaged = DAMAGES[kind].change(cloud) if kind in DAMAGES else cloud
+    return sweep_of_cloud(damaged).replace(t_ns=t_ns)
+
+
+def _settle(soaked: Soaked, sent: dict[int, str], answers: list[Answer]) -> int:
+    """Count what became of the sweeps that were answered; return how many before them were dropped."""
+    dropped = 0
+    while answers:
+        answer = answers.pop(0)
+        # Sweeps are answered in their order: an earlier one without an answer has none any more.
+        for number in [number for number in sent if number < answer.number]:
+            soaked.kinds[sent.pop(number)].dropped += 1
+            dropped += 1
+        kind = soaked.kinds[sent.pop(answer.number)]
+        kind.answered += answer.estimate is not None
+        kind.refused += answer.estimate is None
+        for reason in (answer.refused, *answer.notes):
+            if reason:
+                kind.reasons[plain(reason)] += 1
+    return dropped
+
+
+def plain(reason: str) -> str:
+    """Return a reason with its numbers replaced, so that equal ones can be counted.
+
+    >>> plain("time jumped by 60.1 s: the stream begins anew")
+    'time jumped by # s: the stream begins anew'
+    """
+    return re.sub(r"-?\d+(\.\d+)?", "#", reason)
+
+
+def log_line(soaked: Soaked, passed_s: float, taken: Latencies, memory: float) -> list[float]:
+    """Return a line of the log."""
+    counts = [
+        sum(getattr(kind, name) for kind in soaked.kinds.values())
+        for name in ("sent", "answered", "dropped", "refused")
+    ]  # fmt: skip
+    return [passed_s, *counts, 1e3 * taken.quantile(0.5), 1e3 * taken.quantile(0.99), memory]
+
+
+def faults_of(soaked: Soaked) -> list[str]:
+    """Return what must not be, in sentences."""
+    faults = []
+    for name, kind in soaked.kinds.items():
+        if kind.sent != kind.answered + kind.refused + kind.dropped:
+            faults.append(f"{name}: of {kind.sent} sent only {kind.answered + kind.refused + kind.dropped} are known")
+        damage = DAMAGES.get(name)
+        must_refuse = damage is not None and bool(damage.says)
+        if must_refuse and kind.answered:
+            faults.append(f"{name}: {kind.answered} were answered")
+        # A time that repeats that of a dropped sweep is a new one.
+        if not (must_refuse or name == "time repeats") and kind.refused:
+            faults.append(f"{name}: {kind.refused} were refused")
+        says = damage.says if damage is not None else CLOCKS[name][1] if name in CLOCKS else ""
+        if says and kind.refused and not any(plain(says) in reason for reason in kind.reasons):
+            faults.append(f"{name}: nothing said {says!r}, but {list(kind.reasons)}")
+    return faults + memory_faults(soaked.log)
+
+
+def memory_faults(log: Sequence[Sequence[float]]) -> list[str]:
+    """Return whether memory grew after the warm-up, in a sentence."""
+    return growth_faults([line[-1] for line in log if line[0] >= WARM_SHARE * log[-1][0]])
+
+
+def growth_faults(memories_mb: Sequence[float]) -> list[str]:
+    """Return whether the largest memory is too far above the first, in a sentence."""
+    growth = max(memories_mb) / memories_mb[0] - 1.0
+    return [f"memory grew by {growth:.1%}, from {memories_mb[0]:.0f} MB on"] if growth > GROWTH else []
+
+
+def memory_mb(process: int) -> float:
+    """Return the resident memory of a process in 10⁶ bytes."""
+    pages = int(Path(f"/proc/{process}/statm").read_text(encoding="utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def _sweep() -> Sweep:
+    return read_sweep(junction_path())
+
+
+def _monitor() -> StreamMonitor:
+    shipped = shipped_monitor()
+    return StreamMonitor(shipped, shipped.detector(hz=10.0))
+
+
+def _soak_node(seconds: float) -> Soaked | None:
+    """Return what became of the node; None where there is no environment for it."""
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(place := Path(folder) / "sweep.npz", **_columns(_sweep()))
+        command = [str(ROOT / "ros" / "python.sh"), str(ROOT / "ros" / "measure" / "soak.py"), str(place), str(seconds)]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+    if done.returncode == 3:
+        return None
+    if done.returncode:
+        return Soaked(faults=[f"the soak of the node crashed: {done.stderr.strip()[-800:]}"])
+    found = json.loads(done.stdout.splitlines()[-1])
+    kinds = {name: Kind(**{**kind, "reasons": Counter(kind["reasons"])}) for name, kind in found.pop("kinds").items()}
+    return Soaked(**found, kinds=kinds)
+
+
+def _columns(sweep: Sweep) -> dict[str, Any]:
+    columns = {"points": sweep.points, "intensity": sweep.intensity, "ring": sweep.ring}
+    return {name: column for name, column in columns.items() if column is not None}
+
+
+def _told(soaked: Soaked) -> list[str]:
+    """Return the parts of the page about one soak."""
+    verdict = "**Passed.**" if not soaked.faults else "**Failed:** " + "; ".join(soaked.faults) + "."
+    log = [[*(f"{count:.0f}" for count in line[:5]), *map(_tenths, line[5:])] for line in soaked.log]
+    kinds = [
+        [name, str(kind.sent), str(kind.answered), str(kind.refused), str(kind.dropped), _reasons(kind), _why(name)]
+        for name, kind in soaked.kinds.items()
+    ]  # fmt: skip
+    counts = f"{soaked.seconds / 60:.1f} minutes, begun anew {soaked.restarts} times. {verdict}"
+    return [
+        counts, table(["s", "sent", "answered", "dropped", "refused", "median", "99 %", "MB"], log),
+        "What became of each kind, and what was said:",
+        table(["kind", "sent", "answered", "refused", "dropped", "said, and how often", "why"], kinds),
+    ]  # fmt: skip
+
+
+def _tenths(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.1f}"
+
+
+def _reasons(kind: Kind) -> str:
+    return (
+        "; ".join(
+            f"{reason.replace('|', '/')} ({count})"
+            for reason, count in kind.reasons.most_common(40 if len(kind.reasons) > 20 else 3)
+        )
+        or "–"
+    )
+
+
+_CLOCK_WHY = (
+    "a time that repeats is that of a sweep that was answered; where it goes back or jumps the stream begins anew"
+)
+
+
+def _why(name: str) -> str:
+    if name in DAMAGES:
+        return DAMAGES[name].why
+    return (
+        _CLOCK_WHY
+        if name in CLOCKS
+        else "after a clock or a sensor that changed the stream begins anew, and that is said"
+    )
+
+
+if __name__ == "__main__":
+    main()

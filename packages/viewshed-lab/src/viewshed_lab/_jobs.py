@@ -1,0 +1,351 @@
+"""Engines: run one function over many jobs, in processes of this machine or on a Ray cluster, with the same results.
+
+A job says all that its work needs (seeds, place, number), so results do not depend on the engine, on the number of
+workers or on the order. To add an engine, write a class and add a line to :data:`ENGINES`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import pickle
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+
+from viewshed._extras import needed_for
+
+if TYPE_CHECKING:
+    import pebble
+
+J = TypeVar("J")
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+Running = dict[Future[bytes], tuple[int, int]]
+"""The number of each job that is under way, and how often it was begun."""
+
+TRIES = 3
+"""How often a job is begun when the worker that has it dies; a job that raises is begun once."""
+
+_GRACE_S = 2.0  # for a worker to remove what it has half written
+_WAIT_S = 0.5
+_CONNECT_S = 10.0
+_RAY_ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",  # nothing is sent to anybody
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # print no line of another process, not even when a node dies; read at import
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # our tasks ask for no accelerator; Ray warns about that otherwise
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Done(Generic[R_co]):
+    """One finished job: which of the jobs, from 0; its result, or one line that says why it failed."""
+
+    index: int
+    result: R_co | None
+    error: str | None
+
+
+class Engine(Protocol):
+    """Anything that runs a function over jobs."""
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        """Yield one ``Done`` for every job as they finish, in any order; an OSError if workers cannot start.
+
+        ``work``, a function of a module, jobs and results are pickled. Where the work raises, that job has an
+        ``error`` and the rest goes on; a job whose worker dies is begun again, :data:`TRIES` times in all. No more jobs
+        are under way than there are workers. Closing the iterator stops all workers.
+        """
+
+
+def attempt(work: Callable[[J], R], index: int, job: J) -> Done[R]:
+    """Return the job done, with the error where the work raises."""
+    try:
+        return Done(index, work(job), None)
+    except Exception as error:
+        return Done(index, None, reason(error))
+
+
+def reason(error: BaseException) -> str:
+    """Return one line that says what was raised; where, too, if the message is not meant for users.
+
+    >>> reason(ValueError("cells must be positive, got 0"))
+    'cells must be positive, got 0'
+    """
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError | ValueError) and text:
+        return text
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text}{where}" if text else f"{type(error).__name__}{where}"
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+
+
+@dataclass(frozen=True, slots=True)
+class LocalEngine:
+    """Runs jobs in ``workers`` processes, None is one for each core; with one worker in this process, without any.
+
+    Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
+    ends them, and they end by themselves soon after this process is gone. They import ``preload``, modules that the
+    work needs, only once where the system can fork: in a server process, one for all engines of a program, which starts
+    now.
+    """
+
+    workers: int | None = None
+    preload: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _check_workers(self.workers)
+        if self._size == 1:
+            return
+        with needed_for("more than one worker"):
+            import pebble  # noqa: F401
+        if self._method == "forkserver":
+            from multiprocessing import forkserver
+
+            multiprocessing.set_forkserver_preload(list(self.preload))
+            with _without_interrupts():
+                forkserver.ensure_running()
+
+    @property
+    def _size(self) -> int:
+        return cores() if self.workers is None else self.workers
+
+    @property
+    def _method(self) -> str:
+        return "forkserver" if self.preload and "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        """Yield one ``Done`` for every job as they finish, see :class:`Engine`."""
+        if self._size == 1 or not jobs:
+            return (attempt(work, index, job) for index, job in enumerate(jobs))
+        return self._run_in_processes(pickle.dumps(work), jobs, min(self._size, len(jobs)))
+
+    def _run_in_processes(self, work: bytes, jobs: Sequence[J], size: int) -> Generator[Done[R], None, None]:
+        workers: list[BaseProcess] = []
+        pool = self._start(size, workers)
+
+        def submit(message: bytes) -> Future[bytes]:
+            nonlocal pool
+            if not pool.active:  # a worker died before it had a job
+                pool.join()
+                pool = self._start(size, workers)
+            return pool.schedule(_do_locally, (work, message))
+
+        try:
+            yield from _drive(jobs, pickle.dumps, submit, lambda: size, {})
+        finally:
+            pool.stop()
+            for worker in workers:  # all at once, and those that have just begun to start before their pipes are gone
+                if worker.is_alive():
+                    worker.terminate()
+            pool.join()
+            for worker in workers:
+                if worker.is_alive():
+                    worker.kill()
+
+    def _start(self, size: int, workers: list[BaseProcess]) -> pebble.ProcessPool:
+        """Return a pool that notes its processes; no thread and process of it hears Ctrl-C, which is for this one."""
+        import pebble
+
+        context: Any = multiprocessing.get_context(self._method)
+
+        def create(**options: Any) -> BaseProcess:
+            workers.append(context.Process(**options))
+            return workers[-1]
+
+        methods: Any = {name: getattr(context, name) for name in ("Pipe", "RLock", "get_start_method")}
+        pool = pebble.ProcessPool(size, initializer=_watch_parent, context=SimpleNamespace(Process=create, **methods))
+        with _without_interrupts():
+            _ = pool.active  # starts it
+        return pool
+
+
+@dataclass(frozen=True, slots=True)
+class RayEngine:
+    """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time; None is one for each core of the cluster.
+
+    Uses the cluster that the program has already joined or that ``RAY_ADDRESS`` names or that runs on this machine;
+    where there is none, starts one on this machine and ends it afterwards. Every machine of the cluster needs the same
+    versions of Python, Ray and viewshed.
+    """
+
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_workers(self.workers)
+        with needed_for("engine ray"):
+            import ray  # noqa: F401
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        """Yield one ``Done`` for every job as they finish, see :class:`Engine`."""
+        import ray
+
+        running: Running = {}
+        with _cluster():
+            stored = ray.put(ray.cloudpickle.dumps(work))
+            # We begin lost tasks again ourselves: Ray would do so without end for those that run out of memory.
+            task: Any = ray.remote(num_cpus=1, max_retries=0, scheduling_strategy="SPREAD")(_do_pickled)
+            try:
+                yield from _drive(
+                    jobs, ray.cloudpickle.dumps, lambda message: task.remote(stored, message).future(),
+                    lambda: self.workers or int(ray.cluster_resources().get("CPU", 1)), running,
+                )  # fmt: skip
+            finally:
+                for future in running:
+                    ray.cancel(future.object_ref, force=True)  # type: ignore[attr-defined]
+
+
+def _drive(
+    jobs: Sequence[J],
+    dumps: Callable[[object], bytes],
+    submit: Callable[[bytes], Future[bytes]],
+    size: Callable[[], int],
+    running: Running,
+) -> Generator[Done[Any], None, None]:
+    """Submit as many jobs as there are workers, yield what is done, begin again what was lost."""
+    new, lost = iter(range(len(jobs))), list[tuple[int, int]]()
+    while True:
+        while len(running) < max(1, size()):
+            index, tries = lost.pop() if lost else (next(new, -1), 0)
+            if index < 0:
+                break
+            try:
+                message = dumps((index, jobs[index]))
+            except Exception as error:
+                yield Done(index, None, f"job {index} cannot be sent to a worker: {reason(error)}")
+                continue
+            running[submit(message)] = index, tries + 1
+        if not running:
+            return
+        # Without a timeout, a Ctrl-C just before the wait would be heard only after it.
+        for future in wait(running, timeout=_WAIT_S, return_when=FIRST_COMPLETED).done:
+            index, tries = running.pop(future)
+            problem = future.exception()
+            if problem is None:
+                yield pickle.loads(future.result())  # noqa: S301 - from our own process
+            elif tries < TRIES:
+                lost.append((index, tries))
+            else:
+                yield Done(index, None, f"the worker died {TRIES} times over this job, at last with {_end(problem)}")
+
+
+def _end(problem: BaseException) -> str:
+    """Return how a worker ended; an OSError where none comes to life."""
+    if isinstance(problem, BrokenProcessPool):
+        raise OSError(
+            f"a worker process must start, but ended before its first job {TRIES} times; call the engine below"
+            ' if __name__ == "__main__":, give it more memory, or use 1 worker'
+        ) from problem
+    code = getattr(problem, "exitcode", None)
+    if code is None:
+        return f"{type(problem).__name__}: {reason(problem)}"[:300]
+    hint = " (out of memory?)" if code == -9 else ""
+    return f"signal {-code}{hint}" if code < 0 else f"exit status {code}"
+
+
+def _do_pickled(work: bytes, message: bytes) -> bytes:
+    """Do a job in a worker."""
+    index = -1
+    try:
+        index, job = pickle.loads(message)  # noqa: S301 - from our own process
+        return pickle.dumps(attempt(pickle.loads(work), index, job))  # noqa: S301 - from our own process
+    except Exception as error:
+        return pickle.dumps(Done(index, None, f"job {index} cannot travel between processes: {reason(error)}"))
+
+
+def _do_locally(work: bytes, message: bytes) -> bytes:
+    """Do a job; a worker that is ended removes first what it has half written."""
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    try:
+        return _do_pickled(work, message)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _watch_parent() -> None:
+    """End this worker when its parent is gone."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if parent := multiprocessing.parent_process():
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(_GRACE_S)
+        os._exit(1)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _cluster() -> Iterator[None]:
+    """Join a cluster or start one, quietly; leave what we joined."""
+    for name, value in _RAY_ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    import ray
+
+    if ray.is_initialized():
+        yield
+        return
+    address = os.environ.get("RAY_ADDRESS", "")
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        if host and port.isdigit():  # Ray would try for minutes where nobody listens
+            socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
+        ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
+        problem = f"RAY_ADDRESS must name a running Ray cluster, got {address}" if address else "Ray cannot start here"
+        raise OSError(f"{problem} ({reason(error)}); start one with ray start --head, or unset RAY_ADDRESS") from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _check_workers(workers: int | None) -> None:
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers must be at least 1, got {workers}")
+
+
+ENGINES: dict[str, Callable[[int | None], Engine]] = {"local": LocalEngine, "ray": RayEngine}
+"""From a name to a function that makes the engine for a number of workers; None is one for each core."""
+
+
+def engine_named(name: str, workers: int | None = None) -> Engine:
+    """Return the engine with this name, for so many workers; None is one for each core of the machine or the cluster.
+
+    Raises:
+        ValueError: there is no such engine, or ``workers`` is below 1.
+        ImportError: the engine needs an extra that is not installed.
+    """
+    if name not in ENGINES:
+        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+    return ENGINES[name](workers)

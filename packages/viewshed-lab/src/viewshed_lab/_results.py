@@ -1,0 +1,188 @@
+"""What stands on a page of results: its three numbers on top, its tables, and which of them are left out.
+
+``result_pages.toml`` says it for every page by its title. A number is never typed there: it names a cell of one of
+the page's tables.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from viewshed._files import write_atomic
+
+_BAR = re.compile(r"(?<!\\)\|")
+_NUMBERS = 3
+_MADE = "## How it was made"
+
+
+@dataclass(frozen=True, slots=True)
+class KeyNumber:
+    """A number on top of a page: a cell of one of its tables.
+
+    Attributes:
+        of: what it is the number of.
+        table: heading of the section, and ``#2`` for its second table.
+        row: how the row begins, its cells joined by " | ", without stars and backticks.
+        column: header of the column.
+    """
+
+    of: str
+    table: str = ""
+    row: str = ""
+    column: str = ""
+
+    def find(self, markdown: str) -> str | None:
+        """Return the number as it stands on the page, or None."""
+        for address, header, rows in _tables(markdown):
+            at = _position(header, self.column)
+            if address != (self.table if "#" in self.table else f"{self.table} #1") or at is None:
+                continue
+            for row in rows:
+                if _plain(" | ".join(row)).startswith(self.row) and at < len(row):
+                    return _plain(row[at])
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class ResultPage:
+    """What is said of one page.
+
+    Attributes:
+        title: of the page, or of several that one command writes.
+        group: of the overview, under which it stands.
+        files: names of the published pages without suffix.
+        numbers: for its top; of more than three the first three that are found. None where the writer heads it itself.
+        left_out: of the published page, as regular expressions: sections by their heading, tables as ``Heading #2``,
+            rows as ``Heading #2 | how the row reads``.
+        sources: files and folders of the repository that its figures depend on.
+    """
+
+    title: str
+    group: str = ""
+    files: Sequence[str] = ()
+    numbers: Sequence[KeyNumber] = ()
+    left_out: Sequence[str] = ()
+    sources: Sequence[str] = ()
+
+
+@cache
+def result_pages() -> dict[str, ResultPage]:
+    """Return what is said of each page, by title."""
+    text = resources.files("viewshed_lab").joinpath("result_pages.toml").read_text(encoding="utf-8")
+    pages = [
+        ResultPage(**{**page, "numbers": [KeyNumber(**number) for number in page.get("numbers", [])]})
+        for page in tomllib.loads(text)["page"]
+    ]
+    return {page.title: page for page in pages}
+
+
+def with_numbers(title: str, facts: str, body: str) -> str:
+    """Return a page: title, its three numbers, the body, and at its foot how it was made."""
+    page = result_pages().get(title)
+    found = [(number.find(body), number.of) for number in page.numbers] if page else []
+    top = "\n".join(f"- **{value}** {of}" for value, of in [one for one in found if one[0]][:_NUMBERS])
+    foot = f"{_MADE}\n\n{facts}" if facts else ""
+    return "\n\n".join(part.strip("\n") for part in (f"# {title}", top, body, foot) if part) + "\n"
+
+
+def shortened(name: str, markdown: str) -> str:
+    """Return a page less what ``result_pages.toml`` leaves out, with a note that names the file with all of it.
+
+    Args:
+        name: of the page without suffix.
+        markdown: of the whole page.
+    """
+    title, _, rest = markdown.partition("\n")
+    page = result_pages().get(title.removeprefix("# "))
+    if page is None or not page.left_out:
+        return markdown
+    kept: list[str] = []
+    skipping = 0  # depth of the heading whose section is left out, or 0
+    heading, count = "", 0  # of the present section, and of its tables so far
+    for block in re.split(r"\n{2,}", rest.strip("\n")):
+        depth = _depth(block)
+        if depth:
+            heading, count = block.lstrip("# "), 0
+            if depth <= skipping:
+                skipping = 0
+            if not skipping and _any(page.left_out, heading):
+                skipping = depth
+        is_table = block.startswith("|")
+        count += is_table
+        if skipping:
+            continue
+        if is_table and _any(page.left_out, f"{heading} #{count}"):
+            # The paragraph between two tables is about the second.
+            if count > 1 and not kept[-1].startswith(("|", "#", "!")):
+                kept.pop()
+            continue
+        kept.append(_without_rows(page.left_out, f"{heading} #{count}", block) if is_table else block)
+    # A heading under which nothing is left says nothing.
+    kept = [
+        block for block, after in zip(kept, [*kept[1:], "#"], strict=True)
+        if not _depth(block) or not _depth(after) or _depth(after) > _depth(block)
+    ]  # fmt: skip
+    if kept == re.split(r"\n{2,}", rest.strip("\n")):
+        return markdown
+    note = f"The same command writes all tables to `{name}_full.md`, beside this page; that file is not published."
+    at = kept.index(_MADE) if _MADE in kept else len(kept)
+    return "\n\n".join([title, *kept[:at], note, *kept[at:]]) + "\n"
+
+
+def page_files(name: str, markdown: str) -> dict[str, str]:
+    """Return a page as ``NAME.md``, shortened, and where that left anything out, as ``NAME_full.md`` too."""
+    short = shortened(name, markdown)
+    return {f"{name}.md": short} | ({f"{name}_full.md": markdown} if short != markdown else {})
+
+
+def write_page(path: Path, markdown: str) -> None:
+    """Write a page, shortened, and the whole of it beside it where that left anything out."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for name, text in page_files(path.stem, markdown).items():
+        write_atomic(path.parent / name, text.encode())
+
+
+def _without_rows(patterns: Sequence[str], address: str, table: str) -> str:
+    head, rule, *rows = table.splitlines()
+    return "\n".join(
+        [head, rule, *(row for row in rows if not _any(patterns, f"{address} | {_plain(' | '.join(_cells(row)))}"))]
+    )
+
+
+def _any(patterns: Sequence[str], text: str) -> bool:
+    return any(re.fullmatch(pattern, text) for pattern in patterns)
+
+
+def _depth(block: str) -> int:
+    return len(block) - len(block.lstrip("#")) if block.startswith("#") else 0
+
+
+def _tables(markdown: str) -> Iterator[tuple[str, list[str], list[list[str]]]]:
+    """Yield the tables of a page with heading and number, header, and rows."""
+    heading, count = "", 0
+    for block in re.split(r"\n{2,}", markdown.strip("\n")):
+        if _depth(block):
+            heading, count = block.lstrip("# "), 0
+        elif block.startswith("|"):
+            count += 1
+            header, _, *rows = [_cells(line) for line in block.splitlines()]
+            yield f"{heading} #{count}", header, rows
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in _BAR.split(line.strip().removeprefix("|").removesuffix("|"))]
+
+
+def _plain(cell: str) -> str:
+    return cell.replace("\\", "").replace("*", "").replace("`", "").strip()
+
+
+def _position(header: Sequence[str], name: str) -> int | None:
+    plain = [_plain(cell) for cell in header]
+    return plain.index(name) if name in plain else None

@@ -1,0 +1,1 @@
+"""Commands of the laboratory; ``viewshed`` finds them by the entry points ``viewshed.commands``."""

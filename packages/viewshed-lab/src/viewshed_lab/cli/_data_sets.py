@@ -1,0 +1,41 @@
+"""Data sets of commands that make them: the bar while they are made, and the line when they are done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from viewshed.cli._outputs import progress_bar
+from viewshed.cli._terminal import complain
+
+if TYPE_CHECKING:
+    from viewshed_lab.data import Archive
+    from viewshed_lab.data.archive.build import ShardResult
+
+
+def build_with_bar(
+    name: str, total: int | None, build: Callable[[Callable[[ShardResult], None]], Archive]
+) -> tuple[Archive, int]:
+    """Return a data set and how many problems its shards had, each said as it comes up; a bar counts its sweeps.
+
+    ``build`` makes the data set and is given what to call with each finished shard.
+    """
+    from rich.progress import TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    problems: list[str] = []
+
+    def report(result: ShardResult) -> None:
+        problems.extend(result.problems)
+        for problem in result.problems:
+            complain(problem)
+        bar.advance(task, result.frames)
+
+    with progress_bar(TextColumn("sweeps"), TimeElapsedColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task(name, total=total)
+        return build(report), len(problems)
+
+
+def data_set_line(archive: Archive, content: str) -> str:
+    """Return where a data set lies, what is in it in words, and how large it is, in one line."""
+    size = sum(shard.bytes for shard in archive.shards)
+    return f"{archive.store.place}: {content}, {len(archive.shards)} shards, {size / 1e6:.1f} MB"

@@ -1,0 +1,141 @@
+"""``viewshed evaluate``: figures against truth that no estimator made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli._options import TargetName, Weights, parse_target
+
+if TYPE_CHECKING:
+    from viewshed.fov.estimate import FovEstimator
+    from viewshed.fov.visibility import Target
+    from viewshed.grid import BevGrid
+    from viewshed_lab.data import Archive
+
+_ALL = "all"
+
+evaluate_app = typer.Typer(help="Measure estimators against exact truth, or by other sweeps.")
+
+
+@evaluate_app.callback()
+def evaluate() -> None:
+    """Measure estimators against exact truth, or by other sweeps."""
+
+
+@evaluate_app.command()
+def truth(
+    archives: Annotated[
+        list[str],
+        typer.Argument(metavar="ARCHIVE…", help="Folders or URIs of simulated data sets.", show_default=False),
+    ],
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
+    weights: Weights = None,
+    target: TargetName = "car",
+    limit: Annotated[int, typer.Option(min=1, help="At most so many samples, spread evenly over each data set.")] = 200,
+    split: Annotated[str | None, typer.Option(help="Only this split: train, test, …")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
+    ] = None,
+) -> None:
+    """Measure precision, recall and areas against exact truth.
+
+    Other definitions of visible are compared with ours as well.
+
+    Example: viewshed evaluate truth nuscenes-small --split test --out truth.md
+    """
+    from viewshed_lab.studies.against_truth import FORMS, TruthEvaluation, page_of
+
+    wanted = parse_target(target)
+    evaluation = TruthEvaluation(_makers(methods, wanted, weights, {}), wanted, FORMS)
+    _tell(page_of([_opened(path, split) for path in archives], evaluation, limit, split or "all", _on_step), out)
+
+
+def _opened(path: str, split: str | None) -> Archive:
+    from viewshed_lab.data import Archive
+
+    data = Archive.open(path)
+    data = data if split is None else data.split(split)
+    if not len(data):
+        raise ValueError(f"{path} must hold samples, got none")
+    return data
+
+
+def _makers(
+    methods: str, target: Target, weights: str | None, more: Mapping[str, Callable[[BevGrid], FovEstimator]]
+) -> dict[str, Callable[[BevGrid], FovEstimator]]:
+    """Return what makes the estimators of ``methods`` by name; ``more`` are those known besides ours."""
+    from viewshed.estimators import CLASSICAL, LEARNED
+    from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
+
+    classical: dict[str, Callable[[BevGrid], FovEstimator]] = {
+        name: partial(make, target=target) for name, make in CLASSICAL.items()
+    }
+    for rule in NO_RETURN_RULES[1:]:
+        classical[f"shadow_map, no return {rule}"] = partial(ShadowMap, target=target, no_return=rule)
+    classical |= more
+    names = [name for word in methods.split(",") for name in (classical if word == _ALL else [word])]
+    if weights is not None and not set(names) & set(LEARNED):
+        raise ValueError(f"--weights goes with {', '.join(LEARNED)} among --methods, got {methods}")
+    known = classical | {name: partial(make, target=target, weights=weights) for name, make in LEARNED.items()}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"methods must be among {', '.join(known)}, got {name!r}")
+    return {name: known[name] for name in names}
+
+
+@evaluate_app.command()
+def crossview(
+    index: Annotated[
+        Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
+    ],
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
+    seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
+    ] = None,
+    attacks: Annotated[
+        str, typer.Option(help="Attacks, separated by commas: the sweeps are tried with 150 moved points as well.")
+    ] = "",
+    floor: Annotated[bool, typer.Option(help="Measure the metric's own error in a simulation as well.")] = True,
+) -> None:
+    """Measure wrong claims and denials by other sweeps of the scene.
+
+    Claimed though hidden, and called hidden though seen.
+
+    Example: viewshed evaluate crossview data/index.json --out crossview.md
+    """
+    from viewshed_lab.studies.crossview.page import page_of
+
+    estimators, names = _estimators(methods), [name for name in attacks.split(",") if name]
+    _tell(page_of(index, estimators, names, seed, _on_step, floor=floor), out)
+
+
+def _estimators(methods: str) -> dict[str, FovEstimator]:
+    """Return estimators for cars on the road grid by name, the paper's on its own."""
+    from viewshed.estimators import PAPER_ESTIMATORS
+    from viewshed.fov.visibility import CAR
+    from viewshed.grid import GRIDS
+
+    papers = {f"paper: {name.removeprefix('paper_')}": make for name, make in PAPER_ESTIMATORS.items()}
+    chosen = _makers(methods, CAR, None, papers)
+    return {name: make(GRIDS["paper" if name in papers else "road"]) for name, make in chosen.items()}
+
+
+def _on_step(step: str) -> None:
+    typer.echo(f"viewshed: {step}", err=True)
+
+
+def _tell(text: str, out: Path | None) -> None:
+    """Write a page to a file, or to the screen."""
+    if out is None:
+        typer.echo(text)
+    else:
+        from viewshed_lab._results import write_page
+
+        write_page(out, text)
+        typer.echo(f"wrote {out}")

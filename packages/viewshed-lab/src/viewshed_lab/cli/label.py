@@ -1,0 +1,82 @@
+"""``viewshed label``: what each sweep of a benign recording could have seen, as a data set."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO
+from viewshed_lab.cli._data_sets import build_with_bar, data_set_line
+
+if TYPE_CHECKING:
+    from viewshed_lab.data.labeling import LabelRules, Origin
+
+
+def label(
+    source: Annotated[
+        str | None, typer.Argument(metavar="SRC", help="A recording or a data set; not needed with --index.")
+    ] = None,
+    out: Annotated[str, typer.Option(help="Folder or URI of the data set of labels.")] = "labels",
+    definition: Annotated[
+        str,
+        typer.Option(
+            help="Meaning of visible: probe (enough beams on the target), farthest or first_blocker (as others say)."
+        ),
+    ] = "probe",
+    target: options.TargetName = "car",
+    neighbors: Annotated[
+        int, typer.Option(min=0, help="Sweeps before and after that help, where poses exist; 0 for none.")
+    ] = 20,
+    grid: Annotated[
+        str | None, typer.Option(help="Cells around the sensor, as for estimate; road, or those of SRC, if not given.")
+    ] = None,
+    index: options.Index = None,
+    kind: Annotated[
+        str, typer.Option(help="What SRC is: auto, archive (a data set of viewshed), nuscenes, kitti, carla, …")
+    ] = AUTO,
+    sensor: options.SensorName = AUTO,
+    every: Annotated[bool, typer.Option("--every", help="Label sweeps between keyframes as well.")] = False,
+    workers: options.Workers = None,
+    engine: options.EngineName = "local",
+) -> None:
+    """Label benign sweeps with what the sensor could have seen.
+
+    Where poses exist, the sweeps before and after help. A sweep that cannot be read costs one line on standard error
+    and is left out; the exit code is then 2. Stopped runs go on where they were; the same bytes for any --workers.
+
+    Example: viewshed label /data/nuscenes --definition probe --out labels
+    """
+    from viewshed_lab._jobs import engine_named
+    from viewshed_lab.data.archive.storage import Storage
+    from viewshed_lab.data.labeling import Origin
+    from viewshed_lab.data.labeling import label as run
+
+    if (source is None) == (index is None):
+        raise ValueError("name a recording SRC or an --index, one of them")
+    place = (str(source), kind) if index is None else (str(index), "index")
+    origin = Origin(*place, sensor, every)
+    rules = _rules(origin, grid, definition, target, neighbors)
+    make = partial(run, origin, rules, Storage.of(out), engine_named(engine, workers))
+    archive, problems = build_with_bar("label", None, make)
+    typer.echo(data_set_line(archive, f"{len(archive)} labels in {len(archive.scenes)} scene(s)"))
+    if problems:
+        raise typer.Exit(2)
+
+
+def _rules(origin: Origin, grid: str | None, definition: str, target: str, neighbors: int) -> LabelRules:
+    from typing import cast
+
+    from viewshed_lab.data.archive.archive import ArchiveSource
+    from viewshed_lab.data.labeling import LabelRules
+    from viewshed_lab.data.labeling.labeler import Definition
+    from viewshed_lab.data.labeling.run import opened
+
+    source = opened(origin)
+    if grid is None and isinstance(source, ArchiveSource):
+        cells = source.archive.manifest.layout.grid
+    else:
+        cells = options.parse_grid(grid or "road")
+    return LabelRules(cells, cast(Definition, definition), target, neighbors)

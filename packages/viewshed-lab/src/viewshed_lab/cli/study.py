@@ -1,0 +1,405 @@
+"""``viewshed study``: studies that run, go on where they were stopped, and write their pages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli._options import EngineName, Workers
+from viewshed_lab.cli.evaluate import crossview
+
+if TYPE_CHECKING:
+    from viewshed_lab.studies.runner import Progress
+
+study_app = typer.Typer(help="Run a study and write its page; a stopped study goes on.")
+
+
+Out = Annotated[
+    Path | None, typer.Option(help="Folder of data, models, results and pages; named after the study if not given.")
+]
+
+Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run only writes the page.")]
+
+Pages = Annotated[Path | None, typer.Option("--page", help="Folder of the pages and figures; --out if not given.")]
+
+_BOTH = "both"
+
+
+@study_app.callback()
+def study() -> None:
+    """Run a study and write its page; a stopped study goes on."""
+
+
+@study_app.command()
+def robustness(
+    out: Out = None,
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
+    workers: Workers = None,
+    engine: EngineName = "local",
+    run: Run = True,
+    page: Annotated[
+        Path | None, typer.Option(help="Markdown page to write; figures and NAME_tables.md go beside it.")
+    ] = None,
+) -> None:
+    """Estimators under attacks, corruptions and defenses. Stopped runs go on; the same figures for any --workers.
+
+    Example: viewshed study robustness --preset small --out study
+    """
+    from viewshed_lab._jobs import engine_named
+    from viewshed_lab.studies.robustness.jobs import run_study
+    from viewshed_lab.studies.robustness.page import files_of
+    from viewshed_lab.studies.robustness.plan import RobustnessPlan
+    from viewshed_lab.studies.store import ResultStore
+
+    folder, plan = out or Path("robustness"), RobustnessPlan.load(preset)
+    _require_results(folder, run=run)
+    store, runner = ResultStore.open(folder, plan), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, progress)) if run else []
+    main_page = page or folder / "robustness.md"
+    files = files_of(store, failed, main_page.stem)
+    _write(folder, {"index.html": files.pop("index.html")})
+    _write(main_page.parent, files)
+    typer.echo(f"Look at {(folder / 'index.html').resolve()}; Markdown in {main_page}")
+    _require_all_done(failed)
+
+
+@study_app.command()
+def paper(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, paper.")] = "small",
+    out: Out = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="STEPS",
+            help="Only these steps, separated by commas: data, models, pairs, strict, trade, monitor, pages.",
+        ),
+    ] = None,
+    protocol: Annotated[
+        str, typer.Option(help="Truth and grid: paper (as published), strict (exact truth), or both.")
+    ] = _BOTH,
+    device: Annotated[str, typer.Option(help="cpu or cuda, for trainings and networks.")] = "cpu",
+    workers: Workers = None,
+    page: Pages = None,
+) -> None:
+    """The published study: train its models, score them, write pages.
+
+    Stopped runs go on: the same command again.
+
+    Example: viewshed study paper --preset tiny --out study
+    """
+    from viewshed_lab.studies.paper.jobs import Scope, run_study
+    from viewshed_lab.studies.paper.page import files_of
+    from viewshed_lab.studies.paper.plan import PROTOCOLS, STEPS, PaperPlan
+    from viewshed_lab.studies.paper.published import PaperResults
+    from viewshed_lab.studies.store import ResultStore
+
+    protocols = PROTOCOLS if protocol == _BOTH else (protocol,)
+    scope = Scope(_steps(only, STEPS), protocols, device, workers)
+    folder = _folder(out, "paper")
+    store = ResultStore.open(folder, PaperPlan.load(preset))
+    failed = _with_bars(lambda progress: run_study(store, scope, progress))
+    if "pages" in scope.steps:
+        results = PaperResults.read(store)
+        for name in protocols:
+            _show(page or folder, files_of(results, name))
+    _require_all_done(failed)
+
+
+@study_app.command()
+def ablation(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
+    out: Out = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="STEPS", help="Only these steps, separated by commas: models, validation, test, chosen, page."
+        ),
+    ] = None,
+    workers: Workers = None,
+    page: Pages = None,
+) -> None:
+    """What the parts of our network are worth.
+
+    The shipped network stands beside the estimators.
+
+    Example: viewshed study ablation --preset tiny --out study
+    """
+    from viewshed_lab.studies.ablation.jobs import run_study
+    from viewshed_lab.studies.ablation.page import page_of
+    from viewshed_lab.studies.ablation.plan import STEPS, AblationPlan
+    from viewshed_lab.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "ablation")
+    store = ResultStore.open(folder, AblationPlan.load(preset))
+    failed = _with_bars(lambda progress: run_study(store, steps, workers, progress))
+    if "page" in steps:
+        _show(page or folder, {"ablation.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
+def deviation(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
+    out: Out = None,
+    workers: Workers = None,
+    run: Run = True,
+    page: Pages = None,
+) -> None:
+    """The published detector of attacks, by the deviation of dropout.
+
+    Under attacks and corruptions, with the shipped network.
+
+    Example: viewshed study deviation --preset tiny --out study
+    """
+    from viewshed_lab._jobs import LocalEngine
+    from viewshed_lab.studies.deviation.jobs import run_study
+    from viewshed_lab.studies.deviation.page import page_of
+    from viewshed_lab.studies.deviation.plan import DeviationPlan
+    from viewshed_lab.studies.store import ResultStore
+
+    folder = _folder(out, "deviation")
+    _require_results(folder, run=run)
+    store = ResultStore.open(folder, DeviationPlan.load(preset))
+    failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
+    _show(page or folder, {"deviation.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
+def monitor(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: drives, published, score, page."),
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+    recorded: Annotated[
+        Path | None, typer.Option(metavar="INDEX", help="Index of measured sweeps that are tried as well.")
+    ] = None,
+) -> None:
+    """The monitor of all evidence: what it finds, and false alarms.
+
+    Drives are attacked and corrupted, and a score is trained on them.
+
+    Example: viewshed study monitor --preset tiny --out study
+    """
+    from viewshed_lab._jobs import engine_named
+    from viewshed_lab.studies.monitor.archive import FOLDER
+    from viewshed_lab.studies.monitor.jobs import run_study
+    from viewshed_lab.studies.monitor.page import page_of
+    from viewshed_lab.studies.monitor.plan import STEPS, MonitorPlan
+    from viewshed_lab.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "monitor")
+    store, runner = ResultStore.open(folder, MonitorPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if recorded is not None:
+        from viewshed_lab.studies.monitor.recorded import measure_recorded
+
+        measure_recorded(recorded, folder / FOLDER, store.plan)
+    if "page" in steps:
+        _show(page or folder, {"monitor.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
+def agents(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas: scenes, runs, page.")
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """Many agents, some of whom lie: who is found, who is accused.
+
+    They lie about objects or about what they see.
+
+    Example: viewshed study agents --preset tiny --out study
+    """
+    from viewshed_lab._jobs import engine_named
+    from viewshed_lab.studies.agents.jobs import run_study
+    from viewshed_lab.studies.agents.page import page_of
+    from viewshed_lab.studies.agents.plan import STEPS, AgentsPlan
+    from viewshed_lab.studies.store import ResultStore
+
+    steps, folder = _steps(only, STEPS), _folder(out, "agents")
+    store, runner = ResultStore.open(folder, AgentsPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        _show(page or folder, {"agents.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
+def tracks(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, quick, small, full.")] = "small",
+    out: Out = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: count, limit, test, page."),
+    ] = None,
+    workers: Workers = None,
+    engine: EngineName = "local",
+    page: Pages = None,
+) -> None:
+    """Tracks and fusion with each field of view, under attack.
+
+    On simulated drives whose detections are forged.
+
+    Example: viewshed study tracks --preset tiny --out study
+    """
+    from viewshed_lab._jobs import engine_named
+    from viewshed_lab.studies.store import ResultStore
+    from viewshed_lab.studies.tracks.jobs import run_study, save_models
+    from viewshed_lab.studies.tracks.page import page_of
+    from viewshed_lab.studies.tracks.plan import STEPS, TracksPlan
+
+    steps, folder = _steps(only, STEPS), _folder(out, "tracks")
+    store, runner = ResultStore.open(folder, TracksPlan.load(preset)), engine_named(engine, workers)
+    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
+    if "page" in steps:
+        save_models(store)
+        _show(page or folder, {"tracks.md": page_of(store).encode()})
+    _require_all_done(failed)
+
+
+@study_app.command()
+def wild(
+    preset: Annotated[
+        str, typer.Option(help="Size of the study: tiny, small (the development set), sealed.")
+    ] = "small",
+    out: Out = None,
+    workers: Workers = None,
+    run: Run = True,
+    page: Pages = None,
+    open_sealed: Annotated[
+        str, typer.Option(metavar="REASON", help="Open the sealed set for this reason, which is logged first.")
+    ] = "",
+    log: Annotated[Path, typer.Option(help="File that logs the openings of the sealed set.")] = Path(
+        "docs/results/wild_openings.md"
+    ),
+    network: Annotated[list[Path] | None, typer.Option(help="File of a network that is tried as well.")] = None,
+) -> None:
+    """Every estimator on worlds and sensors that it was not made for.
+
+    Against exact truth.
+
+    Example: viewshed study wild --preset tiny --out study
+    """
+    from viewshed.networks.runtime import load_runner
+    from viewshed_lab._jobs import LocalEngine
+    from viewshed_lab.studies.store import ResultStore
+    from viewshed_lab.studies.wild.jobs import run_study
+    from viewshed_lab.studies.wild.openings import SetOpening
+    from viewshed_lab.studies.wild.page import page_of
+    from viewshed_lab.studies.wild.plan import WildPlan
+
+    folder, plan = _folder(out, "wild"), WildPlan.load(preset)
+    for file in network or ():
+        load_runner(file)  # one that cannot be read fails here and not in every job
+    plan = replace(plan, networks=tuple(map(str, network or ())))
+    _require_results(folder, run=run)
+    opening = None
+    if run and plan.opens_sealed and open_sealed:
+        opening = SetOpening(open_sealed, plan.methods)
+        opening.log(log)
+    store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
+    failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []
+    _show(page or folder, page_of(store))
+    _require_all_done(failed)
+
+
+study_app.command()(crossview)
+
+
+def _folder(out: Path | None, name: str) -> Path:
+    """Return the folder of a study with its whole path: jobs may be done elsewhere."""
+    return (out or Path(name)).expanduser().resolve()
+
+
+def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
+    chosen = every if only is None else tuple(only.split(","))
+    if unknown := [step for step in chosen if step not in every]:
+        raise ValueError(f"--only must be some of {', '.join(every)}, got {unknown[0]!r}")
+    return chosen
+
+
+def _require_results(folder: Path, *, run: bool) -> None:
+    from viewshed_lab.studies.store import FILE
+
+    if not run and not (folder / FILE).exists():
+        raise ValueError(f"{folder} must hold results, got none; run without --no-run")
+
+
+def _require_all_done(failed: list[str]) -> None:
+    if failed:
+        raise ValueError(f"{len(failed)} jobs are not done; what is finished is kept, the same command goes on")
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    from viewshed._files import write_atomic
+    from viewshed_lab._results import write_page
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        if name.endswith(".md"):
+            write_page(folder / name, content.decode())
+        else:
+            write_atomic(folder / name, content)
+
+
+def _show(folder: Path, files: dict[str, bytes]) -> None:
+    """Write the pages of a study and say where the main one is, the last."""
+    _write(folder, files)
+    typer.echo(f"Look at {folder / next(reversed(files))}")
+
+
+def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
+    """Return one line for each job that is not done; it is printed as it happens, and a bar shows each step."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskID,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+               TimeRemainingColumn())  # fmt: skip
+    tasks: dict[str, TaskID] = {}
+    bars = Progress(*columns, console=Console(stderr=True))
+
+    def on_progress(step: str, done: int, total: int) -> None:
+        if not bars.console.is_terminal:
+            # A log gets a line for every fiftieth of the jobs.
+            if done == total or done * 50 // total > (done - 1) * 50 // total:
+                typer.echo(f"{step}: {done} of {total}", err=True)
+            return
+        if not tasks:
+            bars.start()
+        if step not in tasks:
+            tasks[step] = bars.add_task(step, total=total)
+        bars.update(tasks[step], completed=done)
+
+    failed = []
+    try:
+        for line in run(on_progress):
+            failed.append(line)
+            bars.console.print(f"viewshed: {line}", markup=False, highlight=False, soft_wrap=True)
+        return failed
+    finally:
+        if tasks:
+            bars.stop()

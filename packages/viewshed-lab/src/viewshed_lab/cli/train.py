@@ -1,0 +1,123 @@
+"""``viewshed train`` and ``viewshed crossval``: fit networks, and choose how."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli._outputs import progress_bar
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from viewshed_lab.training.log import Step
+    from viewshed_lab.training.run import Trained
+
+
+Config = Annotated[
+    str,
+    typer.Argument(
+        metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor, viewnet_road, viewnet_indoor, …"
+    ),
+]
+
+Device = Annotated[str, typer.Option(help="cpu or cuda.")]
+
+
+def train(
+    config: Config,
+    out: Annotated[str, typer.Option(help="Folder of this training; one that was stopped goes on.")],
+    device: Device = "cpu",
+    devices: Annotated[int, typer.Option(help="Processes or graphics cards of each machine.")] = 1,
+    nodes: Annotated[int, typer.Option(help="Machines; each runs this command.")] = 1,
+    cache: Annotated[str | None, typer.Option(help="Folder for simulated data; inside --out if not given.")] = None,
+) -> None:
+    """Train a network. The same command goes on after a stop.
+
+    It leaves network.onnx, history.csv and curves.png in --out.
+
+    Example: viewshed train road --out weights
+    """
+    from viewshed_lab.training import read_config
+    from viewshed_lab.training import train as run
+
+    wanted = read_config(config)
+    bar = _Bar(wanted.name)
+    try:
+        done = run(wanted, out, device=device, devices=devices, nodes=nodes, on_progress=bar, cache=cache)
+    finally:
+        bar.close()
+    typer.echo(_summary(done))
+
+
+def crossval(
+    config: Config,
+    out: Annotated[str, typer.Option(help="Folder of this cross-validation; one that was stopped goes on.")],
+    sampler: Annotated[
+        str, typer.Option(help="How settings are drawn: grid (all in turn), or optuna (by what did well).")
+    ] = "grid",
+    trials: Annotated[int | None, typer.Option(help="How many settings are tried; all 36 if not given.")] = None,
+    folds: Annotated[int, typer.Option(help="Folds of whole scenes.")] = 5,
+    device: Device = "cpu",
+) -> None:
+    """Choose width, dropout and learning rate by cross-validation.
+
+    Folds are of whole scenes. It leaves crossval.md, crossval.png and chosen.toml in --out.
+
+    Example: viewshed crossval road --out folds
+    """
+    from viewshed_lab.training import read_config
+    from viewshed_lab.training.cross_validation import PAGE, Search, mean_f1
+    from viewshed_lab.training.cross_validation import crossval as run
+
+    wanted = read_config(config)
+    bar = _Bar(wanted.name)
+    try:
+        validated = run(wanted, out, search=Search(sampler, trials, folds), device=device, on_progress=bar.show)
+    finally:
+        bar.close()
+    mean = mean_f1(validated.scores[validated.chosen])
+    typer.echo(f"{validated.chosen.name}: mean F1 {mean:.4f} over {folds} folds; read {out}/{PAGE}")
+
+
+def _summary(done: Trained) -> str:
+    best = done.best
+    return (
+        f"{done.weights}: best epoch {best.number} of {len(done.history)}, validation F1 {best.f1:.4f}, IoU "
+        f"{best.iou:.4f}; {done.frames_per_s:.1f} frames/s, {done.network_share:.0%} of the time in the network"
+    )
+
+
+@dataclass(slots=True)
+class _Bar:
+    """A progress bar that begins with the first report, in the process that reports."""
+
+    name: str
+    bar: Progress | None = None
+    tasks: dict[str, TaskID] = field(default_factory=dict)
+
+    def __call__(self, step: Step) -> None:
+        self.show(self.name, step)
+
+    def show(self, name: str, step: Step) -> None:
+        bar = self._started()
+        text = f"{name} {step.stage}" if step.epoch == 0 else f"{name} epoch {step.epoch}/{step.epochs} {step.stage}"
+        if step.stage not in self.tasks:
+            self.tasks[step.stage] = bar.add_task(text, loss="")
+        loss = "" if math.isnan(step.loss) else f"loss {step.loss:.4f}"
+        bar.update(self.tasks[step.stage], description=text, completed=step.done, total=step.total, loss=loss)
+
+    def close(self) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    def _started(self) -> Progress:
+        if self.bar is None:
+            from rich.progress import TextColumn, TimeRemainingColumn
+
+            self.bar = progress_bar(TimeRemainingColumn(), TextColumn("{task.fields[loss]}"))
+            self.bar.start()
+        return self.bar

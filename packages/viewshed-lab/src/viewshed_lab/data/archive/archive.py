@@ -1,0 +1,345 @@
+"""Archive: a data set in Parquet shards with a manifest, read frame by frame.
+
+An archive as a recording: whoever reads it as one gets its sweeps, and nothing of its truth.
+
+ArchiveFrames: an archive as arrays for training; works with torch's DataLoader and needs no torch.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import accumulate
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.visibility import CAR, Target
+from viewshed.geometry import Rigid, rotation_from_quaternion
+from viewshed.grid import BevGrid
+from viewshed.sweep import Sweep
+from viewshed_lab.data.archive.schema import Layout, Manifest, ShardFacts
+from viewshed_lab.data.archive.shard import Shard, damage_of
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.sample import Sample
+from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+    from viewshed.recordings.read.source import ObjectBox, SweepRef
+
+
+OPEN_SHARDS = 64
+"""Files that an archive keeps open at a time."""
+
+
+class Archive:
+    """A data set of samples in order, from :meth:`open`; also one of its splits or some of its scenes.
+
+    It may be sent to other processes and used after a fork: files are opened by the process that reads them.
+
+    Args:
+        store: where it lies.
+        manifest: what it holds and how it was made.
+        shards: those that belong to it; None is all.
+    """
+
+    def __init__(self, store: Storage, manifest: Manifest, shards: Iterable[ShardFacts] | None = None) -> None:
+        self.store, self.manifest = store, manifest
+        self.shards = tuple(manifest.shards if shards is None else shards)
+        self._ends = np.array(list(accumulate(shard.frames for shard in self.shards)), np.int64)
+        self._open_shards = _OpenShards(store, manifest.layout)
+
+    @classmethod
+    def open(cls, place: str | os.PathLike[str]) -> Archive:
+        """Return the archive in a folder or at a URI.
+
+        Raises:
+            ValueError: it is no archive, not finished, damaged, or of another schema version.
+            OSError: it cannot be read.
+        """
+        store = Storage.of(place)
+        manifest = Manifest.read(store)
+        if not manifest.complete:
+            raise ValueError(f"{store.place} is not finished; run the command that makes it again")
+        return cls(store, manifest)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def __getitem__(self, index: int) -> Sample:
+        """Return one sample; its points are computed when they are first needed.
+
+        Raises:
+            IndexError: there is no such frame.
+            ValueError: its shard is damaged, or not the one that the manifest lists.
+            OSError: its shard cannot be read.
+        """
+        shard, row = self.locate(index)
+        return self._open_shards.shard(shard).sample(row)
+
+    def locate(self, index: int) -> tuple[ShardFacts, int]:
+        """Return the shard that a frame is in, and its row there; an IndexError where there is no such frame."""
+        count = len(self)
+        if not -count <= index < count:
+            raise IndexError(f"index must lie in [{-count}, {count}), got {index}")
+        index %= count
+        number = int(np.searchsorted(self._ends, index, side="right"))
+        shard = self.shards[number]
+        return shard, index - int(self._ends[number]) + shard.frames
+
+    def __iter__(self) -> Iterator[Sample]:
+        return self.samples()
+
+    def samples(self, on_damage: Callable[[ShardFacts, str], None] | None = None) -> Iterator[Sample]:
+        """Yield the samples in order.
+
+        Args:
+            on_damage: is called with a shard that cannot be read and why, and the rest of that shard is left out; None
+                raises instead.
+
+        Raises:
+            ValueError: a shard is damaged, and there is no ``on_damage``.
+            OSError: a shard cannot be read, and there is no ``on_damage``.
+        """
+        for facts in self.shards:
+            try:
+                shard = self._open_shards.shard(facts)
+                for index in range(facts.frames):
+                    yield shard.sample(index)
+            except (ValueError, OSError) as error:
+                if on_damage is None:
+                    raise
+                on_damage(facts, str(error))
+
+    def abouts(self, shard: ShardFacts) -> list[dict[str, Any]]:
+        """Return what one of the shards says of each frame beside its arrays; errors as ``[]``."""
+        return self._open_shards.shard(shard).abouts()
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the scenes, in order."""
+        return tuple(dict.fromkeys(shard.scene for shard in self.shards))
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits, in order."""
+        return tuple(dict.fromkeys(shard.split for shard in self.shards))
+
+    def split(self, name: str) -> Archive:
+        """Return the scenes of one split.
+
+        Raises:
+            ValueError: there is no such split.
+        """
+        if name not in self.splits:
+            raise ValueError(f"split must be one of {', '.join(self.splits)}, got {name!r}")
+        return self._with(shard for shard in self.shards if shard.split == name)
+
+    def of_scenes(self, scenes: Iterable[str]) -> Archive:
+        """Return the frames of some scenes.
+
+        Raises:
+            ValueError: there is no such scene.
+        """
+        wanted = set(scenes)
+        if not wanted <= set(self.scenes):
+            raise ValueError(f"scenes must be among those of the archive, got {sorted(wanted - set(self.scenes))}")
+        return self._with(shard for shard in self.shards if shard.scene in wanted)
+
+    def folds(self, count: int, seed: int = 0) -> Iterator[tuple[Archive, Archive]]:
+        """Yield ``count`` pairs (rest, held out) for cross-validation; no scene is in both, each is held out once.
+
+        Raises:
+            ValueError: there are fewer scenes than folds, or fewer than two folds.
+        """
+        scenes = self.scenes
+        if not 2 <= count <= len(scenes):
+            raise ValueError(f"count must lie in [2, {len(scenes)}], the number of scenes, got {count}")
+        order = np.random.default_rng(seed).permutation(len(scenes))
+        for fold in range(count):
+            held = {scenes[k] for k in order[fold::count]}
+            yield self.of_scenes(set(scenes) - held), self.of_scenes(held)
+
+    def verify(self) -> Iterator[tuple[ShardFacts, str | None]]:
+        """Yield each shard with what is wrong with it in one line, or None.
+
+        Length, checksum and what the shard's own footer says are compared with the manifest. The checksum finds damage,
+        not forgery: whoever can write the shards can write the manifest as well.
+        """
+        for facts in self.shards:
+            yield facts, damage_of(self.store, facts, self.manifest.layout)
+
+    def _with(self, shards: Iterable[ShardFacts]) -> Archive:
+        return Archive(self.store, self.manifest, shards)
+
+
+class _OpenShards:
+    """Opens shards when they are first read, again in each process: the last used files, and all footers read."""
+
+    def __init__(self, store: Storage, layout: Layout) -> None:
+        self._store, self._layout = store, layout
+        self._process = os.getpid()
+        self._files: OrderedDict[str, Shard] = OrderedDict()
+        self._footers: dict[str, pq.FileMetaData] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _OpenShards, (self._store, self._layout)
+
+    def shard(self, facts: ShardFacts) -> Shard:
+        """Return an open shard that is the one of the manifest."""
+        if self._process != os.getpid():
+            self._process, self._files = os.getpid(), OrderedDict()
+        name = facts.name
+        if name not in self._files:
+            shard = Shard(self._store, name, metadata=self._footers.get(name))
+            shard.check(facts, self._layout)
+            self._files[name], self._footers[name] = shard, shard.metadata
+            if len(self._files) > OPEN_SHARDS:
+                self._files.popitem(last=False)[1].close()
+        self._files.move_to_end(name)
+        return self._files[name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchiveSource:
+    """The sweeps of an archive, scene by scene: a :class:`~viewshed.recordings.read.source.SweepSource`."""
+
+    archive: Archive
+    _damage: list[str] = field(default_factory=list)
+
+    @classmethod
+    def open(cls, place: Path | str) -> ArchiveSource:
+        """Return the archive in a folder or at a URI; errors as :meth:`Archive.open`."""
+        return cls(Archive.open(place))
+
+    def scenes(self) -> tuple[str, ...]:
+        """Return the names of the scenes, in order."""
+        return self.archive.scenes
+
+    def split(self, scene: str) -> str:
+        """Return the name of the split that a scene belongs to."""
+        return next(shard.split for shard in self.archive.shards if shard.scene == scene)
+
+    def refs(self, scene: str) -> list[SweepRef]:
+        """Return the sweeps of a scene in time order; of a shard that cannot be read there are none."""
+        if scene not in self.scenes():
+            raise ValueError(f"scene must be one of the {len(self.scenes())} of the archive, got {scene!r}")
+        rows: list[tuple[str, int, dict[str, Any]]] = []
+        problems: list[str] = []
+        for facts in self.archive.of_scenes([scene]).shards:
+            try:
+                rows += [(facts.name, frame, about) for frame, about in enumerate(self.archive.abouts(facts))]
+            except (ValueError, OSError) as error:
+                problems.append(str(error))
+        self._damage.extend(problem for problem in problems if problem not in self._damage)
+        if not rows:
+            raise ValueError(problems[0])
+        from viewshed.recordings.read.source import SweepRef  # brings all readers of recordings, slow to import
+
+        rows.sort(key=lambda row: row[2].get("t_ns") or 0)
+        return [
+            SweepRef(scene, index, f"{self.archive.store.place}/{name}", about.get("t_ns"), str(about["agent"]),
+                     key=f"{name}:{frame}")
+            for index, (name, frame, about) in enumerate(rows)
+        ]  # fmt: skip
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep."""
+        return self.sample(ref).sweep
+
+    def measured(self, ref: SweepRef) -> StoredSweep | Sweep:
+        """Return a sweep as it is stored: the range image where there is one."""
+        return self.sample(ref).measured
+
+    def sample(self, ref: SweepRef) -> Sample:
+        """Return a sweep with its truth, to compare with."""
+        name, _, frame = ref.key.rpartition(":")
+        start = 0
+        for facts in self.archive.shards:
+            if facts.name == name and frame.isdigit() and int(frame) < facts.frames:
+                return self.archive[start + int(frame)]
+            start += facts.frames
+        raise ValueError(f"ref must be one of {self.archive.store.place}, got {ref.key!r}")
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return None: an archive has no boxes."""
+        return None
+
+    def damage(self) -> tuple[str, ...]:
+        """Return one line for each shard that could not be read so far."""
+        return tuple(self._damage)
+
+    def notes(self) -> tuple[str, ...]:
+        """Return nothing: an archive lacks nothing."""
+        return ()
+
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveFrames:
+    """An archive as a map-style data set: ``len(frames)`` and ``frames[i]``, in any number of processes.
+
+    Attributes:
+        archive: the archive, or one of its splits.
+        target: whose visibility is wanted.
+    """
+
+    archive: Archive
+    target: Target = CAR
+
+    def __len__(self) -> int:
+        return len(self.archive)
+
+    def __getitem__(self, index: int) -> Arrays:
+        """Return one frame as writable arrays (cells, cells) of its own.
+
+        ``counts``, int32: returns in each cell; ``visible``, bool: the truth; ``known``, bool: where it is known.
+
+        Raises:
+            IndexError: there is no such frame.
+            ValueError: its shard is damaged, or the truth was not made for the target.
+            OSError: its shard cannot be read.
+        """
+        sample = self.archive[index]
+        sweep, truth = sample.sweep, sample.truth
+        return {
+            "counts": truth.grid.count(sweep.points, level_from_sensor(sweep, truth.grid)),
+            "visible": truth.visible(self.target),
+            "known": np.array(sample.known),
+        }
+
+
+def level_from_sensor(sweep: Sweep, grid: BevGrid) -> Rigid:
+    """Return the transform to the ``level`` frame: from attitude and height where both are known, else estimated."""
+    attitude, height_m = sweep.known_attitude, sweep.sensor_height_m
+    if attitude is None or height_m is None:
+        from viewshed.preprocess.leveling import level  # slow to import, and few sweeps need it
+
+        return level(sweep, grid).level_from_sensor
+    return Rigid(rotation_from_quaternion(attitude), np.array([0.0, 0.0, height_m]))
+
+
+class _Archives:
+    """Reads archives for commands that take recordings: :class:`viewshed.recordings.recording.DataSets`."""
+
+    def open(self, place: Path | str) -> ArchiveSource:
+        """Return the archive in a folder or at a URI."""
+        return ArchiveSource.open(place)
+
+    def sweeps(self, place: Path | str, split: str | None = None) -> Iterator[tuple[str, Sweep]]:
+        """Yield the sweeps of an archive, or of one of its splits, each with the name of its scene."""
+        archive = Archive.open(place)
+        for sample in archive if split is None else archive.split(split):
+            yield sample.scene, sample.sweep
+
+
+ARCHIVES = _Archives()
+"""The entry point of ``viewshed.recordings``."""

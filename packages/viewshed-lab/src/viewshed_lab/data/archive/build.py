@@ -1,0 +1,292 @@
+"""Building archives: shard by shard by an engine, resuming where an earlier run stopped; or sample by sample.
+
+:func:`build_archive` is for data sets that can be planned: every shard is a job, the jobs run anywhere in any order,
+and the bytes are the same. While it runs, the manifest says ``"complete": false`` and lists what is finished, so that a
+run that was stopped goes on where it was. :class:`ArchiveWriter` is for samples of any origin.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import Any
+
+from viewshed_lab._jobs import Engine
+from viewshed_lab.data.archive.archive import Archive
+from viewshed_lab.data.archive.schema import MANIFEST, Layout, Manifest, ShardFacts, code_version
+from viewshed_lab.data.archive.shard import damage_of, write_shard
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.sample import Sample
+
+FRAMES_PER_SHARD = 48
+"""Frames of a shard, at most: a shard of points then has some 25 MB."""
+
+PROBLEMS = "problems.json"
+"""What had to be left out of an archive, by shard; a file of its own, for its lines may name places."""
+
+_DETAILS = ("command", "config", "targets")
+_SAVE_EVERY_S = 1.0
+_SAVE_SHARE = 0.05  # of the time, at most: a manifest of many shards is long
+
+
+@dataclass(frozen=True, slots=True)
+class ShardJob:
+    """What a worker must know to build one shard.
+
+    Attributes:
+        name: of its file.
+        samples: yields its samples, all of one scene, and adds to the list that it is given one line for each sample
+            that had to be left out; a function of a module with its arguments (``functools.partial``).
+    """
+
+    name: str
+    samples: Callable[[list[str]], Iterator[Sample]]
+
+
+@dataclass(frozen=True, slots=True)
+class ShardResult:
+    """One built shard: its facts, or None where there was nothing to write, and one line for each sample left out."""
+
+    facts: ShardFacts | None
+    problems: tuple[str, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that were written."""
+        return 0 if self.facts is None else self.facts.frames
+
+
+def build_archive(
+    recipe: Mapping[str, Any],
+    layout: Layout,
+    jobs: Sequence[ShardJob],
+    store: Storage,
+    engine: Engine,
+    on_progress: Callable[[ShardResult], None] | None = None,
+) -> Archive:
+    """Return the archive of some shards, built into ``store``; its bytes do not depend on the engine.
+
+    Args:
+        recipe: how it is made, as plain values: ``command``, what else names it, ``config`` and ``targets``.
+        layout: of all its frames.
+        jobs: its shards, in order.
+        store: where it goes.
+        engine: builds the shards.
+        on_progress: is called with each finished shard, also of an earlier run, with the problems that it had.
+
+    Raises:
+        ValueError: the place holds something else.
+        OSError: a shard could not be built or written; those that are finished stay.
+    """
+    # 1. Claim the place: an empty one, or one that an earlier run of the same recipe began.
+    manifest = _claim(Manifest(recipe, layout, complete=False), store)
+    store.clear_drafts()
+    # 2. Keep the shards that are there and whole.
+    results: dict[str, ShardResult] = {}
+
+    def note(name: str, result: ShardResult) -> None:
+        results[name] = result
+        if on_progress is not None:
+            on_progress(result)
+
+    for name, result in _find_finished(manifest, store, jobs):
+        note(name, result)
+    if len(results) < len(manifest.shards):
+        _save(manifest, results, jobs, store, tidy=True)
+    # 3. Build the others, and save now and then what is there.
+    next_s = 0.0
+    try:
+        for name, result in _build_missing(results, jobs, store, engine):
+            note(name, result)
+            if (start_s := time.monotonic()) > next_s:
+                _save(manifest, results, jobs, store)
+                next_s = start_s + max(_SAVE_EVERY_S, (time.monotonic() - start_s) / _SAVE_SHARE)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            _save(manifest, results, jobs, store)
+        raise
+    # 4. Only now is it an archive. A shard without frames is none, and is tried again by every run.
+    return Archive(store, _save(replace(manifest, complete=True), results, jobs, store, tidy=True))
+
+
+def _build_shard(store: Storage, job: ShardJob) -> ShardResult:
+    """Return what became of a shard; without samples, it is left out."""
+    problems: list[str] = []
+    samples = job.samples(problems)
+    first = next(samples, None)
+    facts = None if first is None else write_shard(store, job.name, chain([first], samples))
+    return ShardResult(facts, tuple(problems))
+
+
+def _claim(wanted: Manifest, store: Storage) -> Manifest:
+    """Return the manifest so far, written now if there was none; refuse a place that holds anything else."""
+    names = store.names()
+    if MANIFEST not in names:
+        if names:
+            raise ValueError(f"{store.place} must be empty or hold this data set, got {names[0]}; choose another place")
+        wanted.write(store)
+        return wanted
+    begun = Manifest.read(store)
+    _check_same(begun, wanted, store.place)
+    claimed = replace(begun, code=code_version(begun.code.get("commits", ())))
+    if claimed != begun:
+        claimed.write(store)
+    return replace(claimed, complete=False)
+
+
+def _check_same(begun: Manifest, wanted: Manifest, place: str) -> None:
+    """Check that a place was begun with the same recipe, layout and version; say what differs."""
+    ours, theirs = wanted.recipe, begun.recipe
+    if theirs.get("command") != ours["command"]:
+        raise ValueError(f"{place} must be empty or hold this data set, got another archive; choose another place")
+    names = [key for key in ours if key not in _DETAILS]
+    for key in names:
+        if theirs.get(key) != ours[key]:
+            raise ValueError(f"{place} holds {key} {theirs.get(key)}, not {ours[key]}; choose another place")
+    if theirs != ours or begun.layout != wanted.layout:
+        before, now = theirs.get("config", {}), ours["config"]
+        other = [key for key in now if before.get(key) != now[key]]
+        differs = ", ".join(other) or "targets"
+        raise ValueError(f"{place} holds {ours[names[0]]} with other {differs}; choose another place")
+    if begun.code.get("version") != wanted.code["version"]:
+        raise ValueError(
+            f"{place} was begun with viewshed {begun.code.get('version')}, this is {wanted.code['version']}; "
+            "finish it with that version or choose another place"
+        )
+
+
+def _find_finished(manifest: Manifest, store: Storage, jobs: Sequence[ShardJob]) -> Iterator[tuple[str, ShardResult]]:
+    """Yield the shards that the manifest lists and that are there and whole, by name."""
+    listed = {shard.name: shard for shard in manifest.shards}
+    problems = _read_problems(store) if listed else {}
+    for job in jobs:
+        facts = listed.get(job.name)
+        if facts is not None and damage_of(store, facts, manifest.layout) is None:
+            yield job.name, ShardResult(facts, problems.get(job.name, ()))
+
+
+def _build_missing(
+    finished: Mapping[str, ShardResult], jobs: Sequence[ShardJob], store: Storage, engine: Engine
+) -> Iterator[tuple[str, ShardResult]]:
+    """Yield the shards that are not finished when this begins, by name, as they are built; errors are their own."""
+    missing = [job for job in jobs if job.name not in finished]
+    with contextlib.closing(engine.run(partial(_build_shard, store), missing)) as run:
+        for done in run:
+            if done.result is None:
+                raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
+            yield missing[done.index].name, done.result
+
+
+def _save(
+    manifest: Manifest,
+    results: Mapping[str, ShardResult],
+    jobs: Sequence[ShardJob],
+    store: Storage,
+    *,
+    tidy: bool = False,
+) -> Manifest:
+    """Write what was left out of the finished shards, then the manifest that lists them in order; return that.
+
+    ``tidy`` removes the lines of an earlier run where there are none now; it lists all files, so not after each shard.
+    """
+    written = {job.name: results[job.name] for job in jobs if job.name in results and results[job.name].facts}
+    problems = {name: list(result.problems) for name, result in written.items() if result.problems}
+    if problems:
+        store.write(PROBLEMS, json.dumps(problems, indent=1, ensure_ascii=False).encode())
+    elif tidy and PROBLEMS in store.names():
+        store.delete(PROBLEMS)
+    saved = replace(manifest, shards=tuple(result.facts for result in written.values() if result.facts))
+    saved.write(store)
+    return saved
+
+
+def _read_problems(store: Storage) -> dict[str, tuple[str, ...]]:
+    """Return the lines of :func:`_save`; none where they are missing or damaged."""
+    with contextlib.suppress(FileNotFoundError, ValueError, AttributeError, TypeError):
+        table = json.loads(store.read(PROBLEMS))
+        return {str(name): tuple(map(str, lines)) for name, lines in table.items()}
+    return {}
+
+
+class ArchiveWriter:
+    """Writes samples into a new archive, shard by shard; :meth:`close` writes the manifest.
+
+    Samples of one scene should follow each other: a shard holds one scene. Nothing can be read before ``close``.
+
+    Args:
+        place: a folder or a URI that is empty.
+        recipe: how the samples were made, as plain values, for the manifest.
+        frames_per_shard: at most.
+
+    Raises:
+        ValueError: the place is not empty, or ``frames_per_shard`` is below 1.
+    """
+
+    def __init__(
+        self, place: str | os.PathLike[str], recipe: Mapping[str, Any], frames_per_shard: int = FRAMES_PER_SHARD
+    ) -> None:
+        if frames_per_shard < 1:
+            raise ValueError(f"frames_per_shard must be at least 1, got {frames_per_shard}")
+        self._store = Storage.of(place)
+        if self._store.names():
+            raise ValueError(f"{self._store.place} must be empty; choose another place")
+        self._recipe = dict(recipe)
+        self._frames_per_shard = frames_per_shard
+        self._pending: list[Sample] = []
+        self._shards: list[ShardFacts] = []
+        self._layout: Layout | None = None
+
+    def add(self, sample: Sample) -> None:
+        """Take one sample; a full shard is written.
+
+        Raises:
+            ValueError: its scene is empty or its truth differs in grid, targets or definitions from those before.
+            OSError: the shard cannot be written.
+        """
+        layout = Layout.of(sample.truth)
+        self._layout = self._layout or layout
+        if layout != self._layout:
+            raise ValueError(f"truth must have the layout of the archive, {self._layout}, got {layout}")
+        last = self._pending[-1] if self._pending else sample
+        if (sample.scene, sample.split) != (last.scene, last.split) or len(self._pending) >= self._frames_per_shard:
+            self._flush()
+        self._pending.append(sample)
+
+    def close(self) -> Archive:
+        """Write what is left and the manifest, and return the archive.
+
+        Raises:
+            ValueError: there was no sample.
+            OSError: a file cannot be written.
+        """
+        self._flush()
+        if self._layout is None:
+            raise ValueError("an archive must have at least one sample, got none")
+        manifest = Manifest(self._recipe, self._layout, tuple(self._shards))
+        manifest.write(self._store)
+        return Archive(self._store, manifest)
+
+    def _flush(self) -> None:
+        if self._pending:
+            name = f"shard-{len(self._shards):05d}.parquet"
+            self._shards.append(write_shard(self._store, name, self._pending))
+            self._pending = []
+
+
+def write_archive(place: str | os.PathLike[str], samples: Iterable[Sample], recipe: Mapping[str, Any]) -> Archive:
+    """Return the archive that ``samples`` were written to; see :class:`ArchiveWriter`.
+
+    Raises:
+        ValueError: the place is not empty, there are no samples, or they differ in grid, targets or definitions.
+        OSError: a file cannot be written.
+    """
+    writer = ArchiveWriter(place, recipe)
+    for sample in samples:
+        writer.add(sample)
+    return writer.close()

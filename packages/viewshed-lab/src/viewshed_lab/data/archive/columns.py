@@ -1,0 +1,240 @@
+"""From a sample to the row of columns that an archive stores, and back, bit by bit.
+
+A range image is stored as its steps; a sweep without one as points. An attacked sweep is stored as the range image that
+it was made from, the rows that the attacker made, and two masks: which rows those are, and which clean ones are gone.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.truth import Truth
+from viewshed.geometry import Rigid
+from viewshed.sweep import Sweep
+from viewshed_lab.data.archive import packing
+from viewshed_lab.data.archive.schema import Footer, Layout, Sensors
+from viewshed_lab.data.sample import Sample
+from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
+from viewshed_lab.sim.raycast.scan import Motion
+
+if TYPE_CHECKING:
+    from viewshed_lab.threats.attacks.base import Tampered, Wedge
+
+_COLUMNS: dict[str, type[np.generic]] = {
+    "intensity": np.float32, "ring": np.int16, "azimuth": np.float32, "time_s": np.float32,
+}  # fmt: skip
+"""The columns of a sweep beside its points, in the order in which they are stored."""
+
+BLOBS = ("ranges", "intensity", "points", "returns", "states", "masks")
+"""The binary columns; ``about`` comes before them."""
+
+TOUCHED = "touched"
+"""One more binary column, last, in archives of attacked sweeps; a reader that does not know it may pass over it."""
+
+Row = tuple[str, packing.Buffer | None, packing.Buffer | None, packing.Buffer | None,
+            packing.Buffer, packing.Buffer, packing.Buffer, packing.Buffer | None]  # fmt: skip
+"""``about``, the columns of :data:`BLOBS`, and :data:`TOUCHED`."""
+
+MOST_MADE = 0.5
+"""Where a larger share of the rows is the attacker's, points alone are shorter."""
+
+
+def row_of_sample(sample: Sample, layout: Layout, sensors: Sensors) -> Row:
+    """Return a sample as columns; its beam table is added to ``sensors``."""
+    truth, tampered = sample.truth, sample.tampered
+    if Layout.of(truth) != layout:
+        raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(truth)}")
+    about, ranges, intensity, points = _pack_measured(sample, sensors)
+    returns = b"".join(truth.expected_returns[name].tobytes() for name in layout.targets)
+    states = packing.pack_states(np.array([truth.state[name] for name in layout.targets], np.uint8))
+    masks = np.stack([*(truth.definitions[name] for name in layout.definitions), sample.known])
+    touched = None
+    if tampered is not None:
+        wedge = None if tampered.wedge is None else [float(tampered.wedge.azimuth), float(tampered.wedge.width)]
+        about[TOUCHED] = {"added": len(tampered.added), "removed": len(tampered.removed), "wedge": wedge}
+        touched = packing.pack_masks(np.concatenate([tampered.added, tampered.removed])[None])
+    text = json.dumps(about, ensure_ascii=False)
+    return text, ranges, intensity, points, returns, states, packing.pack_masks(masks), touched
+
+
+def _pack_measured(sample: Sample, sensors: Sensors) -> tuple[dict[str, Any], bytes | None, bytes | None, bytes | None]:
+    """Return what is said about the sweep, and the columns ranges, intensity and points."""
+    measured, clean, tampered = sample.measured, sample.clean, sample.tampered
+    if not isinstance(measured, Sweep):
+        return _about(measured, sensors), *_pack_image(measured), None
+    made = None if clean is None or tampered is None else made_rows(clean.sweep(), tampered)
+    if clean is None or made is None:
+        return _about(measured, sensors), None, None, _pack_points(measured)
+    return _about(made, sensors) | {"clean": _about(clean, sensors)}, *_pack_image(clean), _pack_points(made)
+
+
+def sample_of_row(row: Row, footer: Footer) -> Sample:
+    """Return the sample of :func:`row_of_sample`; a ValueError where columns do not fit the footer or each other."""
+    text, ranges, intensity, points, returns, states, masks, touched = row
+    clean = tampered = None
+    try:
+        about, sensors = json.loads(text), footer.sensors
+        measured = _image(about, ranges, intensity, sensors) if points is None else _sweep(about, points, sensors)
+        if touched is not None:
+            from viewshed_lab.threats.attacks.base import (
+                Tampered,  # what simulates and reads clean sweeps needs no attacks
+            )
+
+            added, removed, wedge = _unpack_touched(about[TOUCHED], touched)
+            if "clean" in about and isinstance(measured, Sweep):
+                clean = _image(about["clean"], ranges, intensity, sensors)
+                measured = merge_rows(clean.sweep(), measured, added, removed)
+            tampered = Tampered(measured if isinstance(measured, Sweep) else measured.sweep(), added, removed, wedge)
+    except (KeyError, TypeError, IndexError, AttributeError) as error:
+        raise ValueError(f"about must describe the frame: {error!r}") from error
+    truth, known = _truth(footer.layout, returns, states, masks)
+    return Sample(measured, truth, known, footer.scene, footer.split, tampered, clean)
+
+
+def _unpack_touched(
+    about: dict[str, Any], raw: packing.Buffer
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Wedge | None]:
+    """Return the rows that an attacker added, those that are gone, and the wedge."""
+    from viewshed_lab.threats.attacks.base import Wedge
+
+    rows, wedge = int(about["added"]), about["wedge"]
+    masks = packing.unpack_masks(raw, (1, 1, rows + int(about["removed"])))[0, 0]
+    return masks[:rows], masks[rows:], None if wedge is None else Wedge(float(wedge[0]), float(wedge[1]))
+
+
+def made_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:
+    """Return the rows that an attacker made, where all others are those of the clean sweep, bit by bit; else None."""
+    attacked, added, removed = tampered.sweep, tampered.added, tampered.removed
+    if np.count_nonzero(added) > MOST_MADE * len(attacked) or len(removed) != len(clean):
+        return None
+    for name in ("points", *_COLUMNS):
+        after, before = getattr(attacked, name), getattr(clean, name)
+        if (after is None) != (before is None):
+            return None
+        if after is not None and after[~added].tobytes() != before[~removed].tobytes():
+            return None
+    return attacked.select(added)
+
+
+def merge_rows(clean: Sweep, made: Sweep, added: NDArray[np.bool_], removed: NDArray[np.bool_]) -> Sweep:
+    """Return the attacked sweep of :func:`made_rows`; all but its rows is that of ``made``.
+
+    ``added`` (N,): which rows of the attacked sweep the attacker made; ``removed`` (M,): which clean rows are gone.
+    """
+    new, old, source = np.flatnonzero(added), np.flatnonzero(~added), np.flatnonzero(~removed)
+    if len(removed) != len(clean) or len(source) != len(old) or len(made) != len(new):
+        counts = f"{len(source)} of {len(removed)} and {len(new)} in {len(added)}"
+        raise ValueError(f"touched must leave rows of {len(clean)} and add {len(made)}, got {counts}")
+    columns = {}
+    for name in ("points", *_COLUMNS):
+        before, rows = getattr(clean, name), getattr(made, name)
+        if (before is None) != (rows is None):
+            raise ValueError(f"what an attacker made must have {name} where the sweep has it")
+        if rows is not None:
+            column = columns[name] = np.empty((len(added), *before.shape[1:]), before.dtype)
+            column[old], column[new] = before[source], rows
+    return made.replace(**columns)
+
+
+def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
+    """Return what is neither array nor truth, as plain values; Python's floats survive JSON exactly."""
+    pose = measured.world_from_sensor
+    about: dict[str, Any] = {
+        "agent": measured.agent,
+        "t_ns": None if measured.t_ns is None else int(measured.t_ns),
+        "sensor": sensors.number(measured.model),
+        "sensor_height_m": None if measured.sensor_height_m is None else float(measured.sensor_height_m),
+        "world_from_sensor": None if pose is None else [*pose.rotation.ravel().tolist(), *pose.translation.tolist()],
+    }
+    if isinstance(measured, StoredSweep):
+        motion = measured.motion
+        numbers = [*motion.velocity_mps, motion.yaw_rate, motion.period_s]
+        return about | {"step_m": float(measured.step_m), "motion": [float(value) for value in numbers]}
+    return about | {
+        "points": len(measured),
+        "columns": [name for name in _COLUMNS if getattr(measured, name) is not None],
+        "attitude": None if measured.attitude is None else measured.attitude.tolist(),
+        "dropped_points": int(measured.dropped_points),
+    }
+
+
+def _pack_image(image: StoredSweep) -> tuple[bytes, bytes]:
+    return packing.pack_ranges(image.steps), image.intensity.tobytes()
+
+
+def _pack_points(sweep: Sweep) -> bytes:
+    columns = [getattr(sweep, name) for name in _COLUMNS]
+    return b"".join(packing.pack_column(column) for column in (sweep.points, *columns) if column is not None)
+
+
+def _image(
+    about: dict[str, Any], ranges: packing.Buffer | None, intensity: packing.Buffer | None, sensors: Sensors
+) -> StoredSweep:
+    model = sensors.model(about["sensor"])
+    if model is None or ranges is None or intensity is None:
+        raise ValueError("a frame without points must have a sensor, ranges and intensity")
+    shape = (model.azimuth_columns, model.rings)
+    vx, vy, vz, yaw_rate, period_s = about["motion"]
+    pose = _pose(about["world_from_sensor"])
+    if pose is None:
+        raise ValueError("a range image must have a pose")
+    return StoredSweep(
+        model=model,
+        steps=packing.unpack_ranges(ranges, shape),
+        intensity=packing.bytes_of(intensity, shape),
+        step_m=about["step_m"],
+        world_from_sensor=pose,
+        motion=Motion((vx, vy, vz), yaw_rate, period_s),
+        sensor_height_m=about["sensor_height_m"],
+        t_ns=about["t_ns"],
+        agent=about["agent"],
+    )
+
+
+def _sweep(about: dict[str, Any], raw: packing.Buffer, sensors: Sensors) -> Sweep:
+    count, view = int(about["points"]), memoryview(raw)
+    points = packing.unpack_column(view[: 12 * count], np.float32, (count, 3))
+    start = 12 * count
+    columns: dict[str, Any] = {}
+    for name in about["columns"]:
+        end = start + count * np.dtype(_COLUMNS[name]).itemsize
+        columns[name] = packing.unpack_column(view[start:end], _COLUMNS[name], (count,))
+        start = end
+    return Sweep(
+        points=points,
+        **columns,
+        t_ns=about["t_ns"],
+        attitude=None if about["attitude"] is None else np.array(about["attitude"]),
+        sensor_height_m=about["sensor_height_m"],
+        world_from_sensor=_pose(about["world_from_sensor"]),
+        model=sensors.model(about["sensor"]),
+        agent=about["agent"],
+        dropped_points=int(about["dropped_points"]),
+    )
+
+
+def _pose(numbers: list[float] | None) -> Rigid | None:
+    if numbers is None:
+        return None
+    return Rigid(np.array(numbers[:9]).reshape(3, 3), np.array(numbers[9:]))
+
+
+def _truth(
+    layout: Layout, returns: packing.Buffer, states: packing.Buffer, masks: packing.Buffer
+) -> tuple[Truth, NDArray[np.bool_]]:
+    shape = layout.grid.shape
+    targets, definitions = len(layout.targets), len(layout.definitions)
+    counts = packing.bytes_of(returns, (targets, *shape))
+    state = packing.unpack_states(states, (targets, *shape))
+    bits = packing.unpack_masks(masks, (definitions + 1, *shape))
+    truth = Truth(
+        layout.grid,
+        dict(zip(layout.targets, counts, strict=True)),
+        dict(zip(layout.targets, state, strict=True)),
+        dict(zip(layout.definitions, bits[:-1], strict=True)),
+    )
+    return truth, bits[-1]

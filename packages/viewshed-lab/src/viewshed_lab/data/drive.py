@@ -1,0 +1,137 @@
+"""A simulated drive as a stream: the sweeps of several agents in the order of time, each with what the world tells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.recordings.write.moment import DriveTruth, ObjectTruth
+from viewshed.sweep import Sweep
+from viewshed_lab.data.presets import Preset, preset_named
+from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
+from viewshed_lab.sim.world import Agent, Thing, World
+from viewshed_lab.sim.worlds import WORLDS
+
+OBJECT_KINDS = frozenset({
+    "animal", "bus", "car", "cart", "cyclist", "forklift", "motorcycle", "pedestrian", "robot", "tractor", "trailer",
+    "truck", "van",
+})  # fmt: skip
+"""Things that are objects whether they move or not; whatever else moves is one as well."""
+
+SEEN_RETURNS = 5
+"""An object counts as seen by a sensor from so many returns on."""
+
+_DT_S = 0.05
+
+
+def drive_plan(
+    preset: Preset, *, seconds: float, hz: float, agents: int, world: str | None = None, seed: int | None = None
+) -> ScenePlan:
+    """Return one scene of a preset, in clear weather, as a drive.
+
+    Args:
+        preset: brings sensors, mounting height and kinds of world.
+        seconds: how long it lasts.
+        hz: sweeps of each agent a second.
+        agents: vehicles that measure, in turns; sensors on masts are as many as the preset has.
+        world: kind of world; None is the first of the preset.
+        seed: of the world and of the noise; None is the preset's.
+
+    Raises:
+        ValueError: a number is not positive, or there is no such world.
+    """
+    if not (seconds > 0 and 0 < hz <= 100) or agents < 1 or seconds * hz < 1:
+        raise ValueError(
+            f"a drive needs seconds above 0, 0 to 100 sweeps a second, one at least, and an agent, got {seconds:g} s,"
+            f" {hz:g} Hz and {agents}"
+        )
+    name = preset.worlds[0] if world is None else world
+    if name not in WORLDS:
+        raise ValueError(f"world must be one of {', '.join(WORLDS)}, got {name!r}")
+    frames = int(seconds * hz + 1e-9) * (agents + preset.roadside)
+    one = replace(
+        preset, worlds=(name,), world_weights=(1.0,), splits=("drive",), scenes=(1,), frames=(frames,), moving=agents,
+        conditions=("clear",), condition_weights=(1.0,), interval_s=1 / hz,
+        revolution_s=min(preset.revolution_s, 1 / hz), seed=preset.seed if seed is None else seed,
+    )  # fmt: skip
+    return ScenePlan(one, 0, 0)
+
+
+def drive_sweeps(plan: ScenePlan, world: World | None = None) -> Iterator[tuple[Sweep, DriveTruth]]:
+    """Yield the sweeps of a drive with what its world tells, agent after agent, then the next time.
+
+    Args:
+        plan: of the drive.
+        world: takes the place of the plan's own; with the same agents, of other mountings perhaps.
+    """
+    world, agents = world or world_of(plan), plan.preset.agents
+    carriers = {agent.carrier for agent in world.agents}
+    movable = [
+        k for k, thing in enumerate(world.things)
+        if k in carriers or thing.kind in OBJECT_KINDS or thing.track is not None
+    ]  # fmt: skip
+    mounts = {agent.name: None if agent.carrier is None else agent.mount for agent in world.agents}
+    boxes = {k: box_of(world.things[k]) for k in movable}
+    objects: tuple[ObjectTruth, ...] = ()
+    for frame in range(plan.frames):
+        time, number = divmod(frame, agents)
+        t_s, agent = (time + 0.5) * plan.preset.interval_s, world.agents[number]
+        if number == 0:
+            objects = tuple(object_at(world, k, t_s, *boxes[k]) for k in movable)
+        scan, stored = scan_frame(plan, frame, world=world)
+        by_thing = np.bincount(scan.thing[(scan.thing >= 0) & (stored.steps > 0)], minlength=len(world.things))
+        returns = by_thing[movable].astype(np.int32)
+        seen = tuple(
+            each for each, count in zip(objects, returns, strict=True)
+            if count >= SEEN_RETURNS and each.number != agent.carrier
+        )  # fmt: skip
+        pose, velocity_mps = _carrier(world, agent, t_s)
+        yield stored.sweep(), DriveTruth(mounts, objects, returns, seen, agent.carrier, pose, velocity_mps)
+
+
+def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.float64]]:
+    """Return the pose of what carries an agent's sensor, and its velocity (3,) in its own frame, m/s."""
+    if agent.carrier is None:
+        return agent.mount, np.zeros(3)
+    pose = world.pose_of(agent.carrier, t_s)
+    before, after = (world.pose_of(agent.carrier, t_s + step).translation for step in (-_DT_S, _DT_S))
+    velocity: NDArray[np.float64] = pose.rotation.T @ ((after - before) / (2 * _DT_S))
+    return pose, velocity
+
+
+def box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
+    """Return center (3,) and size of the box about all parts of a thing, in its own frame."""
+    corners = []
+    for part in thing.parts:
+        x_m, y_m, _ = part.half_sizes_m
+        turn = Rigid.from_yaw(part.yaw).rotation
+        for sign in (-1, 1):
+            across = np.abs(turn[:2, :2]) @ (x_m, y_m)
+            z_m = part.top_m if sign > 0 else part.bottom_m
+            corners.append((part.x_m + sign * across[0], part.y_m + sign * across[1], z_m))
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    length_m, width_m, height_m = (float(side) for side in high - low)
+    return (low + high) / 2, (length_m, width_m, height_m)
+
+
+def object_at(
+    world: World, number: int, t_s: float, center: NDArray[np.float64], size_m: tuple[float, float, float]
+) -> ObjectTruth:
+    """Return a thing of a world at a time, with the center and the size of :func:`box_of`."""
+    pose = world.pose_of(number, t_s)
+    return ObjectTruth(number, world.things[number].kind, pose @ Rigid(np.eye(3), center), size_m)
+
+
+def simulated_drive(
+    preset: str, *, seconds: float, hz: float, agents: int, world: str | None = None, seed: int | None = None
+) -> Iterator[tuple[Sweep, DriveTruth]]:
+    """Return the sweeps of a drive of a preset by its name, see :func:`drive_plan`.
+
+    The entry point of ``viewshed.drives``.
+    """
+    plan = drive_plan(preset_named(preset), seconds=seconds, hz=hz, agents=agents, world=world, seed=seed)
+    return drive_sweeps(plan)

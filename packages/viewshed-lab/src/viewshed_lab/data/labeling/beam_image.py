@@ -1,0 +1,255 @@
+"""BeamImage: every beam of one revolution, with or without a return: its origin, its direction, its motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.arrays import F32
+from viewshed.preprocess.no_return import JITTER_COLUMNS
+from viewshed.preprocess.ring_recovery import recover_rings
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
+from viewshed_lab._numba import atan2
+from viewshed_lab.data.labeling.motion import Drift
+
+_SAMPLED = 4000
+"""Returns from which the number of columns is estimated."""
+
+_NEAR_COLUMNS = 2
+"""Numbers of columns that are tried, so far from the likely ones."""
+
+_ALMOST = 0.98
+"""A likely number of columns that fits so well is taken before a better fit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamImage:
+    """The beams of one revolution. C columns by azimuth, R rings from the lowest up, in the axes of ``level``.
+
+    Attributes:
+        origin_m: (C, R, 3) float32 start of each beam from the sensor's reference position.
+        direction: (C, R, 3) float32 unit vectors.
+        depth_m: (C, R) float32 meters from start to return, 0 where there was none.
+        pixels: (C, R) int32 row of the return in the sweep, -1 where there was none.
+        max_range_m: how far the sensor sees.
+        model: the sensor's beams, or None where they were estimated from the returns.
+    """
+
+    origin_m: F32
+    direction: F32
+    depth_m: F32
+    pixels: NDArray[np.int32]
+    max_range_m: float
+    model: LidarModel | None
+
+    @property
+    def returned(self) -> NDArray[np.bool_]:
+        """Which beams returned, (C, R)."""
+        return self.pixels >= 0
+
+
+def beam_image(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift) -> BeamImage:
+    """Return the beams of ``sweep`` with the motion within the revolution undone.
+
+    The firing pattern is that of the sweep's model, else of its rings and azimuth step. Each return is its own beam;
+    missing beams lie on the pattern.
+
+    Args:
+        sweep: the revolution; its points are in the reference frame, that of the middle of the revolution.
+        level_from_sensor: rotation (3, 3).
+        drift: how the sensor moved; needs the times of the returns, else it is left out.
+    """
+    seconds, model = _seconds(sweep), sweep.model
+    rings = recover_rings(sweep if sweep.ring is not None else _undo_motion(sweep, level_from_sensor, drift, seconds))
+    elevation, rise, offset = _tables(rings.elevation, model)
+    motion = (level_from_sensor.astype(np.float32), drift.velocity_mps.astype(np.float32), np.float32(drift.yaw_rate))
+    start, direction, length, azimuth = beams_of_returns(sweep.points, rings.ring, seconds, *motion, rise, offset)
+    # The firing pattern: how many columns, and where they begin.
+    columns = _best_column_count(azimuth, {rings.columns} if model is None else {rings.columns, model.azimuth_columns})
+    column, phase = _columns(azimuth, columns)
+    pixels = np.full((columns, len(elevation)), -1, np.int32)
+    assign_pixels(rings.ring, column, length, pixels)
+    step, times = np.float32(2 * np.pi / columns), _mean_times(column, seconds, columns)
+    # Every beam: the returns, and the pattern between them.
+    origins, directions = np.empty((2, *pixels.shape, 3), np.float32)
+    depth = np.empty(pixels.shape, np.float32)
+    pattern = (np.float32(phase * step - np.pi), step, times, elevation, rise, offset)
+    fill_image(pixels, start, direction, length, *pattern, *motion, origins, directions, depth)
+    max_range_m = float(length.max(initial=0.0)) if model is None else model.max_range_m
+    return BeamImage(origins, directions, depth, pixels, max_range_m, model)
+
+
+def _tables(elevation: NDArray[np.float64], model: LidarModel | None) -> tuple[F32, F32, F32]:
+    """Return elevation, height of the start and azimuth offset of each ring (R,)."""
+    rings = len(elevation)
+    if model is None or model.rings != rings:
+        return elevation.astype(np.float32), np.zeros(rings, np.float32), np.zeros(rings, np.float32)
+    tables = (model.elevation, model.origin_m, model.azimuth_offset)
+    first, second, third = (table.astype(np.float32) for table in tables)
+    return first, second, third
+
+
+def _seconds(sweep: Sweep) -> F32:
+    """Return the time (N,) of each return from the middle of the revolution; 0 where they are not known."""
+    if sweep.time_s is None or not len(sweep):
+        return np.zeros(len(sweep), np.float32)
+    middle = (float(sweep.time_s.min()) + float(sweep.time_s.max())) / 2
+    return (sweep.time_s - np.float32(middle)).astype(np.float32)
+
+
+def _undo_motion(sweep: Sweep, level_from_sensor: NDArray[np.float64], drift: Drift, seconds: F32) -> Sweep:
+    """Return the sweep with each point as the sensor saw it when it fired: rings are recovered from directions."""
+    if not (drift.yaw_rate or drift.velocity_mps.any()):
+        return sweep
+    x, y, z = (sweep.points @ level_from_sensor.T - np.outer(seconds, drift.velocity_mps)).T
+    c, s = np.cos(drift.yaw_rate * seconds), np.sin(drift.yaw_rate * seconds)
+    return sweep.replace(points=np.stack([c * x + s * y, c * y - s * x, z], axis=-1) @ level_from_sensor)
+
+
+def _best_column_count(azimuth: F32, likely: set[int]) -> int:
+    """Return the number of columns that firing azimuths (N,) fit best, of the likely ones and those next to them."""
+    some = azimuth[:: max(len(azimuth) // _SAMPLED, 1)].astype(np.float64)
+    near = sorted({columns + more for columns in likely for more in range(-_NEAR_COLUMNS, _NEAR_COLUMNS + 1)})
+    fits = [abs(np.exp(1j * columns * some).sum()) for columns in near]
+    plain = [
+        columns for columns, fit in zip(near, fits, strict=True) if columns in likely and fit > _ALMOST * max(fits)
+    ]
+    return max(plain[-1] if plain else near[int(np.argmax(fits))], 4)
+
+
+def _columns(azimuth: F32, columns: int) -> tuple[NDArray[np.int64], float]:
+    """Return the column (N,) of firing azimuths, and where in a column firings lie, in [0, 1).
+
+    The circular mean of the remainders is the sensor's phase.
+    """
+    position = (azimuth.astype(np.float64) / (2 * np.pi) + 0.5) * columns
+    turn = np.exp(2j * np.pi * position).sum() if len(position) else -1.0
+    phase = round(float(np.angle(turn) / (2 * np.pi)), 6) % 1.0
+    return np.floor(position - phase + 0.5).astype(np.int64) % columns, phase
+
+
+def _mean_times(column: NDArray[np.int64], seconds: F32, columns: int) -> F32:
+    """Return the mean time (columns,) of each column's points; a column without any takes that of the one before."""
+    total, count = np.bincount(column, seconds, columns), np.bincount(column, minlength=columns)
+    last = np.maximum.accumulate(np.where(count > 0, np.arange(columns), -1))
+    last[last < 0] = last[-1]
+    return np.asarray(total / np.maximum(count, 1), np.float32)[last]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_returns(
+    points: Any, ring: Any, seconds: Any, turn: Any, velocity: Any, yaw_rate: Any, rise: Any, offset: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
+
+    Of points (N, 3) in the reference frame with rings and times (N,). ``turn`` (3, 3) is level_from_sensor, velocity
+    (3,) and yaw rate the sensor's in level axes; height of the start and azimuth offset (R,) are the rings'.
+    """
+    count = points.shape[0]
+    start, direction = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    length, azimuth = np.empty(count, np.float32), np.empty(count, np.float32)
+    for n in range(count):
+        # Where the sensor was when the beam was fired, and the beam's start on its axis.
+        t = seconds[n]
+        c, s = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
+        h = rise[max(ring[n], 0)]
+        ox, oy, oz = turn[0, 2] * h, turn[1, 2] * h, turn[2, 2] * h
+        ox, oy = c * ox - s * oy + velocity[0] * t, s * ox + c * oy + velocity[1] * t
+        oz += velocity[2] * t
+        # From there to the return, in level axes.
+        p = points[n]
+        dx = turn[0, 0] * p[0] + turn[0, 1] * p[1] + turn[0, 2] * p[2] - ox
+        dy = turn[1, 0] * p[0] + turn[1, 1] * p[1] + turn[1, 2] * p[2] - oy
+        dz = turn[2, 0] * p[0] + turn[2, 1] * p[1] + turn[2, 2] * p[2] - oz
+        far = max(np.sqrt(dx * dx + dy * dy + dz * dz), np.float32(1e-3))
+        start[n, 0], start[n, 1], start[n, 2] = ox, oy, oz
+        direction[n, 0], direction[n, 1], direction[n, 2], length[n] = dx / far, dy / far, dz / far, far
+        # The same seen from the turned sensor: the firing azimuth.
+        bx, by = c * dx + s * dy, c * dy - s * dx
+        x = turn[0, 0] * bx + turn[1, 0] * by + turn[2, 0] * dz
+        y = turn[0, 1] * bx + turn[1, 1] * by + turn[2, 1] * dz
+        azimuth[n] = atan2(np.float32(y), np.float32(x)) - offset[max(ring[n], 0)]
+    return start, direction, length, azimuth
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> None:  # pragma: no cover - compiled
+    """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other takes an empty one nearby."""
+    spare, spares = np.empty(ring.shape[0], np.int64), 0
+    for n in range(ring.shape[0]):
+        if ring[n] < 0:
+            continue
+        other = pixels[column[n], ring[n]]
+        nearer = other < 0 or length[n] < length[other]
+        if other >= 0:
+            spare[spares] = other if nearer else n
+            spares += 1
+        if nearer:
+            pixels[column[n], ring[n]] = n
+    for k in range(spares):
+        _assign_nearby(spare[k], column[spare[k]], ring[spare[k]], pixels)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> None:  # pragma: no cover - compiled
+    for step in range(1, JITTER_COLUMNS + 1):
+        for side in (-1, 1):
+            c = (column + side * step) % pixels.shape[0]
+            if pixels[c, ring] < 0:
+                pixels[c, ring] = n
+                return
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_image(
+    pixels: Any,
+    start: Any,
+    direction: Any,
+    length: Any,
+    first: Any,
+    step: Any,
+    seconds: Any,
+    elevation: Any,
+    rise: Any,
+    offset: Any,
+    turn: Any,
+    velocity: Any,
+    yaw_rate: Any,
+    origins: Any,
+    directions: Any,
+    depth: Any,
+) -> None:  # pragma: no cover - compiled
+    """Fill starts, directions (C, R, 3) and depths (C, R) from the returns and, where there is none, the pattern.
+
+    ``pixels`` (C, R) are rows of the returns, whose starts, directions and lengths (N,) come from
+    :func:`beams_of_returns`. The pattern: azimuth of column 0, step, time of each column (C,), and elevation, height of
+    the start and azimuth offset of each ring (R,), turned and moved as there. A missing beam has depth 0.
+    """
+    for c in range(pixels.shape[0]):
+        t = seconds[c]
+        cos, sin = np.cos(yaw_rate * t), np.sin(yaw_rate * t)
+        for r in range(pixels.shape[1]):
+            n = pixels[c, r]
+            if n >= 0:
+                for axis in range(3):
+                    origins[c, r, axis], directions[c, r, axis] = start[n, axis], direction[n, axis]
+                depth[c, r] = length[n]
+                continue
+            # A missing beam: as the pattern has it, turned to level axes, then by the motion.
+            azimuth = first + c * step + offset[r]
+            flat, z = np.cos(elevation[r]), np.sin(elevation[r])
+            x, y, h = flat * np.cos(azimuth), flat * np.sin(azimuth), rise[r]
+            dx = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z
+            dy = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z
+            dz = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z
+            ox, oy = turn[0, 2] * h, turn[1, 2] * h
+            directions[c, r, 0], directions[c, r, 1], directions[c, r, 2] = cos * dx - sin * dy, sin * dx + cos * dy, dz
+            origins[c, r, 0] = cos * ox - sin * oy + velocity[0] * t
+            origins[c, r, 1] = sin * ox + cos * oy + velocity[1] * t
+            origins[c, r, 2] = turn[2, 2] * h + velocity[2] * t
+            depth[c, r] = np.float32(0.0)

@@ -1,0 +1,184 @@
+"""Presets: how a simulated data set is composed, one flat TOML each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+from viewshed.grid import BevGrid
+from viewshed.sensors import lidar_model
+from viewshed_lab import _config as flat
+from viewshed_lab.sim.lidar.weather import conditions_named
+from viewshed_lab.sim.world import AgentPlan
+from viewshed_lab.sim.worlds import WORLDS
+
+MAX_SEED = 2**32 - 1
+_TABLES = "data/preset_tables"
+
+MAX_CELLS = 2048
+"""Cells a side that a frame may have: a worker with one more target than ours still stays below half a gigabyte."""
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """How a simulated data set is composed. Lists of names have weights or numbers beside them.
+
+    Attributes:
+        name: of the preset.
+        about: one line for people.
+        worlds: kinds of world, of ``WORLDS``.
+        world_weights: in what proportion the scenes are of each kind.
+        splits: names of the splits.
+        scenes: number of scenes of each split.
+        frames: number of sweeps of each split, spread evenly over its scenes.
+        moving: vehicles or robots in each scene that measure.
+        roadside: sensors on masts in each scene.
+        sensors: beam tables of the moving ones; the scenes take them in turn.
+        roadside_sensor: beam table of those on masts.
+        sensor_height_m: of the moving ones.
+        interval_s: between two sweeps of one agent.
+        revolution_s: duration of a sweep; 0 lets all beams fire at once.
+        conditions: weather and faults, of ``CONDITIONS``; one for each scene.
+        condition_weights: in what proportion the scenes have them.
+        grid_cells: cells a side of the truth.
+        grid_half_extent_m: half the side of the truth's grid.
+        seed: of everything random.
+
+    Raises:
+        ValueError: a name is not known, a number is out of range, or lists differ in length.
+    """
+
+    name: str
+    about: str
+    worlds: tuple[str, ...]
+    world_weights: tuple[float, ...]
+    splits: tuple[str, ...]
+    scenes: tuple[int, ...]
+    frames: tuple[int, ...]
+    moving: int
+    roadside: int
+    sensors: tuple[str, ...]
+    roadside_sensor: str
+    sensor_height_m: float
+    interval_s: float
+    revolution_s: float
+    conditions: tuple[str, ...]
+    condition_weights: tuple[float, ...]
+    grid_cells: int
+    grid_half_extent_m: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        self._check_lists()
+        self._check_names()
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ValueError(f"seed must lie in [0, {MAX_SEED}], got {self.seed}")
+        if not 1 <= self.grid_cells <= MAX_CELLS:
+            raise ValueError(
+                f"a data set's grid must have 1 to {MAX_CELLS} cells a side, got {self.grid_cells}: "
+                "a frame would not fit into memory; choose fewer cells"
+            )
+        if not (self.interval_s > 0 and 0 <= self.revolution_s <= 1):
+            raise ValueError(f"{self.name}: interval_s must be positive and revolution_s lie in [0, 1]")
+        self.plan(0, 1.0)
+        _ = self.grid
+
+    def _check_lists(self) -> None:
+        for names, numbers in (("worlds", "world_weights"), ("conditions", "condition_weights"),
+                               ("splits", "scenes"), ("splits", "frames")):  # fmt: skip
+            keys, values = getattr(self, names), getattr(self, numbers)
+            if not keys or len(keys) != len(values) or len(set(keys)) != len(keys):
+                raise ValueError(f"{self.name}: {names} must be different names with {numbers} of the same length")
+            if min(values) <= 0:
+                raise ValueError(f"{self.name}: {numbers} must be positive, got {list(values)}")
+        for split, scenes, frames in zip(self.splits, self.scenes, self.frames, strict=True):
+            if frames < scenes:
+                raise ValueError(f"{self.name}: {split} must have a frame for each scene, got {frames} for {scenes}")
+
+    def _check_names(self) -> None:
+        for world in self.worlds:
+            if world not in WORLDS:
+                raise ValueError(f"{self.name}: worlds must be among {', '.join(WORLDS)}, got {world!r}")
+        for condition in self.conditions:
+            conditions_named(condition)
+        for sensor in (*self.sensors, self.roadside_sensor):
+            lidar_model(sensor)
+
+    @classmethod
+    def from_json(cls, table: dict[str, Any]) -> Preset:
+        """Return the preset in plain values: keys as the attributes, lists for tuples."""
+        return cls(**flat.from_dict(cls, table, "preset"))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the preset as plain values."""
+        return flat.to_dict(self)
+
+    @property
+    def grid(self) -> BevGrid:
+        """The truth's grid."""
+        return _grid(self.grid_cells, self.grid_half_extent_m)
+
+    @property
+    def agents(self) -> int:
+        """Agents in each scene."""
+        return self.moving + self.roadside
+
+    @property
+    def sweeps(self) -> int:
+        """Number of sweeps in all splits."""
+        return sum(self.frames)
+
+    def plan(self, sensor: int, duration_s: float) -> AgentPlan:
+        """Return what a world is asked to carry, with one of the sensors."""
+        height_m = self.sensor_height_m
+        return AgentPlan(self.moving, self.roadside, self.sensors[sensor], self.roadside_sensor, height_m, duration_s)
+
+    def scaled(self, sweeps: int) -> Preset:
+        """Return the preset with so many sweeps: splits keep their ratio and scenes their length, where they can.
+
+        Raises:
+            ValueError: there are fewer sweeps than splits.
+
+        >>> small = preset_named("nuscenes").scaled(1000)
+        >>> small.frames, small.scenes
+        ((821, 179), (21, 4))
+        """
+        if sweeps < len(self.splits):
+            raise ValueError(f"sweeps must be at least {len(self.splits)}, one for each split, got {sweeps}")
+        frames = _shared(sweeps, self.frames)
+        lengths = [total / count for total, count in zip(self.frames, self.scenes, strict=True)]
+        scenes = (max(1, min(count, round(count / length))) for count, length in zip(frames, lengths, strict=True))
+        return replace(self, frames=tuple(frames), scenes=tuple(scenes))
+
+
+def _shared(total: int, weights: tuple[int, ...]) -> list[int]:
+    """Return whole numbers that add up to ``total`` in the ratio of ``weights``, none of them 0."""
+    rest, counts = total, []
+    for index, weight in enumerate(weights):
+        after = len(weights) - index - 1
+        share = round(rest * weight / sum(weights[index:]))
+        counts.append(min(max(share, 1), rest - after))
+        rest -= counts[-1]
+    return counts
+
+
+@lru_cache(maxsize=4)
+def _grid(cells: int, half_extent_m: float) -> BevGrid:
+    """Return one grid for all that ask: it computes its centers once."""
+    return BevGrid(cells, half_extent_m)
+
+
+@lru_cache(maxsize=1)
+def preset_names() -> tuple[str, ...]:
+    """Return the names that :func:`preset_named` knows, in alphabetical order."""
+    return flat.preset_names(_TABLES)
+
+
+def preset_named(name: str) -> Preset:
+    """Return the preset called ``name``.
+
+    Raises:
+        ValueError: there is none of that name; the message lists those that exist.
+    """
+    return Preset.from_json(flat.load_preset(_TABLES, name))

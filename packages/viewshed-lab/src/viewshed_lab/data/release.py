@@ -1,0 +1,98 @@
+"""The published small data set: made from its seed by ``viewshed simulate release``, held against recorded hashes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections import Counter
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from viewshed_lab.data.archive.archive import Archive
+from viewshed_lab.data.archive.schema import ShardFacts
+
+NAME = "release"
+CARD = "README.md"
+"""File of the data card, beside the shards."""
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """What is published of the data set.
+
+    Attributes:
+        shards: SHA-256 of each shard by the name of its file.
+        made_with: versions of what decides about bytes, by name.
+    """
+
+    shards: dict[str, str]
+    made_with: dict[str, str]
+
+
+@cache
+def published() -> Published:
+    """Return the hashes that travel with the package."""
+    text = resources.files("viewshed_lab.data").joinpath("release.json").read_text(encoding="utf-8")
+    return Published(**json.loads(text))
+
+
+def other_shards(archive: Archive) -> list[str]:
+    """Return the names of the shards that are not byte for byte those published, missing and new ones too."""
+    found = {shard.name: shard.sha256 for shard in archive.manifest.shards}
+    wanted = published().shards
+    return sorted(name for name in {*found, *wanted} if found.get(name) != wanted.get(name))
+
+
+def open_release(place: str | os.PathLike[str]) -> Archive:
+    """Open the published data set; every shard is read once and must be byte for byte the published one.
+
+    Raises:
+        ValueError: it is not there, another data set, or damaged.
+        OSError: it cannot be read.
+    """
+    archive = Archive.open(place)
+    other = other_shards(archive)
+    if other:
+        raise ValueError(
+            f"{archive.store.place} must be the published data set, got {len(other)} other shards"
+            f" ({', '.join(other[:3])}…); make it with: viewshed simulate {NAME}"
+        )
+    damaged = [problem for _, problem in archive.verify() if problem is not None]
+    if damaged:
+        raise ValueError(f"{archive.store.place} is damaged: {damaged[0]}")
+    return archive
+
+
+def card(archive: Archive) -> str:
+    """Return the data card of the data set as Markdown: what it holds, how it was made, what it is not for."""
+    recipe: dict[str, Any] = archive.manifest.recipe["config"]
+    shards = archive.manifest.shards
+    text = resources.files("viewshed_lab.data").joinpath("release_card.md").read_text(encoding="utf-8")
+    sizes = Counter[str]()
+    for shard in shards:
+        sizes[shard.split] += shard.frames
+    scenes = Counter(shard.split for shard in {shard.scene: shard for shard in shards}.values())
+    rows = [f"| {split} | {scenes[split]} | {sizes[split]} |" for split in archive.splits]
+    targets = archive.manifest.recipe["targets"].values()
+    grid = archive.manifest.layout.grid
+    return text.format(
+        sweeps=len(archive), scenes=sum(scenes.values()), megabytes=f"{sum(one.bytes for one in shards) / 1e6:.0f}",
+        splits="\n".join(rows), worlds=", ".join(recipe["worlds"]), sensors=", ".join(recipe["sensors"]),
+        conditions=", ".join(recipe["conditions"]), seed=recipe["seed"], moving=recipe["moving"],
+        cells=grid.cells, cell_m=f"{grid.cell_m:g}", version=archive.manifest.code["version"],
+        targets="; ".join(
+            f"{one['name']} ({one['length_m']:g} × {one['width_m']:g} × {one['height_m']:g} m, seen by"
+            f" {one['min_returns']} returns)" for one in targets
+        ),
+        made_with=", ".join(f"{name} {version}" for name, version in published().made_with.items()),
+        digest=digest_of(shards),
+    )  # fmt: skip
+
+
+def digest_of(shards: tuple[ShardFacts, ...]) -> str:
+    """Return one SHA-256 over the hashes of all shards, in the order of their names."""
+    lines = sorted(f"{shard.sha256}  {shard.name}\n" for shard in shards)
+    return hashlib.sha256("".join(lines).encode()).hexdigest()

@@ -1,0 +1,464 @@
+"""Data sets under attack, or corrupted: shard by shard, truth kept, with a record of what was touched.
+
+A plan says what is done to each sweep, an attack or a corruption by name; the sweeps lie in an archive, a recording or
+files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache, partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from viewshed.fov.estimate import FovEstimator
+from viewshed.fov.truth import Truth
+from viewshed.grid import BevGrid
+from viewshed.recordings.read import open_source
+from viewshed.recordings.read.source import SweepSource
+from viewshed.sweep import Sweep
+from viewshed_lab._jobs import Engine
+from viewshed_lab.data.archive.archive import Archive
+from viewshed_lab.data.archive.build import FRAMES_PER_SHARD, ShardJob, ShardResult, build_archive
+from viewshed_lab.data.archive.schema import Layout
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.sample import Sample
+from viewshed_lab.threats.attacks import (
+    ADAPTIVE,
+    ATTACKS,
+    EARLIER,
+    INFORMED,
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    Attack,
+    Knowledge,
+)
+from viewshed_lab.threats.attacks.base import Tampered
+from viewshed_lab.threats.corruptions import CORRUPTIONS
+
+ReadFile = Callable[[Path], Iterator[Sweep]]
+
+SceneFrames = Callable[[int], Sample]
+"""Returns a frame of one scene by its number, or raises a ValueError or an OSError; it travels to other processes."""
+
+
+def _archived(archive: Archive, index: int) -> Sample:
+    """Return a frame of an archive, as it is stored."""
+    return archive[index]
+
+
+def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> Sample:
+    """Return a sweep of a recording as a frame whose truth is nowhere known."""
+    source = opened(place, kind)
+    return without_truth(source.read(source.refs(scene)[index]), grid, scene)
+
+
+def _of_file(path: Path, read: ReadFile, grid: BevGrid, index: int) -> Sample:
+    """Return a sweep of a file as a frame whose truth is nowhere known."""
+    return without_truth(_cursor(path, read).at(index), grid, path.name)
+
+
+def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
+    """Return a sweep as a sample whose truth is nowhere known."""
+    return Sample(sweep, Truth(grid, {}, {}), np.zeros(grid.shape, np.bool_), scene)
+
+
+@lru_cache(maxsize=2)
+def opened(place: str, kind: str) -> SweepSource:
+    """Return the recording at a place, opened once in each process; errors as ``open_source``."""
+    return open_source(place, kind)
+
+
+class _Cursor:
+    """Reads a file forward, and from its start again for a sweep that has passed."""
+
+    def __init__(self, path: Path, read: ReadFile) -> None:
+        self._path, self._read = path, read
+        self._last: Sweep | None = None
+        self._index, self._sweeps = -1, read(path)
+
+    def at(self, index: int) -> Sweep:
+        if index < self._index:
+            self._index, self._sweeps = -1, self._read(self._path)
+        while self._index < index:
+            self._last = next(self._sweeps, None)
+            self._index += 1
+        if self._last is None:
+            raise ValueError(f"{self._path} must have more than {index} sweeps; it changed while it was read")
+        return self._last
+
+
+@lru_cache(maxsize=2)
+def _cursor(path: Path, read: ReadFile) -> _Cursor:
+    return _Cursor(path, read)
+
+
+ReadEarlier = Callable[[], tuple[Sweep, ...]]
+"""Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
+
+PAPER = "paper"
+_LASTING = EARLIER | {"coherent_phantom"}
+_FACTORIES = ATTACKS | INFORMED | ADAPTIVE
+_ROOM_M = 20.0
+
+
+class TamperPlan(Protocol):
+    """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
+
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample with its sweep changed; its truth stays. A ValueError where that cannot be done to it.
+
+        ``history`` returns earlier sweeps, and is called only where they are needed; ``rng`` is all that is random.
+        """
+        ...
+
+    @property
+    def command(self) -> str:
+        """What makes such a data set."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Name in its table."""
+        ...
+
+    def config(self) -> dict[str, Any]:
+        """Return all its parameters, as plain values."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class AttackPlan:
+    """An attack on every sweep of a data set.
+
+    Attributes:
+        attack: a name of ``ATTACKS``, ``INFORMED`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture.
+        budget: most returns; None is the attack's own.
+        mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
+        half_extent_m: half the side of the victim's grid.
+        placement: one of ``Placement``; None is the attack's own.
+        victim: name of the estimator that an attacker who adapts asks.
+        estimator: that estimator.
+
+    Raises:
+        ValueError: there is no such attack, or it has no such budget, mode or placement.
+    """
+
+    command: ClassVar[str] = "attack"
+
+    attack: str
+    budget: int | None = None
+    mode: str | None = None
+    half_extent_m: float = 64.0
+    placement: str | None = None
+    victim: str | None = None
+    estimator: FovEstimator | None = None
+
+    def __post_init__(self) -> None:
+        if self.attack != PAPER and self.attack not in _FACTORIES:
+            raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
+        self._made((Sweep(np.zeros((0, 3), np.float32)),))
+
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample under attack. Before anything was seen, nothing can be replayed: it stays as it is."""
+        earlier = history() if self.attack in _LASTING else ()
+        if not earlier and self.attack in EARLIER:
+            none = np.zeros(len(sample.sweep), np.bool_)
+            return replace(sample, tampered=Tampered(sample.sweep, none, none), clean=None)
+        return sample.attacked(self._made(earlier or (sample.sweep,)).apply(sample.sweep, rng))
+
+    @property
+    def name(self) -> str:
+        """Name of the attack."""
+        return self.attack
+
+    def config(self) -> dict[str, Any]:
+        """Return all its parameters, as plain values."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "estimator"}
+
+    def _made(self, earlier: tuple[Sweep, ...]) -> Attack:
+        chosen = {"mode": self.mode, "placement": self.placement}
+        chosen = {name: value for name, value in chosen.items() if value is not None}
+        if self.attack == PAPER:
+            if self.budget is not None or chosen:
+                raise ValueError("attack paper draws its own points; leave budget, mode and placement out")
+            return PAPER_INDOOR_ATTACK if self.half_extent_m <= _ROOM_M else PAPER_ATTACK
+        attack: Any = _FACTORIES[self.attack](self.budget, Knowledge(earlier, self.estimator, self.half_extent_m))
+        for name, value in chosen.items():
+            if name not in {field.name for field in fields(attack)}:
+                raise ValueError(
+                    f"attack {self.attack} must be left in its own {name}, got {value!r}; leave {name} out"
+                )
+        return replace(attack, **chosen)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, slots=True)
+class CorruptionPlan:
+    """A corruption of every sweep of a data set.
+
+    Attributes:
+        corruption: a name of ``CORRUPTIONS``.
+        severity: 1 to 5.
+
+    Raises:
+        ValueError: there is no such corruption or severity.
+    """
+
+    command: ClassVar[str] = "corrupt"
+
+    corruption: str
+    severity: int = 3
+
+    def __post_init__(self) -> None:
+        if self.corruption not in CORRUPTIONS:
+            raise ValueError(f"corruption must be one of {', '.join(CORRUPTIONS)}, got {self.corruption!r}")
+        CORRUPTIONS[self.corruption](self.severity)
+
+    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
+        """Return the sample with a corrupted sweep; nobody says which returns moved."""
+        return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
+
+    @property
+    def name(self) -> str:
+        """Name of the corruption."""
+        return self.corruption
+
+    def config(self) -> dict[str, Any]:
+        """Return all its parameters, as plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Frames of one scene that become one shard.
+
+    Attributes:
+        name: of the shard's file.
+        frames: of the whole scene.
+        scene: its name.
+        split: that it belongs to.
+        number: of the scene in the data set, for seeds.
+        first: the first frame.
+        last: the frame after the last.
+    """
+
+    name: str
+    frames: SceneFrames
+    scene: str
+    split: str
+    number: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sweeps:
+    """A data set of any kind that can be attacked.
+
+    Attributes:
+        layout: of its truth.
+        parts: what its shards are.
+        lineage: what it is, as plain values that do not depend on where it lies.
+        problems: one line for each thing that was found wrong on opening.
+    """
+
+    layout: Layout
+    parts: tuple[Part, ...]
+    lineage: Any
+    problems: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of sweeps."""
+        return sum(part.last - part.first for part in self.parts)
+
+
+def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
+    """Return the sweeps of an archive, or of one of its splits; a sweep has the same seed in both."""
+    wanted = {shard.name for shard in (archive if split is None else archive.split(split)).shards}
+    parts = []
+    for number, scene in enumerate(archive.scenes):
+        # Jobs travel to other processes, with no more of the manifest than they need.
+        shards = tuple(shard for shard in archive.shards if shard.scene == scene)
+        frames = partial(_archived, Archive(archive.store, replace(archive.manifest, shards=shards)))
+        first = 0
+        for shard in shards:
+            if shard.name in wanted:
+                last = first + shard.frames
+                parts.append(Part(shard.name, frames, scene, shard.split, number, first, last))
+            first += shard.frames
+    digest = _digest([shard.to_json() for shard in archive.shards])
+    lineage = {"recipe": dict(archive.manifest.recipe), "sha256": digest, "split": split}
+    return Sweeps(archive.manifest.layout, tuple(parts), lineage)
+
+
+def sweeps_of_recording(place: str, grid: BevGrid, kind: str = "auto") -> Sweeps:
+    """Return the sweeps of a recording, which has no truth: it is nowhere known; errors as ``open_source``."""
+    source = opened(place, kind)
+    parts: list[Part] = []
+    listing, problems = [], list(source.damage())
+    for number, scene in enumerate(source.scenes()):
+        try:
+            refs = source.refs(scene)
+        except (ValueError, OSError) as error:
+            problems.append(str(error))
+            continue
+        listing.append([[ref.scene, ref.index, Path(ref.file).name, ref.t_ns, ref.key] for ref in refs])
+        parts += _split_into_parts(partial(_recorded, place, kind, scene, grid), len(refs), scene, number)
+    return _without_truth(parts, listing, problems, grid)
+
+
+def sweeps_of_files(files: Sequence[Path], read: ReadFile, grid: BevGrid) -> Sweeps:
+    """Return the sweeps of files, each a scene of its own; they have no truth.
+
+    Args:
+        files: of any format.
+        read: yields the sweeps of one; it travels to other processes.
+        grid: of the truth that is not there.
+    """
+    parts: list[Part] = []
+    listing, problems = [], []
+    for number, file in enumerate(files):
+        count = 0
+        try:
+            for _ in read(file):
+                count += 1
+        except (ValueError, OSError) as error:
+            problems.append(str(error))
+        listing.append([file.name, count, file.stat().st_size if file.is_file() else 0])
+        parts += _split_into_parts(partial(_of_file, file.absolute(), read, grid), count, file.name, number)
+    return _without_truth(parts, listing, problems, grid)
+
+
+def _without_truth(parts: Sequence[Part], listing: Any, problems: Sequence[str], grid: BevGrid) -> Sweeps:
+    return Sweeps(Layout(grid, (), ()), tuple(parts), {"sha256": _digest(listing)}, tuple(problems))
+
+
+def tamper(
+    sweeps: Sweeps,
+    plan: TamperPlan,
+    store: Storage,
+    engine: Engine,
+    seed: int = 0,
+    on_progress: Callable[[ShardResult], None] | None = None,
+) -> Archive:
+    """Return the archive of attacked (or corrupted) sweeps, made into ``store``; its bytes do not depend on the engine.
+
+    Truth, known, scene and split are those of the source. The random numbers of a sweep follow from ``seed``, the
+    number of its scene and its number there. A run that was stopped goes on where it was.
+
+    Args:
+        sweeps: from :func:`sweeps_of_archive`, :func:`sweeps_of_recording` or :func:`sweeps_of_files`.
+        plan: what is done to each.
+        store: where the archive goes.
+        engine: makes the shards.
+        seed: of all that is random.
+        on_progress: is called with each shard that is done, and of the sweeps that had to be left out.
+
+    Raises:
+        ValueError: the place holds something else, or the seed is negative.
+        OSError: a shard could not be made or written; those that are finished stay.
+    """
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed}")
+    config = plan.config() | {"source": sweeps.lineage}
+    recipe = {"command": plan.command, "name": plan.name, "seed": seed, "config": config}
+    jobs = [ShardJob(part.name, partial(_tampered_samples, part, plan, seed)) for part in sweeps.parts]
+    return build_archive(recipe, sweeps.layout, jobs, store, engine, on_progress)
+
+
+def tampered_sweep(sweeps: Sweeps, plan: TamperPlan, seed: int = 0) -> tuple[Sweep, str]:
+    """Return the first of some sweeps, attacked or corrupted, and what was done to it as JSON.
+
+    The rows added are those of the new sweep, the rows removed those of the old one.
+
+    Raises:
+        ValueError: it cannot be done to this sweep.
+        OSError: the sweep cannot be read.
+    """
+    frame = _tampered_sample(sweeps.parts[0], plan, seed, 0, _EarlierSweeps(sweeps.parts[0]))
+    about = {"command": plan.command, "name": plan.name, "seed": seed, "config": plan.config()}
+    tampered = frame.tampered
+    if tampered is not None:
+        wedge = None if tampered.wedge is None else (tampered.wedge.azimuth, tampered.wedge.width)
+        about |= {"wedge": wedge, "added_rows": np.flatnonzero(tampered.added).tolist()}
+        about |= {"removed_rows": np.flatnonzero(tampered.removed).tolist()}
+    return frame.sweep, json.dumps(about) + "\n"
+
+
+def _tampered_samples(part: Part, plan: TamperPlan, seed: int, problems: list[str]) -> Iterator[Sample]:
+    """Yield the changed samples of a part; those that cannot be used are left out.
+
+    A file that is not there is damage of a sweep; a source that cannot be read now ends the job with an OSError.
+    """
+    earlier, lost = _EarlierSweeps(part), list[tuple[int, str]]()
+    for index in range(part.first, part.last):
+        try:
+            yield _tampered_sample(part, plan, seed, index, earlier)
+        except (ValueError, FileNotFoundError) as error:
+            lost.append((index, " ".join(str(error).split())))
+    # One line for each run of sweeps with one problem.
+    for message, group in groupby(lost, lambda problem: problem[1]):
+        numbers = [index for index, _ in group]
+        which = f"sweep {numbers[0]}" if len(numbers) == 1 else f"{len(numbers)} sweeps from {numbers[0]} on"
+        problems.append(f"{part.scene}, {which}: {message}")
+
+
+def _tampered_sample(part: Part, plan: TamperPlan, seed: int, index: int, earlier: _EarlierSweeps) -> Sample:
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, part.number, index])))
+    frame = part.frames(index)
+    sweep = frame.sweep
+    done = plan.apply(frame, lambda: earlier.of(sweep, index), rng)
+    earlier.note(sweep)
+    return done
+
+
+class _EarlierSweeps:
+    """The first sweep of each agent of a scene and the last before a frame; remembers what has passed."""
+
+    def __init__(self, part: Part) -> None:
+        self._part = part
+        self._first: dict[str, Sweep] = {}
+        self._last: dict[str, Sweep] = {}
+
+    def note(self, sweep: Sweep) -> None:
+        self._last[sweep.agent] = sweep
+
+    def of(self, sweep: Sweep, index: int) -> tuple[Sweep, ...]:
+        agent = sweep.agent
+        if agent not in self._last:
+            before = self._first_of(agent, range(self._part.first - 1, -1, -1))
+            if before is None:
+                self._first[agent] = sweep
+                return ()
+            self._last[agent] = before
+        if agent not in self._first:
+            self._first[agent] = self._first_of(agent, range(index)) or self._last[agent]
+        return self._first[agent], self._last[agent]
+
+    def _first_of(self, agent: str, indices: Iterable[int]) -> Sweep | None:
+        """Return the first sweep of an agent among some frames; those that cannot be read are passed over."""
+        for index in indices:
+            try:
+                frame = self._part.frames(index)
+                if frame.measured.agent == agent:
+                    return frame.sweep
+            except (ValueError, FileNotFoundError):
+                continue
+        return None
+
+
+def _split_into_parts(frames: SceneFrames, count: int, scene: str, number: int) -> Iterator[Part]:
+    for chunk, first in enumerate(range(0, count, FRAMES_PER_SHARD)):
+        last = min(first + FRAMES_PER_SHARD, count)
+        yield Part(f"scene-{number:05d}-{chunk:03d}.parquet", frames, scene, "", number, first, last)
+
+
+def _digest(table: Any) -> str:
+    return hashlib.sha256(json.dumps(table, sort_keys=True, default=str).encode()).hexdigest()

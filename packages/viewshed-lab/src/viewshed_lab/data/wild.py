@@ -1,0 +1,422 @@
+"""Samples in the wild: worlds of many styles, sensors and mountings drawn at random, in sets that share none of them.
+
+Everything random in a sample follows from its set's seed and its number, so that samples can be made in any order. The
+``sealed`` set is for final tables alone: it opens only for one who gives :data:`OPEN_SEALED`, and each opening is to be
+logged (:mod:`viewshed_lab.studies.wild.openings`).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.height_map import NODES, HeightMap
+from viewshed.fov.truth import Truth
+from viewshed.geometry import attitude_of
+from viewshed.grid import GRIDS, BevGrid
+from viewshed.sensors import sensor_names
+from viewshed.sweep import Sweep, bare_points
+from viewshed_lab import _config as flat
+from viewshed_lab.sim.lidar.random_sensors import DrawnSensor, SensorFamily, draw_sensor
+from viewshed_lab.sim.lidar.weather import CONDITIONS, conditions_named
+from viewshed_lab.sim.mounting import Mounting, MountingFamily, draw_mounting
+from viewshed_lab.sim.observe import Setting, observe
+from viewshed_lab.sim.raycast.scan import ExactScan
+from viewshed_lab.sim.world import Agent, AgentPlan, World
+from viewshed_lab.sim.worlds import WORLDS
+
+SETS = ("own", "training", "development", "sealed")
+"""``own``: worlds and sensors of the presets, as a yardstick; the other three share no style, sensor or mounting."""
+
+SEALED = "sealed"
+
+OPEN_SEALED = "I open the sealed set for a final table, and log it"
+"""What one must say to get samples of the sealed set."""
+
+TOLD = ("table", "rings", "nothing")
+"""What a sweep says beside its points. ``table``: ring, time and intensity, the maker's beam table, height and attitude
+where the points lie in the sensor's frame. ``rings``: ring, time and intensity. ``nothing``: no more than points."""
+
+_SWEEPS_APART_S = 3.0
+
+_REVOLUTION_S = 0.1
+
+_TABLE = "data/wild_sets.toml"
+
+
+class _SeedPurpose(IntEnum):
+    WORLD = 0
+    SENSOR = 1
+    MOUNTING = 2
+    OBSERVATION = 3
+    DELIVERY = 4
+    CONDITIONS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class WildDomain:
+    """One part of a set: its road scenes, or its indoor scenes.
+
+    Attributes:
+        set_name: of ``SETS``.
+        name: ``road`` or ``indoor``, which is also the name of its grid.
+        styles: kinds of world, of ``WORLDS``; the scenes take them in turn.
+        sensors: names of sensor families, or of beam tables; taken in turn.
+        mountings: names of mounting families; taken in turn.
+        conditions: weather and faults, of ``CONDITIONS``; one for each scene.
+        scenes: how many.
+        sweeps: of each scene, 3 s apart.
+        seed: of everything random.
+
+    Raises:
+        ValueError: a name is not known, or a number is out of range.
+    """
+
+    set_name: str
+    name: str
+    styles: tuple[str, ...]
+    sensors: tuple[str, ...]
+    mountings: tuple[str, ...]
+    conditions: tuple[str, ...]
+    scenes: int
+    sweeps: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        if self.set_name not in SETS or self.name not in GRIDS:
+            raise ValueError(f"a domain must be of {', '.join(SETS)} and of a grid, got {self.set_name} {self.name}")
+        unknown = set(self.styles) - WORLDS.keys()
+        if unknown or not self.styles:
+            raise ValueError(f"styles must be among {', '.join(WORLDS)}, got {', '.join(sorted(unknown)) or 'none'}")
+        for condition in self.conditions:
+            conditions_named(condition)
+        if min(self.scenes, self.sweeps, len(self.sensors), len(self.mountings), len(self.conditions)) < 1:
+            raise ValueError(f"{self.set_name} {self.name} must have scenes, sweeps, sensors, mountings and conditions")
+
+    @property
+    def grid(self) -> BevGrid:
+        """Its grid."""
+        return GRIDS[self.name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WildTables:
+    """The whole TOML: families by name, and the domains of each set."""
+
+    sensors: Mapping[str, SensorFamily]
+    mountings: Mapping[str, MountingFamily]
+    domains: tuple[WildDomain, ...]
+
+    def of_set(self, name: str) -> tuple[WildDomain, ...]:
+        """Return the domains of a set.
+
+        Raises:
+            ValueError: there is none of that name.
+        """
+        if name not in SETS:
+            raise ValueError(f"set must be one of {', '.join(SETS)}, got {name!r}")
+        return tuple(domain for domain in self.domains if domain.set_name == name)
+
+
+@lru_cache(maxsize=1)
+def wild_tables() -> WildTables:
+    """Return the sets and families of the package.
+
+    Raises:
+        ValueError: the table is wrong: a value, or a style, sensor or mounting that two sets share.
+    """
+    table = tomllib.loads(resources.files("viewshed_lab").joinpath(_TABLE).read_text(encoding="utf-8"))
+    sensors = {name: SensorFamily.from_json({"name": name} | one) for name, one in table["sensor"].items()}
+    mountings = {name: MountingFamily.from_json({"name": name} | one) for name, one in table["mounting"].items()}
+    domains = tuple(
+        WildDomain(**flat.from_dict(WildDomain, {"set_name": set_name, "name": name} | one, "domain"))
+        for set_name, parts in table["set"].items()
+        for name, one in parts.items()
+    )
+    for domain in domains:
+        unknown = (set(domain.sensors) - sensors.keys() - set(sensor_names())) | (
+            set(domain.mountings) - mountings.keys()
+        )
+        if unknown:
+            raise ValueError(f"{domain.set_name} {domain.name} names no such family: {', '.join(sorted(unknown))}")
+    check_apart(domains)
+    return WildTables(sensors, mountings, domains)
+
+
+def check_apart(domains: tuple[WildDomain, ...]) -> None:
+    """Check that training, development and sealed share no style, sensor, mounting or seed.
+
+    Raises:
+        ValueError: two of them do; the message says what.
+    """
+    owners: dict[tuple[str, object], str] = {}
+    for domain in domains:
+        if domain.set_name == SETS[0]:
+            continue
+        named: list[tuple[str, object]] = [("seed", domain.seed)]
+        for key in ("styles", "sensors", "mountings"):
+            named += [(key, value) for value in getattr(domain, key)]
+        for key, value in named:
+            owner = owners.setdefault((key, value), domain.set_name)
+            if owner != domain.set_name:
+                raise ValueError(f"{owner} and {domain.set_name} must share no {key}, got {value} in both")
+
+
+@dataclass(frozen=True, slots=True)
+class WildScene:
+    """One scene of a domain.
+
+    Attributes:
+        domain: that it is of.
+        number: its number there.
+    """
+
+    domain: WildDomain
+    number: int
+
+    @property
+    def name(self) -> str:
+        """Set, grid, number and style."""
+        return f"{self.domain.set_name}-{self.domain.name}-{self.number:03d}-{self.style}"
+
+    @property
+    def style(self) -> str:
+        """Kind of its world."""
+        return self.domain.styles[self.number % len(self.domain.styles)]
+
+    @property
+    def sensor(self) -> str:
+        """Family, or beam table, of its sensor."""
+        return self._turn(self.domain.sensors, 1)
+
+    @property
+    def mounting(self) -> str:
+        """Family of its mounting."""
+        return self._turn(self.domain.mountings, 2)
+
+    def _turn(self, names: tuple[str, ...], step: int) -> str:
+        """Return one of the names: from one scene of a style to the next, its turn moves on by one."""
+        round_number, style = divmod(self.number, len(self.domain.styles))
+        return names[(style * step + round_number) % len(names)]
+
+    def rng(self, purpose: int, sweep: int = 0) -> np.random.Generator:
+        """Return the generator of what is random for one purpose."""
+        return np.random.Generator(np.random.PCG64(self.seed(purpose, sweep)))
+
+    def seed(self, purpose: int, sweep: int = 0) -> np.random.SeedSequence:
+        """Return its seed."""
+        return np.random.SeedSequence([self.domain.seed, self.number, sweep, purpose])
+
+    @property
+    def conditions(self) -> str:
+        """Weather and faults."""
+        return str(self.rng(_SeedPurpose.CONDITIONS).choice(self.domain.conditions))
+
+    def drawn_mounting(self) -> Mounting:
+        """Return its mounting."""
+        return draw_mounting(wild_tables().mountings[self.mounting], self.rng(_SeedPurpose.MOUNTING))
+
+    def drawn_sensor(self, sweep: int = 0) -> DrawnSensor:
+        """Return its sensor, as it fires one of its sweeps."""
+        families = wild_tables().sensors
+        if self.sensor not in families:
+            return DrawnSensor.of_table(self.sensor)
+        return draw_sensor(families[self.sensor], self.rng(_SeedPurpose.SENSOR), sweep)
+
+    def observe(self, sweep: int) -> WildObservation:
+        """Return one of its sweeps with all that the simulator knows of it."""
+        mounting, sensor = self.drawn_mounting(), self.drawn_sensor(sweep)
+        world, agent = _mounted_world(self)
+        # The truth's grid lies about the origin of the points, which need not be the sensor.
+        away = np.asarray(mounting.origin_m(agent)) - agent.mount.translation
+        own = self.domain.grid
+        grid = replace(own, offset_m=(float(away[0]), float(away[1]))) if away.any() else own
+        setting = Setting(grid, CONDITIONS[self.conditions], _REVOLUTION_S)
+        seed, t_s = self.seed(_SeedPurpose.OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
+        seen = observe(world, agent, t_s, setting, seed, sensor.model)
+        # The exact ground, first from the sensor's height, then from the ground below the origin of the points.
+        centers, pose, terrain = grid.centers, seen.scan.world_from_sensor, world.ground_of(agent)
+        ground = terrain.about(pose, centers[:, 0, 0].copy(), centers[0, :, 1].copy())[0]
+        below = terrain.about(pose, np.array([grid.offset_m[0]]), np.array([grid.offset_m[1]]))[0][0, 0]
+        world_from_carrier = pose.rotation @ agent.mount.rotation.T
+        height_m = float((world_from_carrier @ away)[2] - below)
+        # The sweep as it is handed out, in the frame in which it is given.
+        delivered = sensor.deliver(seen.image.sweep(), self.rng(_SeedPurpose.DELIVERY, sweep))
+        turn = pose.rotation if mounting.family.frame == "sensor" else world_from_carrier
+        truth = Truth(own, seen.truth.expected_returns, seen.truth.state)
+        return WildObservation(
+            self, sweep, mounting.given(delivered, agent), truth, seen.known, ground - below, height_m,
+            attitude_of(turn), sensor, mounting, seen.scan, world, agent,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WildObservation:
+    """One sweep and all that the simulator knows of it.
+
+    Attributes:
+        scene: that it is of.
+        number: of the sweep in its scene.
+        delivered: the sweep, with all that is known of it.
+        truth: what the sensor could have seen, on the domain's grid about the origin of the points.
+        known: (cells, cells) bool, where that is known.
+        ground_m: (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin.
+        origin_height_m: exact height of the origin of the points above the ground below it.
+        attitude: exact quaternion (w, x, y, z) of the frame of the points.
+        sensor: as drawn.
+        mounting: as drawn.
+        scan: what every beam met.
+        world: where.
+        agent: who measured.
+    """
+
+    scene: WildScene
+    number: int
+    delivered: Sweep
+    truth: Truth
+    known: NDArray[np.bool_]
+    ground_m: NDArray[np.float32]
+    origin_height_m: float
+    attitude: NDArray[np.float64]
+    sensor: DrawnSensor
+    mounting: Mounting
+    scan: ExactScan
+    world: World
+    agent: Agent
+
+    def told(self, told: str) -> Sweep:
+        """Return the sweep that says no more than ``told``.
+
+        Raises:
+            ValueError: ``told`` is not of ``TOLD``.
+        """
+        if told not in TOLD:
+            raise ValueError(f"told must be one of {', '.join(TOLD)}, got {told!r}")
+        if told == "nothing":
+            return bare_points(self.delivered)
+        sweep = self.delivered.replace(world_from_sensor=None, sensor_height_m=None, attitude=None, azimuth=None)
+        if told == "rings":
+            return sweep.replace(model=None)
+        if self.mounting.family.frame == "base":
+            return sweep
+        return sweep.replace(sensor_height_m=self.origin_height_m, attitude=self.attitude)
+
+    def sample(self, told: str) -> WildSample:
+        """Return the sample that says no more than ``told``."""
+        return WildSample(
+            self.told(told), self.truth, self.known, self.ground_m, self.origin_height_m, self.attitude,
+            self.scene.style, self.scene.sensor, self.scene.mounting, told, self.scene.name,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WildSample:
+    """One sweep with its exact truth and its exact ground.
+
+    Attributes:
+        sweep: what an estimator is given.
+        truth: what the sensor could have seen, about the origin of the points.
+        known: (cells, cells) bool, where the truth is known.
+        ground_m: (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin of
+            the points; so z of the ``level`` frame.
+        origin_height_m: exact height of that origin above the ground below it.
+        attitude: exact quaternion (w, x, y, z) of the frame of the points.
+        style: kind of world.
+        sensor: family, or beam table.
+        mounting: family.
+        told: of ``TOLD``.
+        scene: its name; splits never cut through a scene.
+    """
+
+    sweep: Sweep
+    truth: Truth
+    known: NDArray[np.bool_]
+    ground_m: NDArray[np.float32]
+    origin_height_m: float
+    attitude: NDArray[np.float64]
+    style: str
+    sensor: str
+    mounting: str
+    told: str
+    scene: str
+
+    @property
+    def exact_ground(self) -> HeightMap:
+        """The exact ground on the lattice that estimators use."""
+        grid = self.truth.grid
+        every = grid.cells // NODES
+        blocks = self.ground_m.reshape(NODES, every, NODES, every)
+        middle = blocks[:, (every - 1) // 2 : every // 2 + 1, :, (every - 1) // 2 : every // 2 + 1]
+        heights = middle.mean(axis=(1, 3)).astype(np.float32)
+        return HeightMap(heights, grid.half_extent_m, np.ones((NODES, NODES), np.bool_))
+
+
+def wild_scenes(set_name: str, domain: str | None = None, *, unseal: str = "") -> list[WildScene]:
+    """Return the scenes of a set, or of one of its domains.
+
+    Args:
+        set_name: of ``SETS``.
+        domain: ``road`` or ``indoor``; both if left out.
+        unseal: :data:`OPEN_SEALED` opens the sealed set.
+
+    Raises:
+        ValueError: a name is unknown, or the set is sealed.
+    """
+    if set_name == SEALED and unseal != OPEN_SEALED:
+        raise ValueError("set must not be sealed while methods are developed; use development")
+    return [
+        WildScene(one, number)
+        for one in wild_tables().of_set(set_name)
+        if domain in (None, one.name)
+        for number in range(one.scenes)
+    ]
+
+
+def wild_samples(
+    set_name: str,
+    domain: str | None = None,
+    told: tuple[str, ...] = ("rings", "nothing"),
+    *,
+    count: int | None = None,
+    unseal: str = "",
+) -> Iterator[WildSample]:
+    """Yield the samples of a set, scene after scene, each sweep once for each of ``told``.
+
+    Args:
+        set_name: of ``SETS``.
+        domain: ``road`` or ``indoor``; both if left out.
+        told: of ``TOLD``.
+        count: the first so many sweeps only.
+        unseal: as for :func:`wild_scenes`.
+
+    Raises:
+        ValueError: as :func:`wild_scenes`.
+    """
+    scenes = wild_scenes(set_name, domain, unseal=unseal)
+    sweeps = [(scene, sweep) for scene in scenes for sweep in range(scene.domain.sweeps)]
+    for scene, sweep in sweeps[:count]:
+        seen = scene.observe(sweep)
+        yield from (seen.sample(one) for one in told)
+
+
+@lru_cache(maxsize=2)
+def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
+    """Return the world of a scene, and its one agent with the sensor mounted."""
+    mounting = scene.drawn_mounting()
+    plan = AgentPlan(
+        moving=1, sensor_height_m=mounting.height_m, duration_s=scene.domain.sweeps * _SWEEPS_APART_S
+    )  # fmt: skip
+    return mounting.mounted(WORLDS[scene.style](scene.rng(_SeedPurpose.WORLD), plan), 0)
+
+
+__all__ = [
+    "OPEN_SEALED", "SETS", "TOLD", "WildDomain", "WildObservation", "WildSample", "WildScene", "check_apart",
+    "wild_samples", "wild_scenes", "wild_tables",
+]  # fmt: skip

@@ -1,0 +1,372 @@
+"""From the exact stops of a scan to what a sensor would have stored: noise, weak returns, weather and faults.
+
+Random numbers are hashes of a seed and the beam's number (SplitMix64: Steele, Lea & Flood 2014), so that a beam's luck
+does not depend on the others. They and the rounding to whole steps are integer arithmetic, equal on every machine.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.arrays import F32
+from viewshed.sensors import LidarModel
+from viewshed_lab.sim.assets.shapes import GLINT, GLOSS, REFLECTIVITY
+from viewshed_lab.sim.lidar.optics import Optics, optics_of, step_of
+from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
+from viewshed_lab.sim.lidar.weather import Conditions
+from viewshed_lab.sim.raycast.scan import ExactScan
+
+ROUGHNESS = 0.2
+"""Slope of the facets of a surface, radians (Oren & Nayar 1994): why a road is seen at grazing incidence."""
+
+STEEPNESS = 4.0
+"""A signal s, in units of the threshold, is detected with probability 1 / (1 + s ** -STEEPNESS)."""
+
+BLOCK_COLUMNS = 12
+"""Columns that travel in one packet."""
+
+_LUCK = 4096
+"""Rows of tables by luck."""
+
+_AIR = 1024
+"""Rows of the table of air by range, less one."""
+
+_ENDLESS_M = 1e6
+"""Reach of a sensor that detects everything."""
+
+# SplitMix64's multipliers, and the shifts that cut a hash into four numbers of 16 bits.
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+_MIX_A = np.uint64(0xBF58476D1CE4E5B9)
+
+_MIX_B = np.uint64(0x94D049BB133111EB)
+
+_LOW = np.uint64(0xFFFF)
+
+_S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(shift) for shift in (16, 27, 30, 31, 32, 48))
+
+_NORMAL = np.float32(1.0 / np.sqrt(4.0 * (65536.0**2 - 1.0) / 12.0))
+"""1 / standard deviation of a sum of four whole numbers below 65536."""
+
+_WEAK = np.float32(3.0)
+"""A return of signal s has the noise σ √(1 + 3 / s)."""
+
+_MIXED_GAP_M = (np.float32(0.15), np.float32(2.0))
+"""Gaps at an edge across which a beam returns from between the two surfaces."""
+
+_PER_GLINT2 = np.float32(2.0 / GLINT**2)
+
+_PARTICLE_SHINE = np.float32(0.03)
+"""Share of light that a particle sends back, for its intensity."""
+
+_GROUND = -1
+
+
+class Surfaces(NamedTuple):
+    """What every beam met, (C, R) each, as in :class:`viewshed_lab.sim.raycast.scan.ExactScan`."""
+
+    depth: F32
+    cosine: F32
+    material: NDArray[np.uint8]
+    thing: NDArray[np.int32]
+
+
+class Tables(NamedTuple):
+    """What the loop looks up.
+
+    Attributes:
+        reflectivity: by material.
+        gloss: by material, of what it sends back as a mirror does.
+        facing: factors of the cosine and of the squared sine of incidence.
+        threshold: signal that is just detected, by luck.
+        air: share of light that returns through the air, by range.
+        particle: range of the nearest particle in meters, by luck.
+    """
+
+    reflectivity: F32
+    gloss: F32
+    facing: tuple[np.float32, np.float32]
+    threshold: F32
+    air: F32
+    particle: F32
+
+
+class Numbers(NamedTuple):
+    """Sensor and conditions as float32.
+
+    Attributes:
+        reach2: squared range at which a surface of reflectivity 1 gives a signal of 1.
+        sigma: range noise of a strong return, meters.
+        per_step: steps a meter.
+        wet: reflectivity of the ground as a share of that when dry.
+        missing: beams of 65536 that return nothing for no visible reason.
+        mixed: beams of 65536 that return from between two surfaces, where there are two.
+        near: minimum range in meters.
+        far: maximum range in meters.
+        particle2: squared range at which a particle of mean size is just detected; 0 without particles.
+    """
+
+    reach2: np.float32
+    sigma: np.float32
+    per_step: np.float32
+    wet: np.float32
+    missing: np.float32
+    mixed: np.float32
+    near: np.float32
+    far: np.float32
+    particle2: np.float32
+
+
+def measure(
+    scan: ExactScan,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    *,
+    sensor_height_m: float | None = None,
+    t_ns: int | None = None,
+    agent: str = "ego",
+) -> StoredSweep:
+    """Return what the sensor of ``scan`` stores under ``conditions``: (C, R) whole steps of range, and intensity.
+
+    The signal of a beam is that of the LiDAR equation for a surface that fills it,
+    s = ρ f(θ) / 0.1 · (reach / r)² · exp(-2 α r), with f of Oren & Nayar (1994) towards the source; it is detected with
+    probability 1 / (1 + s⁻⁴). Range noise is σ √(1 + 3 / s). Particles in the air are met at random before the surface
+    and win where their signal is the stronger one.
+
+    Args:
+        scan: exact stops of the beams.
+        conditions: weather and faults.
+        rng: gives one seed; the same state gives the same image.
+        sensor_height_m: above the ground below, if it is known.
+        t_ns: time of the reference pose.
+        agent: who measures.
+    """
+    model, optics = scan.model, optics_of(scan.model)
+    seed = rng.integers(2**63, dtype=np.uint64)
+    shape = scan.depth_m.shape
+    steps, intensity = np.zeros(shape, np.uint16), np.zeros(shape, np.uint8)
+    step_m = step_of(model)
+    measure_beams(
+        Surfaces(scan.depth_m, scan.cos_incidence, scan.material, scan.thing),
+        Tables(REFLECTIVITY, GLOSS, _facing(), _thresholds(), *air(optics, conditions, model.max_range_m)),
+        *_alive(model, conditions, int(seed)),
+        _numbers(model, optics, conditions, step_m),
+        seed,
+        steps,
+        intensity,
+    )
+    if model.fired is not None:  # particles return light to no shot that was not fired
+        steps[~model.fired], intensity[~model.fired] = 0, 0
+    return StoredSweep(
+        model=model, steps=steps, intensity=intensity, step_m=step_m, world_from_sensor=scan.world_from_sensor,
+        motion=scan.motion, sensor_height_m=sensor_height_m, t_ns=t_ns, agent=agent,
+    )  # fmt: skip
+
+
+def detection_probability(signal: F32) -> F32:
+    """Return the probability (same shape) that a signal is detected; 1 is the threshold, seen every second time.
+
+    >>> detection_probability(np.array([1.0, 2.0], np.float32)).round(2).tolist()
+    [0.5, 0.9399999976158142]
+    """
+    return (1.0 / (1.0 + np.maximum(signal, 1e-6) ** -STEEPNESS)).astype(np.float32)
+
+
+def _numbers(model: LidarModel, optics: Optics, conditions: Conditions, step_m: float) -> Numbers:
+    missing = 1 - (1 - optics.missing_share) * (1 - conditions.missing_share)
+    particle_m = particle_reach_m(optics, conditions, model.max_range_m) if conditions.particles_per_m > 0 else 0.0
+    numbers = (
+        min(optics.reach_m, _ENDLESS_M) ** 2 / 0.1, optics.sigma_m * conditions.noise, 1 / step_m, conditions.wet,
+        65536 * missing, 65536 * conditions.mixed_share, model.min_range_m, model.max_range_m, particle_m**2,
+    )  # fmt: skip
+    return Numbers(*(np.float32(number) for number in numbers))
+
+
+@lru_cache(maxsize=1)
+def _facing() -> tuple[np.float32, np.float32]:
+    """Return a and b of the light sent back, a cos θ + b sin² θ, 1 at normal incidence (Oren & Nayar 1994, eq. 30).
+
+    With source and receiver in one place their sin α tan β is sin² θ / cos θ, which the cosine of the incident light
+    cancels.
+    """
+    variance = ROUGHNESS**2
+    a = 1 - 0.5 * variance / (variance + 0.33)
+    b = 0.45 * variance / (variance + 0.09)
+    return np.float32(1.0), np.float32(b / a)
+
+
+@lru_cache(maxsize=1)
+def _thresholds() -> F32:
+    """Return (4096,) float32: the signal that is just detected, by luck from 0 to 1."""
+    luck = (np.arange(_LUCK) + 0.5) / _LUCK
+    return ((luck / (1 - luck)) ** (1 / STEEPNESS)).astype(np.float32)
+
+
+@lru_cache(maxsize=64)
+def air(optics: Optics, conditions: Conditions, max_range_m: float) -> tuple[F32, F32]:
+    """Return the share of light that comes back through the air by range, and the range of a particle by luck.
+
+    Particles that are detected are met at a rate of n exp(-(r / reach)² exp(2 α r)) a meter: sizes are exponential and
+    the signal of each falls as that of a point that fills part of the beam.
+    """
+    range_m = np.linspace(0.0, max_range_m, _AIR)
+    loss = np.exp(-2 * conditions.extinction_per_m * range_m)
+    reach_m = particle_reach_m(optics, conditions, max_range_m)
+    with np.errstate(over="ignore", under="ignore"):
+        rate = conditions.particles_per_m * np.exp(-((range_m / reach_m) ** 2) / np.maximum(loss, 1e-30))
+    met = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(range_m))])
+    wanted = -np.log1p(-np.arange(_LUCK) / _LUCK)
+    particle = np.interp(wanted, met, range_m)
+    particle[wanted >= met[-1]] = np.inf
+    return np.append(loss, loss[-1]).astype(np.float32), np.append(particle, np.inf).astype(np.float32)
+
+
+def particle_reach_m(optics: Optics, conditions: Conditions, max_range_m: float) -> float:
+    """Return the range in meters at which a particle of mean size is only just detected."""
+    return conditions.particle_reach * min(optics.reach_m, max_range_m)
+
+
+def _alive(model: LidarModel, conditions: Conditions, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which columns (C,) and rings (R,) work."""
+    columns, rings = np.ones(model.azimuth_columns, np.bool_), np.ones(model.rings, np.bool_)
+    if not (conditions.lost_block_share or conditions.dead_ring_share or conditions.dead_sector_share):
+        return columns, rings
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed])))
+    blocks = rng.random(-(-len(columns) // BLOCK_COLUMNS)) >= conditions.lost_block_share
+    columns &= np.repeat(blocks, BLOCK_COLUMNS)[: len(columns)]
+    rings &= rng.random(len(rings)) >= conditions.dead_ring_share
+    if rng.random() < conditions.dead_sector_share:
+        first, width = rng.integers(len(columns)), round(len(columns) * conditions.dead_sector_deg / 360)
+        columns[(first + np.arange(width)) % len(columns)] = False
+    return columns, rings
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _hash(seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
+    """Return 64 well-mixed bits for the beam of a number."""
+    z = seed + (number + np.uint64(1)) * _GOLDEN
+    z = (z ^ (z >> _S30)) * _MIX_A
+    z = (z ^ (z >> _S27)) * _MIX_B
+    return z ^ (z >> _S31)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _normal(bits: Any) -> Any:  # pragma: no cover - compiled
+    """Sum of four uniform numbers: normal but for tails that end at 3.5 standard deviations."""
+    total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
+    return np.float32(np.int64(total) - 131070) * _NORMAL
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _lookup(table: Any, row: Any) -> Any:  # pragma: no cover - compiled
+    """Interpolate between entries; +inf where the next one is."""
+    k = np.int32(row)
+    return table[k] + (table[k + 1] - table[k]) * (row - np.float32(k))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_beams(
+    surfaces: Any,
+    tables: Any,
+    columns_alive: Any,
+    rings_alive: Any,
+    numbers: Any,
+    seed: Any,
+    steps: Any,
+    intensity: Any,
+) -> None:  # pragma: no cover - compiled
+    """Fill steps (C, R) uint16 and intensity (C, R) uint8, both 0 before, in one pass over the beams.
+
+    ``surfaces``, ``tables`` and ``numbers`` are the named tuples above; columns (C,) and rings (R,) that are dead
+    return nothing; ``seed`` is a uint64. One hash of a beam gives four numbers of 16 bits: whether it is missing, its
+    luck with the surface, its luck with particles, and the speckle of its intensity.
+    """
+    depth = surfaces.depth
+    columns, rings = depth.shape
+    for c in range(columns):
+        after = c + 1 if c + 1 < columns else 0
+        for r in range(rings):
+            number = np.uint64(c * rings + r)
+            luck = _hash(seed, number)
+            if not (columns_alive[c] and rings_alive[r]) or np.float32(luck & _LOW) < numbers.missing:
+                continue
+            # The signal of the surface, or of a particle before it that outshines it.
+            d = depth[c, r]
+            signal, shine = _surface(surfaces, c, r, tables, numbers, luck)
+            if numbers.particle2 > 0:
+                extra = _hash(seed ^ _MIX_A, number)
+                d, signal, shine = _particle(d, signal, shine, tables.particle, numbers, luck, extra)
+            if signal <= 0:
+                continue
+            # Its range: at an edge perhaps between two surfaces, with noise, in whole steps.
+            if numbers.mixed > 0:
+                d += _mix_at_edge(depth[after, r] - d, numbers.mixed, seed ^ _GOLDEN, number)
+            noise = _normal(_hash(seed ^ _MIX_B, number))
+            d += numbers.sigma * np.sqrt(np.float32(1.0) + _WEAK / signal) * noise
+            if numbers.near <= d <= numbers.far:
+                steps[c, r] = np.uint16(d * numbers.per_step + np.float32(0.5))
+                intensity[c, r] = _intensity(shine, np.float32(luck >> _S48))
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _surface(surfaces: Any, c: Any, r: Any, tables: Any, numbers: Any, luck: Any) -> Any:  # pragma: no cover - compiled
+    """Signal of the surface, 0 where it is missed, and the share of light it sends back."""
+    d, cos, far = surfaces.depth[c, r], surfaces.cosine[c, r], numbers.far
+    if not np.float32(0.0) < d < far:
+        return np.float32(0.0), np.float32(0.0)
+    facing = tables.facing[0] * cos + tables.facing[1] * (np.float32(1.0) - cos * cos)
+    shine = tables.reflectivity[surfaces.material[c, r]] * facing
+    gloss = tables.gloss[surfaces.material[c, r]]
+    if gloss > np.float32(0.0):  # the mirror image: a lobe in the angle of incidence, θ² = 2 (1 - cos θ)
+        shine += gloss * np.exp(_PER_GLINT2 * (cos - np.float32(1.0)))
+    if surfaces.thing[c, r] == _GROUND:
+        shine *= numbers.wet
+    # The LiDAR equation, in units of the threshold.
+    air = _lookup(tables.air, d * (np.float32(len(tables.air) - 2) / far))
+    signal = shine * air * numbers.reach2 / (d * d)
+    row = np.float32((luck >> _S16) & _LOW) * (np.float32(len(tables.threshold)) / np.float32(65536.0))
+    return signal if signal >= tables.threshold[np.int32(row)] else np.float32(0.0), shine
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _particle(
+    d: Any, signal: Any, shine: Any, ranges: Any, numbers: Any, luck: Any, extra: Any
+) -> Any:  # pragma: no cover - compiled
+    """Range, signal and shine of the particle before the surface where it outshines it, else of the surface."""
+    p = _lookup(ranges, np.float32((luck >> _S32) & _LOW) * np.float32(1 / 16))
+    if numbers.near < p < d:
+        glint = _glint(p, numbers.particle2, extra)
+        if glint > signal:
+            return p, glint, _PARTICLE_SHINE
+    return d, signal, shine
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _mix_at_edge(gap: Any, share: Any, seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
+    """How far a return at an edge lies towards the next surface."""
+    if _MIXED_GAP_M[0] < abs(gap) < _MIXED_GAP_M[1]:
+        chance = _hash(seed, number)
+        if np.float32(chance & _LOW) < share:
+            return gap * np.float32(chance >> _S48) * np.float32(1 / 65536)
+    return np.float32(0.0)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _glint(range_m: Any, particle2: Any, bits: Any) -> Any:  # pragma: no cover - compiled
+    """Signal of a particle that is detected: sizes are exponential, so what exceeds the threshold is, too."""
+    spare = np.float32((bits & _LOW) + np.uint64(1)) * np.float32(1 / 65536)
+    extra = (np.float32(1.0) - spare) / spare
+    return np.float32(1.0) + extra * particle2 / (range_m * range_m)
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _intensity(shine: Any, luck: Any) -> Any:  # pragma: no cover - compiled
+    """Calibrated as Velodyne's: 0 to 100 % diffuse is 0 to 100, retroreflectors go up to 255; ±30 % speckle."""
+    value = shine * (np.float32(0.7) + luck * np.float32(0.6 / 65536))
+    level = value * np.float32(100) if value <= 1 else np.float32(100) + (value - np.float32(1)) * np.float32(60)
+    return np.uint8(min(max(level + np.float32(0.5), np.float32(1)), np.float32(255)))

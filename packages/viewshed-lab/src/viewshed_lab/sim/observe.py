@@ -1,0 +1,130 @@
+"""One sample from a world: what an agent's sensor meets, what it stores of that, and what it could have seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.truth import Truth
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed_lab.sim.lidar.measurement import measure
+from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
+from viewshed_lab.sim.lidar.weather import CONDITIONS, Conditions
+from viewshed_lab.sim.raycast.caster import cast_world
+from viewshed_lab.sim.raycast.scan import ExactScan, Motion
+from viewshed_lab.sim.truth.exact import exact_truth
+from viewshed_lab.sim.world import Agent, Snapshot, World
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """One revolution of one agent's sensor.
+
+    Attributes:
+        scan: what every beam met, without noise.
+        image: what the sensor stored; ``image.sweep()`` is the sweep.
+        truth: what it could have seen.
+        known: (cells, cells) bool, where that is known.
+    """
+
+    scan: ExactScan
+    image: StoredSweep
+    truth: Truth
+    known: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How a world is observed.
+
+    Attributes:
+        grid: of the truth.
+        conditions: weather and faults.
+        revolution_s: duration of a sweep; 0 lets all beams fire at once.
+    """
+
+    grid: BevGrid
+    conditions: Conditions = CONDITIONS["clear"]
+    revolution_s: float = 0.1
+
+
+def observe(
+    world: World,
+    agent: Agent,
+    t_s: float,
+    setting: Setting,
+    seed: np.random.SeedSequence,
+    model: LidarModel | None = None,
+) -> Observation:
+    """Return what ``agent`` observes in the revolution about ``t_s``; the same seed, the same bytes.
+
+    Args:
+        world: that it is in.
+        agent: one of the world's.
+        t_s: time in seconds.
+        setting: grid, weather, duration of the revolution.
+        seed: of free paths in volumes and of the measurement's noise.
+        model: its sensor, where that is no table by name.
+    """
+    for_paths, for_noise = seed.spawn(2)
+    scan, image = measure_sweep(world, agent, t_s, setting, for_paths, for_noise, model)
+    return Observation(scan, image, *exact_truth(scan, world, setting.grid, agent=agent))
+
+
+def measure_sweep(
+    world: World,
+    agent: Agent,
+    t_s: float,
+    setting: Setting,
+    for_paths: np.random.SeedSequence,
+    for_noise: np.random.SeedSequence,
+    model: LidarModel | None = None,
+) -> tuple[ExactScan, StoredSweep]:
+    """Return what every beam meets and what the sensor stores of that, as :func:`observe` does but without truth.
+
+    Args:
+        world: that the agent is in.
+        agent: one of the world's.
+        t_s: time in seconds.
+        setting: weather, duration of the revolution.
+        for_paths: seed of free paths in volumes.
+        for_noise: seed of the measurement's noise.
+        model: the sensor, where that is no table by name.
+    """
+    pose, motion = pose_and_motion(world, agent, t_s, setting.revolution_s)
+    paths = int(for_paths.generate_state(1)[0])
+    scan = cast_world(_snapshot(world, t_s), model or lidar_model(agent.sensor), pose, motion, paths)
+    image = measure(
+        scan,
+        setting.conditions,
+        np.random.Generator(np.random.PCG64(for_noise)),
+        sensor_height_m=float(pose.translation[2] - world.ground_of(agent).at(pose.translation[None])[0]),
+        t_ns=round(t_s * 1e9),
+        agent=agent.name,
+    )
+    return scan, image
+
+
+def pose_and_motion(world: World, agent: Agent, t_s: float, period_s: float) -> tuple[Rigid, Motion]:
+    """Return where an agent's sensor is at ``t_s``, and how it moves within a revolution of ``period_s`` about that.
+
+    The motion is the difference over the revolution.
+    """
+    if period_s == 0.0 or agent.carrier is None:
+        return world.world_from_sensor(agent, t_s), Motion(period_s=period_s)
+    turns, positions = world.sensor_path(agent, np.array([t_s - period_s / 2, t_s, t_s + period_s / 2]))
+    vx, vy, vz = (float(value) for value in (positions[2] - positions[0]) / period_s)
+    turned = turns[2] @ turns[0].T
+    yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
+    return Rigid(turns[1], positions[1]), Motion((vx, vy, vz), yaw / period_s, period_s)
+
+
+@lru_cache(maxsize=1)
+def _snapshot(world: World, t_s: float) -> Snapshot:
+    """Return the snapshot that all agents of a world share at one time."""
+    return world.snapshot(t_s)

@@ -1,0 +1,417 @@
+"""Counting beams: how many aim at a plate in each cell, and how many reach it.
+
+Beams are tried one by one on the 4 x 4 cells of a patch, or, near the sensor, where the cells of a patch lie far apart
+in azimuth, 16 beams at a time on one cell. Either fills vector registers; both try every beam that may meet a plate.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.arrays import F32, Mask
+from viewshed.fov.estimate import CellState
+from viewshed.fov.visibility import Target
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed_lab._numba import atan2
+from viewshed_lab.sim.truth.beam_lines import LANES, REACH, SECTORS, BeamLines, stops_on_surfaces
+
+MANY = 255
+"""Beams are counted up to here."""
+
+BELOW_GROUND_M = 0.02
+"""A beam that meets the plate this far below the ground of its cell's center counts: the ground rises by so much over
+half the width of a car at a crown of 2 %."""
+
+_NEAR = np.float32(20.0 * 2.0 * np.pi)
+"""A patch is near where its cells spread over more than 20 columns, times the radians of a revolution."""
+
+_FULL = np.int32(255 * 65537)
+"""255 beams aim, and as many reach."""
+
+_AZIMUTH_MARGIN = np.float32(1e-4)
+
+_SLOPE_MARGIN = np.float32(1e-5)
+"""Windows are wider by so much than rounding could make them too narrow."""
+
+_SIDE = 4
+"""Cells along a side of a patch."""
+
+_ROUNDING = 1e-6
+
+_PI = np.float32(np.pi)
+
+FREE, SURFACE, HIDDEN, UNKNOWN = (np.uint8(CellState[name]) for name in ("FREE", "SURFACE", "HIDDEN", "UNKNOWN"))
+
+SURFACE_FROM_M = 0.2
+"""Stops on things from this height above local ground on make a cell a surface."""
+
+ByTarget = dict[str, NDArray[np.uint8]]
+
+
+class Patches(NamedTuple):
+    """The cells of a grid in P patches of 4 x 4; at its edge cells are repeated.
+
+    Attributes:
+        lanes: (P, 3, LANES) float32 unit vector towards each cell's center, and its range.
+        cells: (P, LANES) int32 the cells.
+        middles: (P, 4) float32 azimuth of the middle, largest angle of a cell from it, nearest and farthest range.
+    """
+
+    lanes: F32
+    cells: NDArray[np.int32]
+    middles: F32
+
+
+class Plates(NamedTuple):
+    """Two targets as upright plates across the line of sight, a the wider one; lengths are float32 meters."""
+
+    half_a: np.float32
+    half_b: np.float32
+    high_a: np.float32
+    high_b: np.float32
+    least_a: int
+    least_b: int
+
+
+class Limits(NamedTuple):
+    """What counts, in float32 meters.
+
+    Attributes:
+        cell: side of a cell: a beam reaches a plate if it stops no more than this before it.
+        below: how far below the ground of its cell a plate may be met.
+        aside: largest horizontal offset of a beam's start.
+        lowest: least height of a beam's start.
+        highest: largest height of a beam's start.
+        max_range: from which nothing is counted.
+    """
+
+    cell: np.float32
+    below: np.float32
+    aside: np.float32
+    lowest: np.float32
+    highest: np.float32
+    max_range: np.float32
+
+
+@lru_cache(maxsize=2)
+def ranges_of(grid: BevGrid) -> F32:
+    """Return the horizontal range of the centers (cells²,) in meters."""
+    return polar_of_cells(grid)[0].reshape(-1)
+
+
+@lru_cache(maxsize=2)
+def patches_of(grid: BevGrid) -> Patches:
+    """Return the patches of a grid."""
+    count = -(-grid.cells // _SIDE)
+    rows = np.minimum(np.arange(count * _SIDE), grid.cells - 1).reshape(count, 1, _SIDE, 1)
+    cells = (rows * grid.cells + rows.reshape(1, count, 1, _SIDE)).reshape(-1, LANES)
+    x, y = (grid.centers[..., axis].reshape(-1) for axis in range(2))
+    range_m = np.maximum(ranges_of(grid), 1e-6)
+    lanes = np.stack([x / range_m, y / range_m, ranges_of(grid)])[:, cells].astype(np.float32).transpose(1, 0, 2)
+    middle = np.arctan2(y[cells].mean(axis=1), x[cells].mean(axis=1))
+    turned = np.arctan2(y[cells], x[cells]) - middle[:, None]
+    spread = np.abs((turned + np.pi) % (2 * np.pi) - np.pi).max(axis=1) + _ROUNDING
+    near, far = lanes[:, 2].min(axis=1), lanes[:, 2].max(axis=1)
+    middles = np.stack([middle, spread, near, far], axis=1).astype(np.float32)
+    return Patches(np.ascontiguousarray(lanes), cells.astype(np.int32), middles)
+
+
+def count_targets(
+    lines: BeamLines, grid: BevGrid, ground: F32, targets: tuple[Target, Target], mask: Mask | None = None
+) -> dict[str, tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """Return by target how many beams aim at it in each cell and how many reach it, (cells²,) uint8 up to 255.
+
+    Args:
+        lines: the beams.
+        grid: where the cells are.
+        ground: z from the sensor (cells²,) of the ground at the cells' centers.
+        targets: what would have to be seen.
+        mask: cells (cells²,) that are wanted; others may stay 0.
+    """
+    a, b = sorted(targets, key=lambda target: -target.width_m)
+    half_a, half_b, high_a, high_b = (
+        np.float32(size) for size in (a.width_m / 2, b.width_m / 2, a.height_m, b.height_m)
+    )
+    plates = Plates(half_a, half_b, high_a, high_b, min(a.min_returns, MANY), min(b.min_returns, MANY))
+    limits = Limits(
+        np.float32(grid.cell_m), np.float32(BELOW_GROUND_M), lines.offset_m, lines.lowest_m, lines.highest_m,
+        lines.max_range_m,
+    )  # fmt: skip
+    patches = patches_of(grid)
+    if mask is not None:
+        rows = mask[patches.cells].any(axis=1)
+        patches = Patches(patches.lanes[rows], patches.cells[rows], patches.middles[rows])
+    counts = np.zeros(ground.size, np.int32)
+    count_cells(lines.sorted, patches, ground, plates, limits, counts)
+    aimed_a, aimed_b, reached_a, reached_b = ((counts >> shift).astype(np.uint8) for shift in (0, 8, 16, 24))
+    return {a.name: (aimed_a, reached_a), b.name: (aimed_b, reached_b)}
+
+
+def reached_and_states(
+    lines: BeamLines, blocks: NDArray[Any], ground: F32, grid: BevGrid, targets: tuple[Target, ...]
+) -> tuple[ByTarget, ByTarget]:
+    """Return by target how many beams reach it, up to 255, and states (cells, cells) uint8.
+
+    ``blocks`` (C·R,) says which beams stopped on a thing; ``ground`` (cells²,) is z from the sensor.
+    """
+    tops = np.array([target.height_m for target in targets], np.float32)
+    surfaces = stops_on_surfaces(lines, blocks, ground, grid, SURFACE_FROM_M, tops)
+    surface = dict(zip((target.name for target in targets), surfaces, strict=True))
+    reached: ByTarget = {}
+    state: ByTarget = {}
+    for k in range(0, len(targets), 2):  # two at a time
+        pair = (targets[k], targets[min(k + 1, len(targets) - 1)])
+        counts = count_targets(lines, grid, ground, pair)
+        for target in pair:
+            aimed, reaching = counts[target.name]
+            states = states_of(aimed, reaching, surface[target.name], min(target.min_returns, MANY))
+            reached[target.name], state[target.name] = reaching.reshape(grid.shape), states.reshape(grid.shape)
+    return reached, state
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def states_of(aimed: Any, reaching: Any, surface: Any, least: Any) -> Any:  # pragma: no cover - compiled
+    """Return states (cells²,) uint8 by how many beams aim, how many reach, and whether one stopped on a thing there."""
+    out = np.empty(aimed.size, np.uint8)
+    for n in range(aimed.size):
+        visible, hidden = SURFACE if surface[n] else FREE, HIDDEN if aimed[n] >= least else UNKNOWN
+        out[n] = visible if reaching[n] >= least else hidden
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_cells(
+    beams: Any, patches: Any, ground: Any, plates: Any, limits: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` (cells²,) int32, zeros before, with counts, each a byte, the lowest first.
+
+    Beams aimed at the wider plate, aimed at the narrower, reaching the wider, reaching the narrower.
+    Beams that do not reach are counted as aimed up to the least number that is needed, perhaps not further: then only
+    tiles that reach the patch are looked at. ``ground`` (cells²,) is z from the sensor.
+    """
+    tiles, starts = beams.tiles, beams.starts
+    columns, guess = starts.shape[0] - 1, (0, -1)
+    room, counts = np.empty((6, LANES), np.float32), np.empty((2, LANES), np.int32)
+    for p in range(patches.cells.shape[0]):
+        azimuth, spread = patches.middles[p, 0], patches.middles[p, 1]
+        nearest, farthest = patches.middles[p, 2], patches.middles[p, 3]
+        if nearest - limits.cell > limits.max_range:
+            continue
+        bottom, top = _load(patches, p, ground, plates, limits, room)
+        counts[:] = 0
+        if spread * columns > _NEAR or nearest <= 2 * limits.aside:
+            _count_near(beams, room, counts, plates, limits)
+        else:
+            # The window of azimuth and rings whose beams may meet a plate of the patch.
+            angle = spread + _half_window(plates.half_a + limits.aside, nearest)
+            least, most = _slopes(nearest, farthest, bottom, top, plates.half_a, limits)
+            first_bin, last_bin = _bins_of(azimuth, angle, columns)
+            guess, needed = _rings_of(beams.bounds, azimuth, angle, least, most, guess), np.float32(-1.0)
+            for ring in range(guess[0], guess[1] + 1):
+                begin, end, rest = _span(starts, first_bin, last_bin, ring)
+                _meet_patch(tiles, ring, begin, end, needed, room, plates, limits, counts)
+                _meet_patch(tiles, ring, 0, rest, needed, room, plates, limits, counts)
+                needed = nearest - limits.cell if _clamp(counts, plates.least_a, plates.least_b) else needed
+        for k in range(LANES):
+            out[patches.cells[p, k]] = counts[0, k] + (counts[1, k] << 8)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _load(patches: Any, p: Any, ground: Any, plates: Any, limits: Any, room: Any) -> Any:  # pragma: no cover - compiled
+    """Store unit vectors, ranges, bottoms and tops of the plates in a patch; return the lowest and the highest.
+
+    A bottom is infinite where nothing counts.
+    """
+    bottom, top, tall = np.float32(np.inf), np.float32(-np.inf), max(plates.high_a, plates.high_b)
+    for k in range(LANES):
+        r, height = patches.lanes[p, 2, k], ground[patches.cells[p, k]]
+        counts = r > limits.aside and r - limits.cell <= limits.max_range
+        room[0, k], room[1, k], room[2, k] = patches.lanes[p, 0, k], patches.lanes[p, 1, k], r
+        room[3, k] = height - limits.below if counts else np.float32(np.inf)
+        room[4, k], room[5, k] = height + plates.high_a, height + plates.high_b
+        bottom, top = min(bottom, room[3, k]), max(top, height + tall)
+    return bottom, top
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _meet_patch(
+    tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, room: Any, plates: Any, limits: Any, counts: Any
+) -> None:  # pragma: no cover - compiled
+    """Add beams ``begin`` to ``end`` of a ring to the counts of a patch, if one of them reaches as far as needed."""
+    if _farthest(tiles, ring, begin, end) >= needed:
+        for n in range(begin, end):
+            t, i = np.uint64(n // LANES), np.uint64(n % LANES)
+            bend, ux, uy = tiles[ring, t, 0, i], tiles[ring, t, 1, i], tiles[ring, t, 2, i]
+            rise, slope, stop = tiles[ring, t, 3, i], tiles[ring, t, 4, i], tiles[ring, t, 5, i]
+            for k in range(LANES):
+                plate = (room[0, k], room[1, k], room[2, k], room[3, k], room[4, k], room[5, k])
+                a, b = _aim((bend, ux, uy, rise, slope, stop), plate, plates, limits)
+                counts[0, k] += a
+                counts[1, k] += b
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _clamp(counts: Any, least_a: Any, least_b: Any) -> Any:  # pragma: no cover - compiled
+    """Limit all counts to 255; return whether enough beams aim at every cell."""
+    enough = 0
+    for k in range(LANES):
+        a, b = _limited(counts[0, k]), _limited(counts[1, k])
+        enough += 1 if (a & 255) >= least_a and (b & 255) >= least_b else 0
+        counts[0, k], counts[1, k] = a, b
+    return enough == LANES
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _limited(count: Any) -> Any:  # pragma: no cover - compiled
+    """Return aimed + 65536 · reached, either of them 255 at most."""
+    return np.int32(min(count & 65535, 255) + (min(count >> 16, 255) << 16))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _count_near(beams: Any, room: Any, counts: Any, plates: Any, limits: Any) -> None:  # pragma: no cover - compiled
+    """Count beams by batches on each cell of a patch: near the sensor its cells have little of a window in common."""
+    tiles, starts = beams.tiles, beams.starts
+    columns, guess = starts.shape[0] - 1, (0, -1)
+    for k in range(LANES):
+        plate = (room[0, k], room[1, k], room[2, k], room[3, k], room[4, k], room[5, k])
+        azimuth, r, a, b = atan2(plate[1], plate[0]), plate[2], np.int32(0), np.int32(0)
+        if plate[3] < np.inf:
+            angle = _half_window(plates.half_a + limits.aside, r)
+            least, most = _slopes(r, r, plate[3], max(plate[4], plate[5]), plates.half_a, limits)
+            guess = _rings_of(beams.bounds, azimuth, angle, least, most, guess)
+            first_bin, last_bin = _bins_of(azimuth, angle, columns)
+            needed = np.float32(-1.0)
+            for ring in range(guess[0], guess[1] + 1):
+                begin, end, rest = _span(starts, first_bin, last_bin, ring)
+                some_a, some_b = _meet_cell(tiles, ring, begin, end, needed, plate, plates, limits)
+                more_a, more_b = _meet_cell(tiles, ring, 0, rest, needed, plate, plates, limits)
+                a, b = _limited(a + some_a + more_a), _limited(b + some_b + more_b)
+                # Enough aim: from here on only beams that may reach count.
+                if (a & 255) >= plates.least_a and (b & 255) >= plates.least_b:
+                    needed = r - limits.cell
+                # The wider plate is full: the window of the narrower one is enough.
+                if a == _FULL:
+                    first_bin, last_bin = _bins_of(azimuth, _half_window(plates.half_b + limits.aside, r), columns)
+                if a == _FULL and b == _FULL:
+                    break
+        counts[0, k], counts[1, k] = a, b
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet_cell(
+    tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, plate: Any, plates: Any, limits: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return what the tiles of beams ``begin`` to ``end`` of a ring add to the counts of both plates of a cell."""
+    a, b = np.int32(0), np.int32(0)
+    for t in range(begin // LANES, (end + LANES - 1) // LANES):
+        if tiles[ring, t, REACH, 0] >= needed:
+            some_a, some_b = np.int32(0), np.int32(0)
+            for n in range(LANES):
+                line = (tiles[ring, t, 0, n], tiles[ring, t, 1, n], tiles[ring, t, 2, n],
+                        tiles[ring, t, 3, n], tiles[ring, t, 4, n], tiles[ring, t, 5, n])  # fmt: skip
+                hit_a, hit_b = _aim(line, plate, plates, limits)
+                some_a, some_b = np.int32(some_a + hit_a), np.int32(some_b + hit_b)
+            a, b = np.int32(a + some_a), np.int32(b + some_b)
+    return a, b
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _aim(line: Any, plate: Any, plates: Any, limits: Any) -> Any:  # pragma: no cover - compiled
+    """Return for both plates 0 if the beam does not aim at it, 1 if it aims, 65537 if it also reaches.
+
+    ``line`` is a beam (``BEND`` to ``STOP``), ``plate`` where it stands: unit vector and range of its middle, bottom,
+    tops. All lengths are scaled by the cosine between beam and line of sight (``forward``), so that nothing is divided.
+    """
+    bend, ux, uy, rise, slope, stop = line
+    cx, cy, r, bottom, top_a, top_b = plate
+    forward, aside = ux * cx + uy * cy, uy * cx - ux * cy
+    # Where the beam crosses the plane of the plate: its run up to there, beside the middle, and height.
+    run, lateral = r + bend * aside, abs(bend + r * aside)
+    height = rise * forward + slope * run
+    ahead = (forward > np.float32(0.0)) & (height >= bottom * forward)
+    hit_a = ahead & (lateral <= plates.half_a * forward) & (height <= top_a * forward)
+    hit_b = ahead & (lateral <= plates.half_b * forward) & (height <= top_b * forward)
+    worth = np.int32(65537) if stop * forward >= run - limits.cell else np.int32(1)
+    return worth if hit_a else np.int32(0), worth if hit_b else np.int32(0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _farthest(tiles: Any, ring: Any, begin: Any, end: Any) -> Any:  # pragma: no cover - compiled
+    """Return how far the tiles of a run of a ring's beams reach at most; -1 of an empty run."""
+    out = np.float32(-1.0)
+    for t in range(begin // LANES, (end + LANES - 1) // LANES):
+        out = max(out, tiles[ring, t, REACH, 0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _span(starts: Any, first: Any, last: Any, ring: Any) -> Any:  # pragma: no cover - compiled
+    """Return the run of a ring's beams in a window, and the end of the run from 0 where it crosses ±π (0 otherwise)."""
+    begin, end = starts[first, ring], starts[last + 1, ring]
+    if first <= last:
+        return begin, end, 0
+    if end + LANES > begin:
+        return 0, starts.shape[0] - 1, 0
+    return begin, starts.shape[0] - 1, end
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _half_window(wide: Any, r: Any) -> Any:  # pragma: no cover - compiled
+    """Return at least arcsin(wide / r), half the azimuths from which a beam may cross the plate."""
+    x = min(wide / r, np.float32(1.0))
+    return x + np.float32(0.5709) * x * x * x + _AZIMUTH_MARGIN
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slopes(
+    nearest: Any, farthest: Any, bottom: Any, top: Any, half: Any, limits: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return the least and the greatest slope of beams that may meet plates between two ranges and heights."""
+    low, high = bottom - limits.highest, top - limits.lowest
+    near, far = nearest - limits.aside, farthest + half + 2 * limits.aside
+    least, most = low / (near if low < 0 else far), high / (far if high < 0 else near)
+    return least - _SLOPE_MARGIN, most + _SLOPE_MARGIN
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bins_of(azimuth: Any, half: Any, columns: Any) -> Any:  # pragma: no cover - compiled
+    """Return the first and last bin of a window, its middle and half given; the first is larger where it crosses ±π."""
+    per_rad = np.float32(columns / (2 * np.pi))
+    first = int(np.floor((azimuth + _PI - half) * per_rad))
+    last = int(np.floor((azimuth + _PI + half) * per_rad))
+    if last - first + 1 >= columns:
+        return 0, columns - 1
+    return (first + columns if first < 0 else first), (last - columns if last >= columns else last)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rings_of(
+    bounds: Any, azimuth: Any, half: Any, least: Any, most: Any, guess: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return the first and last ring that may have slopes between two limits in a window of azimuth.
+
+    Searched from ``guess``, the rings of the patch before: they differ by little.
+    """
+    rings = bounds.shape[2]
+    per_rad = np.float32(SECTORS / (2 * np.pi))
+    begin = int(np.floor((azimuth + _PI - half) * per_rad))
+    end = int(np.floor((azimuth + _PI + half) * per_rad))
+    first, last = rings, -1
+    for sector in range(begin + 1, end + 2, 3):  # a bound holds for three sectors
+        s = sector % SECTORS
+        f, k = min(guess[0], rings - 1), max(guess[1], 0)
+        while f > 0 and bounds[0, s, f - 1] >= least:
+            f -= 1
+        while f < rings and bounds[0, s, f] < least:
+            f += 1
+        while k < rings - 1 and bounds[1, s, k + 1] <= most:
+            k += 1
+        while k >= 0 and bounds[1, s, k] > most:
+            k -= 1
+        first, last = min(first, f), max(last, k)
+    return first, last

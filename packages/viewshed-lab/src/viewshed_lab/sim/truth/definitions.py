@@ -1,0 +1,232 @@
+"""Definitions of visible that go by azimuth bins: farthest return, first blocker, line of sight.
+
+About the sensor, in as many bins as it has columns (1080 at most). A cell counts as
+
+- ``farthest`` if its center is no farther than the farthest return of its bin; glass and absorbers give none;
+- ``first_blocker`` if that holds and its center is less than one cell beyond the nearest stop on a thing in its bin,
+  at any height; the own vehicle does not block;
+- ``line_of_sight`` if a beam of its bin that is aimed between the ground and 1.5 m above the center reaches it, less
+  one cell. Where no ring falls in between, the ring above must reach it (or there is none), and the ring below must
+  reach it or have ended on the ground. Range does not limit it.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed_lab._numba import atan2
+from viewshed_lab.sim.truth.beam_lines import ALONG_X, ALONG_Y, BEND, RISE, SLOPE, STOP
+from viewshed_lab.sim.truth.count import ranges_of
+
+BLOCKS, RETURNS, OPEN = 1, 2, 4
+"""What a beam met, as flags: a thing that is not the sensor's own vehicle; what sends light back; nothing."""
+
+LANES = 32
+"""Cells of a bin are seen by so many at a time."""
+
+FARTHEST, BLOCKER, SIGHT, BETWEEN = 1, 2, 4, 8
+"""What is known of a cell, as flags: the definitions that see it, and that a line passes over it."""
+
+_PI = np.float32(np.pi)
+
+
+class Batches(NamedTuple):
+    """The cells of each azimuth bin by ascending range, LANES at a time; the last ones of a bin are repeated.
+
+    Attributes:
+        cells: (B, LANES) int32.
+        ranges: (B, LANES) float32 of their centers.
+        bins: (B,) int32.
+    """
+
+    cells: NDArray[np.int32]
+    ranges: NDArray[np.float32]
+    bins: NDArray[np.int32]
+
+
+@lru_cache(maxsize=2)
+def batches_of(grid: BevGrid, bins: int) -> Batches:
+    """Return the cells of each bin of azimuth."""
+    azimuth = polar_of_cells(grid)[1].reshape(-1)
+    own = ((azimuth + np.float32(np.pi)) * np.float32(bins / (2 * np.pi))).astype(np.int64).clip(0, bins - 1)
+    order = np.lexsort((ranges_of(grid), own))
+    starts = np.flatnonzero(np.diff(own[order], prepend=-1))
+    counts = np.diff(starts, append=len(order))
+    batches = -(-counts // LANES)
+    first = np.repeat(np.cumsum(batches) - batches, batches)
+    step = (np.arange(len(first)) - first)[:, None] * LANES + np.arange(LANES)
+    rows = np.repeat(starts, batches)[:, None] + np.minimum(step, np.repeat(counts, batches)[:, None] - 1)
+    cells = order[rows].astype(np.int32)
+    return Batches(cells, ranges_of(grid)[cells], own[cells[:, 0]].astype(np.int32))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity: Any) -> Any:  # pragma: no cover
+    """Return the flags (C·R,) uint8 of beams by depth, thing and material (C, R); ``vehicle`` carries the sensor."""
+    depths, things, materials = depth.reshape(-1), thing.reshape(-1), material.reshape(-1)
+    out = np.empty(depths.size, np.uint8)
+    for n in range(depths.size):
+        blocks = BLOCKS if things[n] >= 0 and things[n] != vehicle else 0
+        returns = RETURNS if reflectivity[materials[n]] > 0 else 0
+        out[n] = blocks + returns if depths[n] < np.inf else OPEN
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks.
+
+    Lines (6, C·R), see :mod:`viewshed_lab.sim.truth.beam_lines`, and flags (C·R,); a stop lies in the bin of its own
+    azimuth, not of its beam's.
+    """
+    out = np.empty((2, bins), np.float32)
+    out[0], out[1] = np.float32(-1.0), np.float32(np.inf)
+    per_rad = np.float32(bins / (2 * np.pi))
+    range_m, azimuth = np.empty(flags.size, np.float32), np.empty(flags.size, np.float32)
+    for n in range(flags.size):
+        bend, ux, uy, run = beams[BEND, n], beams[ALONG_X, n], beams[ALONG_Y, n], beams[STOP, n]
+        x, y = ux * run - bend * uy, uy * run + bend * ux
+        range_m[n], azimuth[n] = np.sqrt(x * x + y * y), atan2(y, x)
+    for n in range(flags.size):
+        b = min(max(int((azimuth[n] + _PI) * per_rad), 0), bins - 1)
+        if flags[n] & RETURNS:
+            out[0, b] = max(out[0, b], range_m[n])
+        if flags[n] & BLOCKS:
+            out[1, b] = min(out[1, b], range_m[n])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+    """Return (bins, R, 4) the farthest-reaching beam of each azimuth bin and ring: slope, rise, run to its stop, flags.
+
+    A bin without a beam of the ring takes that of the bin before it.
+    """
+    table = np.empty((bins, rings, 4), np.float32)
+    table[:, :, 2] = np.float32(-1.0)
+    per_rad = np.float32(bins / (2 * np.pi))
+    ring = 0
+    for n in range(azimuth.size):
+        b = min(max(int((azimuth[n] + _PI) * per_rad), 0), bins - 1)
+        run = np.float32(np.inf) if flags[n] & OPEN else beams[STOP, n]
+        if run > table[b, ring, 2]:
+            table[b, ring, 0], table[b, ring, 1] = beams[SLOPE, n], beams[RISE, n]
+            table[b, ring, 2], table[b, ring, 3] = run, np.float32(flags[n])
+        ring = ring + 1 if ring < rings - 1 else 0
+    for step in range(1, 2 * bins):
+        b = step % bins
+        for other in range(rings):
+            if table[b, other, 2] < 0:
+                for k in range(4):
+                    table[b, other, k] = table[b - 1, other, k]
+    return table
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def see_cells(
+    limits: Any, table: Any, batches: Any, ground: Any, high: Any, below: Any, cell: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` (cells²,) uint8 with FARTHEST, BLOCKER and SIGHT of the definitions that see a cell.
+
+    Args:
+        limits: (2, bins) from :func:`stop_limits`.
+        table: (bins, R, 4) from :func:`beams_of_bins`.
+        batches: :class:`Batches`.
+        ground: (cells²,) z from the sensor's height.
+        high: height of the column above a cell.
+        below: how far below the ground it begins.
+        cell: side of a cell.
+        out: as above.
+    """
+    room, seen, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
+    for n in range(batches.bins.shape[0]):
+        b, ranges = batches.bins[n], batches.ranges[n]
+        farthest, blocker = limits[0, b], limits[1, b]
+        for k in range(LANES):
+            room[0, k] = ground[batches.cells[n, k]]
+        low, top = _extremes(room)
+        # The two definitions that compare ranges, and range, foot and top of each cell's column.
+        for k in range(LANES):
+            r, height = ranges[k], room[0, k]
+            room[0, k], room[1, k], room[2, k] = r, height - below, height + high
+            near = FARTHEST | BLOCKER if r - cell <= blocker else FARTHEST
+            seen[k] = near if r <= farthest else 0
+        # Line of sight: a beam of the bin passes over the cell, or the gap between two rings lets see it.
+        near_m, far_m = ranges[0], ranges[LANES - 1]
+        first = _first_above(table, b, near_m, far_m, low - below, first)
+        if _meet_columns(table, b, near_m, far_m, cell, first, top + high, room, seen) < LANES:
+            for k in range(LANES):
+                if seen[k] < BETWEEN:
+                    seen[k] |= _through_gap(table, b, first, room[0, k], room[1, k], cell)
+        for k in range(LANES):
+            out[batches.cells[n, k]] = seen[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _extremes(room: Any) -> Any:  # pragma: no cover - compiled
+    """Return the least and the largest of the first row (3, LANES), by halves: that fills vector registers."""
+    for k in range(LANES):
+        room[1, k], room[2, k] = room[0, k], room[0, k]
+    for half in (16, 8, 4, 2, 1):
+        for k in range(half):
+            room[1, k] = min(room[1, k], room[1, k + half])
+            room[2, k] = max(room[2, k], room[2, k + half])
+    return room[1, 0], room[2, 0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_above(table: Any, b: Any, near: Any, far: Any, foot: Any, ring: Any) -> Any:  # pragma: no cover - compiled
+    """Return the first ring that is not below the feet of all columns between two ranges, found from a guess."""
+    while ring > 0 and _highest(table, b, ring - 1, near, far) >= foot:
+        ring -= 1
+    while ring < table.shape[1] and _highest(table, b, ring, near, far) < foot:
+        ring += 1
+    return ring
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:  # pragma: no cover - compiled
+    """Return the larger height of a ring's line at two ranges."""
+    slope, rise = table[b, ring, 0], table[b, ring, 1]
+    return max(rise + near * slope, rise + far * slope)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet_columns(
+    table: Any, b: Any, near: Any, far: Any, cell: Any, ring: Any, top: Any, room: Any, seen: Any
+) -> Any:  # pragma: no cover - compiled
+    """Flag in ``seen`` whether lines pass between foot and top of columns, and reach them; return how many have such.
+
+    ``room`` (3, LANES) is range, foot and top of the columns; rings from ``ring`` on, up to one above ``top``.
+    """
+    while ring < table.shape[1]:
+        slope, rise, run = table[b, ring, 0], table[b, ring, 1], table[b, ring, 2]
+        if min(rise + near * slope, rise + far * slope) > top:
+            break
+        for k in range(LANES):
+            height = rise + room[0, k] * slope
+            between = (height >= room[1, k]) & (height <= room[2, k])
+            worth = np.int32(BETWEEN | SIGHT) if run >= room[0, k] - cell else np.int32(BETWEEN)
+            seen[k] |= worth if between else np.int32(0)
+        ring += 1
+    some = 0
+    for k in range(LANES):
+        some += 1 if seen[k] >= BETWEEN else 0
+    return some
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _through_gap(table: Any, b: Any, ring: Any, r: Any, foot: Any, cell: Any) -> Any:  # pragma: no cover - compiled
+    """Return SIGHT where the rings above and below the foot of a column let see between them, or 0."""
+    rings = table.shape[1]
+    while ring < rings and table[b, ring, 1] + r * table[b, ring, 0] < foot:
+        ring += 1
+    above = ring == rings or table[b, ring, 2] >= r - cell
+    below = ring == 0 or int(table[b, ring - 1, 3]) & BLOCKS == 0 or table[b, ring - 1, 2] >= r - cell
+    return SIGHT if above and below else 0

@@ -1,0 +1,127 @@
+"""Exact truth: which cells a sensor could see, counted on the beams of a scan without noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import Mask
+from viewshed.fov.truth import OTHER_DEFINITIONS, Truth
+from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.sensors import LidarModel
+from viewshed_lab.sim.assets.shapes import REFLECTIVITY, Shape
+from viewshed_lab.sim.raycast.scan import ExactScan
+from viewshed_lab.sim.terrain import Terrain
+from viewshed_lab.sim.truth.beam_lines import BeamLines
+from viewshed_lab.sim.truth.count import BELOW_GROUND_M, ranges_of, reached_and_states
+from viewshed_lab.sim.truth.definitions import (
+    BLOCKER,
+    BLOCKS,
+    FARTHEST,
+    SIGHT,
+    batches_of,
+    beams_of_bins,
+    see_cells,
+    stop_flags,
+    stop_limits,
+)
+from viewshed_lab.sim.world import DECK, GROUND, Agent, World
+
+MAX_BINS = 1080
+"""Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
+
+
+def exact_truth(
+    scan: ExactScan,
+    world: World | Terrain,
+    grid: BevGrid,
+    targets: tuple[Target, ...] = (CAR, PEDESTRIAN),
+    agent: Agent | None = None,
+) -> tuple[Truth, Mask]:
+    """Return the truth of a scan on ``grid``, and where it is known (cells, cells).
+
+    For a cell whose center lies at horizontal range r from the sensor, the target is an upright plate of its width and
+    height through the center, across the line of sight, on the ground there. A beam *aims* at it if it crosses it, and
+    *reaches* it if it stops no more than a cell's side before it, measured along the line of sight. It may
+    cross up to 2 cm below the ground of the center, as at a crown of 2 %. A beam that meets nothing stops at the
+    maximum range. FREE: at least ``min_returns`` reach. SURFACE: that, and a stop on a thing lies in the cell, from
+    .2 m above its ground up to the target's top. HIDDEN: enough aim, fewer reach. UNKNOWN: fewer aim. Not known are
+    cells beyond the terrain, nearer than the sensor moves within the revolution, and of the own vehicle.
+
+    Args:
+        scan: what every beam met.
+        world: where it was made, or its ground. In a world with several levels the ground is that of ``agent``.
+        grid: where the cells are, in the ``level`` frame of the scan.
+        targets: what would have to be seen.
+        agent: who scanned. Cells that its own vehicle covers are not known, and its own body blocks no bin.
+    """
+    if not targets:
+        raise ValueError("targets must be at least one, got none")
+    terrain = world.ground_of(agent) if isinstance(world, World) else world
+    if isinstance(world, World) and terrain is world.upper:
+        scan = _with_decks_as_ground(scan, world)
+    centers = grid.centers
+    ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
+    ground, pose, vehicle = ground.reshape(-1), scan.world_from_sensor, None if agent is None else agent.carrier
+    # The beams as lines in the axes of the grid, and what stopped them; no thing has the number -3.
+    lines = BeamLines.of(scan.origin_m, scan.direction, scan.depth_m, scan.model.max_range_m, pose.yaw)
+    flags = stop_flags(scan.depth_m, scan.thing, scan.material, -3 if vehicle is None else vehicle, REFLECTIVITY)
+    known &= (ranges_of(grid) > lines.offset_m).reshape(grid.shape)
+    if agent is not None and vehicle is not None and isinstance(world, World):
+        known &= ~_covered(world.things[vehicle].parts, pose @ agent.mount.inverse(), grid, pose)
+    reached, state = reached_and_states(lines, flags & BLOCKS, ground, grid, targets)
+    return Truth(grid, reached, state, _definitions(lines, flags, ground, grid, scan.model)), known
+
+
+def _with_decks_as_ground(scan: ExactScan, world: World) -> ExactScan:
+    """Return the scan with the decks as ground: to those on the upper level they are that."""
+    decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
+    return replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
+
+
+def _definitions(
+    lines: BeamLines, flags: NDArray[np.uint8], ground: NDArray[np.float32], grid: BevGrid, model: LidarModel
+) -> dict[str, Mask]:
+    """Return the masks (cells, cells) of the definitions that others use."""
+    bins = min(model.azimuth_columns, MAX_BINS)
+    limits = stop_limits(lines.lines, flags, bins)
+    table = beams_of_bins(lines.lines, lines.azimuth, flags, model.rings, bins)
+    seen = np.empty(grid.shape, np.uint8)
+    high, below, cell = (np.float32(length) for length in (CAR.height_m, BELOW_GROUND_M, grid.cell_m))
+    see_cells(limits, table, batches_of(grid, bins), ground, high, below, cell, seen.reshape(-1))
+    return {name: seen & flag != 0 for name, flag in zip(OTHER_DEFINITIONS, (FARTHEST, BLOCKER, SIGHT), strict=True)}
+
+
+def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, grid: BevGrid, pose: Rigid) -> Mask:
+    """Return which cells (cells, cells) of a grid at ``pose`` the upright box around a thing's solids touches."""
+    low, high = (corner + side * grid.cell_m / 2 for corner, side in zip(_footprint(parts), (-1, 1), strict=True))
+    away = float(np.linalg.norm(world_from_thing.translation - pose.translation))
+    near = np.flatnonzero(ranges_of(grid) <= away + np.abs([low, high]).sum())
+    x, y = grid.centers.reshape(-1, 2)[near].T
+    c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+    position = np.stack([c * x - s * y + pose.translation[0], s * x + c * y + pose.translation[1]], axis=-1)
+    c, s = np.cos(world_from_thing.yaw), np.sin(world_from_thing.yaw)
+    position = (position - world_from_thing.translation[:2]) @ np.array([[c, -s], [s, c]])
+    covered = np.zeros(grid.shape, np.bool_)
+    covered.reshape(-1)[near] = ((position >= low) & (position <= high)).all(axis=1)
+    return covered
+
+
+@lru_cache(maxsize=64)
+def _footprint(parts: tuple[Shape, ...]) -> NDArray[np.float64]:
+    """Return the least and the largest x and y (2, 2) of a thing's solids, in its frame."""
+    corners = np.concatenate([_corners(part) for part in parts])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def _corners(part: Shape) -> NDArray[np.float64]:
+    """Return x and y (4, 2) of the corners of a solid's footprint, in the frame of its thing."""
+    length, width = part.half_sizes_m[:2]
+    c, s = np.cos(part.yaw), np.sin(part.yaw)
+    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    return np.asarray((signs * [length, width]) @ np.array([[c, s], [-s, c]]) + [part.x_m, part.y_m])

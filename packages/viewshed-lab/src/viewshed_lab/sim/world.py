@@ -1,0 +1,353 @@
+"""Worlds: ground, things that stand or move on it, and the agents that look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed_lab.sim.assets.shapes import KINDS, Shape, material_index
+from viewshed_lab.sim.terrain import Terrain
+
+GROUND, NOTHING = -1, -2
+"""What a beam met if it was no thing: the ground, or nothing within range."""
+
+DECK = "deck"
+"""Kind of a thing whose top carries others: those on the upper level of a world."""
+
+_DT_S, _WHEELBASE_M = 0.05, 3.0
+"""Velocities are differences over this time to both sides; vehicles tilt as the ground does over this length."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Where something is over time: straight between knots; before the first and after the last it stands still.
+
+    Attributes:
+        t_s: (k,) ascending seconds.
+        xy_m: (k, 2) meters in the world.
+        yaw: (k,) radians, continuous (it may pass π).
+    """
+
+    t_s: NDArray[np.float64]
+    xy_m: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name in ("t_s", "xy_m", "yaw"):
+            array = np.array(getattr(self, name), np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        count = len(self.t_s)
+        if count < 1 or self.xy_m.shape != (count, 2) or self.yaw.shape != (count,) or (np.diff(self.t_s) <= 0).any():
+            raise ValueError("a track must have ascending t_s (k,), xy_m (k, 2) and yaw (k,)")
+
+    def at(self, t_s: float) -> tuple[float, float, float]:
+        """Return x and y in meters and yaw in radians at ``t_s``."""
+        x, y, yaw = self.over(np.array([t_s]))[0]
+        return float(x), float(y), float(yaw)
+
+    def over(self, t_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, 3) x and y in meters and yaw in radians at times (n,)."""
+        out = np.empty((len(t_s), 3))
+        interpolate_track(np.asarray(t_s, np.float64), self.t_s, self.knots, 0, len(self.t_s), out)
+        return out
+
+    @property
+    def knots(self) -> NDArray[np.float64]:
+        """(k, 3) x, y and yaw."""
+        return np.column_stack([self.xy_m, self.yaw])
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """Something that stands on the ground or moves over it.
+
+    Attributes:
+        kind: what it is, for example ``car``.
+        parts: its solids, in its own frame: x forward, y left, z up from the ground below its origin.
+        x_m: where its origin is in the world (at rest).
+        y_m: see ``x_m``.
+        yaw: its heading in the world (at rest).
+        track: where it is over time, or None if it rests.
+        tilts: whether it lies along the ground's slope (vehicles) or stands upright.
+        z_m: height of its origin in the world, or None for the ground's.
+        upper: whether it stands or drives on the world's upper level where there is one, not below it.
+    """
+
+    kind: str
+    parts: tuple[Shape, ...]
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw: float = 0.0
+    track: Track | None = None
+    tilts: bool = False
+    z_m: float | None = None
+    upper: bool = False
+
+    def pose_at(self, t_s: float) -> tuple[float, float, float]:
+        """Return x and y in meters and yaw in radians at ``t_s``."""
+        return (self.x_m, self.y_m, self.yaw) if self.track is None else self.track.at(t_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agent:
+    """A sensor on a vehicle or on a mast.
+
+    Attributes:
+        name: who measures.
+        sensor: a beam table's name.
+        mount: ``carrier_from_sensor``: from the sensor to the frame of its carrier, or to the world if there is none.
+        carrier: index of the thing that it is mounted on, or None for a mast.
+    """
+
+    name: str
+    sensor: str
+    mount: Rigid
+    carrier: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AgentPlan:
+    """Which sensors a world is asked to carry.
+
+    Attributes:
+        moving: vehicles (outdoors) or robots (indoors) that drive and measure.
+        roadside: sensors on masts, elevated and tilted.
+        sensor: beam table of the moving ones.
+        roadside_sensor: beam table of those on masts.
+        sensor_height_m: of the moving ones, above the ground.
+        duration_s: how long the tracks must last.
+    """
+
+    moving: int = 1
+    roadside: int = 0
+    sensor: str = "hdl32e"
+    roadside_sensor: str = "roadside"
+    sensor_height_m: float = 1.84
+    duration_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        if min(self.moving, self.roadside) < 0 or self.moving + self.roadside < 1:
+            raise ValueError(f"a plan needs at least one agent, got {self.moving} moving and {self.roadside} roadside")
+        if not (self.duration_s > 0 and self.sensor_height_m > 0):
+            raise ValueError("duration_s and sensor_height_m must be positive")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """All solids of a world at one time, as arrays, in the world frame.
+
+    Attributes:
+        terrain: the ground.
+        kind: (n,) uint8: ``BOX``, ``CYLINDER`` or ``ELLIPSOID``.
+        center_m: (n, 3) float64.
+        rotation: (n, 3, 3) float64, ``world_from_shape``.
+        half_m: (n, 3) float64 half sizes along the shape's own axes.
+        velocity_mps: (n, 3) float64; solids do not turn within a revolution.
+        material: (n,) uint8 rows of ``MATERIALS``.
+        thing: (n,) int32 index of the thing that it belongs to.
+    """
+
+    terrain: Terrain
+    kind: NDArray[np.uint8]
+    center_m: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    half_m: NDArray[np.float64]
+    velocity_mps: NDArray[np.float64]
+    material: NDArray[np.uint8]
+    thing: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Ground, things and agents, made from a seed.
+
+    Attributes:
+        name: what kind of place it is.
+        terrain: the ground.
+        things: all that stands or moves on it, the agents' own vehicles too.
+        agents: the sensors in it.
+        indoor: whether it is a building.
+        upper: of a world with several levels the ground of those on the upper one: the top of its decks, and the
+            terrain where there is none. The decks themselves are solids, things of the kind :data:`DECK`.
+    """
+
+    name: str
+    terrain: Terrain
+    things: tuple[Thing, ...] = ()
+    agents: tuple[Agent, ...] = ()
+    indoor: bool = False
+    upper: Terrain | None = None
+
+    def ground_of(self, agent: Agent | None) -> Terrain:
+        """Return the ground on which a target of an agent stands: its own level where there is one, else the terrain.
+
+        An agent on the upper level has that as its ground, so a cell beside the deck is the land below; a mast, and an
+        agent below a deck, have the terrain.
+        """
+        if self.upper is None or agent is None or agent.carrier is None or not self.things[agent.carrier].upper:
+            return self.terrain
+        return self.upper
+
+    def pose_of(self, thing: int, t_s: float) -> Rigid:
+        """Return ``world_from_thing`` at ``t_s``."""
+        rotation, origin = self._poses(np.array([t_s]), np.array([thing]))
+        return Rigid(rotation[0, 0], origin[0, 0])
+
+    def world_from_sensor(self, agent: Agent, t_s: float) -> Rigid:
+        """Return the pose of an agent's sensor at ``t_s``."""
+        rotation, origin = self.sensor_path(agent, np.array([t_s]))
+        return Rigid(rotation[0], origin[0])
+
+    def sensor_path(self, agent: Agent, t_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rotations (n, 3, 3) and origins (n, 3) of ``world_from_sensor`` at times (n,)."""
+        mount, carrier = agent.mount, agent.carrier
+        if carrier is None:
+            return np.tile(mount.rotation, (len(t_s), 1, 1)), np.tile(mount.translation, (len(t_s), 1))
+        turns, positions = (part[:, 0] for part in self._poses(t_s, np.array([carrier])))
+        origins = [turn @ mount.translation + position for turn, position in zip(turns, positions, strict=True)]
+        return np.stack([turn @ mount.rotation for turn in turns]), np.stack(origins)
+
+    def snapshot(self, t_s: float) -> Snapshot:
+        """Return all solids at ``t_s``, with their velocities."""
+        (center, rotation), (kind, thing, material, half) = self._rest, self._parts[:4]
+        velocity = np.zeros((len(kind), 3))
+        things, rows, which = self._moving
+        if rows.size:
+            turn, origin = self._poses(np.array([t_s, t_s - _DT_S, t_s + _DT_S]), things)
+            center, rotation = center.copy(), rotation.copy()
+            center[rows], rotation[rows] = self._placed(rows, turn[0, which], origin[0, which])
+            velocity[rows] = ((origin[2] - origin[1]) / (2 * _DT_S))[which]
+        return Snapshot(self.terrain, kind, center, rotation, half, velocity, material, thing)
+
+    @cached_property
+    def _courses(self) -> tuple[Any, ...]:
+        """Of all things x, y, yaw at rest, height (NaN: the ground's), whether it tilts and is upper, span of knots."""
+        tracks = [thing.track for thing in self.things]
+        counts = np.array([0 if track is None else len(track.t_s) for track in tracks], np.intp)
+        spans = np.stack([np.cumsum(counts) - counts, np.cumsum(counts)], axis=-1)
+        at_rest = np.array([(thing.x_m, thing.y_m, thing.yaw) for thing in self.things]).reshape(-1, 3)
+        z_m = np.array([np.nan if thing.z_m is None else thing.z_m for thing in self.things])
+        moving = [track for track in tracks if track is not None]
+        times = np.concatenate([np.zeros(0), *(track.t_s for track in moving)])
+        knots = (times, np.concatenate([np.zeros((0, 3)), *(track.knots for track in moving)]))
+        flags = np.array([(thing.tilts, thing.upper) for thing in self.things], np.bool_).reshape(-1, 2).T
+        return at_rest, z_m, flags, spans, knots
+
+    @cached_property
+    def _moving(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Things that move, rows of their solids, and for each row which of the things."""
+        things = np.flatnonzero([thing.track is not None for thing in self.things])
+        rows = np.flatnonzero(np.isin(self._parts[1], things))
+        return things, rows, np.searchsorted(things, self._parts[1][rows])
+
+    @cached_property
+    def _parts(self) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64],
+                              NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+        """Kind, thing, material, half sizes, and in the frame of the thing center and yaw of every solid."""
+        parts = [(index, part) for index, thing in enumerate(self.things) for part in thing.parts]
+        kind = np.array([KINDS[type(part)] for _, part in parts], np.uint8)
+        thing = np.array([index for index, _ in parts], np.int32)
+        material = np.array([material_index(part.material) for _, part in parts], np.uint8)
+        half = np.array([part.half_sizes_m for _, part in parts]).reshape(-1, 3)
+        center = np.array([(part.x_m, part.y_m, (part.top_m + part.bottom_m) / 2) for _, part in parts]).reshape(-1, 3)
+        return kind, thing, material, half, center, np.array([part.yaw for _, part in parts])
+
+    @cached_property
+    def _rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centers and rotations of all solids at time 0."""
+        thing = self._parts[1]
+        rotation, origin = self._poses(np.zeros(1), np.arange(len(self.things)))
+        return self._placed(np.arange(len(thing)), rotation[0, thing], origin[0, thing])
+
+    def _placed(
+        self, rows: NDArray[np.intp], rotation: NDArray[np.float64], origin: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        center, yaw = self._parts[4][rows], self._parts[5][rows]
+        return (rotation @ center[..., None])[..., 0] + origin, rotation @ _turns(yaw)
+
+    def _poses(
+        self, t_s: NDArray[np.float64], which: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rotations (n, k, 3, 3) and origins (n, k, 3) of k things at n times."""
+        at_rest, z_m, (tilts, upper), spans, (times, knots) = self._courses
+        positions = np.empty((len(t_s), len(which), 3))
+        poses_of_things(t_s, which, at_rest, spans, times, knots, positions)
+        origin, rotation = positions.copy(), _turns(positions[..., 2])
+        origin[..., 2] = self.terrain.at(positions)
+        for ground, rows in ((self.terrain, ~upper[which]), (self.upper, upper[which])):
+            if ground is None or not rows.any():
+                continue
+            if ground is not self.terrain:
+                origin[:, rows, 2] = ground.at(positions[:, rows])
+            tilting = np.flatnonzero(tilts[which] & rows)
+            if tilting.size:
+                normals = ground.normals_at(positions[:, tilting], _WHEELBASE_M)
+                rotation[:, tilting] = _along(normals, positions[:, tilting, 2])
+        origin[..., 2] = np.where(np.isnan(z_m[which]), origin[..., 2], z_m[which])
+        return rotation, origin
+
+
+def _turns(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotations (…, 3, 3) about z."""
+    turns = np.zeros((*yaw.shape, 3, 3))
+    turns[..., 0, 0] = turns[..., 1, 1] = np.cos(yaw)
+    turns[..., 1, 0] = np.sin(yaw)
+    turns[..., 0, 1] = -turns[..., 1, 0]
+    turns[..., 2, 2] = 1.0
+    return turns
+
+
+def _along(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations (…, 3, 3) that head along ``yaw`` with z on the normals (…, 3)."""
+    forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
+    forward = forward - (forward * normals).sum(axis=-1, keepdims=True) * normals
+    forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
+    left = np.stack([_across(normals, forward, axis) for axis in range(3)], axis=-1)
+    return np.stack([forward, left, normals], axis=-1)
+
+
+def _across(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return one component (…,) of the cross product of vectors (…, 3)."""
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    return a[..., j] * b[..., k] - a[..., k] * b[..., j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def poses_of_things(
+    t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill x, y and yaw (n, k, 3) of k things ``which`` at n times, from where they rest or from their knots.
+
+    Of all things: x, y, yaw at rest (things, 3) and first and last knot (things, 2); times (knots,), values (knots, 3).
+    """
+    for k in range(which.shape[0]):
+        thing = which[k]
+        if spans[thing, 0] < spans[thing, 1]:
+            interpolate_track(t_s, times, values, spans[thing, 0], spans[thing, 1], out[:, k])
+        else:
+            out[:, k] = at_rest[thing]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate_track(
+    t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any
+) -> None:  # pragma: no cover - compiled
+    """Fill x, y and yaw (n, 3) at n times, straight between the knots ``begin`` to ``end``, still outside."""
+    for n in range(t_s.shape[0]):
+        t = t_s[n]
+        j = begin + np.searchsorted(times[begin:end], t, side="right") - 1
+        for k in range(3):
+            if j < begin:
+                out[n, k] = values[begin, k]
+            elif j == end - 1 or times[j] == t:
+                out[n, k] = values[j, k]
+            else:
+                slope = (values[j + 1, k] - values[j, k]) / (times[j + 1] - times[j])
+                out[n, k] = slope * (t - times[j]) + values[j, k]

@@ -1,0 +1,66 @@
+"""Procedural worlds: one file a kind, one line a kind in the table ``WORLDS``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from viewshed_lab.sim.world import AgentPlan, World
+from viewshed_lab.sim.worlds.bridge import bridge
+from viewshed_lab.sim.worlds.country_road import country_road
+from viewshed_lab.sim.worlds.cutting import cutting
+from viewshed_lab.sim.worlds.embankment import embankment
+from viewshed_lab.sim.worlds.garage import garage
+from viewshed_lab.sim.worlds.glass_fronts import glass_fronts
+from viewshed_lab.sim.worlds.highway import highway
+from viewshed_lab.sim.worlds.indoor.atrium import atrium
+from viewshed_lab.sim.worlds.indoor.corridors import corridors
+from viewshed_lab.sim.worlds.indoor.hall import hall
+from viewshed_lab.sim.worlds.indoor.loft import loft
+from viewshed_lab.sim.worlds.indoor.rooms import rooms
+from viewshed_lab.sim.worlds.indoor.tunnel import tunnel
+from viewshed_lab.sim.worlds.indoor.warehouse import warehouse
+from viewshed_lab.sim.worlds.junction import junction
+from viewshed_lab.sim.worlds.oblique import oblique
+from viewshed_lab.sim.worlds.open_field import open_field
+from viewshed_lab.sim.worlds.parking import parking
+from viewshed_lab.sim.worlds.pit import pit
+from viewshed_lab.sim.worlds.quay import quay
+from viewshed_lab.sim.worlds.residential import residential
+from viewshed_lab.sim.worlds.site import site
+from viewshed_lab.sim.worlds.slope_town import slope_town
+from viewshed_lab.sim.worlds.street import street
+
+WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
+"""Makes a world with the agents of a plan; the same state of the generator gives the same world."""
+
+WORLDS: dict[str, WorldMaker] = {
+    "street": street,
+    "junction": junction,
+    "highway": highway,
+    "parking": parking,
+    "residential": residential,
+    "rooms": rooms,
+    "corridors": corridors,
+    "hall": hall,
+    "warehouse": warehouse,
+    "bridge": bridge,
+    "pit": pit,
+    "quay": quay,
+    "garage": garage,
+    "glass_fronts": glass_fronts,
+    "oblique": oblique,
+    "slope_town": slope_town,
+    "site": site,
+    "open_field": open_field,
+    "tunnel": tunnel,
+    "loft": loft,
+    "atrium": atrium,
+    "embankment": embankment,
+    "cutting": cutting,
+    "country_road": country_road,
+}
+"""Every kind of world by name; to add one, write a file and add a line."""
+
+__all__ = ["WORLDS", "WorldMaker"]

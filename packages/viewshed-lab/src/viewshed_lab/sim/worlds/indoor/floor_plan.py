@@ -1,0 +1,157 @@
+"""A building under construction: what has been placed so far, and where the next thing may stand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed_lab.sim.assets.furniture import Group, Maker, bounds, footprint, place_group
+from viewshed_lab.sim.world import Thing
+
+Rect = tuple[float, float, float, float]
+"""x and y from, x and y to, in meters."""
+
+_GAP_M, _OVERHEAD_M = 0.04, 2.0
+
+_ROOM = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Doorway:
+    """An opening that one can walk through: its middle in meters, and whether the wall around it runs along x."""
+
+    x_m: float
+    y_m: float
+    along_x: bool
+
+
+@dataclass(slots=True)
+class FloorPlan:
+    """A building that grows: things, and the rectangles that the next thing must not touch.
+
+    Attributes:
+        rng: all chance in this building.
+        things: what stands, hangs or walks in it.
+        doorways: openings that one can walk through.
+        steps: edges of the floor that a robot cannot cross.
+        spots: points that a robot should be able to reach.
+    """
+
+    rng: np.random.Generator
+    things: list[Thing] = field(default_factory=list)
+    doorways: list[Doorway] = field(default_factory=list)
+    steps: list[Rect] = field(default_factory=list)
+    spots: list[tuple[float, float]] = field(default_factory=list)
+    _taken: NDArray[np.float64] = field(default_factory=lambda: np.empty((_ROOM, 4)))
+    _count: int = 0
+
+    @property
+    def parts(self) -> int:
+        """How many solids there are so far."""
+        return sum(len(one.parts) for one in self.things)
+
+    def clear(self, rect: Rect, gap_m: float = _GAP_M) -> bool:
+        """Return whether nothing reserved or standing lies within ``gap_m`` meters of a rectangle."""
+        taken, (x0, y0, x1, y1) = self._taken[: self._count], rect
+        separate = (taken[:, 0] >= x1 + gap_m) | (taken[:, 2] <= x0 - gap_m)
+        separate |= (taken[:, 1] >= y1 + gap_m) | (taken[:, 3] <= y0 - gap_m)
+        return bool(separate.all())
+
+    def reserve(self, *rects: Rect) -> None:
+        """Keep rectangles free of furniture."""
+        for rect in rects:
+            self._taken[self._count] = rect
+            self._count += 1
+
+    def add(self, group: Group) -> None:
+        """Let a group stand where it is, part by part; what is overhead does not take floor."""
+        self.things.extend(group)
+        rows = bounds(group)
+        rows = rows[rows[:, 4] < _OVERHEAD_M, :4]
+        self._taken[self._count : self._count + len(rows)] = rows
+        self._count += len(rows)
+
+    def put(self, group: Group, gap_m: float = _GAP_M) -> bool:
+        """Let a group stand where it is if its footprint is clear, and say so."""
+        rect = footprint(group)
+        if not self.clear(rect, gap_m):
+            return False
+        self.things.extend(group)
+        self.reserve(rect)
+        return True
+
+    def against(self, room: Rect, maker: Maker, sides: tuple[int, ...] = (0, 1, 2, 3), corner: bool = False) -> bool:
+        """Put a group with its back to a wall of a room, and say whether there was a place.
+
+        Args:
+            room: inner faces of the walls.
+            maker: what to put.
+            sides: walls to try: 0 at the lowest x, then 1 at the lowest y, 2 at the highest x, 3 at the highest y.
+            corner: whether it should stand in a corner.
+        """
+        group = maker(self.rng)
+        outline = footprint(group)
+        for _ in range(6):
+            side = sides[int(self.rng.integers(len(sides)))]
+            share = float(self.rng.integers(2)) if corner else float(self.rng.random())
+            spot = _at_wall(room, turned(outline, side * math.pi / 2), side, share)
+            if spot is not None and self._stand(group, outline, (*spot, side * math.pi / 2)):
+                return True
+        return False
+
+    def inside(self, room: Rect, maker: Maker, yaws: tuple[float, ...] = (), gap_m: float = 0.2) -> bool:
+        """Put a group anywhere in a room, at one of ``yaws`` or at any, ``gap_m`` from others; say whether it fits."""
+        group = maker(self.rng)
+        outline = footprint(group)
+        for _ in range(8):
+            u, v, w = self.rng.random(3).tolist()
+            yaw = yaws[int(w * len(yaws))] if yaws else w * 2 * math.pi
+            a, b, c, d = turned(outline, yaw)
+            wide, deep = room[2] - room[0] - (c - a), room[3] - room[1] - (d - b)
+            spot = (room[0] - a + u * wide, room[1] - b + v * deep, yaw)
+            if min(wide, deep) > 0 and self._stand(group, outline, spot, gap_m):
+                return True
+        return False
+
+    def _stand(self, group: Group, outline: Rect, pose: tuple[float, float, float], gap_m: float = _GAP_M) -> bool:
+        x, y, yaw = pose
+        a, b, c, d = turned(outline, yaw)
+        rect = (x + a, y + b, x + c, y + d)
+        if not self.clear(rect, gap_m):
+            return False
+        self.things.extend(place_group(group, x, y, yaw))
+        self.reserve(rect)
+        return True
+
+
+def turned(rect: Rect, yaw: float) -> Rect:
+    """Return the rectangle around one that was turned by ``yaw`` radians about the origin.
+
+    >>> [round(value, 6) for value in turned((0.0, 0.0, 2.0, 1.0), math.pi / 2)]
+    [-1.0, 0.0, 0.0, 2.0]
+    """
+    c, s = math.cos(yaw), math.sin(yaw)
+    xs = [c * x - s * y for x, y in product(rect[::2], rect[1::2])]
+    ys = [s * x + c * y for x, y in product(rect[::2], rect[1::2])]
+    return min(xs), min(ys), max(xs), max(ys)
+
+
+def shrunk(rect: Rect, margin_m: float) -> Rect:
+    """Return a rectangle with all four sides moved inward."""
+    return rect[0] + margin_m, rect[1] + margin_m, rect[2] - margin_m, rect[3] - margin_m
+
+
+def _at_wall(room: Rect, outline: Rect, side: int, share: float) -> tuple[float, float] | None:
+    """Return where the origin of a group lies whose turned footprint touches a wall, or None if it is too large."""
+    gap = 1.1 * _GAP_M
+    x0, y0 = room[0] + gap - outline[0], room[1] + gap - outline[1]
+    x1, y1 = room[2] - gap - outline[2], room[3] - gap - outline[3]
+    if x1 < x0 or y1 < y0:
+        return None
+    if side % 2:
+        return x0 + share * (x1 - x0), y0 if side == 1 else y1
+    return x0 if side == 0 else x1, y0 + share * (y1 - y0)

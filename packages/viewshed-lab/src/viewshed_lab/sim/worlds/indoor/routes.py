@@ -1,0 +1,179 @@
+"""Ways through a building: free floor on a fine lattice, a map of straight lines over it, tracks along them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from viewshed.arrays import F64
+from viewshed_lab.sim.world import Track
+from viewshed_lab.sim.worlds.indoor.floor_plan import Rect
+
+_CELL_M, _BIN_M, _REACH_M = 0.1, 1.8, 3.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeFloor:
+    """Where the middle of a robot may be.
+
+    Attributes:
+        low_m: (2,) lowest x and y of the lattice.
+        free: (nx, ny) whether a cell of 0.1 m is far enough from everything.
+    """
+
+    low_m: F64
+    free: NDArray[np.bool_]
+
+    def at(self, xy_m: F64) -> NDArray[np.bool_]:
+        """Return for points (..., 2) within the lattice whether they are free."""
+        cells = ((xy_m - self.low_m) / _CELL_M).astype(np.int32)
+        return np.asarray(self.free[cells[..., 0], cells[..., 1]])
+
+    def sees(self, start_m: F64, stop_m: F64) -> NDArray[np.bool_]:
+        """Return for k pairs of points (k, 2) whether the straight line between them is free."""
+        if not len(start_m):
+            return np.zeros(0, np.bool_)
+        longest = float(np.abs(stop_m - start_m).max())
+        share = np.linspace(0.0, 1.0, int(longest / _CELL_M) + 2)
+        line = start_m[:, None, :] + (stop_m - start_m)[:, None, :] * share[None, :, None]
+        return np.asarray(self.at(line).all(axis=1))
+
+    def without(self, rects: NDArray[np.float64], reach_m: float) -> FreeFloor:
+        """Return the floor that is farther than ``reach_m`` from rectangles (k, 4)."""
+        free = self.free.copy()
+        size = np.tile(np.array(free.shape), 2)
+        grown = rects + reach_m * np.array([-1.0, -1.0, 1.0, 1.0])
+        cells = np.clip(np.ceil((grown - np.tile(self.low_m, 2)) / _CELL_M - 0.5).astype(int), 0, size)
+        for a, b, c, d in cells.tolist():
+            free[a:c, b:d] = False
+        return FreeFloor(self.low_m, free)
+
+
+def open_floor(rect: Rect) -> FreeFloor:
+    """Return a floor over ``rect`` with nothing on it."""
+    size = np.ceil((np.array(rect[2:]) - np.array(rect[:2])) / _CELL_M).astype(int) + 1
+    return FreeFloor(np.array(rect[:2], np.float64), np.ones((int(size[0]), int(size[1])), np.bool_))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadMap:
+    """F64 on the free floor and the straight lines between them.
+
+    Attributes:
+        floor: what is free.
+        nodes_m: (n, 2).
+        edges: (k, 2) int rows of ``nodes_m``.
+    """
+
+    floor: FreeFloor
+    nodes_m: F64
+    edges: NDArray[np.intp]
+
+    @classmethod
+    def over(cls, floor: FreeFloor, rng: np.random.Generator, wanted_m: F64) -> RoadMap:
+        """Return a road map with one node in each bin of 1.8 m, if a random point in it is free, and those wanted."""
+        size = np.array(floor.free.shape) * _CELL_M
+        bins = np.ceil(size / _BIN_M).astype(int)
+        corner = np.stack(np.meshgrid(*map(np.arange, bins), indexing="ij"), axis=-1).reshape(-1, 2)
+        tries = (corner[None] + rng.random((3, len(corner), 2))) * _BIN_M
+        inside = np.minimum(tries, size - 1.5 * _CELL_M) + floor.low_m
+        ok = floor.at(inside)
+        first = inside[ok.argmax(axis=0), np.arange(len(corner))][ok.any(axis=0)]
+        wanted_m = wanted_m[((wanted_m > floor.low_m) & (wanted_m < floor.low_m + size - _CELL_M)).all(axis=1)]
+        nodes = np.concatenate([first, wanted_m[floor.at(wanted_m)]])
+        apart = np.abs(nodes[:, None, :] - nodes[None, :, :])
+        i, j = np.nonzero(np.triu((apart < _REACH_M).all(axis=2), 1))
+        seen = floor.sees(nodes[i], nodes[j])
+        return cls(floor, nodes, np.column_stack([i[seen], j[seen]]))
+
+    def off(self, way_m: F64, reach_m: float) -> RoadMap:
+        """Return what is left of the map farther than ``reach_m`` from a way (k, 2): the same nodes, fewer edges."""
+        steps = int(np.abs(np.diff(way_m, axis=0)).max() / (2 * _CELL_M)) + 2
+        share = np.linspace(0.0, 1.0, steps)[:, None, None]
+        spots = (way_m[None, :-1] * (1 - share) + way_m[None, 1:] * share).reshape(-1, 2)
+        floor = self.floor.without(np.hstack([spots, spots]), reach_m)
+        ends = self.nodes_m[self.edges]
+        low, high = spots.min(axis=0) - reach_m - _CELL_M, spots.max(axis=0) + reach_m + _CELL_M
+        far = ((ends.min(axis=1) > high) | (ends.max(axis=1) < low)).any(axis=1)
+        near = np.flatnonzero(~far)
+        far[near] = floor.sees(ends[near, 0], ends[near, 1])
+        return RoadMap(floor, self.nodes_m, self.edges[far])
+
+    def largest(self, rows: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the nodes of the largest connected part of the map within ``rows`` (n,)."""
+        kept = rows & self.floor.at(self.nodes_m)
+        _, part = connected_components(self.matrix(kept), directed=False)
+        sizes = np.bincount(part[kept], minlength=1)
+        return np.flatnonzero(kept & (part == sizes.argmax()))
+
+    def matrix(self, rows: NDArray[np.bool_]) -> csr_matrix:
+        """Return lengths in meters of the edges within ``rows`` (n,) as a sparse (n, n) matrix."""
+        i, j = self.edges[rows[self.edges].all(axis=1)].T
+        lengths = np.hypot(*(self.nodes_m[i] - self.nodes_m[j]).T)
+        return csr_matrix((lengths, (i, j)), shape=(len(rows), len(rows)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """The part of a road map that one robot keeps to."""
+
+    roads: RoadMap
+    rows: NDArray[np.bool_]
+    lengths: csr_matrix
+
+    @classmethod
+    def of(cls, roads: RoadMap, nodes: NDArray[np.intp]) -> Network:
+        """Return the network over some nodes."""
+        rows = np.zeros(len(roads.nodes_m), np.bool_)
+        rows[nodes] = True
+        return cls(roads, rows, roads.matrix(rows))
+
+    def path(self, start: int, goal: int) -> F64:
+        """Return the corners (k, 2) of a short way between two connected nodes, both ends included."""
+        _, before = dijkstra(self.lengths, directed=False, indices=goal, return_predecessors=True)
+        path = [start]
+        while path[-1] != goal:
+            path.append(int(before[path[-1]]))
+        return _straightened(self.roads.floor, self.roads.nodes_m[path])
+
+
+def _straightened(floor: FreeFloor, path: F64) -> F64:
+    """Return the way without corners that can be cut: from each corner on to the farthest that it sees."""
+    kept = [0]
+    while kept[-1] < len(path) - 1:
+        ahead = path[kept[-1] + 1 :]
+        seen = np.flatnonzero(floor.sees(np.broadcast_to(path[kept[-1]], ahead.shape), ahead))
+        kept.append(kept[-1] + 1 + int(seen[-1] if seen.size else 0))
+    return path[kept]
+
+
+def drive_route(path: F64, speed_mps: float, turn_rate: float, start_s: float, pause_s: ArrayLike = ()) -> Track:
+    """Return the track along corners (k, 2): straight at one speed, turning in place at ``turn_rate`` radians a second.
+
+    Args:
+        path: corners, no two in a row the same.
+        speed_mps: meters a second.
+        turn_rate: radians a second.
+        start_s: when it leaves the first corner.
+        pause_s: seconds to stand at each corner, before turning; none if left out.
+    """
+    if len(path) < 2:
+        return Track(np.array([start_s]), path[:1], np.zeros(1))
+    step = np.diff(path, axis=0)
+    yaw = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    turn = np.maximum(np.abs(np.diff(yaw)) / turn_rate, 0.02)
+    pauses = np.asarray(pause_s, np.float64)
+    stand = pauses[1:-1] if pauses.size else np.zeros(len(turn))
+    drive = np.hypot(*step.T) / speed_mps
+    stages = np.empty(3 * len(drive) - 2)
+    stages[0::3], stages[1::3], stages[2::3] = drive, stand + 0.02, turn
+    t_s = start_s + np.r_[0.0, np.cumsum(stages)]
+    corner = np.r_[0, np.repeat(np.arange(1, len(path) - 1), 3), len(path) - 1]
+    heading = np.r_[
+        0, np.column_stack([np.arange(len(turn)), np.arange(len(turn)), np.arange(1, len(turn) + 1)]).ravel()
+    ]
+    return Track(t_s, path[corner], yaw[np.r_[heading, len(yaw) - 1]])

@@ -1,0 +1,170 @@
+"""How outdoor worlds are laid out and put together: strips that are filled without overlap, agents, the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from viewshed.geometry import Rigid
+from viewshed_lab.sim.assets.shapes import Cylinder
+from viewshed_lab.sim.assets.street import place_at
+from viewshed_lab.sim.assets.vehicles import sensor_car
+from viewshed_lab.sim.terrain import Terrain
+from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World
+
+Span = tuple[float, float]
+
+MOST_MOVING = 40
+"""How many things of a world have tracks, at most."""
+
+
+def spots(
+    rng: np.random.Generator, span_m: Span, size_m: float, gap_m: Span, closed: Sequence[Span] = ()
+) -> list[float]:
+    """Return the middles in meters of pieces of one size along a strip, with random gaps, none over a closed part.
+
+    >>> spots(np.random.default_rng(0), (0.0, 10.0), 2.0, (0.0, 0.0), [(3.0, 5.0)])
+    [1.0, 6.0, 8.0]
+    """
+    at, middles = span_m[0] + rng.uniform(0.0, gap_m[1]), []
+    while at + size_m <= span_m[1]:
+        blocked = [end for start, end in closed if at < end and at + size_m > start]
+        if blocked:
+            at = max(blocked)
+            continue
+        middles.append(at + size_m / 2)
+        at += size_m + rng.uniform(*gap_m)
+    return middles
+
+
+def plots(rng: np.random.Generator, span_m: Span, length_m: Span, gap_m: float, gap_share: float) -> list[Span]:
+    """Return middle and length in meters of plots along a strip; after some of them, a gap of about ``gap_m``."""
+    at, lots = span_m[0], []
+    while at < span_m[1] - length_m[0]:
+        length = min(rng.uniform(*length_m), span_m[1] - at)
+        lots.append((at + length / 2, length))
+        at += length + (gap_m * rng.uniform(0.6, 1.4) if rng.random() < gap_share else 0.0)
+    return lots
+
+
+@dataclass(frozen=True, slots=True)
+class Mast:
+    """A roadside sensor.
+
+    Attributes:
+        x_m: where the sensor is.
+        y_m: see ``x_m``.
+        height_m: above the ground.
+        yaw: toward the scene.
+        pitch: downward, radians.
+        roll: radians.
+    """
+
+    x_m: float
+    y_m: float
+    height_m: float
+    yaw: float
+    pitch: float
+    roll: float
+
+    @property
+    def pole(self) -> Thing:
+        """The pole that carries it, 0.5 m behind it and a little taller."""
+        back_x, back_y = self.x_m - 0.5 * np.cos(self.yaw), self.y_m - 0.5 * np.sin(self.yaw)
+        thing = Thing("mast", (Cylinder(0.0, 0.0, 0.07, self.height_m + 0.3, material="metal"),))
+        return place_at(thing, float(back_x), float(back_y), self.yaw)
+
+    def pose(self, terrain: Terrain) -> Rigid:
+        """Return ``world_from_sensor``."""
+        c, s, cr, sr = np.cos(self.pitch), np.sin(self.pitch), np.cos(self.roll), np.sin(self.roll)
+        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+        ground = float(terrain.at([[self.x_m, self.y_m]])[0])
+        return Rigid(
+            Rigid.from_yaw(self.yaw).rotation @ down @ lean, np.array([self.x_m, self.y_m, ground + self.height_m])
+        )
+
+
+def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Mast:
+    """Return a mast of 4 to 8 m at (x, y) that looks toward a point, 1 to 8° down and a little rolled.
+
+    The roadside table ends at the horizon: tilted further, such a sensor would be blind beyond 40 m ahead.
+    """
+    yaw = np.arctan2(toward_m[1] - y_m, toward_m[0] - x_m) + rng.normal(0.0, 0.15)
+    pitch, roll = np.deg2rad(rng.uniform(1.0, 8.0)), np.deg2rad(np.clip(rng.normal(0.0, 1.2), -4, 4))
+    return Mast(x_m, y_m, rng.uniform(4.0, 8.0), float(yaw), float(pitch), float(roll))
+
+
+def with_masts_of(world: World, height_m: float, pitch: float) -> World:
+    """Return a world whose masts, where they stand, have another height in meters and pitch down in radians, no roll.
+
+    Raises:
+        ValueError: its masts are not its last things, as :func:`assembled` leaves them.
+    """
+    mounts = [agent.mount for agent in world.agents if agent.carrier is None]
+    kept = len(world.things) - len(mounts)
+    if [thing.kind for thing in world.things[kept:]] != ["mast"] * len(mounts):
+        raise ValueError(f"the last things of a world must be its {len(mounts)} masts, got others")
+    posts = [
+        Mast(float(mount.translation[0]), float(mount.translation[1]), height_m, mount.yaw, pitch, 0.0)
+        for mount in mounts
+    ]
+    poses = iter(post.pose(world.terrain) for post in posts)
+    agents = tuple(agent if agent.carrier is not None else replace(agent, mount=next(poses)) for agent in world.agents)
+    return replace(world, things=(*world.things[:kept], *(post.pole for post in posts)), agents=agents)
+
+
+def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list[tuple[Thing, float]]]:
+    """Return for each of ``lanes`` lanes the vehicles of the plan's agents in it, dealt out at random."""
+    dealt: list[list[tuple[Thing, float]]] = [[] for _ in range(lanes)]
+    order = rng.permutation(lanes)
+    for k in range(plan.moving):
+        dealt[int(order[k % lanes])].append(sensor_car(rng, plan.sensor_height_m))
+    return dealt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contents:
+    """What is put into a world.
+
+    Attributes:
+        still: things that rest.
+        moving: things with tracks, and for agents how far ahead of the middle the sensor sits.
+        masts: roadside sensors.
+    """
+
+    still: Sequence[Thing]
+    moving: Sequence[tuple[Thing, float | None]]
+    masts: Sequence[Mast] = ()
+
+
+def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents, upper: Terrain | None = None) -> World:
+    """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on.
+
+    ``upper`` is the ground of the upper level, of a world that has one.
+    """
+    agents, moving = [], _nearest(contents, plan.duration_s)
+    ridden = [(k, ahead) for k, (_, ahead) in enumerate(moving) if ahead is not None]
+    for number, (index, ahead) in enumerate(ridden):
+        mount = Rigid.from_yaw(0.0, (ahead, 0.0, plan.sensor_height_m))
+        agents.append(Agent(f"vehicle_{number}", plan.sensor, mount, index))
+    for number, post in enumerate(contents.masts):
+        agents.append(Agent(f"roadside_{number}", plan.roadside_sensor, post.pose(terrain)))
+    things = [thing for thing, _ in moving] + [*contents.still, *(post.pole for post in contents.masts)]
+    return World(name, terrain, tuple(things), tuple(agents), upper=upper)
+
+
+def _nearest(contents: Contents, duration_s: float) -> list[tuple[Thing, float | None]]:
+    """Return the agents' vehicles and those that come nearest to a sensor, as many as may move."""
+    times = (0.0, duration_s / 2, duration_s)
+    positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in contents.moving]).reshape(-1, 3, 2)
+    ridden = np.array([ahead is not None for _, ahead in contents.moving], bool)
+    rests = np.array([one.track is None for one, _ in contents.moving], bool)
+    posts = np.array([[(post.x_m, post.y_m)] * 3 for post in contents.masts]).reshape(-1, 3, 2)
+    eyes = np.concatenate([positions[ridden], posts])
+    gaps = np.hypot(*np.moveaxis(positions[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
+    order = np.argsort(np.where(ridden | rests, -1.0, gaps), kind="stable")
+    kept = set(order[: MOST_MOVING + int((rests & ~ridden).sum())].tolist())
+    return [rider for k, rider in enumerate(contents.moving) if k in kept]

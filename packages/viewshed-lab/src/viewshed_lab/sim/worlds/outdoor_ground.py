@@ -1,0 +1,153 @@
+"""The ground of outdoor worlds: slope, gentle relief, roads with crown and curbs, speed bumps, sidewalks, lawns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+from viewshed_lab.sim.assets.shapes import material_index
+from viewshed_lab.sim.terrain import Terrain
+
+_CURB_WIDTH_M = 0.03
+
+_CROWN = 0.02
+
+_FALL = 0.015
+
+_BUMP_HALF_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Relief:
+    """A slope with long waves on it.
+
+    Attributes:
+        slope: meters of rise for each meter of x and of y.
+        wave_m: height of the waves along x and y.
+        length_m: length of the waves along x and y.
+        phase: of the waves, radians.
+    """
+
+    slope: tuple[float, float]
+    wave_m: tuple[float, float]
+    length_m: tuple[float, float]
+    phase: tuple[float, float]
+
+    def at(self, x: F64, y: F64) -> F64:
+        """Return heights in meters at x and y of any one shape."""
+        height = self.slope[0] * x + self.slope[1] * y
+        for along, wave, length, phase in zip((x, y), self.wave_m, self.length_m, self.phase, strict=True):
+            height = height + wave * np.sin(2 * np.pi * along / length + phase)
+        return np.asarray(height)
+
+
+def relief(rng: np.random.Generator, steepest: float = 0.06, wave_m: float = 0.5) -> Relief:
+    """Return a slope, mostly gentle, of at most ``steepest``, with waves of 90 to 220 m."""
+    slope, turn = steepest * 0.8 * rng.random() ** 2, rng.uniform(0, 2 * np.pi)
+    ways = (float(slope * np.cos(turn)), float(slope * np.sin(turn)))
+    waves = (rng.uniform(0, wave_m), rng.uniform(0, wave_m))
+    lengths = (rng.uniform(90, 220), rng.uniform(90, 220))
+    return Relief(ways, waves, lengths, (rng.uniform(0, 6.28), rng.uniform(0, 6.28)))
+
+
+@dataclass(frozen=True, slots=True)
+class Road:
+    """The cross-section of a straight road with curbs.
+
+    Attributes:
+        half_m: from its axis to the curb.
+        walk_m: width of the sidewalk beyond the curb.
+        curb_m: height of the curb.
+    """
+
+    half_m: float
+    walk_m: float
+    curb_m: float
+
+    @property
+    def edge_m(self) -> float:
+        """From the axis to the far edge of the sidewalk, where the lots begin."""
+        return self.half_m + self.walk_m
+
+    def lines(self) -> list[float]:
+        """Return where, across the road, the ground has its edges."""
+        right = [self.half_m, self.half_m + _CURB_WIDTH_M, self.edge_m]
+        return [0.0, *right, *(-line for line in right)]
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Roads along x and y through the origin, sidewalks along them, and lots between.
+
+    Attributes:
+        relief: the lie of the land.
+        along: the road along x, or None.
+        across: the road along y, or None.
+        lot_m: how far the lots lie above the sidewalk.
+        lot_material: what covers them.
+        bumps_m: where, along x, speed bumps lie across the road.
+        bump_m: their height.
+    """
+
+    relief: Relief
+    along: Road | None = None
+    across: Road | None = None
+    lot_m: float = 0.0
+    lot_material: str = "grass"
+    bumps_m: tuple[float, ...] = ()
+    bump_m: float = 0.09
+
+    def terrain(self, half_x_m: float, half_y_m: float, step_m: float = 9.0) -> Terrain:
+        """Return the terrain over ±half_x and ±half_y meters, its plain lines about ``step_m`` apart."""
+        bumps = [at + shift for at in self.bumps_m for shift in (-_BUMP_HALF_M, -0.5, 0.5, _BUMP_HALF_M)]
+        x_m = _lines(half_x_m, step_m, (self.across.lines() if self.across else []) + bumps)
+        y_m = _lines(half_y_m, step_m, self.along.lines() if self.along else [])
+        return Terrain.of(x_m, y_m, self._height, self._material)
+
+    def _height(self, x: F64, y: F64) -> F64:
+        beyond, walk = self._curb_distance(x, y)
+        road = np.maximum(_crown(self.along, y), _crown(self.across, x))
+        raised = self._curb_m + _FALL * np.clip(beyond, 0.0, walk) + self.lot_m * (beyond > walk + 0.5)
+        profile = np.where(beyond > _CURB_WIDTH_M / 2, raised, road)
+        for at in self.bumps_m:
+            on_road = beyond < -0.3 if self.along else True
+            profile = profile + self.bump_m * on_road * np.interp(np.abs(x - at), [0.5, _BUMP_HALF_M], [1.0, 0.0])
+        return np.asarray(self.relief.at(x, y) + profile)
+
+    def _material(self, x: F64, y: F64) -> NDArray[np.uint8]:
+        beyond, walk = self._curb_distance(x, y)
+        lot, paving, road = (material_index(name) for name in (self.lot_material, "concrete", "asphalt"))
+        return np.where(beyond > walk, lot, np.where(beyond > 0.0, paving, road)).astype(np.uint8)
+
+    @property
+    def _curb_m(self) -> float:
+        return max((road.curb_m for road in (self.along, self.across) if road), default=0.0)
+
+    def _curb_distance(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """Return how far beyond the nearest curb each place lies (negative on a road), and the sidewalk's width."""
+        far = np.full(np.broadcast(x, y).shape, np.inf)
+        walk = np.zeros_like(far)
+        for road, across in ((self.along, y), (self.across, x)):
+            if road is not None:
+                beyond = np.abs(across) - road.half_m
+                walk = np.where(beyond - road.walk_m < far - walk, road.walk_m, walk)
+                far = np.minimum(far, beyond)
+        return (far, walk) if self.along or self.across else (np.full_like(far, -1.0), walk)
+
+
+def _crown(road: Road | None, across: F64) -> F64:
+    if road is None:
+        return np.zeros_like(across)
+    return np.asarray(_CROWN * np.clip(road.half_m - np.abs(across), 0.0, None))
+
+
+def _lines(half_m: float, step_m: float, edges: list[float]) -> F64:
+    """Return ascending lines: the edges, and plain ones where these leave gaps wider than a step."""
+    inner = sorted({round(edge, 4) for edge in edges if abs(edge) < half_m - 0.5})
+    known = [-half_m, *inner, half_m]
+    pieces = [np.linspace(a, b, max(1, round((b - a) / step_m)) + 1)[:-1] for a, b in pairwise(known)]
+    return np.concatenate([*pieces, [half_m]])

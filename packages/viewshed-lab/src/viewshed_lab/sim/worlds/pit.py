@@ -1,0 +1,111 @@
+"""Construction pits beside a street: upright faces of 2 to 6 m next to the drive lane, machines and ramps in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from viewshed_lab.sim.assets.buildings import town_house
+from viewshed_lab.sim.assets.street import cone, group, lamp_post, person, pick, place_at, sign, tree, wall
+from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle
+from viewshed_lab.sim.assets.yard import barrels, container, dumper, excavator, heap, pipes, scaffold, site_office
+from viewshed_lab.sim.world import AgentPlan, Thing, World
+from viewshed_lab.sim.worlds.drops import Drop, guarded, mirrored, terrain_with
+from viewshed_lab.sim.worlds.layout import Contents, Span, assembled, plots, spots
+from viewshed_lab.sim.worlds.roadsides import climb, fields
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Bend, Roadway, masts_beside
+from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.traffic import Pace, driven
+
+_PACE = Pace(110.0, 50.0, (3.0, 12.0), (6.0, 25.0, 90.0))
+
+_MACHINES: tuple[Callable[[np.random.Generator], Thing], ...] = (
+    excavator, dumper, pipes, barrels, lambda rng: heap(rng, rng.uniform(2.0, 6.0)), person, container,
+    lambda rng: scaffold(rng, rng.uniform(5.0, 10.0), 2),
+)  # fmt: skip
+
+
+def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
+    """Return a street beside one to three construction pits, with the agents of ``plan``."""
+    level = Bank((0.0, 1.0), (0.0, 0.0))
+    road = Roadway(
+        Bend(0.0, 300.0, 0.0), climb(rng, 0.03), 2 if rng.random() < 0.2 else 1, rng.uniform(2.8, 3.5),
+        rng.uniform(0.4, 1.6), (level, level), rough=fields(rng, 0.3, 0.01), soil=pick(rng, ("grass", "concrete")),
+    )  # fmt: skip
+    side = pick(rng, (-1, 1))
+    drops = _pits(rng, road, side)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
+    site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
+    for drop in drops:
+        _guard(rng, site, drop)
+    site.reserve(*(edge for drop in drops for edge in drop.edges()))
+    for drop in drops:
+        _fill(rng, site, drop)
+    _opposite(rng, site, road, -side)
+    moving = driven(rng, plan, road.lane_lines(), _PACE, street_vehicle)
+    return assembled("pit", terrain_with(road, drops), plan, Contents(site.things, moving, masts))
+
+
+def _pits(rng: np.random.Generator, road: Roadway, side: int) -> list[Drop]:
+    """Return pits on one side one after another, often with a ramp; now and then one across the road as well."""
+    drops, at = [], -rng.uniform(40.0, 70.0)
+    while at < 45.0:
+        long, wide, deep = rng.uniform(18.0, 60.0), rng.uniform(9.0, 32.0), rng.uniform(2.0, 6.0)
+        near = road.edge_m + rng.uniform(0.7, 4.0)
+        ramp = None
+        if rng.random() < 0.6 and long > 25.0 and wide > 12.0:
+            far, run = near + wide, min(deep / rng.uniform(0.12, 0.3), long - 6.0)
+            ramp = mirrored((at, far - 4.0, at + run, far), side)
+        rect, floor = mirrored((at, near, at + long, near + wide), side), pick(rng, ("grass", "concrete"))
+        drops.append(Drop(rect, deep, floor, ramp))
+        at += long + rng.uniform(6.0, 40.0)
+    if rng.random() < 0.35:
+        long, near = rng.uniform(8.0, 25.0), road.edge_m + rng.uniform(1.5, 5.0)
+        x = rng.uniform(-40.0, 20.0)
+        rect = mirrored((x, near, x + long, near + rng.uniform(3.0, 10.0)), -side)
+        drops.append(Drop(rect, rng.uniform(1.0, 4.0), "concrete"))
+    return drops
+
+
+def _guard(rng: np.random.Generator, site: SitePlan, drop: Drop) -> None:
+    """Put a guard along the edge at the road, and a tipper on the ramp."""
+    x0, y0, x1, y1 = drop.rect
+    for thing in guarded(rng, (x0 - 1.0, x1 + 1.0), y0 - 0.4 if y0 > 0 else y1 + 0.4):
+        site.put(thing, 0.02)
+    if drop.ramp is not None and rng.random() < 0.5:
+        a, b, c, d = drop.ramp
+        site.put(place_at(dumper(rng), (a + c) / 2, (b + d) / 2, pick(rng, (0.0, np.pi))))
+
+
+def _fill(rng: np.random.Generator, site: SitePlan, drop: Drop) -> None:
+    """Put machines on the floor of a pit, and huts, containers and heaps behind it."""
+    x0, y0, x1, y1 = drop.rect
+    side, far = (1, y1) if y0 > 0 else (-1, y0)
+    count = int(rng.integers(2, 9))
+    site.scatter(rng, [_MACHINES[int(rng.integers(len(_MACHINES)))](rng) for _ in range(count)], drop.rect)
+    beyond = mirrored((x0 - 4.0, abs(far) + 3.5, x1 + 4.0, abs(far) + 14.0), side)
+    yard = [pick(rng, (site_office, container, barrels, pipes))(rng) for _ in range(int(rng.integers(1, 6)))]
+    site.scatter(rng, [*yard, *(heap(rng, rng.uniform(3.0, 8.0)) for _ in range(int(rng.integers(0, 3))))], beyond)
+
+
+def _opposite(rng: np.random.Generator, site: SitePlan, road: Roadway, side: int) -> None:
+    """Put parked vehicles, lamps, trees, people and a row of houses or walls on the other side of the street."""
+    turn, setback = (np.pi if side > 0 else 0.0), rng.uniform(4.0, 12.0)
+    if rng.random() < 0.7:
+        for x in spots(rng, (-HALF_M, HALF_M), 5.8, (0.3, rng.uniform(1.0, 14.0))):
+            site.put(place_at(parked_vehicle(rng), x, side * (road.edge_m + 1.0), turn))
+    for x in spots(rng, (-HALF_M, HALF_M), 1.0, (5.0, 30.0)):
+        thing = pick(rng, (lamp_post(rng), sign(rng), tree(rng, 2.4, 4.0), person(rng), cone()))
+        site.put(place_at(thing, x, side * (road.edge_m + 2.7), -side * np.pi / 2))
+    for at in rng.uniform(-50, 50, int(rng.integers(0, 3))).tolist():
+        site.put_all(group(rng, at, side * (road.edge_m + 3.6)))
+    house_row(rng, site, plots(rng, (-HALF_M, HALF_M), (9.0, 24.0), 8.0, 0.35), side * (road.edge_m + setback))
+
+
+def house_row(rng: np.random.Generator, site: SitePlan, lots: list[Span], y_m: float) -> None:
+    """Put a row of houses whose fronts lie at ``y_m`` and face the x axis, a wall where there is no room for one."""
+    facing = 0.0 if y_m > 0 else np.pi
+    for x, long in lots:
+        if not site.put(place_at(town_house(rng, long, 11.0, abs(x) > 45.0), x, y_m, facing)):
+            site.put(place_at(wall(0.5 * long, 2.0), x, y_m))

@@ -1,0 +1,111 @@
+"""An outdoor world under construction: what stands in it so far, at any angle, and where the next thing may stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+
+from viewshed.arrays import F64
+from viewshed_lab.sim.assets.street import footprint, place_at
+from viewshed_lab.sim.world import Thing
+from viewshed_lab.sim.worlds.layout import Mast
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bend
+
+_GAP_M, _TALL_M = 0.15, 3.0
+
+_ROOM = 8192
+
+
+@dataclass(slots=True)
+class SitePlan:
+    """Things, and the areas that the next thing must not touch.
+
+    Attributes:
+        things: what stands in the world.
+    """
+
+    things: list[Thing] = field(default_factory=list)
+    _taken: list[shapely.Polygon] = field(default_factory=list)
+    _bounds: F64 = field(default_factory=lambda: np.empty((_ROOM, 4)))
+    _open: list[shapely.Polygon] = field(default_factory=list)
+
+    def reserve(self, *areas: shapely.Polygon) -> None:
+        """Keep areas free, in meters of the world."""
+        for area in areas:
+            self._bounds[len(self._taken)] = area.bounds
+            self._taken.append(area)
+
+    @classmethod
+    def along(cls, bend: Bend, half_m: float, masts: Sequence[Mast]) -> SitePlan:
+        """Return an empty plan that keeps free a road, within ``half_m`` meters of its axis, and roadside sensors."""
+        plan = cls.around(masts)
+        plan.keep_road(bend, half_m)
+        return plan
+
+    @classmethod
+    def around(cls, masts: Sequence[Mast]) -> SitePlan:
+        """Return an empty plan that keeps the feet of roadside sensors free, and the air around them of crowns."""
+        plan = cls()
+        for post in masts:
+            plan.reserve(shapely.Point(post.x_m, post.y_m).buffer(1.4))
+            plan._open.append(shapely.Point(post.x_m, post.y_m).buffer(2.2))
+        return plan
+
+    def keep_road(self, bend: Bend, half_m: float) -> None:
+        """Keep the road within ``half_m`` meters of an axis free."""
+        x = np.arange(-HALF_M - 20.0, HALF_M + 21.0, 4.0)
+        self.reserve(shapely.LineString(np.column_stack([x, bend.axis(x)])).buffer(half_m, cap_style="flat"))
+
+    def clear(self, area: shapely.Polygon, gap_m: float = _GAP_M) -> bool:
+        """Return whether nothing reserved or standing lies within ``gap_m`` meters of an area."""
+        x0, y0, x1, y1 = area.bounds
+        # Only areas whose upright rectangles come that near are measured.
+        bounds = self._bounds[: len(self._taken)]
+        near = (bounds[:, 0] < x1 + gap_m) & (bounds[:, 2] > x0 - gap_m)
+        near &= (bounds[:, 1] < y1 + gap_m) & (bounds[:, 3] > y0 - gap_m)
+        return not any(self._taken[k].distance(area) < gap_m for k in np.flatnonzero(near))
+
+    def put(self, thing: Thing, gap_m: float = _GAP_M, below_m: float = 2.1) -> bool:
+        """Let a thing stand where it is if what of it begins below ``below_m`` is clear of others, and say so."""
+        area = shapely.Polygon(footprint(thing, below_m=below_m))
+        if not self.clear(area, gap_m) or self._blinds(thing):
+            return False
+        self.things.append(thing)
+        self.reserve(area)
+        return True
+
+    def _blinds(self, thing: Thing) -> bool:
+        """Return whether a tall thing, crown and all, comes too near to a roadside sensor."""
+        if not self._open or max(part.top_m for part in thing.parts) < _TALL_M:
+            return False
+        whole = shapely.Polygon(footprint(thing, below_m=np.inf))
+        return bool(shapely.intersects(whole, np.array(self._open)).any())
+
+    def put_all(self, things: list[Thing], gap_m: float = _GAP_M) -> None:
+        """Let those things stand that are clear of others, one after the other."""
+        for thing in things:
+            self.put(thing, gap_m)
+
+    def put_row(self, things: list[Thing]) -> None:
+        """Let those pieces of one row stand that are clear of all others; they may touch each other."""
+        free = [one for one in things if self.clear(shapely.Polygon(footprint(one)), 0.02)]
+        self.stand(*free)
+
+    def stand(self, *things: Thing, below_m: float = 2.1) -> None:
+        """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
+        for thing in things:
+            self.things.append(thing)
+            self.reserve(shapely.Polygon(footprint(thing, below_m=below_m)))
+
+    def scatter(
+        self, rng: np.random.Generator, things: list[Thing], spread_m: tuple[float, float, float, float]
+    ) -> None:
+        """Let things stand anywhere in x from, y from, x to, y to, at any angle; those without room are left out."""
+        x0, y0, x1, y1 = spread_m
+        for thing in things:
+            for u, v, turn in rng.random((4, 3)).tolist():
+                if self.put(place_at(thing, x0 + u * (x1 - x0), y0 + v * (y1 - y0), 2 * np.pi * turn)):
+                    break

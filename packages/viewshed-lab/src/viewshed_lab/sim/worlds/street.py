@@ -1,0 +1,93 @@
+"""A street canyon in town: lanes both ways along x, parked rows, sidewalks, closed rows of buildings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from viewshed_lab.sim.assets.street import cone, place_at, work_barrier
+from viewshed_lab.sim.assets.vehicles import cyclist, street_vehicle
+from viewshed_lab.sim.world import AgentPlan, Thing, World
+from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
+from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, mast
+from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
+from viewshed_lab.sim.worlds.traffic import Driver, Lane, Pace, Rider, driven, flow, straight_lane
+
+_HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
+
+_PACE = Pace(_HALF_X_M, _ROAM_M, (5.0, 14.0), (6.0, 20.0, 60.0), (0.8, 1.6))
+
+
+Houses = Callable[[np.random.Generator, Side, Span], list[Thing]]
+"""Makes the row of buildings on one side of a street."""
+
+
+def street(rng: np.random.Generator, plan: AgentPlan) -> World:
+    """Return a street canyon with the agents of ``plan`` in its lanes and on its sidewalks."""
+    return street_of(rng, plan, "street", buildings)
+
+
+def street_of(rng: np.random.Generator, plan: AgentPlan, name: str, houses: Houses, steepest: float = 0.06) -> World:
+    """Return a street in town with lanes, parked vehicles, sidewalks and traffic, between two rows of ``houses``."""
+    lanes, wide, biking = 1 + int(rng.random() < 0.4), rng.uniform(3.0, 3.5), rng.random() < 0.35
+    half = lanes * wide + (1.6 if biking else 0.0) + PARKING_M + 0.2
+    road = Road(half, rng.uniform(2.1, 4.8), rng.uniform(0.1, 0.15))
+    bumps = (rng.uniform(-40, 40),) if lanes == 1 and rng.random() < 0.3 else ()
+    ground = Ground(relief(rng, steepest), road, None, rng.uniform(0.0, 0.05), "concrete", bumps)
+    sides = [random_side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
+    masts = _masts(rng, plan.roadside, road)
+    still = [thing for one in sides for thing in _lined(rng, one, masts, bumps, houses)]
+    moving = driven(rng, plan, _lanes(lanes, wide), _PACE, street_vehicle)
+    if biking:
+        moving += _cyclists(rng, plan, lanes * wide + 0.8)
+    moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
+    if not sides[0].parked and rng.random() < 0.5:
+        still += _works(rng, half)
+    return assembled(name, ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
+
+
+def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
+    masts_placed = []
+    for k in range(count):
+        x = (k + 0.5 - count / 2) * 80.0 / max(count, 1) + rng.uniform(-5, 5)
+        side = -1 if (k + rng.integers(2)) % 2 else 1
+        masts_placed.append(mast(rng, x, side * (road.half_m + 0.55), (x + rng.uniform(-15, 15), -side * 2.0)))
+    return masts_placed
+
+
+def _lined(
+    rng: np.random.Generator, one: Side, masts: list[Mast], bumps: tuple[float, ...], houses: Houses
+) -> list[Thing]:
+    flip = np.cos(one.yaw)
+    kept = [(flip * post.x_m - 3.9, flip * post.x_m + 3.9) for post in masts if post.y_m * flip > 0]
+    humps = [(flip * at - 1.2, flip * at + 1.2) for at in bumps]
+    span = (-_HALF_X_M, _HALF_X_M)
+    return [
+        *parked(rng, one, span, humps),
+        *furniture(rng, one, span, kept),
+        *houses(rng, one, (-_HALF_X_M + rng.uniform(-8, 0), _HALF_X_M)),
+    ]
+
+
+def _lanes(count: int, wide: float) -> list[Lane]:
+    """Return the lanes from the axis outward, one way and back by turns."""
+    across = [(k + 0.5) * wide for k in range(count)]
+    return [straight_lane(0.0, at if back else -at, np.pi if back else 0.0) for at in across for back in (False, True)]
+
+
+def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> list[Rider]:
+    riders: list[Rider] = []
+    for y, yaw in ((-across_m, 0.0), (across_m, np.pi)):
+        starts = sorted(rng.uniform(-90, 90, int(rng.integers(0, 4))).tolist(), reverse=True)
+        drivers = [Driver(cyclist(rng), start, 4.5) for start in starts]
+        riders += flow(straight_lane(0.0, y, yaw), drivers, plan.duration_s)
+    return riders
+
+
+def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
+    """Return a construction site where else vehicles would park: barriers around it and cones before it."""
+    x, y = rng.uniform(-40, 40), half_m - 1.1
+    rows = [place_at(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
+    ends = [place_at(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
+    return [*rows, *ends, *(place_at(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]

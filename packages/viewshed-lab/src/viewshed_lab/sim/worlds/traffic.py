@@ -1,0 +1,250 @@
+"""Traffic: lanes as lines, vehicles that follow one another along them without touching, and their tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from viewshed.arrays import F64
+from viewshed_lab.sim.assets.street import drive, extent, place_at
+from viewshed_lab.sim.world import AgentPlan, Thing, Track
+from viewshed_lab.sim.worlds.layout import carriers
+
+_STEP_S = 0.5
+
+_SMOOTH_STEPS = 2
+
+_LEAD_S = 3.0
+
+_FAR_M = 1500.0
+
+_QUEUE_GAP_M = 2.0
+
+_DELAY_STEPS = 2
+
+_REACTION_S = _DELAY_STEPS * _STEP_S
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane:
+    """A line that vehicles follow.
+
+    Attributes:
+        xy_m: (k, 2) corners in meters of the world.
+        arc_m: (k,) where they lie along the line.
+        yaw: (k,) heading at the corners, continuous, radians.
+    """
+
+    xy_m: F64
+    arc_m: F64
+    yaw: F64
+
+    def at(self, s_m: F64) -> tuple[F64, F64]:
+        """Return places (n, 2) and headings (n,) at ``s_m`` meters along the line."""
+        x, y = np.interp(s_m, self.arc_m, self.xy_m[:, 0]), np.interp(s_m, self.arc_m, self.xy_m[:, 1])
+        return np.column_stack([x, y]), np.interp(s_m, self.arc_m, self.yaw)
+
+
+def straight_lane(x_m: float, y_m: float, yaw: float) -> Lane:
+    """Return the straight lane through (x, y), where its meter 0 is.
+
+    >>> straight_lane(0.0, -2.0, 0.0).at(np.array([5.0]))[0].tolist()
+    [[5.0, -2.0]]
+    """
+    ends = np.array([-_FAR_M, _FAR_M])
+    xy = np.array([x_m, y_m]) + ends[:, None] * np.array([np.cos(yaw), np.sin(yaw)])
+    return Lane(xy, ends, np.full(2, yaw))
+
+
+def line_lane(xy_m: F64) -> Lane:
+    """Return the lane through points (k, 2), its meter 0 where it starts."""
+    steps = np.diff(xy_m, axis=0)
+    arc = np.concatenate([[0.0], np.hypot(steps[:, 0], steps[:, 1]).cumsum()])
+    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    yaw = np.concatenate([headings[:1], (headings[1:] + headings[:-1]) / 2, headings[-1:]])
+    return Lane(xy_m, arc, yaw)
+
+
+def right_turn(lane: Lane, corner_m: float, radius_m: float) -> Lane:
+    """Return the lane that follows a straight one and turns right by a quarter circle.
+
+    ``corner_m``: where along ``lane`` the line of the new lane crosses. Meter 0 stays where it is.
+    """
+    (start,), (yaw,) = lane.at(np.array([corner_m - radius_m]))
+    forward, right = np.array([np.cos(yaw), np.sin(yaw)]), np.array([np.sin(yaw), -np.cos(yaw)])
+    angles = np.linspace(0.0, np.pi / 2, 13)[:, None]
+    bend = start + radius_m * (np.sin(angles) * forward + (1 - np.cos(angles)) * right)
+    xy = np.concatenate([(start - _FAR_M * forward)[None], bend, (bend[-1] + _FAR_M * right)[None]])
+    arc = corner_m - radius_m + np.concatenate([[-_FAR_M], angles[:, 0] * radius_m, [np.pi / 2 * radius_m + _FAR_M]])
+    turns = yaw - np.concatenate([[0.0], angles[:, 0], [np.pi / 2]])
+    return Lane(xy, arc, turns)
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """A vehicle in a lane.
+
+    Attributes:
+        thing: the vehicle, at the origin.
+        start_m: where along the lane its middle is at time 0.
+        speed_mps: how fast it drives where it may.
+        hold_m: where it stops for good; infinite if it leaves.
+        lane: its own line if it is not that of the others (it turns off).
+        sensor_ahead_m: how far ahead of its middle it carries a sensor, or None if it is no agent.
+    """
+
+    thing: Thing
+    start_m: float
+    speed_mps: float
+    hold_m: float = float("inf")
+    lane: Lane | None = None
+    sensor_ahead_m: float | None = None
+
+
+def clock(duration_s: float) -> F64:
+    """Return the seconds (k,) of the knots of tracks: from 1 s before 0 to 1 s after ``duration_s``."""
+    return np.arange(-1.0, duration_s + 1.0 + _STEP_S, _STEP_S)
+
+
+Rider = tuple[Thing, float | None]
+"""A moving thing, and how far ahead of its middle it carries a sensor if it is an agent."""
+
+
+def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider]:
+    """Return the vehicles of one lane with their tracks, in the order of ``drivers`` (leader first).
+
+    Newell's car-following (Transportation Research B 36, 2002): each drives at its own speed, or as the one before it
+    did some time earlier and some distance further back, whichever is less far.
+    """
+    wanted = clock(duration_s)
+    times = np.arange(wanted[0] - _LEAD_S, wanted[-1] + _LEAD_S + _STEP_S / 2, _STEP_S)
+    keep = slice(round(_LEAD_S / _STEP_S), round(_LEAD_S / _STEP_S) + len(wanted))
+    ahead, rear_m = np.full(len(times), np.inf), 0.0
+    riders: list[Rider] = []
+    for driver in drivers:
+        rear, front, *_ = extent(driver.thing)
+        gap = _QUEUE_GAP_M + front + rear_m
+        free = np.minimum(driver.start_m + driver.speed_mps * times, driver.hold_m)
+        delayed = np.concatenate([np.full(_DELAY_STEPS, ahead[0]), ahead[:-_DELAY_STEPS]])
+        path = np.minimum(free, delayed - gap)
+        track = _track(driver.lane or lane, wanted, _smooth(path)[keep])
+        stands = float(np.ptp(track.xy_m, axis=0).max()) < 0.02
+        thing = place_at(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
+        riders.append((thing, driver.sensor_ahead_m))
+        ahead, rear_m = path, -rear
+    return riders
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """How a lane is filled.
+
+    Attributes:
+        reach_m: vehicles are put from minus to plus this far along the lane.
+        roam_m: its agents stay within minus and plus this.
+        speed_mps: of all its vehicles.
+        gap_m: smallest and largest gap between two vehicles.
+        stop_m: stop line at which those before it wait for good, or None.
+        clear_m: none is put between the stop line and this.
+        upstream_m: how far before the reach vehicles are put that arrive later.
+    """
+
+    reach_m: float
+    roam_m: float
+    speed_mps: float
+    gap_m: tuple[float, float]
+    stop_m: float | None = None
+    clear_m: float = 0.0
+    upstream_m: float = 60.0
+
+
+Maker = Callable[[np.random.Generator], Thing]
+
+
+def filled(
+    rng: np.random.Generator, stream: Stream, maker: Maker, carriers: Sequence[tuple[Thing, float]], duration_s: float
+) -> list[Driver]:
+    """Return the drivers of a lane, leader first: agents around its middle, others made by ``maker`` before and behind.
+
+    ``carriers``: vehicle of each agent and how far ahead of its middle the sensor sits.
+    """
+    travel = stream.speed_mps * duration_s
+    entry = -stream.reach_m - min(travel, stream.upstream_m)
+    if not carriers:
+        return _others(rng, stream, maker, (entry, stream.reach_m))
+    end = stream.roam_m if stream.stop_m is None else min(stream.roam_m, stream.stop_m - 3.0)
+    room = end + stream.roam_m
+    apart = 8.0 + _REACTION_S * stream.speed_mps
+    steps = [min(apart + rng.uniform(0.0, 16.0), room / len(carriers)) for _ in carriers[1:]]
+    lead = rng.uniform(-stream.roam_m + sum(steps), max(end - travel, -stream.roam_m + sum(steps)))
+    positions = lead - np.concatenate([[0.0], np.cumsum(steps)])
+    agents = [Driver(thing, float(at), stream.speed_mps, end, None, ahead)
+              for (thing, ahead), at in zip(carriers, positions, strict=True)]  # fmt: skip
+    before = _others(rng, stream, maker, (lead + apart, stream.reach_m))
+    return [*before, *agents, *_others(rng, stream, maker, (entry, float(positions[-1]) - apart))]
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How the lanes of a road are driven.
+
+    Attributes:
+        reach_m: vehicles are put from minus to plus this far along each lane.
+        roam_m: agents stay within minus and plus this.
+        speed_mps: slowest and fastest speed.
+        gap_m: smallest gap between two vehicles, and the least and the most that the largest may be.
+        share: least and most of their part of the road that agents drive within the plan's duration.
+    """
+
+    reach_m: float
+    roam_m: float
+    speed_mps: tuple[float, float]
+    gap_m: tuple[float, float, float]
+    share: tuple[float, float] = (0.8, 1.5)
+
+
+def driven(rng: np.random.Generator, plan: AgentPlan, lanes: Sequence[Lane], pace: Pace, maker: Maker) -> list[Rider]:
+    """Return the traffic of lanes: the plan's agents dealt out over them, others made by ``maker``.
+
+    Speeds are such that agents keep driving for most of the time within their part of the road.
+    """
+    riders: list[Rider] = []
+    for lane, seats in zip(lanes, carriers(rng, plan, len(lanes)), strict=True):
+        wanted = rng.uniform(*pace.speed_mps)
+        speed = float(min(wanted, max(2.0, rng.uniform(*pace.share) * 2 * pace.roam_m / plan.duration_s)))
+        least, low, high = pace.gap_m
+        stream = Stream(pace.reach_m, pace.roam_m, speed, (least, rng.uniform(low, high)))
+        riders += flow(lane, filled(rng, stream, maker, seats, plan.duration_s), plan.duration_s)
+    return riders
+
+
+def _others(rng: np.random.Generator, stream: Stream, maker: Maker, span_m: tuple[float, float]) -> list[Driver]:
+    at, drivers = span_m[1] - rng.uniform(0.0, stream.gap_m[1]), []
+    while at > span_m[0]:
+        thing = maker(rng)
+        rear, front, *_ = extent(thing)
+        at -= front
+        if stream.stop_m is not None and stream.stop_m - front < at < stream.clear_m - rear:
+            at = stream.stop_m - front
+        if at + rear < span_m[0]:
+            break
+        waits = stream.stop_m is not None and at < stream.stop_m
+        hold = stream.stop_m - front if waits and stream.stop_m is not None else float("inf")
+        drivers.append(Driver(thing, at, stream.speed_mps, hold))
+        at += rear - max(rng.uniform(*stream.gap_m), _QUEUE_GAP_M + _REACTION_S * stream.speed_mps)
+    return drivers
+
+
+def _smooth(path: F64) -> F64:
+    """Return the mean of a path over two seconds, so that nothing stops dead."""
+    padded = np.pad(path, _SMOOTH_STEPS, mode="reflect", reflect_type="odd")
+    width = 2 * _SMOOTH_STEPS + 1
+    total = np.cumsum(np.concatenate([[0.0], padded]))
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
+def _track(lane: Lane, times: F64, s_m: F64) -> Track:
+    xy, yaw = lane.at(s_m)
+    return Track(times, xy, yaw)

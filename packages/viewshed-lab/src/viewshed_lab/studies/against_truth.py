@@ -1,0 +1,192 @@
+"""Estimators against exact truth: pooled over samples, by range, and without the cells that one beam decides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from viewshed.arrays import Mask
+from viewshed.fov.estimate import THRESHOLD, FovEstimator
+from viewshed.fov.truth import OTHER_DEFINITIONS
+from viewshed.fov.visibility import Target
+from viewshed.grid import BevGrid
+from viewshed.metrics import ConfusionCounts
+from viewshed.sweep import Sweep, bare_points, unorganized, unorganized_no_sensor
+from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab.data import Archive
+from viewshed_lab.data.sample import Sample
+from viewshed_lab.studies.formatting import by_name, format_number, lines, pivot
+from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Record, Results, Series
+from viewshed_lab.studies.samples import CLEAR, SENSOR, parts_of
+from viewshed_lab.studies.templates import fill_template
+
+DEFINITION = Case("definition")
+"""The case in which no estimator but another definition of visible is held against ours."""
+
+Form = Callable[[Sweep], Sweep]
+
+
+@dataclass(frozen=True, slots=True)
+class TruthEvaluation:
+    """Who is compared, and how.
+
+    Attributes:
+        estimators: by name, what makes one for a grid.
+        target: what would have to be seen.
+        forms: by name, in which form the estimators are given the sweep.
+        bands: edges of the range bands, as shares of half the grid's side.
+        threshold: probability from which an estimate calls a cell visible.
+    """
+
+    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]
+    target: Target
+    forms: Mapping[str, Form]
+    bands: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.415)
+    threshold: float = THRESHOLD
+
+    def records(self, samples: Iterable[Sample]) -> Iterator[Record]:
+        """Yield the counts of every estimator on each sample in each form; one that cannot use a sweep claims nothing.
+
+        Args:
+            samples: with truth for the target.
+        """
+        made: dict[tuple[str, BevGrid], FovEstimator] = {}
+        for sample in samples:
+            for form, change in self.forms.items():
+                sweep = change(sample.sweep)
+                for name, make in self.estimators.items():
+                    key = name, sample.truth.grid
+                    if key not in made:
+                        made[key] = make(sample.truth.grid)
+                    claimed = made[key].estimate(sweep).visible(self.threshold)
+                    yield from self._compare(sample, name, form_case(form), claimed)
+
+    def definitions(self, samples: Iterable[Sample]) -> Iterator[Record]:
+        """Yield the counts of the other definitions of visible against ``probe``, ours."""
+        for sample in samples:
+            for name in OTHER_DEFINITIONS:
+                if name in sample.truth.definitions:
+                    yield from self._compare(sample, name, DEFINITION, sample.truth.definitions[name])
+
+    def _compare(self, sample: Sample, method: str, case: Case, claimed: Mask) -> Iterator[Record]:
+        true = sample.truth.visible(self.target)
+        for region, mask in self.regions(sample).items():
+            counts = ConfusionCounts.of(claimed, true, mask, sample.truth.grid.cell_area_m2)
+            yield Record(Series("", method, case, region), sample.scene, SEVERAL, counts)
+
+    def regions(self, sample: Sample) -> dict[str, Mask]:
+        """Return the known cells by region: all of them, and the parts of the view."""
+        parts = parts_of(sample, self.target, self.bands, max(1, self.target.min_returns // 2))
+        return {VIEW: sample.known} | {name: sample.known & part for name, part in parts.items()}
+
+
+def form_case(form: str) -> Case:
+    """Return the case of sweeps in a form."""
+    return Case("form", form)
+
+
+def as_measured(sweep: Sweep) -> Sweep:
+    """Return the sweep as it is: ring, time and sensor known."""
+    return sweep
+
+
+FORMS: dict[str, Form] = {
+    "rings known": as_measured,
+    "unorganized": unorganized,
+    "unorganized, no sensor": unorganized_no_sensor,
+    "bare points": bare_points,
+}
+"""In which form a sweep may be given, by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchiveResults:
+    """What was found on one data set.
+
+    Attributes:
+        name: of its preset.
+        about: its seed, and how many samples were looked at.
+        found: on them; the domain of these records has no name.
+    """
+
+    name: str
+    about: str
+    found: Domain[TruthEvaluation]
+
+    @classmethod
+    def of(cls, data: Archive, evaluation: TruthEvaluation, limit: int, on_step: Callable[[str], None]) -> Self:
+        """Return the results of at most ``limit`` samples, spread evenly over a data set."""
+        count, recipe = min(limit, len(data)), data.manifest.recipe
+        on_step(f"{recipe.get('preset')}: {count} samples")
+        results: Results[TruthEvaluation] = Results(evaluation)
+        results.add(evaluation.records(data[k * len(data) // count] for k in range(count)))
+        results.add(evaluation.definitions(data[k * len(data) // count] for k in range(count)))
+        spread = f"{count} of {len(data)} samples, spread evenly over {len(data.scenes)} scenes."
+        return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", Domain(results, ""))
+
+    def methods(self, case: Case) -> dict[str, str]:
+        """Return who was tried in a case."""
+        return by_name(series.method for series in self.found.results.series() if series.case == case)
+
+    def regions(self, case: Case) -> list[str]:
+        """Return the regions that were counted in a case."""
+        return list(dict.fromkeys(series.region for series in self.found.results.series() if series.case == case))
+
+    def summary(self, case: Case) -> Table:
+        """Return rates and areas of each method."""
+
+        def figure(digits: int, value: Callable[[ConfusionCounts], float], region: str = VIEW) -> Callable[[str], str]:
+            return lambda name: format_number(value(self.found.counts(name, case, region)), digits)
+
+        return lines("", self.methods(case), {
+            "precision": figure(3, lambda counts: counts.precision),
+            "recall": figure(3, lambda counts: counts.recall),
+            "F1": figure(3, lambda counts: counts.f1),
+            "IoU": figure(3, lambda counts: counts.iou),
+            "over m²": figure(0, lambda counts: counts.over_m2),
+            "under m²": figure(0, lambda counts: counts.under_m2),
+            "F1, clear": figure(3, lambda counts: counts.f1, CLEAR),
+        })  # fmt: skip
+
+    def by_range(self, case: Case) -> Table:
+        """Return F1 by range band."""
+        bands = [name for name in self.regions(case) if name not in (VIEW, CLEAR) and not name.startswith(SENSOR)]
+        return self._f1_by_region(case, by_name(bands))
+
+    def by_sensor(self, case: Case) -> Table:
+        """Return F1 by sensor, with how many samples it has."""
+        method, heads = next(iter(self.methods(case))), {}
+        for region in sorted(name for name in self.regions(case) if name.startswith(SENSOR)):
+            heads[f"{region.removeprefix(SENSOR)} ({self.found.counts(method, case, region).samples})"] = region
+        return self._f1_by_region(case, heads or {"all": VIEW})
+
+    def _f1_by_region(self, case: Case, heads: Mapping[str, str]) -> Table:
+        """Return a table of F1 by region; ``heads`` are the regions by the words above their columns."""
+        return pivot("", self.methods(case), heads,
+                     lambda method, region: format_number(self.found.counts(method, case, region).f1, 3))  # fmt: skip
+
+
+def page_of(
+    archives: Sequence[Archive], evaluation: TruthEvaluation, limit: int, split: str, on_step: Callable[[str], None]
+) -> str:
+    """Return the page as Markdown.
+
+    Args:
+        archives: simulated data sets.
+        evaluation: who is compared, and how.
+        limit: samples at most, spread evenly over each data set.
+        split: of the data sets, for the reader.
+        on_step: is called with what is done next.
+    """
+    results = [ArchiveResults.of(data, evaluation, limit, on_step) for data in archives]
+    first, *_ = evaluation.forms
+    forms = {f"{form[0].upper()}{form[1:]}": form_case(form) for form in evaluation.forms}
+    title, blocks = fill_template("against_truth.md", {"archives": results, "forms": list(forms), "first": first}, {
+        "summary": lambda data, form: data.summary(forms[form]),
+        "by_range": lambda data: data.by_range(form_case(first)),
+        "by_sensor": lambda data: data.by_sensor(form_case(first)),
+        "definitions": lambda data: data.summary(DEFINITION),
+        "definitions_by_range": lambda data: data.by_range(DEFINITION),
+    })  # fmt: skip
+    return to_markdown(title, facts(target=evaluation.target.name, split=split), blocks)

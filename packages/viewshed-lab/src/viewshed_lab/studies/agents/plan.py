@@ -1,0 +1,115 @@
+"""What the study of many agents runs: scenes of three splits, and how agents of a scene lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from viewshed_lab.data.presets import Preset, preset_named
+from viewshed_lab.data.simulated import ScenePlan
+from viewshed_lab.sim.worlds import WORLDS
+from viewshed_lab.studies.agents.lies import LIES
+from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
+
+SPLITS = ("claims", "calibration", "test", "benign")
+"""No scene is in two of them: what claims are worth, and how honest views err, is from the first, limits are from the
+second, figures from the third; how many are accused where nobody lies is from the fourth as well."""
+
+ONSET_S = 2.0
+"""Agents lie from this time of a scene on."""
+
+STEPS = ("scenes", "runs", "page")
+
+HONEST = "honest"
+"""The case in which nobody lies."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AgentsPlan(Plan):
+    """The study of many agents.
+
+    Attributes:
+        worlds: kinds of world, which the scenes take in turn.
+        sensors: beam tables of the vehicles, which the scenes take in turn.
+        moving: vehicles that measure and report.
+        roadside: sensors on masts that do.
+        tall_masts: one scene in so many has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none.
+        seconds: how long a scene lasts.
+        hz: reports a second of each agent.
+        claims: scenes from which it is learned what claims are worth.
+        calibration: scenes that limits are from.
+        test: scenes that are reported on.
+        benign: further ones in which nobody lies.
+        lies: names of ``LIES``.
+        each: lies that each test scene is tried with, in turn; all scenes are run without any as well.
+        seed: of all that is random.
+
+    Raises:
+        ValueError: a name is not known, or a number is out of range.
+    """
+
+    FOLDER: ClassVar[str] = "studies/agents/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"lies": LIES}
+
+    name: str
+    about: str
+    worlds: tuple[str, ...]
+    sensors: tuple[str, ...]
+    moving: int
+    roadside: int
+    tall_masts: int
+    seconds: float
+    hz: float
+    claims: int
+    calibration: int
+    test: int
+    benign: int
+    lies: tuple[str, ...]
+    each: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        check_names("worlds", self.worlds, WORLDS)
+        check_names("lies", self.lies, LIES, once=True)
+        check_seed("seed", self.seed)
+        self.check_at_least(1, "claims", "calibration", "test", "moving")
+        self.check_at_least(0, "roadside", "tall_masts", "benign", "each")
+        if not (self.seconds > ONSET_S and 0 < self.hz <= 10):
+            raise ValueError(f"seconds must be above {ONSET_S:g} and hz in (0, 10], got {self.seconds:g}, {self.hz:g}")
+
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs: scenes, then runs."""
+        return self.scene_keys() + self.run_keys()
+
+    def scene_keys(self) -> list[JobKey]:
+        """Return the names of the scenes' jobs: split and number."""
+        return [("scene", split, str(number)) for split in SPLITS for number in range(getattr(self, split))]
+
+    def run_keys(self) -> list[JobKey]:
+        """Return the names of the runs' jobs: split and number of a scene, in all of its cases."""
+        return [("run", *key[1:]) for key in self.scene_keys()]
+
+    def cases_of(self, split: str, number: int) -> list[str]:
+        """Return what is tried in a scene: honest, and in test scenes some lies in turn."""
+        if split != "test":
+            return [HONEST]
+        count = min(self.each, len(self.lies))
+        return [HONEST, *(self.lies[(number * count + k) % len(self.lies)] for k in range(count))]
+
+    def has_tall_masts(self, number: int) -> bool:
+        """Return whether the masts of a scene are as tall as published: in each kind of world and with each sensor."""
+        return self.tall_masts > 0 and (number // len(self.worlds) + number) % self.tall_masts == 0
+
+    def scene(self, split: str, number: int) -> ScenePlan:
+        """Return the scene of a split: its world, its sensors and its agents."""
+        base: Preset = preset_named("carla")
+        frames = round(self.seconds * self.hz) * (self.moving + self.roadside)
+        sensor = self.sensors[number // len(self.worlds) % len(self.sensors)]
+        one = replace(
+            base, worlds=(self.worlds[number % len(self.worlds)],), world_weights=(1.0,), splits=SPLITS,
+            scenes=(number + 1,) * len(SPLITS), frames=((number + 1) * frames,) * len(SPLITS), moving=self.moving,
+            roadside=self.roadside, sensors=(sensor,), interval_s=1 / self.hz, conditions=("clear",),
+            condition_weights=(1.0,), seed=self.seed,
+        )  # fmt: skip
+        return ScenePlan(one, SPLITS.index(split), number)

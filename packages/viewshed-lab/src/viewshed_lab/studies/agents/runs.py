@@ -1,0 +1,241 @@
+"""A scene run in a case: what a center that trusts, one that does not, and the published trust make of the reports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.agents.claims import ClaimTable
+from viewshed.agents.honest import HonestExamples, HonestModel, ObjectReports
+from viewshed.agents.many import FAR_M, GATE_M, AgentReport, CommandCenter, object_reports
+from viewshed.arrays import F64
+from viewshed.objects.metrics import gospa
+from viewshed.objects.views import GridView
+from viewshed_lab.data.drive import SEEN_RETURNS
+from viewshed_lab.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
+from viewshed_lab.studies.agents.plan import ONSET_S
+from viewshed_lab.studies.agents.published import PublishedTrust
+from viewshed_lab.studies.agents.scenes import Scene
+from viewshed_lab.studies.cases import generator
+
+CENTERS = ("ours", "no trust", "published", "all tracks")
+"""Whose pictures are measured, by what somebody reports now; of no trust also by all of its tracks, seen now or not."""
+
+FOUND_M = 2.0
+"""A detection this near to an object is of it."""
+
+MOVED_M = (0.6, 4.0)
+"""How far boxes are moved to learn what moved ones look like."""
+
+LEARNED_EACH = 2
+"""It is learned what honest agents report from one in so many times of a scene."""
+
+ELSEWHERE_EACH = 2
+"""One in so many boxes is put elsewhere, and one is moved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What one case of a scene came to; plain values, which a line of results holds.
+
+    Attributes:
+        case: ``HONEST`` or a lie.
+        liars: numbers of the agents that lied.
+        victim: of a lie about another one, or -1.
+        evidence: [T][A] natural logarithm of the e-value against each agent.
+        doubt: [T] of all.
+        trust: [T][A].
+        published_trust: [T][A], of the published formulas.
+        suspects: [T][A] 0 or 1.
+        checks: [T][A][C] of the claimed views, the mean of the last ones; None where there is none.
+        gospa: by center, [T] meters.
+        touched: [T] objects, or share of the area, that the liars changed.
+        overlap: other honest agents that see the places which were lied about, on average; NaN for lies about views.
+    """
+
+    case: str
+    liars: list[int]
+    victim: int
+    evidence: list[list[float]]
+    doubt: list[float]
+    trust: list[list[float]]
+    published_trust: list[list[float]]
+    suspects: list[list[int]]
+    checks: list[list[list[float | None]]]
+    gospa: dict[str, list[float]]
+    touched: list[float]
+    overlap: float
+
+
+@dataclass(slots=True)
+class SceneCases:
+    """Runs the cases of one scene; its honest reports are made once.
+
+    Attributes:
+        scene: to be run.
+        seed: of the study, split and number of the scene.
+        claims: what claims are worth.
+        honest: what honest agents report.
+        compared: whether a center that believes everybody and the published trust are run as well.
+    """
+
+    scene: Scene
+    seed: tuple[int, str, int]
+    claims: ClaimTable
+    honest: HonestModel
+    compared: bool = True
+    _reports: list[list[AgentReport]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._reports = [self.scene.reports(time) for time in range(len(self.scene.times_s))]
+
+    def run(self, case: str) -> Run:
+        """Return what a case of the scene comes to."""
+        scene, agents = self.scene, self.scene.agents
+        rng = generator(*self.seed, case)
+        order = [int(number) for number in rng.permutation(len(agents))]
+        lie = LIES.get(case)
+        count = min(lie.liars, (len(agents) - 1) // 2) if lie is not None else 0
+        liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
+
+        centers = {"ours": CommandCenter(agents, claims=self.claims, honest=self.honest)}
+        if self.compared:
+            centers["no trust"] = CommandCenter(agents, claims=self.claims, honest=self.honest, trusting=True)
+        distances: dict[str, list[float]] = {name: [] for name in CENTERS}
+        evidence, doubt, trust, suspects, checks, published_trust = [], [], [], [], [], []
+        published = PublishedTrust()
+        for time, honest in enumerate(self._reports):
+            reports = list(honest)
+            if liars is not None:
+                reports = liars.forge(reports) if scene.times_s[time] >= ONSET_S else liars.look(reports)
+            truth = seen_objects(scene, time)
+            for name, center in centers.items():
+                picture = center.add(float(scene.times_s[time]), reports)
+                xy_m, now = picture.tracks.boxes[:, :2], picture.reported
+                shown = picture.tracks.confirmed if center.trusting else picture.believed
+                distances[name].append(gospa(xy_m[shown & now], truth[:, :2]).distance_m)
+                if center.trusting:
+                    agents_trust, believed = published.add(picture, reports)
+                    published_trust.append(agents_trust)
+                    distances["published"].append(gospa(xy_m[believed & now], truth[:, :2]).distance_m)
+                    distances["all tracks"].append(gospa(xy_m[shown], truth[:, :2]).distance_m)
+                else:
+                    evidence.append(picture.verdicts.evidence)
+                    doubt.append(picture.verdicts.doubt)
+                    trust.append(picture.verdicts.trust)
+                    suspects.append(picture.verdicts.suspects)
+                    checks.append(picture.checks)
+        return Run(
+            case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence),
+            _rounded(doubt), _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(),
+            plain_checks(checks), {name: _rounded(values) for name, values in distances.items()},
+            liars.touched if liars else [], overlap_of(scene, liars) if liars else float("nan"),
+        )  # fmt: skip
+
+
+def plain_checks(checks: Sequence[F64]) -> list[list[list[float | None]]]:
+    """Return checks of views at each time (A, C) as plain values, None for NaN."""
+    return [[[None if np.isnan(x) else float(f"{x:.5g}") for x in row] for row in one.tolist()] for one in checks]
+
+
+def overlap_of(scene: Scene, liars: Liars) -> float:
+    """Return how many other agents see the places that were lied about last, on average; NaN where there are none."""
+    if liars.places is None or not len(liars.places):
+        return float("nan")
+    boxes = np.zeros((len(liars.places), 7))
+    boxes[:, :2], boxes[:, 3:6] = liars.places[:, :2], FABRICATED_SIZE_M
+    see = [
+        GridView(report.estimate, 0.0).visible(boxes) * (report.range_m(boxes) < FAR_M)
+        for number, report in enumerate(scene.reports(len(scene.times_s) - 1)) if number not in liars.numbers
+    ]  # fmt: skip
+    return float(np.sum(see, axis=0).mean())
+
+
+def seen_objects(scene: Scene, time: int) -> F64:
+    """Return the boxes (K, 7) of the objects that some agent sees at a time, near enough to report them."""
+    returns = scene.returns[time].copy()
+    places = scene.poses[time, :, :2, 3]
+    away = np.linalg.norm(scene.objects[time, None, :, :2] - places[:, None], axis=2)
+    own = scene.carriers >= 0
+    returns[np.flatnonzero(own), scene.carriers[own]] = 0
+    seen = ((returns >= SEEN_RETURNS) & (away < FAR_M)).any(axis=0)
+    boxes: F64 = scene.objects[time, seen]
+    return boxes
+
+
+def honest_examples(scene: Scene, claims: ClaimTable, rng: np.random.Generator) -> list[HonestExamples]:
+    """Return what honest agents of a scene report, to fit a model on: of some times, and of boxes put elsewhere."""
+    center = CommandCenter(scene.agents, claims=claims, trusting=True, honest=HonestModel.blank())
+    out = []
+    for time, t_s in enumerate(scene.times_s):
+        reports = scene.reports(time)
+        picture = center.add(float(t_s), reports)
+        if time % LEARNED_EACH:
+            continue
+        boxes = picture.tracks.boxes[picture.tracks.detection >= 0]
+        away = np.linalg.norm(boxes[:, None, :2] - seen_objects(scene, time)[None, :, :2], axis=2)
+        is_object = away.min(axis=1, initial=np.inf) < FOUND_M
+        out.append(HonestExamples.of(picture.said, is_object, *_put_elsewhere(reports, rng)))
+    return out
+
+
+def _put_elsewhere(reports: Sequence[AgentReport], rng: np.random.Generator) -> tuple[ObjectReports, ObjectReports]:
+    """Return honest boxes turned about their sensor to where nobody reports anything, and moved a little."""
+    agents, everything = len(reports), np.concatenate([report.in_world.boxes[:, :2] for report in reports])
+    turned, moved = list[tuple[int, F64]](), list[tuple[int, F64]]()
+    for number, report in enumerate(reports):
+        own = report.in_world.boxes[::ELSEWHERE_EACH]
+        way = rng.uniform(-np.pi, np.pi, (2, len(own)))
+        box, range_m = own.copy(), report.range_m(own)
+        box[:, :2] = report.world_from_level.translation[:2] + range_m[:, None] * _ways(way[0])
+        box[:, 6] = way[1]
+        free = np.linalg.norm(box[:, None, :2] - everything[None], axis=2).min(axis=1, initial=np.inf) > GATE_M
+        sees = GridView(report.estimate, 0.0).visible(box) > 0.5
+        turned += [(number, each) for each in box[free & sees]]
+        box = own.copy()
+        box[:, :2] += rng.uniform(*MOVED_M, (len(own), 1)) * _ways(way[0])
+        moved += [(number, each) for each in box]
+    out = []
+    for rows in (turned, moved):
+        boxes = np.array([each for _, each in rows]).reshape(-1, 7)
+        own = np.full((len(rows), agents, 7), np.nan)
+        for line, (number, each) in enumerate(rows):
+            own[line, number] = each
+        nobody = np.full((len(rows), agents), -1, np.int32)
+        out.append(object_reports(
+            reports, np.arange(agents), agents, boxes, nobody, np.zeros(nobody.shape, np.int64), np.ones(len(rows)), own
+        ))  # fmt: skip
+    return out[0], out[1]
+
+
+def _ways(azimuth: F64) -> F64:
+    return np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+
+
+def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:
+    """Return what agents claim of all objects near them, and which they see and report: columns of N rows."""
+    columns: dict[str, list[NDArray[Any]]] = {
+        name: [] for name in ("prob", "boxes", "range_m", "height", "found", "returns")
+    }
+    for time in range(0, len(scene.times_s), 4):
+        for number, report in enumerate(scene.reports(time)):
+            boxes = scene.objects[time]
+            range_m = report.range_m(boxes)
+            near = (range_m < FAR_M) & (range_m > 1.0) & (np.arange(len(boxes)) != scene.carriers[number])
+            xy = report.in_world.boxes[:, :2]
+            away = np.linalg.norm(boxes[near, None, :2] - xy[None], axis=2)
+            columns["prob"].append(GridView(report.estimate, 0.0).visible(boxes[near]))
+            columns["boxes"].append(boxes[near])
+            columns["range_m"].append(range_m[near])
+            columns["height"].append(np.full(int(near.sum()), report.height))
+            columns["found"].append(away.min(axis=1, initial=np.inf) < FOUND_M)
+            columns["returns"].append(scene.returns[time, number, near])
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+def _rounded(values: Any) -> Any:
+    return np.round(np.array(values, np.float64), 4).tolist()

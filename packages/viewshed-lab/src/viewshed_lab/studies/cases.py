@@ -1,0 +1,227 @@
+"""The cases of the studies: what is done to a sweep, in which order, and with which seed.
+
+The truth of a sensor that a corruption made another one: fewer beams see less, and that is not an error.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from viewshed.arrays import Mask
+from viewshed.fov.visibility import CAR
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep, unorganized_no_sensor
+from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
+from viewshed_lab.sim.raycast.scan import ExactScan
+from viewshed_lab.sim.truth.exact import exact_truth
+from viewshed_lab.studies.records import Case
+from viewshed_lab.studies.samples import StudySample
+from viewshed_lab.threats.attacks import (
+    ATTACKS,
+    BUDGETS,
+    FULL_WEDGE,
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    Knowledge,
+    at_severity,
+)
+from viewshed_lab.threats.attacks import SEVERITIES as STRENGTHS
+from viewshed_lab.threats.attacks.base import Attack, Tampered
+from viewshed_lab.threats.attacks.points import PaperAttack
+from viewshed_lab.threats.corruptions import CORRUPTIONS, Corruption
+
+KINDS = ("benign", "bare", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
+"""Nothing; without rings and sensor; an attack with a budget; with a sector, share or offset; a corruption with a
+severity; the paper's attacks with a number of points; an attacker who queries the victim, and with it the defense if
+there is one; and one who queried the victim without knowing of the defense. The last two differ from victim to victim:
+see ``adaptive``."""
+
+FULL = "full"
+"""The budget of every beam in the wedge."""
+
+DEFAULT = "default"
+"""The budget that an attack has of itself."""
+
+BARE = Case("bare", "no rings")
+
+MIXTURE = Case("paper", "mixture")
+"""The paper's attacks, drawn anew for each sweep."""
+
+TOUCHING = tuple(name for name in ATTACKS if name != "pose_spoof")
+"""Attacks that touch returns; a spoofed pose only moves the estimate in the map."""
+
+ROOM_M = 20.0
+"""Grids with a smaller half side are indoors: the paper's indoor settings apply."""
+
+
+def generator(seed: int, *words: str | int) -> np.random.Generator:
+    """Return a generator of its own for what the words and numbers say."""
+    numbers = [word if isinstance(word, int) else zlib.crc32(word.encode()) for word in words]
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *numbers])))
+
+
+def case_generator(seed: int, domain: str, number: int, case: Case) -> np.random.Generator:
+    """Return the generator of a case on one sweep: the same for all its levels and defenses, so that they compare."""
+    return generator(seed, number, domain, case.kind.replace("strength", "attack"), case.name)
+
+
+def budgets_of(name: str, budgets: tuple[str, ...]) -> list[str]:
+    """Return those of the budgets that an attack is tried with, from the smallest.
+
+    >>> budgets_of("uniform", ("full", "150")), budgets_of("ghost_wall", ("full", "150"))
+    (['150'], ['150', 'full'])
+    """
+    known = {FULL if budget == FULL_WEDGE else str(budget): budget for budget in BUDGETS[name]}
+    return sorted({budget for budget in budgets if budget in known}, key=lambda budget: known[budget])
+
+
+def strongest_case(name: str, budgets: tuple[str, ...]) -> Case:
+    """Return an attack with the largest of the budgets that fits it, or where none does its largest strength."""
+    levels = [level for level in budgets_of(name, budgets) if level != "0"]
+    if levels or name not in STRENGTHS:
+        return Case("attack", name, levels[-1] if levels else str(max(BUDGETS[name])))
+    attribute = STRENGTHS[name][0][0]
+    return Case("strength", name, f"{attribute} {max(v for a, v in STRENGTHS[name] if a == attribute):g}")
+
+
+def budget_cases(name: str, budgets: tuple[str, ...]) -> list[Case]:
+    """Return an attack with those of the budgets that it is tried with."""
+    return [Case("attack", name, level) for level in budgets_of(name, budgets)]
+
+
+def strength_cases(name: str, attribute: str = "") -> list[Case]:
+    """Return an attack with each of its sectors, shares and offsets, or with those of one attribute."""
+    values = [(a, value) for a, value in STRENGTHS.get(name, ()) if attribute in ("", a)]
+    return [Case("strength", name, f"{a} {value:g}") for a, value in values]
+
+
+def corruption_cases(names: Sequence[str], severities: Sequence[int]) -> list[Case]:
+    """Return corruptions with severities."""
+    return [Case("corruption", name, str(severity)) for name in names for severity in severities]
+
+
+def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
+    """Yield each case behind each defense."""
+    for case in cases:
+        yield from (replace(case, defense=defense) for defense in defenses)
+
+
+def apply(case: Case, sample: StudySample, rng: np.random.Generator, half_extent_m: float | None = None) -> Tampered:
+    """Return the sweep as a case leaves it, without its defense; what a corruption does is no attacker's.
+
+    Args:
+        case: what is done.
+        sample: the sweep, and what was measured before.
+        rng: all that is random.
+        half_extent_m: of the grid that attacks are scaled to; that of the truth if not given.
+
+    Raises:
+        ValueError: the attack or corruption cannot work on this sweep; the message says why.
+    """
+    sweep = sample.sweep
+    if case.kind == "benign":
+        return untouched(sweep)
+    if case.kind == "bare":
+        return untouched(unorganized_no_sensor(sweep))
+    if case.kind == "corruption":
+        return untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
+    return attack_of(case, sample, half_extent_m or sample.truth.grid.half_extent_m).apply(sweep, rng)
+
+
+def untouched(sweep: Sweep) -> Tampered:
+    """Return a sweep to which no attacker did anything."""
+    none = np.zeros(len(sweep), np.bool_)
+    return Tampered(sweep, none, none)
+
+
+def attack_of(case: Case, sample: StudySample, half_extent_m: float) -> Attack:
+    """Return the attack of a case, scaled to a grid.
+
+    Raises:
+        ValueError: it needs an earlier sweep and there is none, or there is no attack of this kind.
+    """
+    knowledge = Knowledge(sample.earlier[:1], half_extent_m=half_extent_m)
+    if case.kind == "attack":
+        budget = FULL_WEDGE if case.level == FULL else None if case.level == DEFAULT else int(case.level)
+        return ATTACKS[case.name](budget, knowledge)
+    if case.kind == "strength":
+        attribute, value = case.level.split()
+        return at_severity(case.name, attribute, int(value) if value.isdecimal() else float(value), knowledge)
+    if case.kind == "paper":
+        return _paper_attack(case, PAPER_INDOOR_ATTACK if half_extent_m < ROOM_M else PAPER_ATTACK)
+    raise ValueError(f"kind must be one that attacks, got {case.kind!r}")
+
+
+def _paper_attack(case: Case, mixture: PaperAttack) -> PaperAttack:
+    if case == MIXTURE:
+        return mixture
+    points = (int(case.level), int(case.level))
+    uniform = float(case.name == "uniform")
+    return replace(
+        mixture, uniform_share=uniform, cluster_share=1.0 - uniform, uniform_points=points, cluster_points=points
+    )
+
+
+OTHER_SENSORS = ("fewer_beams", "dead_rings")
+"""Corruptions after which the sensor has fewer beams: the truth counts only those that are left."""
+
+_PROBE_M = 10.0
+
+
+def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> Mask | None:
+    """Return what the sensor that a case leaves could have seen (cells, cells), or None where it is the same sensor.
+
+    Args:
+        case: what is done to the sweep.
+        sample: that it is done to. A recorded one has no scene to look at again: None.
+        rng: in the state in which the corruption finds it.
+    """
+    if case.kind != "corruption" or case.name not in OTHER_SENSORS or sample.frame is None:
+        return None
+    scene, number = sample.frame
+    world, scan = world_of(scene), _scan(scene, number)
+    kept = kept_rings(CORRUPTIONS[case.name](int(case.level)), scan.model, rng)
+    agent = world.agents[number % scene.preset.agents]
+    return exact_truth(with_rings(scan, kept), world, sample.truth.grid, (CAR,), agent)[0].visible(CAR)
+
+
+@lru_cache(maxsize=1)
+def _scan(scene: ScenePlan, number: int) -> ExactScan:
+    """Return what every beam met in a frame; a sample is looked at several times in a row."""
+    return observe_frame(scene, number).scan
+
+
+def kept_rings(corruption: Corruption, model: LidarModel, rng: np.random.Generator) -> Mask:
+    """Return which rings of a sensor (rings,) a corruption leaves, seen on a sweep with one return a ring."""
+    direction = np.stack([np.cos(model.elevation), np.zeros(model.rings), np.sin(model.elevation)], axis=1)
+    probe = Sweep(
+        (_PROBE_M * direction).astype(np.float32), ring=np.arange(model.rings, dtype=np.int16), model=model
+    )  # fmt: skip
+    rings = corruption.apply(probe, rng).ring
+    return np.isin(np.arange(model.rings), np.arange(model.rings) if rings is None else rings)
+
+
+def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
+    """Return a scan of a sensor that has only some of its rings (R,), from the lowest up."""
+    model = scan.model
+    fewer = replace(
+        model,
+        elevation=model.elevation[kept],
+        azimuth_offset=model.azimuth_offset[kept],
+        origin_m=model.origin_m[kept],
+    )
+    return replace(
+        scan,
+        model=fewer,
+        origin_m=np.compress(kept, scan.origin_m, axis=1),
+        direction=np.compress(kept, scan.direction, axis=1),
+        depth_m=np.compress(kept, scan.depth_m, axis=1),
+        thing=np.compress(kept, scan.thing, axis=1),
+        material=np.compress(kept, scan.material, axis=1),
+        cos_incidence=np.compress(kept, scan.cos_incidence, axis=1),
+    )

@@ -1,0 +1,159 @@
+"""What the metric can see: masks with known faults, which it must rank, and the smallest fault that a table shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+from scipy.stats import binom
+
+from viewshed.arrays import Mask
+from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.sweep import Sweep
+from viewshed_lab.studies.cases import generator
+from viewshed_lab.studies.crossview.rates import CrossViewRules, CrossViewTruth
+
+BLOB_M = 4.5
+"""Diameter of a wrong blob: the length of a car."""
+
+Change = Callable[[Mask, BevGrid, np.random.Generator], Mask]
+"""From a mask (cells, cells) and its grid to the mask with a fault."""
+
+
+def dilated(by_m: float) -> Change:
+    """Return the fault of a mask that reaches too far by a length in meters on all sides."""
+    return lambda mask, grid, _rng: np.asarray(binary_dilation(mask, _disk(by_m / grid.cell_m)))
+
+
+def false_blobs(count: int) -> Change:
+    """Return the fault of blobs that are claimed and not visible."""
+    return lambda mask, grid, rng: mask | _blobs(~mask, count, grid, rng)
+
+
+def misses(count: int) -> Change:
+    """Return the fault of blobs that are visible and not claimed."""
+    return lambda mask, grid, rng: mask & ~_blobs(mask, count, grid, rng)
+
+
+KNOWN_FAULTS: dict[str, Change] = {
+    "dilated by 1 m": dilated(1.0),
+    "dilated by 2 m": dilated(2.0),
+    "12 false blobs": false_blobs(12),
+    "100 false blobs": false_blobs(100),
+    "12 misses": misses(12),
+    "100 misses": misses(100),
+}
+"""Faults by name; blobs are as long as a car, drawn anew for each sweep."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultyEstimator:
+    """An estimator whose mask is given a known fault.
+
+    Attributes:
+        estimator: that gives the mask.
+        change: what is done to it.
+    """
+
+    estimator: FovEstimator
+    change: Change
+
+    @property
+    def grid(self) -> BevGrid:
+        """The estimator's."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the mask with the fault; the same for the same sweep."""
+        found = self.estimator.estimate(sweep)
+        mask = self.change(found.visible(), self.grid, generator(0, str(sweep.t_ns)))
+        return FovEstimate(self.grid, mask.astype(np.float32), found.state)
+
+
+def with_known_faults(name: str, estimator: FovEstimator) -> dict[str, FovEstimator]:
+    """Return an estimator by its name, and after it the same with each known fault."""
+    faulty = {f"{name}, {fault}": FaultyEstimator(estimator, change) for fault, change in KNOWN_FAULTS.items()}
+    return {name: estimator, **faulty}
+
+
+def _disk(radius: float) -> Mask:
+    """Return a disk of a radius in cells."""
+    reach = np.arange(-np.ceil(radius), np.ceil(radius) + 1)
+    return np.asarray(np.hypot(reach[:, None], reach) <= radius)
+
+
+def _blobs(within: Mask, count: int, grid: BevGrid, rng: np.random.Generator) -> Mask:
+    """Return blobs whose middles lie in a mask, no farther away than columns are looked for."""
+    middles = np.argwhere(within & (polar_of_cells(grid)[0] < CrossViewRules().range_a_m[1]))
+    centers = np.zeros(grid.shape, np.bool_)
+    if len(middles):
+        centers[tuple(rng.permutation(middles)[:count].T)] = True
+    return np.asarray(binary_dilation(centers, _disk(BLOB_M / 2 / grid.cell_m)))
+
+
+SHARES = (0.005, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
+"""Of the ground that is called wrongly, which are tried in turn."""
+
+_DRAWS, _POWER, _CHANCE = 200, 0.8, 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SmallestDifference:
+    """The smallest share of wrongly called ground that a table shows; NaN where it would show none of ``SHARES``.
+
+    Attributes:
+        over: of the ground that is not visible, called visible.
+        under: of the ground that is visible, not called so.
+        hidden_columns: that ``over`` rests on.
+        hidden_sweeps: that these are from.
+    """
+
+    over: float
+    under: float
+    hidden_columns: int
+    hidden_sweeps: int
+
+    @classmethod
+    def of(cls, truth: CrossViewTruth, floor: tuple[float, float], rng: np.random.Generator) -> SmallestDifference:
+        """Return what the columns of a truth would show, beyond the metric's own over- and under-claim ``floor``."""
+        hidden = [columns.xy[columns.hidden] for _, columns in truth]
+        seen = [columns.xy[columns.seen] for _, columns in truth]
+        over, under = (smallest_share(xy, own, rng) for xy, own in zip((hidden, seen), floor, strict=True))
+        return cls(over, under, sum(map(len, hidden)), sum(len(xy) > 0 for xy in hidden))
+
+
+def smallest_share(places: Sequence[NDArray[np.float64]], floor: float, rng: np.random.Generator) -> float:
+    """Return the smallest of ``SHARES`` that columns at ``places`` tell from the metric's own error; NaN for none.
+
+    Wrong ground is drawn in blobs of ``BLOB_M``: columns of one sweep that stand beside each other are wrong together,
+    so that a thousand columns of one wall count for little more than one. A share is reported if in ``_POWER`` of the
+    draws more columns are wrong than the metric's own error makes wrong in all but ``_CHANCE`` of the cases.
+
+    Args:
+        places: columns (M, 2) of each sweep, in meters.
+        floor: share of columns that the metric calls wrong although the mask is right.
+        rng: all that is random.
+    """
+    columns = sum(map(len, places))
+    least = binom.ppf(1 - _CHANCE, columns, floor) + 1
+    for share in SHARES if columns else ():
+        wrong = np.array([sum(_in_blobs(xy, share, rng) for xy in places) for _ in range(_DRAWS)])
+        if np.mean(wrong + rng.binomial(columns - wrong, floor) >= least) >= _POWER:
+            return share
+    return float("nan")
+
+
+def _in_blobs(xy: NDArray[np.float64], share: float, rng: np.random.Generator) -> int:
+    """Return how many places lie in blobs that are strewn at random over a share of the ground."""
+    if not len(xy):
+        return 0
+    low, high = xy.min(axis=0) - BLOB_M, xy.max(axis=0) + BLOB_M
+    # Disks at random leave a share exp(-density * area of a disk) of the ground free.
+    density = -np.log1p(-share) / (np.pi * BLOB_M**2 / 4)
+    middles = rng.uniform(low, high, (rng.poisson(density * np.prod(high - low)), 2))
+    return int(np.isfinite(cKDTree(middles).query(xy, distance_upper_bound=BLOB_M / 2)[0]).sum()) if len(middles) else 0

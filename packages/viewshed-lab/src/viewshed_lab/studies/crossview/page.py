@@ -1,0 +1,223 @@
+"""The page of cross-view truth: over- and under-claim by sensor, attacked as well, and the floor of the metric."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import isnan
+from pathlib import Path
+
+import numpy as np
+
+from viewshed.fov.estimate import FovEstimator
+from viewshed.io import read_index, read_indexed
+from viewshed.sensors import lidar_model
+from viewshed.sweep import Sweep
+from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab.studies.crossview.faults import BLOB_M, SmallestDifference, with_known_faults
+from viewshed_lab.studies.crossview.rates import (
+    FIRST_RULES,
+    ColumnRate,
+    CrossViewRow,
+    CrossViewRules,
+    CrossViewTruth,
+    OnStep,
+    crossview_truth,
+    rows_of,
+)
+from viewshed_lab.studies.crossview.simulated import evaluate_floor
+from viewshed_lab.studies.formatting import format_number, lines
+from viewshed_lab.studies.plan import check_names
+from viewshed_lab.studies.templates import fill_template
+from viewshed_lab.threats.attacks import ATTACKS, Knowledge
+
+POINTS = 150
+"""Of an attacker."""
+
+RULES = {"Whole targets": CrossViewRules(), "As first defined": FIRST_RULES}
+"""How columns are chosen, by the chapters of the page."""
+
+FLOOR_RULES = {
+    "As first defined": FIRST_RULES,
+    "and as wide as the target": CrossViewRules(foot_m=None),
+    "and standing on the ground": CrossViewRules(),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorScenes:
+    """The scenes of one sensor, and what its sweeps know about each other.
+
+    Attributes:
+        name: of the sensor.
+        scenes: sweeps of each.
+        truths: by the names of ``RULES``.
+        differences: by the same names the smallest differences that their columns show; empty if the metric's own
+            error was not measured.
+    """
+
+    name: str
+    scenes: list[list[Sweep]]
+    truths: Mapping[str, CrossViewTruth]
+    differences: Mapping[str, SmallestDifference]
+
+    @property
+    def title(self) -> str:
+        """The sensor, how many scenes and sweeps."""
+        return f"{self.name}, {len(self.scenes)} scene(s), {sum(map(len, self.scenes))} sweeps"
+
+    def seen(self, rules: str) -> str:
+        """Return in words what the columns of some rules would show."""
+        if rules not in self.differences:
+            return ""
+        found = self.differences[rules]
+        over, under = (
+            f"no {kind} at all" if isnan(share) else f"{kind} of {share:g} or more of the {ground} ground"
+            for kind, share, ground in (("over-claim", found.over, "hidden"), ("under-claim", found.under, "visible"))
+        )
+        columns = f"({found.hidden_columns} columns of {found.hidden_sweeps} sweeps)"
+        return f"Smallest differences that these columns would show: {over} {columns}; {under}."
+
+
+def page_of(
+    index: Path,
+    estimators: Mapping[str, FovEstimator],
+    attacks: Sequence[str],
+    seed: int,
+    on_step: OnStep,
+    *,
+    floor: bool = True,
+) -> str:
+    """Return the page as Markdown.
+
+    Args:
+        index: JSON of posed sweeps; each folder of it is one scene.
+        estimators: by name.
+        attacks: of ``ATTACKS``, under which sweeps are shown as well.
+        seed: of the bootstrap.
+        on_step: is called with what is done next.
+        floor: whether the metric's own error is measured in a simulation as well.
+
+    Raises:
+        ValueError: an attack is not known, or the index has no scene.
+        OSError: a file cannot be read.
+    """
+    check_names("attacks", attacks, ATTACKS)
+    found, floors = _scenes(index), dict[str, list[CrossViewRow]]()
+    if floor:
+        few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
+        for name, rules in FLOOR_RULES.items():
+            on_step(f"floor: {name}")
+            floors[name] = evaluate_floor(few, rng=np.random.default_rng(seed), rules=rules)
+    sensors = [_looked_at(sensor, scenes, floors, seed, on_step) for sensor, scenes in found.items()]
+
+    def rates(of: SensorScenes, name: str, tried: Mapping[str, FovEstimator]) -> Table:
+        return _table(rows_of(of.truths[name], tried, rng=np.random.default_rng(seed), on_step=on_step))
+
+    whole, first = RULES
+    title, blocks = fill_template("crossview/page.md", {
+        "sensors": sensors, "attacked": sensors if attacks else (), "floors": list(floors), "points": POINTS,
+        "blob_m": BLOB_M,
+    }, {
+        "rates": lambda of: rates(of, whole, estimators),
+        "seen": lambda of: of.seen(whole),
+        "first_rates": lambda of: rates(of, first, estimators),
+        "first_seen": lambda of: of.seen(first),
+        "known_faults": lambda of: rates(of, whole, _with_known_faults(estimators)) if floor else None,
+        "attacked_rates": lambda of: _under_attack(of.truths[whole], estimators, attacks, seed, on_step),
+        "floor": lambda name: _table(floors[name]),
+    })  # fmt: skip
+    about = facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car")
+    return to_markdown(title, about, blocks)
+
+
+def _looked_at(
+    sensor: str, scenes: list[list[Sweep]], floors: Mapping[str, list[CrossViewRow]], seed: int, on_step: OnStep
+) -> SensorScenes:
+    """Return the scenes of a sensor with what its sweeps know; ``floors`` begin with the rates of the exact mask."""
+    rng, truths, differences = np.random.default_rng(seed), {}, {}
+    for name, rules in RULES.items():
+        truths[name] = crossview_truth(scenes, rules, on_step)
+        for floor_rules, rows in floors.items():
+            if FLOOR_RULES[floor_rules] == rules:
+                own = rows[0].over.high, rows[0].under.high
+                differences[name] = SmallestDifference.of(truths[name], own, rng)
+    return SensorScenes(sensor, scenes, truths, differences)
+
+
+def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovEstimator]:
+    """Return one of the estimators and the same with each known fault: the shadow map if it is among them."""
+    name = "shadow_map" if "shadow_map" in estimators else next(iter(estimators))
+    return with_known_faults(name, estimators[name])
+
+
+def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:
+    """Return the sweeps by sensor and scene.
+
+    A scene is a folder of the index with three posed sweeps or more over 0.7 s, or with several sensors at one time.
+    """
+    folders = defaultdict(list)
+    for entry in read_index(index):
+        if entry.world_from_sensor is not None and entry.t is not None:
+            folders[entry.file.parent].append(entry)
+    scenes: dict[str, list[list[Sweep]]] = defaultdict(list)
+    for entries in folders.values():
+        times, sensors = [entry.t or 0.0 for entry in entries], dict.fromkeys(entry.sensor for entry in entries)
+        span_s, rules = max(times) - min(times), CrossViewRules()
+        together = len(sensors) > 1 and span_s <= rules.together_s
+        if together or (len(entries) >= 3 and span_s >= rules.static_s):
+            sweeps = [_with_beams(read_indexed(entry), entry.sensor) for entry in entries]
+            scenes[" + ".join(sensors) if together else entries[0].sensor].append(sweeps)
+    if not scenes:
+        raise ValueError(
+            f"{index} must have a folder of at least three posed sweeps over 0.7 s, or of several sensors at one time, "
+            "got none"
+        )
+    return dict(scenes)
+
+
+def _with_beams(sweep: Sweep, name: str) -> Sweep:
+    """Return the sweep with the beam table that the index names, where its file does not bring one."""
+    with contextlib.suppress(ValueError):
+        return sweep if sweep.model is not None else sweep.replace(model=lidar_model(name.removeprefix("Velodyne ")))
+    return sweep
+
+
+def _under_attack(
+    truth: CrossViewTruth, estimators: Mapping[str, FovEstimator], attacks: Sequence[str], seed: int, on_step: OnStep
+) -> Table:
+    """Return over- and under-claim without and with each attack, estimator by estimator."""
+    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for name in ("", *attacks):
+        rng = np.random.default_rng(seed)
+        for row in rows_of(truth, estimators, rng=rng, on_step=on_step, shown=partial(_attacked, name, rng)):
+            found[row.method].append((row.over.value, row.under.value))
+    rows = []
+    for method, rates in found.items():
+        growth = np.nanmax(np.array(rates) - np.array(rates[0]))
+        cells = [" / ".join(format_number(rate, 3) for rate in pair) for pair in rates]
+        rows.append([method, *cells, f"{growth:+.3f}"])
+    return Table(["estimator", "untouched", *attacks, "grows by"], rows)
+
+
+def _attacked(name: str, rng: np.random.Generator, sweep: Sweep) -> Sweep:
+    """Return a sweep under an attack; one that does not allow it stays as it is."""
+    if name:
+        with contextlib.suppress(ValueError):
+            return ATTACKS[name](POINTS, Knowledge(half_extent_m=64.0)).apply(sweep, rng).sweep
+    return sweep
+
+
+def _table(rows: Sequence[CrossViewRow]) -> Table:
+    def rate(of: ColumnRate) -> str:
+        return f"{of.value:.3f} [{of.low:.3f}, {of.high:.3f}] of {of.columns}" if of.columns else "no columns"
+
+    return lines("estimator", {row.method: row for row in rows}, {
+        "over": lambda row: rate(row.over),
+        "under": lambda row: rate(row.under),
+        "over, nothing dropped": lambda row: rate(row.over_unfiltered),
+        "dropped": lambda row: f"{row.dropped_share:.2f}",
+    })  # fmt: skip

@@ -1,0 +1,82 @@
+"""What a monitor is tried on, after it was fitted and calibrated on benign sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from viewshed_lab.data.presets import preset_names
+from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
+from viewshed_lab.studies.records import BENIGN, Case
+from viewshed_lab.threats.attacks import ATTACKS
+from viewshed_lab.threats.corruptions import CORRUPTIONS
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """What is done to the sweeps that a monitor is reported on.
+
+    Attributes:
+        attacks: names of ``ATTACKS``, each with its own budget.
+        corruptions: names of ``CORRUPTIONS``.
+        severity: of the corruptions, 1 to 5.
+        false_alarm_rate: that the monitor is calibrated for.
+        sigmas: standard deviations above its mean from which a cell is suspect.
+        seed: of all that is random.
+
+    Raises:
+        ValueError: there is no such attack, corruption or severity.
+    """
+
+    attacks: tuple[str, ...] = tuple(ATTACKS)
+    corruptions: tuple[str, ...] = tuple(CORRUPTIONS)
+    severity: int = 3
+    false_alarm_rate: float = 0.05
+    sigmas: float = 3.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_names("attacks", self.attacks, ATTACKS)
+        check_names("corruptions", self.corruptions, CORRUPTIONS)
+        CORRUPTIONS["fog"](self.severity)
+
+    def cases(self) -> list[Case]:
+        """Return all that is done to a sweep, nothing first."""
+        attacks = [Case("attack", name) for name in self.attacks]
+        return [BENIGN, *attacks, *(Case("corruption", name) for name in self.corruptions)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviationPlan(Trials, Plan):
+    """The study of the monitor with the shipped network.
+
+    Attributes:
+        domain: preset of simulated data, on whose grid the network must be shipped.
+        target: of the network.
+        passes: of Monte Carlo dropout.
+        frames: benign sweeps that it is fitted on, calibrated on and reported on, each from a scene of its own.
+
+    Raises:
+        ValueError: a name is not known, or a number is out of range.
+    """
+
+    FOLDER: ClassVar[str] = "studies/deviation/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"attacks": ATTACKS, "corruptions": CORRUPTIONS}
+
+    name: str
+    about: str
+    domain: str
+    target: str
+    passes: int
+    frames: int
+
+    def __post_init__(self) -> None:
+        check_names("domain", (self.domain,), preset_names())
+        check_seed("seed", self.seed)
+        self.check_at_least(1, "passes", "frames")
+        Trials.__post_init__(self)
+
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs: one that fits, then one for each reported sweep."""
+        return [("fit",), *(("watch", str(number)) for number in range(self.frames))]

@@ -1,0 +1,314 @@
+"""What is counted of one sample: the estimates of a suite in each case, against one truth, in the view and the wedge.
+
+Attackers who query their victim: each estimator, bare or behind a defense, meets an attack made against itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import Mask
+from viewshed.estimators import PAPER_THRESHOLD, paper_estimators_on
+from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.fov.visibility import CAR, Target
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.metrics import ConfusionCounts, Scores, average_precision
+from viewshed.preprocess.leveling import level
+from viewshed.sweep import Sweep
+from viewshed_lab.studies.cases import apply, visible_with
+from viewshed_lab.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Record, Series
+from viewshed_lab.studies.samples import StudySample
+from viewshed_lab.studies.suite import LABEL, EstimatorSuite
+from viewshed_lab.threats.attacks import ATTACKS, Knowledge
+from viewshed_lab.threats.attacks.adaptive import ADAPTIVE, BlackBox, Evade
+from viewshed_lab.threats.attacks.base import Tampered, Wedge
+from viewshed_lab.threats.defenses import DEFENSES, Defended, Defense, TemporalConsistency
+
+AIMED_AS = Case("attack", "far_wall", "0")
+"""The attack that does not query and whose wedge adaptive attackers take over, so that both can be compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What estimates of a sample are held against.
+
+    Attributes:
+        grid: of the masks.
+        visible: (cells, cells) bool, truth.
+        known: (cells, cells) bool, the cells that count.
+        pose: of the clean sweep's ``level`` frame in the map, or None.
+    """
+
+    grid: BevGrid
+    visible: Mask
+    known: Mask
+    pose: Rigid | None = None
+
+    @classmethod
+    def of(cls, sample: StudySample, visible: Mask, known: Mask, grid: BevGrid) -> Reference:
+        """Return the reference of a sample on a grid."""
+        return cls(grid, visible, known, level(sample.sweep, grid).world_from_level)
+
+    @classmethod
+    def exact(cls, sample: StudySample, target: Target = CAR) -> Reference:
+        """Return the exact truth of ``probe``, where it is known."""
+        return cls.of(sample, sample.truth.visible(target), sample.known, sample.truth.grid)
+
+    @classmethod
+    def label(cls, sample: StudySample, grid: BevGrid) -> Reference:
+        """Return the paper's label of the clean sweep on one of its grids."""
+        label = paper_estimators_on(grid)[LABEL](grid).estimate(sample.sweep)
+        return cls.of(sample, label.visible(PAPER_THRESHOLD), np.ones(grid.shape, np.bool_), grid)
+
+    def inside(self, wedge: Wedge) -> Mask:
+        """Return the cells (cells, cells) that count and whose azimuth a wedge holds."""
+        return self.known & wedge.holds(polar_of_cells(self.grid)[1])
+
+    def prob_of(self, estimate: FovEstimate) -> NDArray[np.float32]:
+        """Return the probability of visible (cells, cells) where the clean sweep's cells are.
+
+        Where the sweep's pose is not the clean one, an estimate lies elsewhere in the map than the truth: each of the
+        truth's cells is looked up there, and is not claimed where the estimate does not reach.
+        """
+        pose = estimate.world_from_level
+        if self.pose is None or pose is None or not _moved(self.pose, pose):
+            return estimate.visible_prob
+        centers = np.concatenate([self.grid.centers, np.zeros((*self.grid.shape, 1))], axis=-1).reshape(-1, 3)
+        seen_at = (pose.inverse() @ self.pose) @ centers
+        return np.nan_to_num(estimate.at(seen_at[:, :2]).reshape(self.grid.shape), nan=0.0)
+
+    def counts(self, prob: NDArray[np.float32], threshold: float, mask: Mask) -> ConfusionCounts:
+        """Return the counts of probabilities (cells, cells) over the cells of a mask."""
+        return ConfusionCounts.of(prob >= np.float32(threshold), self.visible, mask, self.grid.cell_area_m2)
+
+    def scores(self, estimate: FovEstimate, mask: Mask) -> Scores:
+        """Return the cells of a mask by the probability and deviation of an estimate."""
+        scores, std = Scores(), estimate.std
+        has_std = std is not None and not np.isnan(std[0, 0])
+        prob = self.prob_of(estimate)
+        scores.add(prob[mask], self.visible[mask], std[mask] if has_std and std is not None else None)
+        return scores
+
+
+def _moved(one: Rigid, other: Rigid) -> bool:
+    """Return whether two poses differ in heading or position; a tilt alone leaves the cells where they are."""
+    difference = one.inverse() @ other
+    return bool(abs(difference.yaw) > 1e-9 or np.hypot(*difference.translation[:2]) > 1e-6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """One sample, who is tried on it, and against what.
+
+    Attributes:
+        sample: the sweep and what was measured before.
+        suite: the estimators.
+        reference: the truth.
+        domain: of the sample.
+        number: of the sample in its domain.
+        rng_of: generator of a case on this sample, as it begins.
+        protocol: ``STRICT`` or ``PAPER``.
+        defenses: by name.
+    """
+
+    sample: StudySample
+    suite: EstimatorSuite
+    reference: Reference
+    domain: str
+    number: int
+    rng_of: Callable[[Case], np.random.Generator]
+    protocol: str = STRICT
+    defenses: Mapping[str, Defense] = field(default_factory=dict)
+    _tampered: dict[Case, Tampered] = field(init=False, repr=False, default_factory=dict)
+    _references: dict[tuple[str, str], Reference] = field(init=False, repr=False, default_factory=dict)
+
+    def records(self, cases: Iterable[Case], *, untouched: bool = False) -> Iterator[Record]:
+        """Yield the records of every estimator in each case, or why the case cannot be made.
+
+        Args:
+            cases: what is done to the sweep.
+            untouched: whether the attacker's wedge is also counted with no return touched.
+        """
+        for case in cases:
+            try:
+                tampered = self.tampered(case)
+                defended = self.defenses[case.defense].apply(tampered.sweep) if case.defense else None
+            except ValueError as error:
+                yield self.refusal(case, error)
+                continue
+            if defended is not None:
+                yield self.record("", case, numbers=_judged(defended, tampered))
+            sweep = tampered.sweep if defended is None else defended.sweep
+            for name, estimate in self.suite.estimates(level(sweep, self.suite.grid)).items():
+                yield from self.compare(name, case, estimate, tampered.wedge)
+                if untouched and tampered.wedge is not None:
+                    yield self._untouched(name, case, tampered.wedge)
+
+    def compare(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Record]:
+        """Yield what an estimate is worth in the whole view, and in the attacker's wedge if there is one."""
+        reference = self.reference_of(case)
+        prob, threshold = reference.prob_of(estimate), self.suite.threshold
+        area = average_precision(prob[reference.known], reference.visible[reference.known])
+        numbers = {} if np.isnan(area) else {"auprc": round(area, 6)}
+        yield self.record(method, case, VIEW, reference.counts(prob, threshold, reference.known), numbers)
+        if wedge is not None:
+            yield self.record(method, case, WEDGE, reference.counts(prob, threshold, reference.inside(wedge)))
+
+    def score(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Record]:
+        """Yield the same with all cells by their probability and deviation."""
+        reference, prob = self.reference, self.reference.prob_of(estimate)
+        masks = {VIEW: reference.known} if wedge is None else {VIEW: reference.known, WEDGE: reference.inside(wedge)}
+        for region, mask in masks.items():
+            counts = reference.counts(prob, self.suite.threshold, mask)
+            yield replace(self.record(method, case, region, counts), scores=reference.scores(estimate, mask))
+
+    def _untouched(self, method: str, case: Case, wedge: Wedge) -> Record:
+        clean = self.suite.estimates(level(self.sample.sweep, self.suite.grid))[method]
+        prob, inside = self.reference.prob_of(clean), self.reference.inside(wedge)
+        return self.record(method, case, UNTOUCHED, self.reference.counts(prob, self.suite.threshold, inside))
+
+    def record(
+        self,
+        method: str,
+        case: Case,
+        region: str = VIEW,
+        counts: ConfusionCounts | None = None,
+        numbers: Mapping[str, float] | None = None,
+    ) -> Record:
+        """Return a record of this sample."""
+        series = Series(self.domain, method, case, region, self.protocol)
+        return Record(series, self.sample.sample.scene, self.number, counts, numbers=numbers or {})
+
+    def refusal(self, case: Case, error: ValueError) -> Record:
+        """Return the record of a case that cannot be made."""
+        return replace(self.record("", case), refused=" ".join(str(error).split()))
+
+    def tampered(self, case: Case) -> Tampered:
+        """Return the sweep as a case leaves it, without its defense; the last one is kept for the next defense.
+
+        Raises:
+            ValueError: the case cannot be made of this sample.
+        """
+        bare = replace(case, defense="")
+        if bare not in self._tampered:
+            self._tampered.clear()
+            self._tampered[bare] = apply(bare, self.sample, self.rng_of(bare))
+        return self._tampered[bare]
+
+    def reference_of(self, case: Case) -> Reference:
+        """Return what a case is held against: the same truth for all but those that leave another sensor."""
+        key = case.name, case.level
+        if key not in self._references:
+            visible = visible_with(case, self.sample, self.rng_of(case))
+            self._references[key] = self.reference if visible is None else replace(self.reference, visible=visible)
+        return self._references[key]
+
+
+def defense_of(name: str, sample: StudySample) -> Defense:
+    """Return a defense; the temporal one knows the sweep just before, which nobody attacked."""
+    defense = DEFENSES[name]()
+    return replace(defense, earlier=sample.earlier[-1:]) if isinstance(defense, TemporalConsistency) else defense
+
+
+def _judged(defended: Defended, tampered: Tampered) -> dict[str, float]:
+    """Return how many of the attacker's and of the other returns a defense drops, and whether it alarms."""
+    added, dropped = tampered.added, defended.dropped
+    numbers: dict[str, float] = {"caught": int((dropped & added).sum()), "added": int(added.sum()),
+               "lost": int((dropped & ~added).sum()), "others": int((~added).sum())}  # fmt: skip
+    return numbers if defended.alarm is None else numbers | {"alarm": int(defended.alarm)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DefendedEstimator:
+    """An estimator that reads only what a defense leaves.
+
+    Attributes:
+        defense: that every sweep goes through first.
+        estimator: that reads the rest.
+    """
+
+    defense: Defense
+    estimator: FovEstimator
+
+    @property
+    def grid(self) -> BevGrid:
+        """The estimator's."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate from what is left."""
+        return self.estimator.estimate(self.defense.apply(sweep).sweep)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AdaptiveEvaluation:
+    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept.
+
+    Attributes:
+        evaluation: the sample, the victims, the truth and the defenses.
+        queries: that an attacker makes.
+        defended: victims that stand behind the defenses.
+    """
+
+    evaluation: Evaluation
+    queries: int
+    defended: Sequence[str]
+    _attacked: dict[tuple[str, str], Sweep] = field(init=False, repr=False, default_factory=dict)
+
+    def records(self, cases: Iterable[Case]) -> Iterator[Record]:
+        """Yield the records of every victim under the attack that was made against it, case by case."""
+        suite, defenses = self.evaluation.suite, self.evaluation.defenses
+        for case in cases:
+            try:
+                records: list[Record] = []
+                for victim in self.defended if case.defense else suite.estimators:
+                    sweep = self._sweep(case, victim)
+                    if case.defense:
+                        sweep = defenses[case.defense].apply(sweep).sweep
+                    estimate = suite.only(victim).estimates(level(sweep, suite.grid))[victim]
+                    records += self.evaluation.compare(victim, case, estimate, self.wedge)
+                yield from records
+            except ValueError as error:
+                yield self.evaluation.refusal(case, error)
+
+    @property
+    def wedge(self) -> Wedge:
+        """Where all of these attackers work: where the far wall does."""
+        attack = ATTACKS[AIMED_AS.name](0, Knowledge(half_extent_m=self.evaluation.suite.grid.half_extent_m))
+        wedge = attack.apply(self.evaluation.sample.sweep, self.evaluation.rng_of(AIMED_AS)).wedge
+        if wedge is None:
+            raise ValueError(f"{AIMED_AS.name} must have a wedge, got none")
+        return wedge
+
+    def _sweep(self, case: Case, victim: str) -> Sweep:
+        """Return the sweep as the attacker of a case leaves it, before any defense."""
+        clean = self.evaluation.sample.sweep
+        if case.level == "0":
+            return clean
+        if case.kind == "adaptive" and case.defense:
+            attack = self.attack(case, victim, self.evaluation.defenses[case.defense])
+            return attack.apply(clean, self.evaluation.rng_of(case)).sweep
+        key = case.name, victim
+        if key not in self._attacked:
+            bare = replace(case, kind="adaptive", defense="")
+            attack = self.attack(bare, victim, None)
+            self._attacked[key] = attack.apply(clean, self.evaluation.rng_of(bare)).sweep
+        return self._attacked[key]
+
+    def attack(self, case: Case, victim: str, defense: Defense | None) -> BlackBox:
+        """Return an attacker who queries the victim; one who meets an alarm also takes care not to raise it."""
+        estimator, wedge = self.evaluation.suite.estimators[victim], self.wedge
+        victim_seen = estimator if defense is None else DefendedEstimator(defense, estimator)
+        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=victim_seen))
+        if not isinstance(attack, BlackBox):
+            raise ValueError(f"{case.name} must query its victim")
+        sector_deg = float(np.rad2deg(wedge.width))
+        attack = replace(attack, queries=self.queries, azimuth=wedge.azimuth, sector_deg=sector_deg)
+        if defense is None or defense.apply(self.evaluation.sample.sweep).alarm is None:
+            return attack
+        return replace(attack, objective=Evade(attack.objective, lambda sweep: float(defense.apply(sweep).alarm or 0)))

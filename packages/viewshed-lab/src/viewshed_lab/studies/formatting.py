@@ -1,0 +1,148 @@
+"""Figures as words, and tables made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import isnan
+from typing import Any, TypeVar
+
+from viewshed.metrics import Scores
+from viewshed_lab._page import Table
+from viewshed_lab.studies.records import Results
+
+R = TypeVar("R")
+
+C = TypeVar("C")
+
+
+def format_rate(rate: float, digits: int = 3) -> str:
+    """Return a rate without its leading zero; a dash for none.
+
+    >>> format_rate(0.12349), format_rate(0.954, 2), format_rate(1.0), format_rate(float("nan"))
+    ('.123', '.95', '1.000', '–')
+    """
+    return "–" if isnan(rate) else f"{rate:.{digits}f}".removeprefix("0")
+
+
+def format_rates(*rates: float) -> str:
+    """Return rates with slashes between them.
+
+    >>> format_rates(0.5, 0.25)
+    '.500 / .250'
+    """
+    return " / ".join(map(format_rate, rates))
+
+
+def format_number(value: float, digits: int) -> str:
+    """Return a number with its leading zero; a dash for none.
+
+    >>> format_number(0.01234, 4), format_number(float("nan"), 4)
+    ('0.0123', '–')
+    """
+    return "–" if isnan(value) else f"{value:.{digits}f}"
+
+
+CALIBRATION = ("ECE", "Brier", "AURC", "AURC by deviation")
+"""How good probabilities and deviations are; less is better."""
+
+
+def calibration_of(scores: Scores) -> list[str]:
+    """Return the figures of ``CALIBRATION`` as words."""
+    return [format_number(value, 4) for value in (scores.ece(), scores.brier(), scores.aurc(), scores.aurc_std())]
+
+
+def mean(rates: Iterable[float]) -> float:
+    """Return the mean of those rates that are known; NaN where none is.
+
+    >>> mean([0.5, float("nan"), 1.0])
+    0.75
+    """
+    known = [rate for rate in rates if not isnan(rate)]
+    return sum(known) / len(known) if known else float("nan")
+
+
+def format_interval(rate: float, bounds: tuple[float, float]) -> str:
+    """Return a rate with its interval in brackets.
+
+    >>> format_interval(0.5, (0.4, 0.61))
+    '.500 [.400, .610]'
+    """
+    return f"{format_rate(rate)} [{format_rate(bounds[0])}, {format_rate(bounds[1])}]"
+
+
+def format_spread(rate: float, bounds: tuple[float, float]) -> str:
+    """Return a rate with half the width of its interval, or alone where there is none."""
+    low, high = bounds
+    return format_rate(rate) if isnan(low) else f"{format_rate(rate)} ±{format_rate((high - low) / 2)}"
+
+
+def commits(*results: Results[Any]) -> str:
+    """Return the commits of the code that did the jobs of some results."""
+    return ", ".join(sorted({commit[:7] for one in results for commit in one.commits})) or "unknown"
+
+
+def pivot(
+    corner: str, rows: Mapping[str, R], columns: Mapping[str, C], value: Callable[[R, C], str], best: str = ""
+) -> Table:
+    """Return a table of a value for each row and column.
+
+    Args:
+        corner: heads the names of the rows.
+        rows: by name, what the value is given of a row.
+        columns: by name, what it is given of a column.
+        value: of one cell, as words.
+        best: ``row`` or ``column``: the largest figure of each is bold.
+    """
+    cells = [[name, *(value(row, column) for column in columns.values())] for name, row in rows.items()]
+    if best == "row":
+        cells = [best_of_row(line) for line in cells]
+    return Table([corner, *columns], best_of_columns(cells) if best == "column" else cells)
+
+
+def by_name(names: Iterable[str]) -> dict[str, str]:
+    """Return rows or columns of a pivot that are called what they are."""
+    return {name: name for name in names}
+
+
+def lines(corner: str, rows: Mapping[str, R], columns: Mapping[str, Callable[[R], str]], best: str = "") -> Table:
+    """Return a table of one line a row, with a figure of its own in each column; see :func:`pivot`."""
+    return pivot(corner, rows, columns, lambda row, figure: figure(row), best)
+
+
+def best_of_row(row: Sequence[str]) -> list[str]:
+    """Return a row with its largest figure in bold, its name apart; cells begin with their figure.
+
+    >>> best_of_row(["a", ".912 ±.004", ".930 ±.010", "–"])
+    ['a', '.912 ±.004', '**.930 ±.010**', '–']
+    """
+    figures = [_figure(cell) for cell in row[1:]]
+    most = max(figures, default=-1.0)
+    return [*row[:1], *(f"**{c}**" if f == most >= 0 else c for c, f in zip(row[1:], figures, strict=True))]
+
+
+def best_of_columns(rows: Sequence[Sequence[str]], *, ties: bool = True) -> list[list[str]]:
+    """Return rows with the largest figure of each column in bold; without ``ties`` not where all are equal.
+
+    >>> best_of_columns([["a", ".1", ".7"], ["b", ".2", ".3"]])
+    [['a', '.1', '**.7**'], ['b', '**.2**', '.3']]
+    """
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    for number, column in enumerate(columns[1:], 1):
+        if ties or len({_figure(cell) for cell in column}) > 1:
+            columns[number] = best_of_row(["", *column])[1:]
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def best_of_rates(rates: Sequence[float]) -> list[str]:
+    """Return rates as words, the largest in bold; those that are equal in words may differ.
+
+    >>> best_of_rates([0.1, 0.7001, 0.7])
+    ['.100', '**.700**', '.700']
+    """
+    most = max((rate for rate in rates if not isnan(rate)), default=float("nan"))
+    return [f"**{format_rate(rate)}**" if rate == most else format_rate(rate) for rate in rates]
+
+
+def _figure(cell: str) -> float:
+    word = cell.partition(" ")[0]
+    return float(word) if word.replace(".", "", 1).isdecimal() else -1.0

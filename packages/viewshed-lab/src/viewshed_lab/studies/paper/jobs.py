@@ -1,0 +1,290 @@
+"""The jobs of the study, step by step: data, trainings, pairs, every attack, trade study, monitor."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+from viewshed.estimators import Estimator
+from viewshed.estimators.unet import UnetEstimator
+from viewshed.networks.card import Runner
+from viewshed.preprocess.leveling import level
+from viewshed.sweep import Sweep
+from viewshed_lab._jobs import Engine, LocalEngine
+from viewshed_lab.studies.cases import DEFAULT, apply, generator, strength_cases
+from viewshed_lab.studies.deviation.jobs import fit_monitor, watch
+from viewshed_lab.studies.deviation.plan import Trials
+from viewshed_lab.studies.evaluate import Evaluation
+from viewshed_lab.studies.paper.data import SPLITS, evaluation_of, held_out, make_archive, open_archive, preset_of
+from viewshed_lab.studies.paper.models import (
+    WEIGHTS,
+    NetworkAlone,
+    check_training,
+    config_of,
+    load_runner,
+    network_of,
+    passes_of,
+    trade_config,
+    train,
+    weights_of,
+)
+from viewshed_lab.studies.paper.plan import CLASSICAL, MIXTURES, PROTOCOLS, STEPS, VARIANTS, Model, PaperPlan
+from viewshed_lab.studies.paper.protocols import ProtocolSetting, setting_of
+from viewshed_lab.studies.plan import JobKey, check_names
+from viewshed_lab.studies.records import BENIGN, STRICT, Case, Record, pool
+from viewshed_lab.studies.runner import Job, Progress, run_jobs
+from viewshed_lab.studies.store import JobResult, ResultStore
+from viewshed_lab.studies.suite import EstimatorSuite
+from viewshed_lab.threats.attacks import ATTACKS
+from viewshed_lab.threats.attacks.base import Tampered
+
+ATTACKED = Case("attack", "adversarial")
+"""What held-out sweeps of the pairs face: in the paper's protocol its mixture, in the strict one attacks in turn."""
+
+TRADE = "trade"
+"""Protocol of the records of the trade study: the paper's, on grids of other resolutions."""
+
+THREADS = (2, 1)
+"""Threads with which the trade study measures latency."""
+
+
+def strict_cases(plan: PaperPlan) -> list[Case]:
+    """Return the cases: benign, every attack with its default budget, and where the plan says so its strengths."""
+    strengths = [case for name in ATTACKS for case in strength_cases(name)] if plan.strengths else []
+    return [BENIGN, *(Case("attack", name, DEFAULT) for name in ATTACKS), *strengths]
+
+
+def do_job(job: Job[PaperPlan]) -> JobResult:
+    """Return what a job found."""
+    works = {"models": _train, "pairs": _pair, "strict": _strict, "trade": _trade, "monitor": _monitor}
+    return works[job.key[0]](job)
+
+
+def _train(job: Job[PaperPlan]) -> JobResult:
+    model = job.plan.model(*job.key[1:])
+    config = config_of(job.plan, job.folder, model)
+    out = weights_of(job.folder, model).parent
+    return JobResult(facts=train(config, out, job.folder / "cache", job.device))
+
+
+def _pair(job: Job[PaperPlan]) -> JobResult:
+    _, protocol, name, domain = job.key
+    setting = setting_of(job.plan, protocol, domain)
+    estimators: dict[str, Estimator] = {
+        name: network_of(job.plan, job.folder, job.plan.model(protocol, name), setting, job.device)
+    } if name != CLASSICAL else {name: make(setting.grid) for name, make in setting.classical().items()}  # fmt: skip
+    return JobResult(pair_records(job.plan, job.folder, setting, setting.suite(estimators)))
+
+
+def pair_records(plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite) -> list[Record]:
+    """Return the counts of every held-out sweep, benign and attacked, and the scores of all of them together."""
+    counts: list[Record] = []
+    scores: list[Record] = []
+    for number in range(plan.pair_frames):
+        evaluation = evaluation_of(plan, folder, setting, suite, number)
+        for record in both_records(evaluation, setting.attack(number), plan.test_seed):
+            (counts if record.scores is None else scores).append(record)
+    return counts + pool(scores)
+
+
+def both_records(evaluation: Evaluation, attack: Case, seed: int) -> Iterator[Record]:
+    """Yield counts and scores of a sweep as it was measured and as an attack leaves it."""
+    sweeps = {BENIGN: evaluation.sample.sweep, ATTACKED: tampered_of(evaluation, attack, seed).sweep}
+    for case, sweep in sweeps.items():
+        for name, estimate in evaluation.suite.estimates(level(sweep, evaluation.suite.grid)).items():
+            yield from evaluation.compare(name, case, estimate, None)
+            scores = evaluation.reference.scores(estimate, evaluation.reference.known)
+            yield replace(evaluation.record(name, case), scores=scores)
+
+
+def tampered_of(evaluation: Evaluation, attack: Case, seed: int) -> Tampered:
+    """Return a held-out sweep of the pairs as its attack leaves it."""
+    rng = generator(seed, evaluation.protocol, evaluation.domain, str(evaluation.number))
+    return apply(attack, evaluation.sample, rng)
+
+
+def _strict(job: Job[PaperPlan]) -> JobResult:
+    _, domain, number = job.key
+    setting = setting_of(job.plan, STRICT, domain)
+    runners = {model: load_runner(weights_of(job.folder, model), job.device) for model in in_domain(domain)}
+    suite = setting.suite(strict_estimators(job.plan, setting, runners))
+    evaluation = evaluation_of(job.plan, job.folder, setting, suite, int(number))
+    return JobResult(list(evaluation.records(strict_cases(job.plan), untouched=True)))
+
+
+def strict_estimators(plan: PaperPlan, setting: ProtocolSetting, runners: dict[Model, Runner]) -> dict[str, Estimator]:
+    """Return the estimators that face every attack by name: networks of the domain, then the classical ones."""
+    networks: dict[str, Estimator] = {
+        model.short_name: UnetEstimator(runner, passes_of(plan, model), plan.test_seed, model.short_name)
+        for model, runner in runners.items()
+    }
+    return networks | {name: make(setting.grid) for name, make in setting.classical().items()}
+
+
+def in_domain(domain: str) -> list[Model]:
+    """Return the strict protocol's models of one domain."""
+    return [Model(STRICT, variant, mixture, domain) for variant in VARIANTS for mixture in MIXTURES]
+
+
+def _trade(job: Job[PaperPlan]) -> JobResult:
+    """Train a network of another width, depth and resolution, and tell its scores, its latency and its size."""
+    from viewshed.networks.runtime import OnnxRunner
+
+    plan, (width, depth, cells) = job.plan, map(int, job.key[1:])
+    config = trade_config(plan, job.folder, (width, depth, cells))
+    out = job.folder / "trade" / config.name
+    facts = train(config, out, job.folder / "cache", job.device)
+    setting = replace(setting_of(plan, "paper", plan.trade_domain), grid=config.grid)
+    networks = {}
+    for threads in THREADS:
+        runner = OnnxRunner(out / WEIGHTS, threads=threads, engine="onnxruntime")
+        networks[threads] = NetworkAlone(runner, setting.card(runner.card), 1, 0)
+    suite, records = setting.suite({config.name: networks[2]}), list[Record]()
+    for number in range(plan.pair_frames):
+        evaluation = replace(evaluation_of(plan, job.folder, setting, suite, number), protocol=TRADE)
+        estimate = networks[2].estimate(evaluation.sample.sweep)
+        records += evaluation.compare(config.name, BENIGN, estimate, None)
+    sample = held_out(plan, job.folder, setting.domain, 0)
+    latency = {str(n): _latency_ms(network, sample.sweep, plan.trade_repeats) for n, network in networks.items()}
+    size = {"parameters": config.shape.parameters, "flops": config.shape.flops(config.cells), "name": config.name}
+    return JobResult(records, facts | size | {"latency_ms": latency})
+
+
+def _latency_ms(network: NetworkAlone, sweep: Sweep, repeats: int) -> float:
+    """Return the median time of one pass through the network in milliseconds, its input made already."""
+    inputs = network.card.input_of(sweep)[None]
+    times = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        network.runner.run(inputs)
+        times.append(1e3 * (time.perf_counter() - start))
+    return median(times[1:])
+
+
+def _monitor(job: Job[PaperPlan]) -> JobResult:
+    """Try the monitor of the deviation: fitted, calibrated and reported on different held-out scenes."""
+    plan = job.plan
+    model = Model(STRICT, "mcd", job.key[1], plan.monitor_domain)
+    runner = load_runner(weights_of(job.folder, model), job.device)
+    estimator = UnetEstimator(runner, plan.passes, plan.test_seed, "mcd")
+    fit, calibrate, report = (
+        [held_out(plan, job.folder, plan.monitor_domain, part * plan.monitor_frames + n)
+         for n in range(plan.monitor_frames)]
+        for part in range(3)
+    )  # fmt: skip
+    trials = Trials(
+        corruptions=plan.monitor_corruptions, severity=plan.monitor_severity,
+        false_alarm_rate=plan.monitor_false_alarms, seed=plan.test_seed,
+    )  # fmt: skip
+    monitor = fit_monitor(estimator, fit, calibrate, trials)
+    records = [
+        record
+        for number, sample in enumerate(report)
+        for record in watch(
+            monitor, estimator, sample, trials, domain=plan.monitor_domain, method=job.key[1], number=number
+        )
+    ]
+    return JobResult(records, {"limit": monitor.limit})
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What of a study is done, and with what.
+
+    Attributes:
+        steps: of ``STEPS``.
+        protocols: of ``PROTOCOLS``.
+        device: ``cpu`` or ``cuda``, for trainings and networks.
+        workers: jobs under way at a time; None is one for each core.
+
+    Raises:
+        ValueError: a name is not known.
+    """
+
+    steps: tuple[str, ...] = STEPS
+    protocols: tuple[str, ...] = PROTOCOLS
+    device: str = "cpu"
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, given, known in (("only", self.steps, STEPS), ("protocol", self.protocols, PROTOCOLS),
+                                   ("device", (self.device,), ("cpu", "cuda"))):  # fmt: skip
+            check_names(name, given, known)
+        LocalEngine(self.workers)
+
+    def engine(self, step: str, plan: PaperPlan) -> Engine:
+        """Return what does the jobs of a step; what needs the GPU, processes of its own or all cores is done here."""
+        alone = step == "trade" or (step == "models" and plan.workers > 0) or (self.device != "cpu" and step != "data")
+        return LocalEngine(1 if alone else self.workers)
+
+
+def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> Iterator[str]:
+    """Do what is not done yet, and yield one line for each job that failed or could not be done, as it happens.
+
+    Args:
+        store: of the study.
+        scope: what of it is done.
+        on_progress: is called as jobs are done.
+
+    Raises:
+        ValueError: there is no such device, or data of another plan lie in the folder.
+        ImportError: trainings are wanted and the extra for them is not installed.
+        OSError: something cannot be written.
+    """
+    if {"models", "trade"} & set(scope.steps) or scope.device != "cpu":
+        check_training(scope.device)
+    if "data" in scope.steps:
+        make_data(store, scope, on_progress)
+    steps = [step for step in STEPS[1:-1] if step in scope.steps]
+    if steps:
+        _check_data(store)
+    for step in steps:
+        keys, engine = store.plan.job_keys_of(step, scope.protocols), scope.engine(step, store.plan)
+        yield from run_jobs(
+            store, do_job, keys, engine, on_progress, step=step, device=scope.device,
+            missing=partial(missing_models, store.plan),
+        )  # fmt: skip
+
+
+def missing_models(plan: PaperPlan, key: JobKey, done: set[JobKey]) -> str:
+    """Return what a job waits for: nothing if all trainings that it needs are done."""
+    return "" if set(needed(plan, key)) <= done else "not all of its models are trained"
+
+
+def needed(plan: PaperPlan, key: JobKey) -> list[JobKey]:
+    """Return the names of the trainings that must be finished before a job."""
+    step, *names = key
+    if step == "pairs" and names[1] != CLASSICAL:
+        return [("models", names[0], names[1])]
+    if step == "strict":
+        return [model.key for model in in_domain(names[0])]
+    if step == "monitor":
+        return [Model(STRICT, "mcd", names[0], plan.monitor_domain).key]
+    return []
+
+
+def _check_data(store: ResultStore[PaperPlan]) -> None:
+    for domain in store.plan.domains:
+        for split in SPLITS:
+            try:
+                open_archive(store.folder, domain, split)
+            except (ValueError, OSError) as error:
+                raise ValueError(f"{error}; the other steps need the step data") from error
+
+
+def make_data(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> None:
+    """Simulate the sweeps of all domains, as far as they are not there."""
+    parts = [(domain, split) for domain in store.plan.domains for split in SPLITS]
+    total, done = sum(preset_of(store.plan, *part).sweeps for part in parts), 0
+
+    def more(sweeps: int) -> None:
+        nonlocal done
+        done += sweeps
+        on_progress("data", done, total)
+
+    for part in parts:
+        make_archive(store.plan, store.folder, part, scope.engine("data", store.plan), more)

@@ -1,0 +1,228 @@
+"""The two pages: their tables and pictures; what they say stands in ``page.md`` and ``strict.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from viewshed_lab._page import Picture, facts, to_markdown
+from viewshed_lab.studies.cases import TOUCHING, strength_cases
+from viewshed_lab.studies.evaluate import Evaluation
+from viewshed_lab.studies.figures import (
+    Curves,
+    Map,
+    Violins,
+    curve_figure,
+    curves_of,
+    map_figure,
+    trade_figure,
+    violin_figure,
+    violins_of,
+)
+from viewshed_lab.studies.formatting import commits
+from viewshed_lab.studies.paper import tables
+from viewshed_lab.studies.paper.data import evaluation_of
+from viewshed_lab.studies.paper.jobs import ATTACKED, tampered_of
+from viewshed_lab.studies.paper.models import network_of
+from viewshed_lab.studies.paper.plan import MIXTURES, STEPS, Model
+from viewshed_lab.studies.paper.protocols import setting_of
+from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
+from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Domain
+from viewshed_lab.studies.templates import fill_template
+from viewshed_lab.threats.attacks import ATTACKS, SEVERITIES
+from viewshed_lab.threats.attacks.base import Tampered
+
+TEMPLATES = {PAPER: "paper/page.md", STRICT: "paper/strict.md"}
+
+STEMS = {PAPER: "paper", STRICT: "paper_strict"}
+"""Names of the pages, and beginnings of those of their pictures."""
+
+SHOWN = "far_wall"
+"""Attack of the strict protocol's maps: a corridor that is not there."""
+
+CURVED = 9
+"""Contestants that the severity curves show at most, the best on benign sweeps beside all networks."""
+
+LATENCY = "latency, ms, 2 threads"
+
+
+def violin_picture(results: PaperResults, protocol: str) -> Picture:
+    """Return violins of precision and AUPRC of each sweep, for every domain: benign against attacked."""
+    panels = dict[str, Violins]()
+    for domain in results.domains:
+        methods = tables.pair_methods(results, protocol, domain).items()
+        labeled = {short.replace("paper_", "paper: "): name for short, name in methods}
+        panels |= violins_of(results.pairs_in(protocol, domain), labeled, [ATTACKED])
+    attacked = "the paper's attacks" if protocol == PAPER else "one attack each, all in turn"
+    return Picture(
+        f"{STEMS[protocol]}_violins.png", violin_figure(panels, 2, attacked),
+        f"Precision and AUPRC of single sweeps, benign and under {attacked}, networks and classical estimators",
+    )  # fmt: skip
+
+
+def mcd_picture(results: PaperResults, protocol: str) -> Picture | None:
+    """Return mean and deviation on one sweep, benign and attacked, by networks trained without and with attacks.
+
+    None if the networks are not there.
+    """
+    plan, folder = results.plan, results.store.folder
+    domain = "nuscenes" if "nuscenes" in plan.domains else plan.domains[0]
+    models = {mixture: Model(protocol, "mcd", mixture, domain) for mixture in MIXTURES}
+    if any(model.key[1:] not in results.models for model in models.values()):
+        return None
+    evaluation, tampered = _shown_sweep(results, protocol, domain)
+    grid, setting = evaluation.reference.grid, setting_of(plan, protocol, domain)
+    networks = {mixture: network_of(plan, folder, model, setting) for mixture, model in models.items()}
+    rows = {}
+    for name, sweep in zip(MIXTURES, (evaluation.sample.sweep, tampered.sweep), strict=True):
+        maps = [Map("returns", "returns", np.minimum(grid.count(sweep.points), 1)),
+                Map("truth, clean sweep", "truth", evaluation.reference.visible)]  # fmt: skip
+        for mixture, network in networks.items():
+            estimate = network.estimate(sweep)
+            maps += [Map(f"{mixture}-trained: mean", "probability", estimate.visible_prob),
+                     Map("deviation", "deviation", np.nan_to_num(np.asarray(estimate.std)))]  # fmt: skip
+        rows[f"{name} sweep"] = maps
+    attack = setting.attack(evaluation.number).name if protocol == STRICT else "paper"
+    alt = f"Monte Carlo dropout on one sweep of {domain}, benign and under {attack}: mean and deviation"
+    return Picture(f"{STEMS[protocol]}_mcd.png", map_figure(rows), alt)
+
+
+def _shown_sweep(results: PaperResults, protocol: str, domain: str) -> tuple[Evaluation, Tampered]:
+    """Return the first held-out sweep that the mixture touches, or the first under ``SHOWN``; and it attacked."""
+    plan, folder, setting = results.plan, results.store.folder, setting_of(results.plan, protocol, domain)
+    numbers = range(plan.pair_frames) if protocol == PAPER else [TOUCHING.index(SHOWN)]
+    found = []
+    for number in numbers:
+        evaluation = evaluation_of(plan, folder, setting, setting.suite({}), number)
+        tampered = tampered_of(evaluation, setting.attack(number), plan.test_seed)
+        found.append((evaluation, tampered))
+        if tampered.sweep is not evaluation.sample.sweep:
+            return found[-1]
+    return found[0]
+
+
+def trade_picture(results: PaperResults) -> Picture | None:
+    """Return precision, accuracy and F1 of the trade study over latency; None if there are no results."""
+    dots = {}
+    for shape, counts in tables.trade_counts(results).items():
+        rates = {"precision": counts.precision, "accuracy": counts.accuracy, "F1": counts.f1}
+        dots[shape] = rates | {LATENCY: tables.trade_facts(results, shape)["ms, 2 threads"]}
+    alt = "Precision, accuracy and F1 over the latency of one pass, by resolution, depth and width"
+    return (
+        Picture("paper_trade.png", trade_figure(dots, LATENCY, ("precision", "accuracy", "F1")), alt) if dots else None
+    )
+
+
+def severity_pictures(domain: tables.StrictDomain) -> Iterator[Picture]:
+    """Yield curves of F1 in the view and in the wedge over the strengths of the attacks that have some."""
+    classical = [name for name in domain.methods if name not in tables.NETWORKS]
+    best = sorted(classical, key=lambda name: -domain.counts(name).f1)
+    chosen = best[: CURVED - (len(domain.methods) - len(classical))]
+    methods = [name for name in domain.methods if name not in classical or name in chosen]
+    for region in (VIEW, WEDGE):
+        panels = _severities(domain, methods, region)
+        if panels:
+            png = curve_figure(panels, 4, f"F1 in the {region}")
+            alt = f"{domain.name}: F1 in the {region} over the strength of each attack"
+            yield Picture(f"paper_strict_{region}_{domain.name}.png", png, alt)
+
+
+def _severities(domain: tables.StrictDomain, methods: list[str], region: str) -> dict[str, Curves]:
+    """Return curves of F1 in a region over the strengths of each attack, by title."""
+    panels = {}
+    for name in ATTACKS:
+        for attribute in dict.fromkeys(attribute for attribute, _ in SEVERITIES.get(name, ())):
+            cases = [case for case in strength_cases(name, attribute) if case in domain.cases]
+            if cases and (region == VIEW or domain.has_wedge(cases[0])):
+                steps = {"benign": BENIGN} if region == VIEW else {}
+                steps |= {case.level.removeprefix(f"{attribute} "): case for case in cases}
+                panels[f"{name}, {attribute}"] = curves_of(
+                    domain, methods, steps, lambda domain, method, case: domain.counts(method, case, region).f1
+                )
+    return panels
+
+
+def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
+    """Return the files of a protocol's page by name: pictures first, the page last.
+
+    Raises:
+        ValueError: there are no results of the protocol.
+    """
+    if not results.pairs.series(protocol=protocol):
+        raise ValueError(f"{results.store.path} must hold pairs of the {protocol} protocol, got none; run step pairs")
+    every = (*SUB_TABLES, *OTHERS)
+    values = {
+        "plan": results.plan, "unfinished": _unfinished(results, protocol),
+        "domains": results.domains, "attacks": len(ATTACKS), "published_tables": SUB_TABLES,
+        "other_tables": OTHERS,
+        "every_table": [replace(one, title=one.title.replace("Left out by the paper: t", "T")) for one in every],
+        "strict_domains": [Domain(results.strict, name) for name in results.domains] if results.strict.facts else (),
+    }  # fmt: skip
+    title, blocks = fill_template(TEMPLATES[protocol], values, {
+        "target_table": lambda: tables.target_table(results),
+        "pair_table": partial(tables.pair_table, results, protocol),
+        "area_table": partial(tables.area_table, results, protocol),
+        "violins": lambda: violin_picture(results, protocol),
+        "mixture_table": partial(tables.mixture_table, results, protocol),
+        "calibration_table": partial(tables.calibration_table, results, protocol),
+        "mcd_picture": lambda: mcd_picture(results, protocol),
+        "trade_picture": lambda: trade_picture(results),
+        "trade_table": lambda: tables.trade_table(results),
+        "seen_table": tables.seen_table,
+        "winner_table": tables.winner_table,
+        "view_table": tables.view_table,
+        "wedge_table": tables.wedge_table,
+        "severity_pictures": severity_pictures,
+        "refused": lambda: _refused(results),
+        "monitor_attacks": lambda: tables.monitor_table(results, "attack"),
+        "monitor_corruptions": lambda: tables.monitor_table(results, "corruption"),
+        "training_table": lambda: tables.training_table(results, protocol),
+    })  # fmt: skip
+    files = {block.name: block.png for block in blocks if isinstance(block, Picture)}
+    page = to_markdown(title, facts(**provenance(results, protocol)), blocks)
+    return files | {f"{STEMS[protocol]}.md": page.encode()}
+
+
+def provenance(results: PaperResults, protocol: str) -> dict[str, str]:
+    """Return what a page rests on, by name."""
+    plan = results.plan
+    sweeps = []
+    for domain in sorted(plan.domains):
+        if several := results.pairs.series(domain, protocol):
+            count, scenes = results.pairs.sweeps(domain, protocol), results.pairs.scenes(several[0])
+            sweeps.append(f"{domain} {count} of {len(scenes)} scenes")
+    shape = f"{plan.cells} × {plan.cells} cells, width {plan.width}, depth {plan.depth}, dropout {plan.dropout:g}"
+    seen = ", ".join(plan.trained_attacks)
+    attacks = {
+        PAPER: "the paper's mixture, in training and test",
+        STRICT: f"trained on {seen} ({100 * plan.attack_share:.0f} % of the sweeps); the others are never seen",
+    }
+    return {
+        "plan": f"{plan.name}: {plan.about}", "seeds": f"{plan.seed} trained, {plan.test_seed} tested",
+        "network": f"{shape}; {plan.passes} passes for MCD",
+        "training": f"at most {plan.epochs} epochs of {plan.frames_per_epoch} sweeps, batches of {plan.batch}, "
+        f"{plan.loss}, Adam {plan.learning_rate:g} ({plan.schedule}), stopped after {plan.patience} without gain",
+        "held-out sweeps": ", ".join(sweeps), "attacks": attacks[protocol],
+        "commits of the run": commits(results.pairs, results.strict, results.trade, results.monitor),
+    }  # fmt: skip
+
+
+def _unfinished(results: PaperResults, protocol: str) -> str:
+    """Return which steps are not finished."""
+    done, words = results.store.keys(), []
+    for step in STEPS:
+        keys = results.plan.job_keys_of(step, [protocol])
+        count = sum(key in done for key in keys)
+        if count < len(keys):
+            words.append(f"{step} {count} of {len(keys)}")
+    return f"**Not finished:** {', '.join(words)}." if words else ""
+
+
+def _refused(results: PaperResults) -> str:
+    """Return which attacks could not be made of how many sweeps, and why."""
+    refused = sorted(results.strict.refused.items())
+    words = [f"{case.name} in {domain} ({count} times: {why})" for (domain, case, why), count in refused]
+    return f"Could not be made: {'; '.join(words)}." if words else ""

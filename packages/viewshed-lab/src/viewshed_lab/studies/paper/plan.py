@@ -1,0 +1,242 @@
+"""What is run over what, every number of it spelt out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from viewshed_lab.data.presets import preset_named, preset_names
+from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
+from viewshed_lab.studies.records import PAPER, STRICT
+from viewshed_lab.threats.attacks import ATTACKS
+from viewshed_lab.threats.corruptions import CORRUPTIONS
+
+PROTOCOLS = (PAPER, STRICT)
+"""The paper's label as truth on its grids, and exact truth on ours."""
+
+VARIANTS = ("mle", "mcd")
+"""One pass with dropout off; the mean of several with dropout on."""
+
+MIXTURES = ("benign", "adversarial")
+"""What a model is trained on, and what it is tested on."""
+
+STEPS = ("data", "models", "pairs", "strict", "trade", "monitor", "pages")
+"""What the command does, in order."""
+
+CLASSICAL = "classical"
+"""Names the classical estimators where a model's name stands otherwise."""
+
+PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "interval_s")
+"""Keys with one number for each domain."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Model:
+    """One of the twelve models of a protocol.
+
+    Attributes:
+        protocol: of ``PROTOCOLS``.
+        variant: of ``VARIANTS``.
+        mixture: of ``MIXTURES``, what it is trained on.
+        domain: that it is trained in.
+    """
+
+    protocol: str
+    variant: str
+    mixture: str
+    domain: str
+
+    @property
+    def name(self) -> str:
+        """Its name within the protocol."""
+        return f"{self.short_name}-{self.domain}"
+
+    @property
+    def short_name(self) -> str:
+        """Its name in tables of its own domain."""
+        return f"{self.variant}-{self.mixture}"
+
+    @property
+    def key(self) -> JobKey:
+        """Name of the job that trains it."""
+        return "models", self.protocol, self.name
+
+
+@dataclass(frozen=True, slots=True)
+class PaperPlan(Plan):
+    """What is run over what. ``all`` in the TOML stands for a whole table of names.
+
+    Attributes:
+        domains: presets of simulated data.
+        train_scenes: scenes that are trained and validated on, for each domain.
+        train_times: how often each agent measures in such a scene.
+        test_scenes: held-out scenes.
+        test_times: how often each agent measures in such a scene.
+        interval_s: between two sweeps of one agent.
+        seed: of the training data and of the training.
+        test_seed: of the held-out scenes and of all that is random in the evaluation.
+        cells: cells a side, in both protocols.
+        width: channels of the network's first stage.
+        depth: its poolings.
+        dropout: share of channels that a mask sets to zero.
+        loss: what is minimized.
+        learning_rate: of the optimizer.
+        schedule: of the learning rate: ``constant`` or ``cosine``.
+        batch: frames of a step.
+        epochs: at most.
+        patience: epochs without a better validation loss after which training stops.
+        frames_per_epoch: frames of an epoch.
+        validation_share: share of the training scenes that is validated on.
+        versions: how many versions of a training frame, each attacked anew, are made once and shown in turn.
+        mirrored: whether training frames are turned by quarter turns and mirrored at random.
+        counts: how the networks are shown the returns of a cell, ``linear`` or ``log``.
+        precision: of the training's numbers, ``32`` or ``bf16``.
+        workers: processes that make training frames.
+        attack_share: share of training frames that the strict protocol attacks.
+        trained_attacks: of ``ATTACKS``; those that the strict protocol trains on, all others are unseen.
+        passes: stochastic passes of Monte Carlo dropout.
+        pair_frames: held-out sweeps that each of the 72 pairs is scored on.
+        strict_frames: held-out sweeps that face every attack.
+        strengths: whether they also face every strength of ``attacks.SEVERITIES``.
+        trade_domain: where the trade study is made.
+        trade_widths: widths that it tries.
+        trade_depths: depths that it tries.
+        trade_cells: resolutions that it tries.
+        trade_epochs: epochs of each of its trainings.
+        trade_repeats: passes of which the median is the latency.
+        monitor_domain: where the monitor of the deviation is tried.
+        monitor_frames: benign sweeps that it is fitted on, calibrated on and reported on, each.
+        monitor_false_alarms: rate of false alarms that it is calibrated for.
+        monitor_corruptions: of ``CORRUPTIONS``, whose false alarms are counted.
+        monitor_severity: of them.
+
+    Raises:
+        ValueError: a name is not known, or a number is out of range.
+    """
+
+    FOLDER: ClassVar[str] = "studies/paper/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"monitor_corruptions": CORRUPTIONS}
+
+    name: str
+    about: str
+    domains: tuple[str, ...]
+    train_scenes: tuple[int, ...]
+    train_times: tuple[int, ...]
+    test_scenes: tuple[int, ...]
+    test_times: tuple[int, ...]
+    interval_s: tuple[float, ...]
+    seed: int
+    test_seed: int
+    cells: int
+    width: int
+    depth: int
+    dropout: float
+    loss: str
+    learning_rate: float
+    schedule: str
+    batch: int
+    epochs: int
+    patience: int
+    frames_per_epoch: int
+    validation_share: float
+    versions: int
+    mirrored: bool
+    counts: str
+    precision: str
+    workers: int
+    attack_share: float
+    trained_attacks: tuple[str, ...]
+    passes: int
+    pair_frames: int
+    strict_frames: int
+    strengths: bool
+    trade_domain: str
+    trade_widths: tuple[int, ...]
+    trade_depths: tuple[int, ...]
+    trade_cells: tuple[int, ...]
+    trade_epochs: int
+    trade_repeats: int
+    monitor_domain: str
+    monitor_frames: int
+    monitor_false_alarms: float
+    monitor_corruptions: tuple[str, ...]
+    monitor_severity: int
+
+    def __post_init__(self) -> None:
+        for key, table in (("domains", preset_names()), ("trained_attacks", ATTACKS),
+                           ("monitor_corruptions", CORRUPTIONS)):  # fmt: skip
+            check_names(key, getattr(self, key), table, once=True)
+        for key in ("trade_domain", "monitor_domain"):
+            check_names(key, (getattr(self, key),), self.domains)
+        for key in PER_DOMAIN:
+            if len(getattr(self, key)) != len(self.domains) or min(getattr(self, key)) <= 0:
+                raise ValueError(f"{key} must be a positive number for each domain, got {list(getattr(self, key))}")
+        for key in ("seed", "test_seed"):
+            check_seed(key, getattr(self, key))
+        if self.seed == self.test_seed:
+            raise ValueError(f"test_seed must not be the seed that is trained on, got {self.test_seed} for both")
+        self._check_sizes()
+        self._check_held_out()
+
+    def _check_sizes(self) -> None:
+        self.check_at_least(1, "passes", "pair_frames", "strict_frames", "epochs", "trade_epochs", "trade_repeats",
+                            "monitor_frames", "frames_per_epoch", "batch")  # fmt: skip
+        for cells, depth in [(self.cells, self.depth), *((c, d) for c in self.trade_cells for d in self.trade_depths)]:
+            if cells % 2**depth:
+                raise ValueError(f"cells must divide by 2 to the power of the depth {depth}, got {cells}")
+        if not self.trained_attacks or set(self.trained_attacks) == set(ATTACKS):
+            raise ValueError("trained_attacks must name some attacks and leave others unseen")
+
+    def _check_held_out(self) -> None:
+        for domain, scenes, times in zip(self.domains, self.test_scenes, self.test_times, strict=True):
+            most = scenes * preset_named(domain).agents * (times - 1)
+            if max(self.pair_frames, self.strict_frames) > most:
+                raise ValueError(f"pair_frames and strict_frames must be at most {most}, what {domain} has with a past")
+        scenes = self.test_scenes[self.domains.index(self.monitor_domain)]
+        if 3 * self.monitor_frames > scenes:
+            raise ValueError(f"monitor_frames must be at most {scenes // 3}, a third of the held-out scenes")
+        if not 1 / (self.monitor_frames + 1) <= self.monitor_false_alarms < 1:
+            raise ValueError(
+                f"monitor_false_alarms must lie in [1 / (monitor_frames + 1), 1), got {self.monitor_false_alarms}"
+            )
+
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs, step after step."""
+        return [key for step in STEPS for key in self.job_keys_of(step)]
+
+    def job_keys_of(self, step: str, protocols: Sequence[str] = PROTOCOLS) -> list[JobKey]:
+        """Return the names of all jobs of a step in some protocols, in the order in which they are done."""
+        if step == "models":
+            return [model.key for model in self.models(protocols)]
+        if step == "pairs":
+            return [
+                (step, protocol, name, domain)
+                for protocol in protocols
+                for name in [*(model.name for model in self.models([protocol])), CLASSICAL]
+                for domain in self.domains
+            ]
+        if step == "trade" and PAPER in protocols:
+            return [
+                (step, str(width), str(depth), str(cells))
+                for cells in self.trade_cells
+                for depth in self.trade_depths
+                for width in self.trade_widths
+            ]
+        if step == "strict" and STRICT in protocols:
+            return [(step, domain, str(n)) for n in range(self.strict_frames) for domain in self.domains]
+        return [(step, mixture) for mixture in MIXTURES] if step == "monitor" and STRICT in protocols else []
+
+    def models(self, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:
+        """Return the models of some protocols: 2 variants × 2 mixtures × the domains, in each."""
+        return [
+            Model(protocol, variant, mixture, domain)
+            for protocol in protocols
+            for variant in VARIANTS
+            for mixture in MIXTURES
+            for domain in self.domains
+        ]
+
+    def model(self, protocol: str, name: str) -> Model:
+        """Return the model of a name."""
+        return next(model for model in self.models([protocol]) if model.name == name)

@@ -1,0 +1,82 @@
+"""The two protocols: grid, truth, threshold and attacks of each domain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from viewshed.estimators import CLASSICAL, PAPER_THRESHOLD, Estimator, EstimatorFactory, paper_estimators_on
+from viewshed.fov.estimate import THRESHOLD
+from viewshed.grid import BevGrid
+from viewshed.networks.card import NetworkCard
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.studies.cases import DEFAULT, MIXTURE, ROOM_M, TOUCHING
+from viewshed_lab.studies.paper.plan import PaperPlan
+from viewshed_lab.studies.records import PAPER, STRICT, Case
+from viewshed_lab.studies.suite import LABEL, EstimatorSuite
+
+PAPER_EXTENT_M, PAPER_INDOOR_EXTENT_M = 80.0, 18.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolSetting:
+    """What a network is given and held against in one domain.
+
+    Attributes:
+        protocol: of ``PROTOCOLS``.
+        domain: a preset's name.
+        grid: of input and truth.
+        truth: ``paper_label`` or ``probe``.
+        threshold: probability from which a cell is claimed.
+        max_range_m: farther returns are left out.
+        heights_m: lowest and highest return, from the sensor's own height.
+    """
+
+    protocol: str
+    domain: str
+    grid: BevGrid
+    truth: str
+    threshold: float
+    max_range_m: float
+    heights_m: tuple[float, float]
+
+    @property
+    def indoor(self) -> bool:
+        """Whether the paper's indoor settings apply."""
+        return self.grid.half_extent_m < ROOM_M
+
+    def card(self, trained: NetworkCard) -> NetworkCard:
+        """Return the card of a network as it is used here, wherever it was trained."""
+        return replace(
+            trained, name="tested", grid=self.grid, truth=self.truth, max_range_m=self.max_range_m,
+            heights_m=self.heights_m, threshold=self.threshold,
+        )  # fmt: skip
+
+    def classical(self) -> dict[str, EstimatorFactory]:
+        """Return the classical estimators by name; in the paper's protocol its own first, but its label."""
+        if self.protocol == STRICT:
+            return dict(CLASSICAL)
+        papers = paper_estimators_on(self.grid)
+        return {name: make for name, make in papers.items() if name != LABEL} | CLASSICAL
+
+    def attack(self, number: int) -> Case:
+        """Return the attack that the held-out sweep ``number`` faces.
+
+        In the paper's protocol its mixture; in the strict one all that touch returns in turn, with default budgets.
+        """
+        return MIXTURE if self.protocol == PAPER else Case("attack", TOUCHING[number % len(TOUCHING)], DEFAULT)
+
+    def suite(self, estimators: Mapping[str, Estimator]) -> EstimatorSuite:
+        """Return estimators as they are tried here."""
+        return EstimatorSuite(self.grid, self.threshold, estimators)
+
+
+def setting_of(plan: PaperPlan, protocol: str, domain: str) -> ProtocolSetting:
+    """Return the setting of a protocol in a domain."""
+    half_extent_m = preset_named(domain).grid_half_extent_m
+    if protocol == STRICT:
+        grid = BevGrid(plan.cells, half_extent_m)
+        return ProtocolSetting(protocol, domain, grid, "probe", THRESHOLD, 100.0, (-10.0, 3.0))
+    indoor = half_extent_m < ROOM_M
+    grid = BevGrid(plan.cells, PAPER_INDOOR_EXTENT_M if indoor else PAPER_EXTENT_M)
+    return ProtocolSetting(protocol, domain, grid, LABEL, PAPER_THRESHOLD, 20.0 if indoor else 100.0, (-3.0, 3.0))

@@ -1,0 +1,244 @@
+"""The tables of both protocols' pages as words: the 72 pairs, attacks one by one, trainings, trade study, monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isnan
+
+import numpy as np
+
+from viewshed.metrics import ConfusionCounts
+from viewshed_lab._page import Table
+from viewshed_lab.studies.cases import DEFAULT
+from viewshed_lab.studies.deviation.page import monitor_table as table_of_monitor
+from viewshed_lab.studies.deviation.page import rows_of
+from viewshed_lab.studies.formatting import (
+    CALIBRATION,
+    best_of_row,
+    by_name,
+    calibration_of,
+    format_interval,
+    format_rate,
+    format_rates,
+    format_spread,
+    lines,
+    pivot,
+)
+from viewshed_lab.studies.paper.jobs import TRADE
+from viewshed_lab.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
+from viewshed_lab.studies.paper.protocols import setting_of
+from viewshed_lab.studies.paper.published import TESTED_ON, PaperResults, SubTable, targets_of
+from viewshed_lab.studies.records import BENIGN, PAPER, UNTOUCHED, VIEW, WEDGE, Case, Domain, Series
+from viewshed_lab.studies.statistics import f1
+from viewshed_lab.threats.attacks import ATTACKS, FAMILY
+
+NETWORKS = tuple(f"{variant}-{mixture}" for variant in VARIANTS for mixture in MIXTURES)
+
+StrictDomain = Domain[PaperPlan]
+"""The sweeps of one domain that face every attack."""
+
+
+def training_table(results: PaperResults, protocol: str) -> Table:
+    """Return how each training of a protocol went."""
+    models = {name: facts for (of, name), facts in results.models.items() if of == protocol}
+    best = {name: facts["history"][facts["best"] - 1] for name, facts in models.items()}
+    return lines("model", by_name(models), {
+        "epochs": lambda name: str(len(models[name]["history"])),
+        "best": lambda name: str(models[name]["best"]),
+        "validation loss": lambda name: f"{best[name]['validation_loss']:.4f}",
+        "validation F1": lambda name: format_rate(best[name]["f1"]),
+        "frames/s": lambda name: f"{models[name]['frames_per_s']:.0f}",
+        "in the network": lambda name: f"{100 * models[name]['network_share']:.0f} %",
+        "seconds": lambda name: f"{models[name]['seconds']:.0f}",
+    })  # fmt: skip
+
+
+def trade_counts(results: PaperResults) -> dict[tuple[int, int, int], ConfusionCounts]:
+    """Return the counts of the networks of the trade study by (cells, depth, width), in ascending order."""
+    domain = Domain(results.trade, results.plan.trade_domain, TRADE)
+    shapes = {(int(key[3]), int(key[2]), int(key[1])): facts["name"] for key, facts in results.trade.facts.items()}
+    return {shape: domain.counts(shapes[shape]) for shape in sorted(shapes)}
+
+
+def trade_facts(results: PaperResults, shape: tuple[int, int, int]) -> dict[str, float]:
+    """Return latency by threads in milliseconds and size of a network of the trade study, of (cells, depth, width)."""
+    facts = results.trade.facts["trade", *map(str, shape[::-1])]
+    ms = facts["latency_ms"]
+    return {
+        "ms, 2 threads": ms["2"],
+        "ms, 1 thread": ms["1"],
+        "M": facts["parameters"] / 1e6,
+        "G": facts["flops"] / 1e9,
+    }
+
+
+def trade_table(results: PaperResults) -> Table | None:
+    """Return what each network of the trade study scores, how long a pass takes, and its size; None without any."""
+    rows = []
+    for shape, counts in trade_counts(results).items():
+        facts, rates = trade_facts(results, shape), (counts.precision, counts.accuracy, counts.f1)
+        times, sizes = (f"{facts['ms, 2 threads']:.2f}", f"{facts['ms, 1 thread']:.2f}"), (facts["M"], facts["G"])
+        rows.append([*map(str, shape[::-1]), *map(format_rate, rates), *times, *(f"{size:.3f}" for size in sizes)])
+    header = ["width", "depth", "cells", "precision", "accuracy", "F1", "ms, 2 threads", "ms, 1 thread"]
+    return Table([*header, "parameters, M", "GFLOP"], rows) if rows else None
+
+
+def monitor_table(results: PaperResults, kind: str) -> Table | None:
+    """Return what the monitor does in each attack or corruption, by what its network was trained on."""
+    domain, seed = results.plan.monitor_domain, results.plan.test_seed
+    methods = results.monitor.methods(domain)
+    rows = {f"{name}-trained": rows_of(results.monitor, domain, name, seed) for name in MIXTURES if name in methods}
+    return table_of_monitor(rows, kind) if results.monitor.facts else None
+
+
+def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
+    """Return precision, recall, accuracy, F1 of nine pairs in the paper's layout, its figures below ours."""
+    domains, rows = results.domains, []
+    for test in domains:
+        keys = [table.key(protocol, test, train) for train in domains]
+        rows.append([test, *(_four(results.pairs.counts(key)) for key in keys)])
+        rows.append(["*95 % of F1*", *(_bounds(results, key) for key in keys)])
+        published = [table.published(test, train) for train in domains] if protocol == PAPER else []
+        if any(published):
+            rows.append(["*the paper*", *(" ".join(format_rate(rate, 2) for rate in four or []) for four in published)])
+    return Table(["tested on \\ trained on", *domains], rows)
+
+
+def _four(counts: ConfusionCounts) -> str:
+    """Return precision, recall, accuracy in hundredths and F1 in thousandths."""
+    if isnan(counts.precision) and isnan(counts.accuracy):
+        return "–"
+    rates = (counts.precision, counts.recall, counts.accuracy)
+    return " ".join([*(format_rate(rate, 2) for rate in rates), format_rate(counts.f1)])
+
+
+def _bounds(results: PaperResults, key: Series) -> str:
+    low, high = results.pairs.interval([key], f1)
+    return "–" if isnan(low) else f"{format_rate(low)} to {format_rate(high)}"
+
+
+def area_table(results: PaperResults, protocol: str, table: SubTable) -> Table:
+    """Return AUPRC of nine pairs in the paper's layout."""
+
+    def area(test: str, train: str) -> str:
+        return format_rate(results.pairs.scores([table.key(protocol, test, train)]).auprc())
+
+    names = by_name(results.domains)
+    return pivot("AUPRC, tested on \\ trained on", names, names, area)
+
+
+def target_table(results: PaperResults) -> Table:
+    """Return the targets of the paper's protocol, met or missed, beside the paper's figures."""
+    rows = [
+        [target.what, format_rate(target.published, 2), f"≥ {format_rate(target.least, 2)}", format_rate(target.found),
+         target.verdict, format_rate(target.at_half)]
+        for target in targets_of(results)
+    ]  # fmt: skip
+    return Table(["what", "the paper", "target", "here", "", "here, threshold .5"], rows)
+
+
+def pair_methods(results: PaperResults, protocol: str, domain: str) -> dict[str, str]:
+    """Return who was tried on a domain's sweeps: the networks trained there, by short name, then the classical ones."""
+    networks = {name: f"{name}-{domain}" for name in NETWORKS}
+    every = networks | by_name(setting_of(results.plan, protocol, domain).classical())
+    found = results.pairs_in(protocol, domain)
+    return {short: name for short, name in every.items() if found.has(name, BENIGN)}
+
+
+def mixture_table(results: PaperResults, protocol: str, domain: str) -> Table:
+    """Return everything about benign and attacked sweeps of a domain, networks trained there beside the classical."""
+    found = results.pairs_in(protocol, domain)
+
+    def value(method: str, column: tuple[Case, str]) -> str:
+        case, word = column
+        counts = found.counts(method, case)
+        if word == "AUPRC":
+            return format_rate(found.scores(method, [case]).auprc())
+        if word == "F1 [95 %]":
+            return format_interval(counts.f1, found.interval(method, [case], f1))
+        return format_rate(counts.precision if word == "precision" else counts.recall)
+
+    words = ("precision", "recall", "F1 [95 %]", "AUPRC")
+    columns = {f"{word}, {mixture}": (case, word) for mixture, case in TESTED_ON.items() for word in words}
+    return pivot("", pair_methods(results, protocol, domain), columns, value, "column")
+
+
+def calibration_table(results: PaperResults, protocol: str, domain: str) -> Table:
+    """Return ECE, Brier score and AURC on benign and attacked sweeps; less is better; of MCD also by its deviation."""
+    found = results.pairs_in(protocol, domain)
+    rows = [
+        [short, *(word for case in TESTED_ON.values() for word in calibration_of(found.scores(name, [case])))]
+        for short, name in pair_methods(results, protocol, domain).items()
+    ]
+    return Table(["", *(f"{word}, {mixture}" for mixture in TESTED_ON for word in CALIBRATION)], rows)
+
+
+def attacked_cases(domain: StrictDomain) -> list[Case]:
+    """Return the attacks with their default budgets of which there are results, in the order of their table."""
+    return [case for name in ATTACKS if (case := Case("attack", name, DEFAULT)) in domain.cases]
+
+
+def view_table(domain: StrictDomain) -> Table:
+    """Return F1 of the whole view under every attack, with half of its 95 % interval; the best in bold."""
+
+    def spread(case: Case, method: str) -> str:
+        return format_spread(domain.counts(method, case).f1, domain.interval(method, [case], f1))
+
+    rows = {_labeled(domain, case): case for case in (BENIGN, *attacked_cases(domain))}
+    return pivot("attack (family)", rows, by_name(domain.methods), spread, "row")
+
+
+def wedge_table(domain: StrictDomain) -> Table:
+    """Return precision / recall / F1 in the wedge under every attack that has one, above the same left untouched."""
+    rows = []
+    for case in attacked_cases(domain):
+        if domain.has_wedge(case):
+            for label, region in ((_labeled(domain, case), WEDGE), ("*untouched*", UNTOUCHED)):
+                rows.append([label, *_best_f1([domain.counts(name, case, region) for name in domain.methods])])
+    return Table(["attack (family)", *domain.methods], rows)
+
+
+def _best_f1(counts: Sequence[ConfusionCounts]) -> list[str]:
+    """Return precision / recall / F1 of each, the best F1 in bold."""
+    most = max((one.f1 for one in counts if not isnan(one.f1)), default=float("nan"))
+    words = [format_rates(one.precision, one.recall, one.f1) for one in counts]
+    return [f"**{cell}**" if one.f1 == most else cell for cell, one in zip(words, counts, strict=True)]
+
+
+def _labeled(domain: StrictDomain, case: Case) -> str:
+    """Return an attack's name and family, with a star if the adversarial models were trained on it."""
+    star = " \\*" if case.name in domain.plan.trained_attacks else ""
+    return "*benign*" if case == BENIGN else f"{case.name} ({FAMILY[case.name]}){star}"
+
+
+def winner_table(domain: StrictDomain) -> Table:
+    """Return who has the largest F1 under each attack, and the best network beside the best classical estimator."""
+    networks = [name for name in domain.methods if name in NETWORKS]
+    classical = [name for name in domain.methods if name not in NETWORKS]
+    rows = []
+    for case in [BENIGN, *attacked_cases(domain)]:
+        for region in (VIEW, WEDGE):
+            if region == VIEW or domain.has_wedge(case):
+                first = [domain.best(names, case, region) for names in (networks, classical)]
+                rates = [format_rate(domain.counts(name, case, region).f1) for name in (*first, "majority_vote")]
+                label, *best = best_of_row([_labeled(domain, case), *rates[:2]])
+                rows.append([label, region, *best, *(name or "–" for name in first), rates[2]])
+    header = ["attack (family)", "where", "best network's F1", "best classical F1", "which network", "which classical",
+              "majority_vote"]  # fmt: skip
+    return Table(header, rows)
+
+
+def seen_table(domain: StrictDomain) -> Table:
+    """Return mean F1 over the attacks that models were trained on and over those that they were not."""
+    rows: dict[str, tuple[list[Case], str]] = {}
+    for words, seen in (("trained on", True), ("never seen", False)):
+        cases = [case for case in attacked_cases(domain) if (case.name in domain.plan.trained_attacks) == seen]
+        for region in (VIEW, WEDGE):
+            chosen = [case for case in cases if region == VIEW or domain.has_wedge(case)]
+            rows[f"{words}, {region} (attacks: {len(chosen)})"] = chosen, region
+
+    def mean(row: tuple[list[Case], str], method: str) -> str:
+        rates = [domain.counts(method, case, row[1]).f1 for case in row[0]]
+        return format_rate(float(np.mean(rates)) if rates else float("nan"))
+
+    return pivot("mean F1 over attacks", rows, by_name(domain.methods), mean, "row")

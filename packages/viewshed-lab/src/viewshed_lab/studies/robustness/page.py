@@ -1,0 +1,292 @@
+"""The pages of the study: their tables and pictures; what they say stands in ``page.md`` and ``tables.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import isnan
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from viewshed.preprocess.leveling import level
+from viewshed_lab._page import PageBlock, Picture, Table, facts, to_html, to_markdown
+from viewshed_lab.studies import figures
+from viewshed_lab.studies.cases import MIXTURE, budget_cases, corruption_cases
+from viewshed_lab.studies.formatting import commits
+from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Domain, Results
+from viewshed_lab.studies.robustness import tables
+from viewshed_lab.studies.robustness.jobs import evaluation_of
+from viewshed_lab.studies.robustness.plan import PARTS, RobustnessPlan
+from viewshed_lab.studies.robustness.verdicts import MAX_F1_LOSS, MAX_WEDGE_LOSS, MODEST, AttackedDomain, domains_of
+from viewshed_lab.studies.runner import Job
+from viewshed_lab.studies.store import ResultStore
+from viewshed_lab.studies.suite import TESTED, strict_suite
+from viewshed_lab.studies.templates import fill_template
+from viewshed_lab.threats.attacks import ATTACKS, FAMILY
+
+DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "majority_vote")
+"""Estimators in the pictures of single sweeps."""
+
+PAPERS_FARTHEST = ("paper_quantized", "paper_continuous", "paper_concave_hull")
+"""The paper's methods that the farthest return decides."""
+
+FARTHEST = ("quantized", "continuous", "concave_hull")
+"""Ours of the same kind."""
+
+
+class Budget(NamedTuple):
+    """What an attacker has at most: in words, and the number of returns; None for any number."""
+
+    words: str
+    most: int | None
+
+    @property
+    def heading(self) -> str:
+        """The words as a heading."""
+        return self.words.capitalize()
+
+
+BUDGETS = (Budget(f"up to {MODEST} returns", MODEST), Budget("up to a full wedge", None))
+
+
+def violin_picture(domains: Sequence[AttackedDomain], protocol: str) -> Picture:
+    """Return violins of precision and AUPRC for every domain: benign against the paper's mixture, or all attacks."""
+    paper, panels = protocol == PAPER, dict[str, figures.Violins]()
+    for domain in domains:
+        held = domain.paper if paper else domain
+        methods = {name.replace("paper_", "paper: "): name for name in held.methods}
+        panels |= figures.violins_of(held, methods, [MIXTURE] if paper else list(domain.strongest.values()))
+    attacked = "the paper's attacks" if paper else "every attack at its largest budget"
+    png = figures.violin_figure(panels, 2, attacked)
+    return Picture(f"robustness_violins_{protocol}.png", png, f"Precision and AUPRC, benign and under {attacked}")
+
+
+def budget_picture(domain: AttackedDomain) -> Picture:
+    """Return curves of F1 in the whole view over the budget, one panel an attack."""
+    return _curves(domain, "f1", "F1 over the budget of each attack", "F1", _budgets(domain), _f1)
+
+
+def wedge_picture(domain: AttackedDomain) -> Picture:
+    """Return curves of precision in the attacker's wedge over the budget, one panel an attack that has a wedge."""
+    words = "precision in the attacker's wedge over the budget of each attack"
+    panels = {title: cases for title, cases in _budgets(domain).items() if any(map(domain.has_wedge, cases))}
+    return _curves(domain, "wedge", words, "precision in the wedge", panels, _wedge_precision)
+
+
+def corruption_picture(domain: AttackedDomain) -> Picture:
+    """Return curves of F1 over the severity, one panel a corruption; benign first."""
+    plan = domain.plan
+    panels = {name: [BENIGN, *corruption_cases((name,), plan.severities)] for name in plan.corruptions}
+    return _curves(domain, "corruptions", "F1 over the severity of each corruption", "F1", panels, _f1)
+
+
+def _budgets(domain: AttackedDomain) -> dict[str, list[Case]]:
+    """Return the cases of each attack that has a budget, by title."""
+    names = [name for name, case in domain.strongest.items() if case.kind == "attack"]
+    return {f"{name} ({FAMILY[name]})": budget_cases(name, domain.plan.budgets) for name in names}
+
+
+def _f1(domain: Domain[Any], method: str, case: Case) -> float:
+    return domain.counts(method, case).f1
+
+
+def _wedge_precision(domain: Domain[Any], method: str, case: Case) -> float:
+    return domain.counts(method, case, WEDGE).precision
+
+
+def _curves(
+    domain: AttackedDomain, stem: str, words: str, label: str, panels: dict[str, list[Case]], value: figures.CaseValue
+) -> Picture:
+    """Return a picture of a value of every estimator over the cases of each panel."""
+    curves = {
+        title: figures.curves_of(domain, domain.methods, {case.level or "benign": case for case in cases}, value)
+        for title, cases in panels.items()
+    }
+    place = "".join(letter if letter.isalnum() else "_" for letter in domain.name)
+    png = figures.curve_figure(curves, 5, label)
+    return Picture(f"robustness_{stem}_{place}.png", png, f"{domain.name}: {words}")
+
+
+def scene_picture(store: ResultStore[RobustnessPlan]) -> Picture:
+    """Return the first sweep of the first domain under one attack of each family, at its largest budget."""
+    plan, first = store.plan, dict[int, str]()
+    for name in ATTACKS:
+        if name in plan.attacks:
+            first.setdefault(FAMILY[name], name)
+    scenes = [_scene(store, plan.strongest(name)) for name in first.values()]
+    alt = f"One sweep of {plan.domains[0]} under one attack of each family, the truth and what estimators say"
+    return Picture("robustness_scenes.png", figures.scene_figure(scenes), alt)
+
+
+def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.PictureRow:
+    evaluation = evaluation_of(Job(store.plan, store.folder, ("attacks", store.plan.domains[0], "0")))
+    tampered, suite, sample = evaluation.tampered(case), strict_suite(evaluation.suite.grid, DRAWN), evaluation.sample
+    leveled = level(tampered.sweep, suite.grid)
+    claims = {
+        name: evaluation.reference.prob_of(estimate) >= np.float32(suite.threshold)
+        for name, estimate in suite.estimates(leveled).items()
+    }
+    wedge = None if tampered.wedge is None else (tampered.wedge.azimuth, tampered.wedge.width)
+    return figures.PictureRow(
+        f"{FAMILY[case.name]}  {case.name}\n{case.level}", suite.grid, sample.truth.visible(), sample.known,
+        leveled.points[:, :2], tampered.added[leveled.rows], wedge, claims,
+    )  # fmt: skip
+
+
+def files_of(
+    store: ResultStore[RobustnessPlan], failed: Sequence[str] = (), stem: str = "robustness"
+) -> dict[str, bytes]:
+    """Return the files of the study by name: one HTML file, pictures, the long tables, and the main page last.
+
+    Args:
+        store: of the study.
+        failed: jobs that failed, one line each.
+        stem: of the names of the pages.
+
+    Raises:
+        ValueError: there are no results.
+    """
+    results = store.results()
+    store.require(results)
+    (title, blocks), (long_title, details) = main_page(store, results, failed), long_page(results)
+    about = facts(**provenance(results))
+    files = {"index.html": to_html(title, about, [*blocks, *details]).encode()}
+    files |= {block.name: block.png for block in blocks if isinstance(block, Picture)}
+    files |= {f"{stem}_tables.md": to_markdown(long_title, about, details).encode()}
+    return files | {f"{stem}.md": to_markdown(title, about, blocks).encode()}
+
+
+def main_page(
+    store: ResultStore[RobustnessPlan], results: Results[RobustnessPlan], failed: Sequence[str] = ()
+) -> tuple[str, list[PageBlock]]:
+    """Return the title and the blocks of the main page."""
+    domains, plan = domains_of(results), results.plan
+    adaptive = [domain for domain in domains if domain.met("adaptive").methods]
+    unaware = [domain for domain in domains if domain.met("unaware").methods]
+    paper = [domain for domain in domains if len(domain.paper.cases) > 1]
+    values = {
+        "plan": plan, "extent": _extent(results, failed), "domains": domains, "adaptive_domains": adaptive,
+        "unaware_domains": unaware, "paper_domains": paper, "budgets": BUDGETS,
+        "attacks_on_defenses": plan.adaptive_against_defenses if unaware else (),
+        "max_f1_loss": MAX_F1_LOSS, "max_wedge_loss": MAX_WEDGE_LOSS,
+        "adaptive_sweeps": ", ".join(f"{one.name} {one.met('adaptive').results.sweeps(one.name)}" for one in adaptive),
+    }  # fmt: skip
+    return fill_template("robustness/page.md", values, {
+        "summary_table": tables.summary_table,
+        "withstood": partial(withstood_at, domains),
+        "withstood_adaptive": lambda: withstood_adaptive(plan, adaptive),
+        "adaptive_table": tables.adaptive_table,
+        "bar_in_view": lambda: tables.bar_overview(domains, VIEW),
+        "bar_in_wedge": lambda: tables.bar_overview(domains, WEDGE),
+        "paper_findings": lambda: "\n".join(_finding(plan, domain) for domain in paper),
+        "paper_violins": lambda: violin_picture(paper, PAPER) if paper else None,
+        "paper_table": tables.paper_table,
+        "strict_violins": lambda: violin_picture(domains, STRICT),
+        "scenes": lambda: scene_picture(store),
+        "benign_table": tables.benign_table,
+        "budget_picture": budget_picture,
+        "wedge_picture": wedge_picture,
+        "corruption_picture": corruption_picture,
+        "gain_table": tables.gain_table,
+        "known_defense_table": tables.known_defense_table,
+        "refused_table": lambda: refused_table(results),
+    })  # fmt: skip
+
+
+def long_page(results: Results[RobustnessPlan]) -> tuple[str, list[PageBlock]]:
+    """Return the title and the blocks of the long tables, domain by domain."""
+    values = {"domains": domains_of(results), "budgets": BUDGETS, "defended": results.plan.defended}
+    return fill_template("robustness/tables.md", values, {
+        "verdict_table": lambda domain, budget: tables.verdict_table(domain, budget.most),
+        "budget_table": tables.budget_table,
+        "wedge_table": tables.wedge_table,
+        "area_table": tables.area_table,
+        "strength_table": tables.strength_table,
+        "corruption_table": tables.corruption_table,
+        "defense_table": tables.defense_table,
+        "caught_table": tables.caught_table,
+    })  # fmt: skip
+
+
+def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
+    """Return what the pages rest on, by name."""
+    return {
+        "study": f"{results.plan.name}, seed {results.plan.seed}",
+        "samples": ", ".join(f"{domain.name} {results.sweeps(domain.name)}" for domain in domains_of(results))
+        or "none",
+        "target": "car",
+        "commits of the run": commits(results),
+        "jobs": f"{len(results.facts)} of {len(results.plan.job_keys())}",
+    }
+
+
+def _extent(results: Results[RobustnessPlan], failed: Sequence[str]) -> str:
+    """Return how much was run, and what is missing."""
+    plan, done, jobs = results.plan, len(results.facts), len(results.plan.job_keys())
+    words = f"{sum(results.sweeps(domain.name) for domain in domains_of(results))} sweeps with {len(plan.attacks)} "
+    words += f"attacks, {len(plan.corruptions)} corruptions and {len(plan.defenses)} defenses."
+    if done < jobs:
+        words += f" **Not finished: {done} of {jobs} jobs are done; a sample has up to {len(PARTS)}.**"
+    return words + (f" {len(failed)} jobs failed: {'; '.join(failed[:3])}." if failed else "")
+
+
+def withstood_at(domains: Sequence[AttackedDomain], budget: Budget) -> str:
+    """Return a list of what each estimator withstands in every domain, up to a budget."""
+
+    def withstands(name: str, attack: str) -> bool:
+        return all(domain.verdict(name, attack, budget.most).withstands for domain in domains)
+
+    return _withstood(domains[0].attacks, withstands)
+
+
+def withstood_adaptive(plan: RobustnessPlan, domains: Sequence[AttackedDomain]) -> str:
+    """Return a list of which attackers who query it each estimator withstands in every domain; empty without any."""
+
+    def withstands(name: str, attack: str) -> bool:
+        return all(domain.withstands_adaptive(name, attack) for domain in domains)
+
+    return _withstood(plan.adaptive, withstands) if domains else ""
+
+
+def _withstood(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -> str:
+    held = {name: [attack for attack in attacks if withstands(name, attack)] for name in TESTED}
+    lines = [
+        f"- **{name}** withstands {len(names)} of {len(attacks)} in every domain: {_listed(names)}."
+        for name, names in held.items()
+        if names
+    ]
+    none = [name for name, names in held.items() if not names]
+    if none:
+        lines.append(f"- Withstand 0 of {len(attacks)} in every domain: {', '.join(f'**{name}**' for name in none)}.")
+    nobody = [attack for attack in attacks if not any(attack in names for names in held.values())]
+    return "\n".join([*lines, f"- Withstood in all domains by no single classical estimator: {_listed(nobody)}."])
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names) or "none"
+
+
+def _finding(plan: RobustnessPlan, domain: AttackedDomain) -> str:
+    """Return by how much precision of the farthest-return methods falls at 100 to 150 uniform points."""
+    levels = [str(points) for points in plan.paper_points if 100 <= points <= 150]
+
+    def falls(kind: str, methods: Sequence[str]) -> str:
+        every = [100 * tables.fall_of(domain, name, Case(kind, "uniform", each)) for name in methods for each in levels]
+        known = [fall for fall in every if not isnan(fall)]
+        return f"{min(known):.0f} to {max(known):.0f} %" if known else "an amount not measured here"
+
+    return (
+        f"- **{domain.name}**: at 100 to 150 uniform points, precision of the paper's farthest-return methods against "
+        f"its label falls by {falls('paper', PAPERS_FARTHEST)} (the paper: 18 to 60 %); of ours of the same kind "
+        f"against exact truth by {falls('attack', FARTHEST)}."
+    )
+
+
+def refused_table(results: Results[RobustnessPlan]) -> Table | None:
+    """Return which cases could not be made of how many samples, and why; None where all could."""
+    rows = [
+        [domain, case.name, case.level, case.defense, str(count), why]
+        for (domain, case, why), count in sorted(results.refused.items())
+    ]
+    return Table(["domain", "attack or corruption", "level", "defense", "samples", "why"], rows) if rows else None

@@ -1,0 +1,286 @@
+"""The tables of the page: pooled figures of one domain each, as words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isnan
+
+import numpy as np
+
+from viewshed.metrics import ConfusionCounts
+from viewshed_lab._page import Table
+from viewshed_lab.studies.formatting import (
+    best_of_columns,
+    by_name,
+    format_interval,
+    format_rate,
+    format_rates,
+    format_spread,
+    lines,
+    mean,
+    pivot,
+)
+from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case
+from viewshed_lab.studies.robustness.verdicts import MODEST, AttackedDomain
+from viewshed_lab.studies.statistics import f1
+from viewshed_lab.threats.attacks import FAMILY
+
+
+def _pair(counts: ConfusionCounts) -> str:
+    return format_rates(counts.precision, counts.recall)
+
+
+def _f1_with_interval(domain: AttackedDomain, method: str, case: Case = BENIGN, region: str = VIEW) -> str:
+    return format_interval(domain.counts(method, case, region).f1, domain.interval(method, [case], f1, region))
+
+
+def benign_table(domain: AttackedDomain) -> Table:
+    """Return what each estimator scores on clean sweeps, with the interval of its F1."""
+    clean = domain.counts
+    return lines("", by_name(domain.methods), {
+        "precision": lambda name: format_rate(clean(name).precision),
+        "recall": lambda name: format_rate(clean(name).recall),
+        "F1 [95 %]": lambda name: _f1_with_interval(domain, name),
+        "IoU": lambda name: format_rate(clean(name).iou),
+        "over m²": lambda name: f"{clean(name).over_m2:.0f}",
+        "under m²": lambda name: f"{clean(name).under_m2:.0f}",
+        "AUPRC": lambda name: format_rate(mean(domain.results.numbers(domain.series(name), "auprc"))),
+    })  # fmt: skip
+
+
+def budget_table(domain: AttackedDomain) -> Table:
+    """Return the mean F1 over the budgets of each attack, with half of the 95 % interval."""
+
+    def rate(cases: Sequence[Case], method: str) -> str:
+        rates = [domain.counts(method, case).f1 for case in cases]
+        return format_spread(float(np.mean(rates)), domain.interval(method, cases, f1))
+
+    rows = {"*benign*": [BENIGN]} | {f"{name} ({FAMILY[name]})": domain.cases_of(name) for name in domain.attacks}
+    return pivot("attack (family)", rows, by_name(domain.methods), rate, "row")
+
+
+def wedge_table(domain: AttackedDomain) -> Table:
+    """Return precision / recall in the wedge at the largest budget, above the same with no return touched."""
+    rows = []
+    for attack, case in domain.strongest.items():
+        if domain.has_wedge(case):
+            rows.append([attack, *(_pair(domain.counts(name, case, WEDGE)) for name in domain.methods)])
+            untouched = (domain.counts(name, domain.before(name, case)[0], WEDGE) for name in domain.methods)
+            rows.append(["*untouched*", *map(_pair, untouched)])
+    return Table(["", *domain.methods], rows)
+
+
+def area_table(domain: AttackedDomain) -> Table:
+    """Return how many m² more than on clean sweeps are over-claimed / under-claimed at the largest budget."""
+
+    def more(case: Case, method: str) -> str:
+        counts, was = domain.counts(method, case), domain.counts(method)
+        if case == BENIGN:
+            return f"{counts.over_m2:.0f} / {counts.under_m2:.0f}"
+        return f"{counts.over_m2 - was.over_m2:+.0f} / {counts.under_m2 - was.under_m2:+.0f}"
+
+    return pivot("", {"*benign, in all*": BENIGN} | domain.strongest, by_name(domain.methods), more)
+
+
+def strength_table(domain: AttackedDomain) -> Table | None:
+    """Return precision / recall in the wedge (of the view where there is none) for sectors, shares and offsets."""
+
+    def rates(case: Case, method: str) -> str:
+        return _pair(domain.counts(method, case, WEDGE if domain.has_wedge(case) else VIEW))
+
+    cases = [case for case in domain.cases if case.kind == "strength" and not case.defense]
+    rows = {f"{case.name}, {case.level}": case for case in cases}
+    return pivot("", rows, by_name(domain.methods), rates) if domain.plan.strengths else None
+
+
+def verdict_table(domain: AttackedDomain, most: int | None = None) -> Table:
+    """Return who withstands which attack at every budget (up to ``most`` returns), and what the others lose."""
+    names, methods = by_name(domain.attacks), by_name(domain.methods)
+    return pivot("", names, methods, lambda attack, method: domain.verdict(method, attack, most).words())
+
+
+def corruption_table(domain: AttackedDomain) -> Table:
+    """Return F1 at each severity of each corruption."""
+    cases = {("*benign*", ""): BENIGN} | {
+        (name if severity == 1 else "", str(severity)): Case("corruption", name, str(severity))
+        for name in domain.plan.corruptions
+        for severity in domain.plan.severities
+    }
+    rows = [
+        [*names, *(format_rate(domain.counts(m, case).f1) for m in domain.methods)] for names, case in cases.items()
+    ]
+    return Table(["corruption", "severity", *domain.methods], rows)
+
+
+def _faced(domain: AttackedDomain) -> dict[str, Case]:
+    """Return what the defenses face by name: nothing, every attack at its largest budget, every corruption."""
+    corrupted = {f"{name}, {case.level}": case for name, case in domain.corrupted.items()}
+    return {"*benign*": BENIGN} | domain.strongest | corrupted
+
+
+def defense_table(domain: AttackedDomain, method: str) -> Table:
+    """Return F1 of an estimator behind each defense, at the largest budget; in brackets in the wedge."""
+
+    def rates(case: Case, defense: str) -> str:
+        view, inside = (domain.counts(method, replace(case, defense=defense), region).f1 for region in (VIEW, WEDGE))
+        return format_rate(view) + ("" if isnan(inside) else f" ({format_rate(inside)})")
+
+    return pivot("", _faced(domain), {"none": ""} | by_name(domain.plan.defenses), rates)
+
+
+def gain_table(domain: AttackedDomain) -> Table:
+    """Return what each defense adds to F1: on clean sweeps / on average over the attacks at their largest budget."""
+
+    def gain(case: Case, defense: str, method: str) -> float:
+        return domain.counts(method, replace(case, defense=defense)).f1 - domain.counts(method, case).f1
+
+    def gains(defense: str, method: str) -> str:
+        attacked = [gain(case, defense, method) for case in domain.strongest.values()]
+        return f"{_signed(gain(BENIGN, defense, method))} / {_signed(float(np.mean(attacked)))}"
+
+    return pivot("", by_name(domain.plan.defenses), by_name(domain.plan.defended), gains)
+
+
+def _signed(gain: float) -> str:
+    return "–" if isnan(gain) else f"{gain:+.3f}".replace("0.", ".", 1)
+
+
+def caught_table(domain: AttackedDomain) -> Table:
+    """Return the share of the attacker's returns that each defense drops, of the others, and how often it alarms."""
+
+    def dropped(case: Case, defense: str) -> str:
+        series = domain.series("", replace(case, defense=defense))
+        if series not in domain.results:
+            return "–"
+        alarms = domain.results.numbers(series, "alarm")
+        if len(alarms):
+            return f"alarm {alarms.mean():.2f}"
+        names = ("caught", "added", "lost", "others")
+        caught, added, lost, others = (domain.results.numbers(series, name).sum() for name in names)
+        return format_rates(
+            *(part / whole if whole else float("nan") for part, whole in ((caught, added), (lost, others)))
+        )
+
+    return pivot("", _faced(domain), by_name(domain.plan.defenses), dropped)
+
+
+def paper_table(domain: AttackedDomain) -> Table:
+    """Return precision against the paper's label: benign, and under its attacks with the relative change."""
+    paper = domain.paper
+
+    def precision(method: str, case: Case) -> str:
+        now = format_rate(paper.counts(method, case).precision)
+        return now if case == BENIGN else f"{now} ({100 * (0.0 - fall_of(domain, method, case)):+.0f} %)"
+
+    cases = {"benign": BENIGN} | {f"{case.name} {case.level}".strip(): case for case in paper.cases if case != BENIGN}
+    return pivot("", by_name(paper.methods), cases, precision)
+
+
+def fall_of(domain: AttackedDomain, method: str, case: Case) -> float:
+    """Return the relative fall of pooled precision against the benign one of its protocol; NaN without results."""
+    held = domain.paper if case.kind == "paper" else domain
+    return 1.0 - held.counts(method, case).precision / held.counts(method).precision
+
+
+def adaptive_table(domain: AttackedDomain) -> Table:
+    """Return what each attacker who queries adds to the false area of a sweep, beside the worst one who does not.
+
+    All columns are of the same samples and the same budget.
+    """
+    met = domain.met("adaptive")
+
+    def words(method: str, attack: str) -> str:
+        case = met.adaptive(attack)
+        return _more(met, method, case, wants_over(attack)) if met.counts(method, case).cells else "–"
+
+    def worst(method: str, over: bool) -> str:
+        cases = [Case("attack", name, str(met.plan.adaptive_budget)) for name in met.attacks]
+        cases = [case for case in cases if met.counts(method, case).cells]
+        if not cases:
+            return "–"
+        case = max(cases, key=lambda case: met.more_m2(method, case, over=over))
+        return f"{case.name} {_more(met, method, case, over)}"
+
+    rows = [[name, worst(name, True), worst(name, False), *(words(name, attack) for attack in met.plan.adaptive)]
+            for name in met.methods]  # fmt: skip
+    return Table(["", "over, worst of the others", "under, worst of the others", *met.plan.adaptive], rows)
+
+
+def wants_over(attack: str) -> bool:
+    """Return whether an attacker wants cells claimed that are not visible; else that visible ones are not claimed.
+
+    >>> wants_over("adaptive_over_claim_free"), wants_over("adaptive_under_claim")
+    (True, False)
+    """
+    return "over_claim" in attack
+
+
+def _more(domain: AttackedDomain, method: str, case: Case, over: bool) -> str:
+    losses = domain.losses(method, case)
+    loss = max(losses.precision if over else losses.recall, 0.0)
+    region = "" if domain.counts(method, case, WEDGE).cells else " of the view"
+    return f"{domain.more_m2(method, case, over=over):+.0f} m² ({format_rate(loss)}{region})"
+
+
+def known_defense_table(attack: str, domain: AttackedDomain) -> Table:
+    """Return precision / recall in the wedge behind each defense: untouched, defense not known, defense known."""
+    budget = str(domain.plan.adaptive_budget)
+    kinds = {"untouched": ("adaptive", "0"), "defense not known": ("unaware", budget),
+             "defense known": ("adaptive", budget)}  # fmt: skip
+
+    def rates(defense: str, column: tuple[str, tuple[str, str]]) -> str:
+        method, (kind, level) = column
+        counts = domain.counts(method, Case(kind, attack, level, defense), WEDGE)
+        return _pair(counts) if counts.cells and not isnan(counts.recall) else "–"
+
+    defended = domain.plan.adaptive_defended
+    columns = {f"{name}, {words}": (name, kind) for name in defended for words, kind in kinds.items()}
+    return pivot("", {"*no defense*": ""} | by_name(domain.plan.defenses), columns, rates)
+
+
+def summary_table(domain: AttackedDomain) -> Table:
+    """Return one line an estimator: its scores clean, attacked and corrupted, and how much it withstands.
+
+    The best of each column is bold: the bar.
+    """
+    attacked, corrupted = domain.strongest.values(), domain.corrupted.values()
+
+    def withstood(method: str, most: int | None) -> str:
+        return _share([domain.verdict(method, attack, most).withstands for attack in domain.attacks])
+
+    def queried(method: str) -> str:
+        met = [attack for attack in domain.plan.adaptive if domain.counts(method, domain.adaptive(attack)).cells]
+        return _share([domain.withstands_adaptive(method, attack) for attack in met])
+
+    table = lines("", by_name(domain.methods), {
+        "F1 clean [95 %]": lambda name: _f1_with_interval(domain, name),
+        "F1 attacked": lambda name: format_rate(mean(domain.counts(name, case).f1 for case in attacked)),
+        "precision in the wedge": lambda name: format_rate(
+            mean(domain.counts(name, case, WEDGE).precision for case in attacked)),
+        "recall in the wedge": lambda name: format_rate(
+            mean(domain.counts(name, case, WEDGE).recall for case in attacked)),
+        "F1 corrupted": lambda name: format_rate(mean(domain.counts(name, case).f1 for case in corrupted)),
+        f"withstands, {MODEST} returns": lambda name: withstood(name, MODEST),
+        "withstands, full wedge": lambda name: withstood(name, None),
+        "withstands, adaptive": queried,
+    })  # fmt: skip
+    return Table(table.header, best_of_columns(table.rows, ties=False))
+
+
+def _share(verdicts: Sequence[bool]) -> str:
+    return f"{sum(verdicts)} of {len(verdicts)}" if verdicts else "–"
+
+
+def bar_overview(domains: Sequence[AttackedDomain], region: str) -> Table:
+    """Return the best score under each attack at its largest budget and whose it is, for every domain."""
+    attacks = dict.fromkeys(name for domain in domains for name in domain.attacks)
+    rows = {"*benign*": BENIGN} | {name: domains[0].plan.strongest(name) for name in attacks}
+    table = pivot("attack", rows, {domain.name: domain for domain in domains}, lambda c, d: leader(d, c, region))
+    return Table(table.header, [row for row in table.rows if set(row[1:]) != {"–"}])
+
+
+def leader(domain: AttackedDomain, case: Case, region: str) -> str:
+    """Return the best F1 of a case with its interval, and whose it is; a dash where nobody has any."""
+    best = domain.best(domain.methods, case, region)
+    return f"{_f1_with_interval(domain, best, case, region)} {best}" if best else "–"

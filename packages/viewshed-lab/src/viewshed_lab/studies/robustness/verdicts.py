@@ -1,0 +1,158 @@
+"""Who withstands what: losses against the same sweeps unattacked, and the rule that turns them into a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import isnan
+
+from viewshed_lab.studies.formatting import format_rate
+from viewshed_lab.studies.records import BENIGN, PAPER, VIEW, WEDGE, Case, Domain, Results
+from viewshed_lab.studies.robustness.plan import RobustnessPlan
+from viewshed_lab.studies.suite import TESTED
+from viewshed_lab.threats.attacks import ATTACKS
+
+MODEST = 200
+"""Returns that spoofers of the first years placed, and the paper's attacker."""
+
+MAX_F1_LOSS = 0.02
+"""F1 of the whole view that an estimator may lose at any budget and still withstand the attack."""
+
+MAX_WEDGE_LOSS = 0.05
+"""Precision and recall in the attacker's wedge that it may lose; of the whole view where there is no wedge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The worst losses of one estimator under one attack, over its budgets.
+
+    Attributes:
+        f1: loss of F1 in the whole view.
+        precision: loss of precision in the wedge: what is claimed and not true.
+        recall: loss of recall in the wedge: what is true and not claimed.
+    """
+
+    f1: float
+    precision: float
+    recall: float
+
+    @property
+    def withstands(self) -> bool:
+        """Whether all losses are within the limits."""
+        return self.f1 <= MAX_F1_LOSS and max(self.precision, self.recall) <= MAX_WEDGE_LOSS
+
+    def words(self) -> str:
+        """Return ``yes``, or what is lost by how much.
+
+        >>> Verdict(0.01, 0.0, 0.04).words(), Verdict(0.03, 0.31, 0.0).words(), Verdict(0.1, 0.2, 0.3).words()
+        ('yes', 'over .31', 'over .20, under .30')
+        """
+        if self.withstands:
+            return "yes"
+        losses = {"over": self.precision, "under": self.recall}
+        words = [f"{word} {format_rate(loss, 2)}" for word, loss in losses.items() if loss > MAX_WEDGE_LOSS]
+        return ", ".join(words) or f"F1 {format_rate(self.f1, 2)}"
+
+
+@dataclass(frozen=True, eq=False)
+class AttackedDomain(Domain[RobustnessPlan]):
+    """The results of one domain: what each attack costs each estimator."""
+
+    @cached_property
+    def methods(self) -> list[str]:
+        """Estimators that there are results of: the paper's first, ours in the order of their table."""
+        order = list(TESTED)
+        found = self.results.methods(self.name, self.protocol)
+        return sorted(found, key=lambda name: order.index(name) if name in order else -1)
+
+    @cached_property
+    def paper(self) -> AttackedDomain:
+        """The results of the same domain by the paper's protocol."""
+        return AttackedDomain(self.results, self.name, PAPER)
+
+    @cached_property
+    def attacks(self) -> list[str]:
+        """Attacks that there are results of, in the order of their table."""
+        return [name for name in ATTACKS if name in self.plan.attacks and self.cases_of(name)]
+
+    @cached_property
+    def strongest(self) -> dict[str, Case]:
+        """Each attack with its largest budget."""
+        return {name: self.plan.strongest(name) for name in self.attacks}
+
+    @property
+    def corrupted(self) -> dict[str, Case]:
+        """Each corruption with the severity that defenses face."""
+        severity = str(self.plan.defended_severity)
+        return {name: Case("corruption", name, severity) for name in self.plan.corruptions}
+
+    def cases_of(self, attack: str) -> list[Case]:
+        """Return the cases of an attack with a budget above 0 that there are results of, or else its strengths."""
+        named = [case for case in self.cases if case.name == attack and not case.defense and case.level != "0"]
+        return [case for case in named if case.kind == "attack"] or [case for case in named if case.kind == "strength"]
+
+    def met(self, kind: str) -> AttackedDomain:
+        """Return the results of only those sweeps that met a kind of case."""
+        return AttackedDomain(self.results.met(self.name, kind), self.name)
+
+    def adaptive(self, attack: str) -> Case:
+        """Return the case of an attacker who queries the victim."""
+        return Case("adaptive", attack, str(self.plan.adaptive_budget))
+
+    def withstands_adaptive(self, method: str, attack: str) -> bool:
+        """Return whether there are results of an attacker who queried this estimator, within the limits."""
+        case = self.adaptive(attack)
+        return self.counts(method, case).cells > 0 and self.losses(method, case).withstands
+
+    def before(self, method: str, case: Case) -> tuple[Case, str]:
+        """Return what an attacked score is held against: its wedge with no return touched, else the benign view."""
+        kinds = {"attack": "attack", "adaptive": "adaptive", "unaware": "adaptive"}
+        unarmed = replace(case, kind=kinds.get(case.kind, ""), level="0")
+        if self.counts(method, case, WEDGE).cells and self.counts(method, unarmed, WEDGE).cells:
+            return unarmed, WEDGE
+        return BENIGN, VIEW
+
+    def losses(self, method: str, case: Case) -> Verdict:
+        """Return what one case costs: F1 of the view, precision and recall in the wedge (of the view without one)."""
+        before, region = self.before(method, case)
+        clean = BENIGN if case.kind in ("attack", "strength") else before
+        was, now = self.counts(method, before, region), self.counts(method, case, region)
+        precision = _loss(was.precision, now.precision)  # claims nothing: nothing false
+        recall = _loss(was.recall, 0.0 if isnan(now.recall) else now.recall)
+        return Verdict(_loss(self.counts(method, clean).f1, self.counts(method, case).f1), precision, recall)
+
+    def verdict(self, method: str, attack: str, most: int | None = None) -> Verdict:
+        """Return the worst losses of an estimator under an attack, over all its budgets.
+
+        Args:
+            method: the estimator.
+            attack: by name.
+            most: returns that the attacker has at most; None for any number.
+        """
+        cases = [case for case in self.cases_of(attack) if most is None or _returns(case) <= most]
+        losses = [self.losses(method, case) for case in cases]
+        worst = (
+            max((getattr(one, name) for one in losses), default=float("nan")) for name in ("f1", "precision", "recall")
+        )
+        return Verdict(*worst)
+
+    def more_m2(self, method: str, case: Case, *, over: bool) -> float:
+        """Return how many m² more are over-claimed (or under-claimed) in a sweep than where no return is touched."""
+        before = self.before(method, case)[0] if case.kind == "adaptive" else BENIGN
+        was, now = self.counts(method, before), self.counts(method, case)
+        return now.over_m2 - was.over_m2 if over else now.under_m2 - was.under_m2
+
+
+def domains_of(results: Results[RobustnessPlan]) -> list[AttackedDomain]:
+    """Return the domains that there are results of, in the order of the plan."""
+    found = {series.domain for series in results.series()}
+    return [AttackedDomain(results, name) for name in results.plan.domains if name in found]
+
+
+def _returns(case: Case) -> float:
+    """Return the budget; strengths have none and touch no return, a full wedge has no end."""
+    return 0.0 if case.kind == "strength" else float(case.level) if case.level.isdecimal() else float("inf")
+
+
+def _loss(was: float, now: float) -> float:
+    return 0.0 if isnan(was) or isnan(now) else was - now

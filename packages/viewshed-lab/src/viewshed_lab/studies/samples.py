@@ -1,0 +1,150 @@
+"""The sweeps that a study attacks, with exact truth: simulated as needed, or from an archive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.truth import Truth
+from viewshed.fov.visibility import Target
+from viewshed.grid import polar_of_cells
+from viewshed.sweep import Sweep
+from viewshed_lab.data import Archive, Sample
+from viewshed_lab.data.presets import Preset, preset_named, preset_names
+from viewshed_lab.data.simulated import ScenePlan, simulate_frame
+
+BEFORE_S = (2.0, 0.5)
+"""How long before the sweep the earlier ones were measured."""
+
+_GOLDEN = (5**0.5 - 1) / 2
+
+_LOOK_BACK = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StudySample:
+    """One sweep with exact truth, and what the same sensor measured before.
+
+    Attributes:
+        sample: the sweep, its truth and where that is known.
+        earlier: sweeps of the same sensor about ``BEFORE_S`` before, the oldest first; fewer where there are none.
+        frame: the scene and the number of the frame that was simulated, or None for a recorded sample.
+    """
+
+    sample: Sample
+    earlier: tuple[Sweep, ...] = ()
+    frame: tuple[ScenePlan, int] | None = None
+
+    @property
+    def sweep(self) -> Sweep:
+        """What the sensor measured."""
+        return self.sample.sweep
+
+    @property
+    def truth(self) -> Truth:
+        """What it could have seen."""
+        return self.sample.truth
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Where that is known."""
+        return self.sample.known
+
+
+def sample_of(domain: str, number: int, count: int, seed: int) -> StudySample:
+    """Return the sample ``number`` of ``count`` of a domain: a preset's name or the path of an archive.
+
+    Of a preset each sample is from a scene of its own, made with ``seed``; agents take turns. Of an archive the
+    samples are spread evenly.
+
+    Raises:
+        ValueError: an archive is damaged or has no samples.
+        OSError: an archive cannot be read.
+    """
+    if domain in preset_names():
+        return sample_of_preset(preset_named(domain), number, count, seed)
+    return _recorded(_opened(domain), number, count)
+
+
+def sample_of_preset(preset: Preset, number: int, count: int, seed: int) -> StudySample:
+    """Return the sample ``number`` of ``count`` of a preset, each from a scene of its own, made with ``seed``."""
+    return _simulated(_held_out(preset, count, seed), number)
+
+
+def _held_out(preset: Preset, count: int, seed: int) -> Preset:
+    """Return the preset with one split of ``count`` scenes as long as those of its last split."""
+    frames = preset.frames[-1] // preset.scenes[-1] * count
+    return replace(preset, splits=("held_out",), scenes=(count,), frames=(frames,), seed=seed)
+
+
+def _simulated(preset: Preset, number: int) -> StudySample:
+    scene = ScenePlan(preset, 0, number)
+    steps = [max(round(before_s / preset.interval_s), 1) for before_s in BEFORE_S]
+    times = scene.frames // preset.agents
+    first = min(max(steps), times - 1)
+    time = first + int(number * _GOLDEN % 1.0 * (times - first))
+    agent = number % preset.agents
+    earlier = tuple(
+        simulate_frame(scene, (time - step) * preset.agents + agent).sweep for step in steps if step <= time
+    )
+    frame = time * preset.agents + agent
+    return StudySample(simulate_frame(scene, frame), earlier, (scene, frame))
+
+
+@lru_cache(maxsize=4)
+def _opened(path: str) -> Archive:
+    archive = Archive.open(path)
+    if not len(archive):
+        raise ValueError(f"{path} must hold samples, got none")
+    return archive
+
+
+def _recorded(archive: Archive, number: int, count: int) -> StudySample:
+    index = number * len(archive) // count
+    sample = archive[index]
+    before = list(_before(archive, index, sample))  # the newest first
+    return StudySample(sample, (before[-1], before[0]) if len(before) > 1 else tuple(before))
+
+
+def _before(archive: Archive, index: int, sample: Sample) -> Iterator[Sweep]:
+    """Yield the earlier sweeps of the same agent and scene, up to ``BEFORE_S`` before, the newest first."""
+    t_ns = sample.sweep.t_ns
+    for other in range(index - 1, max(index - _LOOK_BACK, 0) - 1, -1) if t_ns is not None else ():
+        before = archive[other]
+        was_ns = before.measured.t_ns
+        if before.scene != sample.scene or was_ns is None or t_ns is None or t_ns - was_ns > 1e9 * BEFORE_S[0] + 1e6:
+            return
+        if before.measured.agent == sample.sweep.agent and was_ns < t_ns:
+            yield before.sweep
+
+
+CLEAR = "clear of the threshold"
+"""Part of the cells whose true number of returns is not next to that from which on a target is visible."""
+
+SENSOR = "sensor "
+"""Begins the name of a part that is all of a sensor's sweeps."""
+
+
+def parts_of(sample: Sample, target: Target, bands: Sequence[float], margin: int) -> dict[str, NDArray[np.bool_]]:
+    """Return parts of a view by name, masks (cells, cells): clear of the threshold, bands of range, the sensor's.
+
+    Args:
+        sample: with its truth.
+        target: what would have to be seen.
+        bands: edges of the bands of range, as shares of half the grid's side.
+        margin: returns that a clear cell is more than apart from the threshold.
+    """
+    grid, returns = sample.truth.grid, sample.truth.expected_returns[target.name].astype(np.int64)
+    range_m, _ = polar_of_cells(grid)
+    parts = {CLEAR: np.abs(returns - min(target.min_returns, 255)) > margin}
+    for low_m, high_m in pairwise(edge * grid.half_extent_m for edge in bands):
+        name = f"{low_m:g} to {high_m:.3g} m" if high_m < np.inf else f"from {low_m:g} m on"
+        parts[name] = (range_m >= low_m) & (range_m < high_m)
+    if sample.sweep.model is not None:
+        parts[SENSOR + sample.sweep.model.name] = np.ones(grid.shape, np.bool_)
+    return parts

@@ -1,0 +1,94 @@
+"""The estimators under test, each set of them on one grid with one threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from hashlib import blake2b
+from itertools import chain
+
+import numpy as np
+
+from viewshed.estimators import (
+    CLASSICAL,
+    PAPER_THRESHOLD,
+    Estimator,
+    EstimatorFactory,
+    paper_estimators_on,
+)
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.fov.estimate import THRESHOLD, FovEstimate
+from viewshed.grid import GRIDS, BevGrid
+from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.sweep import Sweep
+from viewshed_lab.studies.cases import ROOM_M
+
+_BESIDE: dict[str, dict[str, EstimatorFactory]] = {
+    "shadow_map": {"shadow_map_unknown": partial(ShadowMap, no_return="unknown")},
+}
+"""By the estimator after which they stand."""
+
+TESTED: dict[str, EstimatorFactory] = dict(
+    chain.from_iterable([(name, make), *_BESIDE.get(name, {}).items()] for name, make in CLASSICAL.items())
+)
+"""The classical estimators by name, in the order of the tables. ``shadow_map_unknown`` counts only beams that
+returned, the geometric reading of a missing return; the bar is the better of the two shadow maps."""
+
+LABEL = "paper_label"
+
+_RECENT = 8
+"""Sweeps of which estimates are kept beside those of the first one: a larger budget than the wedge holds, or a defense
+that drops nothing, leaves the same sweep again."""
+
+Estimates = dict[str, FovEstimate]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatorSuite:
+    """Estimators on one grid.
+
+    Attributes:
+        grid: theirs.
+        threshold: probability from which a cell counts as claimed.
+        estimators: by name.
+    """
+
+    grid: BevGrid
+    threshold: float
+    estimators: Mapping[str, Estimator]
+    _recent: dict[bytes, Estimates] = field(init=False, repr=False, default_factory=dict)
+
+    def only(self, name: str) -> EstimatorSuite:
+        """Return the suite of one of the estimators."""
+        return replace(self, estimators={name: self.estimators[name]})
+
+    def estimates(self, leveled: LeveledSweep) -> Estimates:
+        """Return the estimate of each for a sweep leveled on their grid; the first and the last ones are kept."""
+        key = _fingerprint(leveled.sweep)
+        if key not in self._recent:
+            self._recent[key] = {name: one.estimate(leveled) for name, one in self.estimators.items()}
+            if len(self._recent) > _RECENT:
+                del self._recent[list(self._recent)[1]]
+        return self._recent[key]
+
+
+def strict_suite(grid: BevGrid, names: Sequence[str] = ()) -> EstimatorSuite:
+    """Return the classical estimators (or those named) on a grid of exact truth."""
+    return EstimatorSuite(grid, THRESHOLD, {name: TESTED[name](grid) for name in names or TESTED})
+
+
+def paper_suite(half_extent_m: float) -> EstimatorSuite:
+    """Return the paper's estimators and ours on the paper's grid, for truth that reaches so far."""
+    grid = GRIDS["paper_indoor" if half_extent_m < ROOM_M else "paper"]
+    table = {**paper_estimators_on(grid), **CLASSICAL}
+    return EstimatorSuite(grid, PAPER_THRESHOLD, {name: make(grid) for name, make in table.items()})
+
+
+def _fingerprint(sweep: Sweep) -> bytes:
+    """Return what is the same for two sweeps only if every estimator says the same of them."""
+    pose = None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix()
+    digest = blake2b(repr((sweep.sensor_height_m, len(sweep))).encode())
+    for column in (sweep.points, sweep.ring, sweep.azimuth, sweep.time_s, sweep.intensity, sweep.attitude, pose):
+        digest.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
+    return digest.digest()

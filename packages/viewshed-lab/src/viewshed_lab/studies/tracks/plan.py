@@ -1,0 +1,130 @@
+"""What the study of tracks runs: drives that evidence is counted on, that limits are from, and that are attacked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from viewshed.sensors import lidar_model
+from viewshed_lab.data.drive import drive_plan
+from viewshed_lab.data.presets import preset_named, preset_names
+from viewshed_lab.data.simulated import ScenePlan
+from viewshed_lab.sim.lidar.weather import CONDITIONS
+from viewshed_lab.sim.worlds import WORLDS
+from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
+from viewshed_lab.studies.tracks.drives import DETECTORS, FOVS, HZ
+from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS
+from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
+
+STEPS = ("count", "limit", "test", "lidar", "page")
+"""Count evidence, take limits, attack detections, attack sweeps, write the page: no drive is in two of the first three.
+Sweeps are attacked on the drives of ``test``."""
+
+LIDAR_DETECTOR = "perception"
+"""The detector that looks at attacked sweeps."""
+
+BENIGN_CASE = "benign"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TracksPlan(Plan):
+    """The study of tracks and of trust in them.
+
+    Attributes:
+        preset: of simulated data whose mounting the sensors have.
+        worlds: kinds of world, in turn.
+        sensors: beam tables.
+        conditions: weather.
+        detectors: of ``DETECTORS``.
+        fovs: fields of view, of ``FOVS``.
+        attacks: names of ``OBJECT_ATTACKS``.
+        lidar_attacks: names of ``LIDAR_ATTACKS``; they need the detector of the package.
+        objects: that are forged at a time.
+        seconds: of a drive; attacks begin after two.
+        count: drives that evidence is counted on.
+        limit: drives that limits are from.
+        test: drives that are attacked, of each sensor and weather.
+        accused: share of honest tracks that are accused.
+        seed: of all that is random.
+
+    Raises:
+        ValueError: a name is not known or a number is out of range.
+    """
+
+    FOLDER: ClassVar[str] = "studies/tracks/plans"
+    WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
+        "fovs": FOVS,
+        "attacks": OBJECT_ATTACKS,
+        "lidar_attacks": LIDAR_ATTACKS,
+    }
+
+    name: str
+    about: str
+    preset: str
+    worlds: tuple[str, ...]
+    sensors: tuple[str, ...]
+    conditions: tuple[str, ...]
+    detectors: tuple[str, ...]
+    fovs: tuple[str, ...]
+    attacks: tuple[str, ...]
+    lidar_attacks: tuple[str, ...]
+    objects: int
+    seconds: float
+    count: int
+    limit: int
+    test: int
+    accused: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        check_names("preset", (self.preset,), preset_names())
+        check_names("worlds", self.worlds, WORLDS, once=True)
+        check_names("conditions", self.conditions, CONDITIONS, once=True)
+        check_names("detectors", self.detectors, DETECTORS, once=True)
+        check_names("lidar_attacks", self.lidar_attacks, LIDAR_ATTACKS)
+        if self.lidar_attacks and LIDAR_DETECTOR not in self.detectors:
+            raise ValueError(f"detectors must hold {LIDAR_DETECTOR} where sweeps are attacked, got {self.detectors}")
+        check_names("fovs", self.fovs, FOVS, once=True)
+        check_names("attacks", self.attacks, OBJECT_ATTACKS)
+        for sensor in self.sensors:
+            lidar_model(sensor)
+        check_seed("seed", self.seed)
+        self.check_at_least(1, "objects", "count", "limit", "test")
+        if not 0.0 < self.accused < 1.0:
+            raise ValueError(f"accused must lie in (0, 1), got {self.accused}")
+        if not 1.0 <= self.seconds <= 600.0:
+            raise ValueError(f"seconds must lie in [1, 600], got {self.seconds}")
+
+    def job_keys(self) -> list[JobKey]:
+        """Return the names of all jobs: one a drive."""
+        return [key for step in STEPS[:-1] for key in self.drive_keys(step)]
+
+    def drive_keys(self, step: str) -> list[JobKey]:
+        """Return the drives of a step by name: step, detector, sensor, weather, number, and the attack on sweeps."""
+        places = [(sensor, weather) for sensor in self.sensors for weather in self.conditions]
+        tested = [(*place, str(number)) for number in range(self.test) for place in places]
+        if step == "test":
+            return [(step, detector, *drive) for detector in self.detectors for drive in tested]
+        if step == "lidar":
+            return [(step, LIDAR_DETECTOR, *drive, attack) for attack in self.lidar_attacks for drive in tested]
+        drives = getattr(self, step)
+        return [
+            (step, detector, *places[number % len(places)], str(number))
+            for detector in self.detectors for number in range(drives)
+        ]  # fmt: skip
+
+    def scene(self, key: JobKey) -> ScenePlan:
+        """Return the scene of a drive: a world of its own."""
+        step, _, sensor, weather, number = key[:5]
+        first = {"count": 0, "limit": self.count}.get(step, self.count + self.limit)
+        place = first + int(number)
+        world = self.worlds[place % len(self.worlds)]
+        scene = drive_plan(
+            preset_named(self.preset), seconds=self.seconds, hz=HZ, agents=1, world=world, seed=self.seed + place
+        )
+        return replace(scene, preset=replace(scene.preset, sensors=(sensor,), conditions=(weather,)))
+
+    def cases(self) -> tuple[str, ...]:
+        """Return what is done to each test drive: nothing, then each attack."""
+        return (BENIGN_CASE, *self.attacks)

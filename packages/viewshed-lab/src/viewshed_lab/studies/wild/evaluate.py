@@ -1,0 +1,205 @@
+"""What is counted of one estimate against the exact truth and the exact ground, and the ladder of exact knowledge.
+
+Figures of a record by name. Areas are in square meters, over cells whose truth is known:
+
+- ``flat``: 1 where 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor.
+- ``auroc``, ``aurc``: of the doubt for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
+  deviation, where there is one. Cells at which fewer than ``min_returns`` beams aim are left out; ``auroc_known`` and
+  ``auroc_std_known`` have all cells.
+- ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
+  ``min_returns``, by who calls them visible: both, only the estimate, only the truth.
+- ``known_m2``, ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: all; claimed; claimed beyond the sensor's maximum
+  range; beyond the range at which it detects a target of 10 % every second time.
+- ``off_m2``, ``off_sure_m2``: where the estimated ground is off by more than 1 m; of that, claimed with p ≥ 0.8.
+- ``unaimed``, ``unaimed_hidden``: cells at which fewer than ``min_returns`` beams aim; of those, called HIDDEN.
+- ``height_error_m``: of the sensor above the ground, estimated less exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.estimators import Estimator, load_estimator
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import TARGETS, Beams, Target, expected_returns, probability_of_visible
+from viewshed.geometry import Rigid, rotation_from_quaternion
+from viewshed.grid import GRIDS, BevGrid, polar_of_cells
+from viewshed.metrics import ConfusionCounts, Scores
+from viewshed.monitor.roc import auroc
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed_lab.data.wild import WildObservation, WildSample
+from viewshed_lab.sim.lidar.optics import optics_of
+from viewshed_lab.studies.wild.plan import WildPlan
+from viewshed_lab.studies.wild.records import FINE_BINS, WildRecord
+
+OFF_M, SURE, FLAT_M, CLEAR = 1.0, 0.8, 1.0, 2
+
+AS_TOLD = "shadow_map"
+
+LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ exact ground", "exact ends of all beams",
+          "all of it: the counting kernel alone")  # fmt: skip
+"""What the shadow map is given: the first three add up; the fourth has the ground that was given; the last has all."""
+
+
+def records_of(seen: WildObservation, plan: WildPlan) -> Iterator[WildRecord]:
+    """Yield the records of one sweep: every method, target and knowledge of the plan, and the ladder."""
+    grid = seen.truth.grid
+    for told in plan.told:
+        sample = seen.sample(told)
+        leveled = level(sample.sweep, grid)
+        for target in plan.targets:
+            for name, method in zip(plan.judged, (*plan.methods, *plan.networks), strict=True):
+                estimator = estimator_named(method, seen.scene.domain.name, target)
+                if estimator is not None:
+                    yield record_of(seen, sample, estimator.estimate(leveled), leveled, name)
+    # A base frame whose offset nobody tells has no exact beams from its own origin: no ladder there.
+    if plan.ladder and seen.mounting.family.frame != "base":
+        for target in plan.targets:
+            yield from _ladder(seen, TARGETS[target])
+
+
+def record_of(
+    seen: WildObservation, sample: WildSample, estimate: FovEstimate, leveled: LeveledSweep, method: str
+) -> WildRecord:
+    """Return what is counted of one estimate.
+
+    Args:
+        seen: the sweep and all that the simulator knows.
+        sample: what the estimator was given.
+        estimate: what it said.
+        leveled: the sweep as it was leveled, whose ground is judged.
+        method: of the record.
+    """
+    grid, target, range_m, model = (
+        seen.truth.grid,
+        estimate.target,
+        polar_of_cells(seen.truth.grid)[0],
+        seen.sensor.model,
+    )
+    # The truth is geometry: beyond the range at which the sensor sees a dark target nobody is asked.
+    reach_m = min(optics_of(model).reach_m, model.max_range_m)
+    known = seen.known & (range_m <= reach_m)
+    true, claimed, prob = seen.truth.visible(target), estimate.visible(), estimate.visible_prob
+    unaimed = known & (seen.truth.state[target.name] == CellState.UNKNOWN)
+    scores, judged = Scores(), known & ~unaimed
+    std = None if estimate.std is None or np.isnan(estimate.std).any() else estimate.std
+    scores.add(prob[judged], true[judged], None if std is None else std[judged])
+    numbers = {"flat": float(_is_flat(sample)), "aurc": scores.aurc(), "aurc_std": scores.aurc_std()}
+    wrong, doubt = claimed != true, estimate.doubt()
+    for suffix, mask in (("", judged), ("_known", known)):
+        numbers[f"auroc{suffix}"] = _auroc(doubt[mask], wrong[mask])
+        numbers[f"auroc_std{suffix}"] = float("nan") if std is None else _auroc(std[mask], wrong[mask])
+    gap = np.abs(seen.truth.expected_returns[target.name].astype(np.int16) - target.min_returns)
+    clear = ConfusionCounts.of(claimed, true, known & (gap > CLEAR), grid.cell_area_m2)
+    numbers |= {f"clear_{name}": float(getattr(clear, name)) for name in ("both", "over", "under")}
+    # Areas: beyond what the sensor can reach, and over ground that was taken to be elsewhere.
+    off = known & (np.abs(ground_error_m(leveled, sample)) > OFF_M)
+    areas = {
+        "known_m2": known, "claimed_m2": seen.known & claimed,
+        "beyond_m2": seen.known & claimed & (range_m > model.max_range_m + grid.cell_m),
+        "beyond_reach_m2": seen.known & claimed & (range_m > reach_m + grid.cell_m), "off_m2": off,
+        "off_sure_m2": off & claimed & (prob >= SURE),
+    }  # fmt: skip
+    numbers |= {name: float(mask.sum()) * grid.cell_area_m2 for name, mask in areas.items()}
+    numbers["unaimed"] = float(unaimed.sum())
+    numbers["unaimed_hidden"] = float((unaimed & (estimate.state == CellState.HIDDEN)).sum())
+    numbers["height_error_m"] = leveled.sensor_height_m - sample.origin_height_m
+    return WildRecord(
+        seen.scene.domain.set_name, seen.scene.domain.name, sample.scene, seen.number, sample.style, sample.sensor,
+        sample.mounting, sample.told, target.name, method,
+        ConfusionCounts.of(claimed, true, known, grid.cell_area_m2), _bins(prob[known], true[known]), numbers,
+    )  # fmt: skip
+
+
+def ground_error_m(leveled: LeveledSweep, sample: WildSample) -> NDArray[np.float64]:
+    """Return (cells, cells) meters by which the estimated ground lies above the exact one, at the estimate's cells.
+
+    Both as seen by the points: where the estimated attitude is off, ground that follows the returns is not.
+    """
+    grid = sample.truth.grid
+    # The estimated surface below each cell, from the origin of the points, turned into the exact level frame.
+    z = leveled.ground.at(grid.centers) - leveled.sensor_height_m
+    surface = np.concatenate([grid.centers, z[..., None]], axis=-1)
+    turn = rotation_from_quaternion(sample.attitude) @ leveled.level_from_sensor.rotation.T
+    there = surface @ turn.T
+    # The exact ground where that lies; at the rim of the grid that of the nearest cell.
+    cells = np.floor((there[..., :2] - grid.origin_m) / grid.cell_m).astype(np.intp).clip(0, grid.cells - 1)
+    exact = sample.ground_m[cells[..., 0], cells[..., 1]] - sample.origin_height_m
+    error: NDArray[np.float64] = there[..., 2] - exact
+    return error
+
+
+def _ladder(seen: WildObservation, target: Target) -> Iterator[WildRecord]:
+    """Yield the shadow map's records with more and more of what a sweep does not tell."""
+    grid, sample = seen.truth.grid, seen.sample("rings")
+    exact_height, exact_ground = sample.origin_height_m, sample.exact_ground
+    as_told = level(sample.sweep, grid)
+    rings = sample.sweep.replace(model=seen.sensor.table)
+    upright = rings.replace(sensor_height_m=exact_height, attitude=sample.attitude)
+    steps = [level(rings, grid), level(upright, grid)]
+    steps.append(replace(steps[1], ground=exact_ground))
+    estimator = ShadowMap(grid, target)
+    for name, leveled in zip(LADDER, steps, strict=False):
+        yield record_of(seen, sample, estimator.estimate(leveled), leveled, name)
+    # Every beam to where it really ended, over the ground as it was estimated, and over the exact one.
+    beams = exact_beams(seen)
+    for name, leveled in zip(LADDER[3:], (as_told, steps[2]), strict=True):
+        counts, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, grid, target)
+        yield record_of(seen, sample, _counted(counts, aimed, grid, target), leveled, name)
+
+
+def exact_beams(seen: WildObservation) -> Beams:
+    """Return every beam that was fired but those on the own vehicle, up to its stop or its maximum range."""
+    scan = seen.scan
+    keep = scan.thing != seen.agent.carrier
+    if scan.model.fired is not None:
+        keep &= scan.model.fired
+    depth = np.minimum(scan.depth_m[keep], np.float32(scan.model.max_range_m))
+    stop = scan.origin_m[keep] + scan.direction[keep] * depth[:, None]
+    x, y, z = (stop @ Rigid.from_yaw(scan.world_from_sensor.yaw).rotation.astype(np.float32)).T
+    azimuth = np.arctan2(y, x)
+    azimuth[azimuth >= np.pi] = -np.pi
+    range_m = np.maximum(np.hypot(x, y), np.float32(1e-3))
+    return Beams(azimuth, z / range_m, range_m)
+
+
+def _counted(returns: NDArray[np.float32], aimed: NDArray[np.float32], grid: BevGrid, target: Target) -> FovEstimate:
+    """Return the estimate of counted returns (cells, cells), by the rule of the shadow map."""
+    prob = probability_of_visible(returns, target.min_returns)
+    enough = probability_of_visible(aimed, target.min_returns) >= 0.5
+    state = np.where(enough, np.uint8(CellState.HIDDEN), np.uint8(CellState.UNKNOWN))
+    state[prob >= 0.5] = CellState.FREE
+    return FovEstimate(grid, prob, state, target=target)
+
+
+@lru_cache(maxsize=64)
+def estimator_named(method: str, grid: str, target: str) -> Estimator | None:
+    """Return an estimator, or None for a network that has no weights for the grid and target."""
+    try:
+        return load_estimator(method, grid=GRIDS[grid], target=target)
+    except ValueError:
+        return None
+
+
+def _is_flat(sample: WildSample) -> bool:
+    """Return whether 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor."""
+    near = sample.known & (polar_of_cells(sample.truth.grid)[0] <= sample.truth.grid.half_extent_m / 2)
+    return bool(near.any() and (np.abs(sample.ground_m[near]) <= FLAT_M).mean() >= 0.95)
+
+
+def _auroc(doubt: NDArray[np.float32], wrong: NDArray[np.bool_]) -> float:
+    """Return the AUROC of doubts (K,) for errors (K,); NaN where all are right, or all wrong."""
+    return auroc(doubt[~wrong], doubt[wrong]) if wrong.any() and not wrong.all() else float("nan")
+
+
+def _bins(prob: NDArray[np.float32], true: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return (150, 3) cells, visible cells and sum of probabilities by bin of probability."""
+    bins = np.minimum((prob * FINE_BINS).astype(np.intp), FINE_BINS - 1)
+    sums = [np.bincount(bins, weights, FINE_BINS) for weights in (np.ones(len(prob)), true, prob)]
+    return np.stack(sums, axis=1)

@@ -1,0 +1,52 @@
+"""The jobs of the study: one sweep each, by every method, target and knowledge."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from viewshed_lab._jobs import Engine
+from viewshed_lab.data.wild import WildScene, wild_tables
+from viewshed_lab.studies.plan import JobKey
+from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
+from viewshed_lab.studies.store import JobResult, ResultStore
+from viewshed_lab.studies.wild.evaluate import records_of
+from viewshed_lab.studies.wild.openings import SetOpening
+from viewshed_lab.studies.wild.plan import WildPlan
+from viewshed_lab.studies.wild.records import to_table
+
+
+def run_study(
+    store: ResultStore[WildPlan],
+    engine: Engine,
+    on_progress: Progress = ignore_progress,
+    opening: SetOpening | None = None,
+) -> Iterator[str]:
+    """Run what is not in the store yet, and yield one line for each job that failed.
+
+    Args:
+        store: where results go.
+        engine: does the jobs.
+        on_progress: is called after each job.
+        opening: who opens the sealed set and why, logged before anything is run.
+
+    Raises:
+        ValueError: the plan has the sealed set, and no opening is given.
+    """
+    if store.plan.opens_sealed and opening is None:
+        raise ValueError(
+            f"{store.plan.name} opens the sealed set: give the reason, which is logged, with --open-sealed"
+        )
+    return run_jobs(store, do_job, store.plan.job_keys(), engine, on_progress, step=store.plan.name)
+
+
+def scene_of(key: JobKey) -> WildScene:
+    """Return the scene of a job."""
+    set_name, name, number, _ = key
+    domain = next(one for one in wild_tables().of_set(set_name) if one.name == name)
+    return WildScene(domain, int(number))
+
+
+def do_job(job: Job[WildPlan]) -> JobResult:
+    """Return what is counted of one sweep."""
+    seen = scene_of(job.key).observe(int(job.key[3]))
+    return JobResult(facts=to_table(records_of(seen, job.plan)))

@@ -1,0 +1,59 @@
+"""The log of the sealed set: each time that it is opened, by which commit, when, why, and for which methods."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from viewshed_lab._page import facts
+
+LOG = Path("docs/results/wild_openings.md")
+"""In a checkout; it is committed."""
+
+HEADER = """\
+# Openings of the sealed set
+
+The sealed styles, sensors and mountings of [the study in the wild](../simulate.md) are for final tables alone. Every
+run on them adds a line here before it starts.
+
+| date | code | reason | methods |
+|---|---|---|---|
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SetOpening:
+    """One opening.
+
+    Attributes:
+        reason: in one line.
+        methods: that are run.
+
+    Raises:
+        ValueError: there is no reason, or it is none that fits a line of a table.
+    """
+
+    reason: str
+    methods: Sequence[str]
+
+    def __post_init__(self) -> None:
+        if not self.reason.strip() or any(sign in self.reason for sign in "|\n"):
+            raise ValueError(f"the reason must be one line of words without |, got {self.reason!r}")
+
+    def log(self, path: Path = LOG) -> None:
+        """Append the line to the log, on the disk when this returns; the log is begun if there is none.
+
+        Raises:
+            ValueError: the log's folder does not exist: this is no checkout.
+            OSError: it cannot be written.
+        """
+        if not path.parent.is_dir():
+            raise ValueError(f"{path} must lie in a checkout of viewshed, where it is committed; go there, or name it")
+        now = facts()
+        line = f"| {now['date']} | {now['version']} | {self.reason.strip()} | {', '.join(self.methods)} |\n"
+        with path.open("a", encoding="utf-8") as file:
+            file.write(line if file.tell() else HEADER + line)
+            file.flush()
+            os.fsync(file.fileno())

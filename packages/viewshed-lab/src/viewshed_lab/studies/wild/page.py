@@ -1,0 +1,162 @@
+"""The page of the study: own and other worlds side by side, what goes wrong beyond F1, the ladder, the worst scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from viewshed_lab._page import Picture, Table, facts, to_markdown
+from viewshed_lab.data.wild import TOLD
+from viewshed_lab.studies.formatting import (
+    commits,
+    format_interval,
+    format_number,
+    format_rate,
+    format_rates,
+)
+from viewshed_lab.studies.statistics import f1
+from viewshed_lab.studies.store import ResultStore
+from viewshed_lab.studies.templates import fill_template
+from viewshed_lab.studies.wild.evaluate import AS_TOLD, LADDER
+from viewshed_lab.studies.wild.figures import picture_of
+from viewshed_lab.studies.wild.plan import WildPlan
+from viewshed_lab.studies.wild.records import Pool, from_table
+
+OWN = "own"
+
+JUDGED = ("shadow_map", "viewnet")
+"""Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
+
+_WHAT = {
+    "rings": "Known: ring, time and intensity of each return; no sensor, no height, no attitude",
+    "nothing": "Known: points alone",
+    "table": "Known: the maker's beam table, rings, height and attitude",
+}
+
+
+def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
+    """Return the page ``wild.md``, the last, and its pictures, as files by name.
+
+    Raises:
+        ValueError: the store holds no results.
+    """
+    results = store.results()
+    if not results.facts:
+        raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
+    plan, tables = store.plan, {key: list(from_table(table)) for key, table in results.facts.items()}
+    pool = Pool([record for key in plan.job_keys() for record in tables.get(key, [])])
+    other = pool.where(lambda record: record.set_name != OWN)
+    knowledge = {_WHAT[told]: told for told in TOLD if told in plan.told}
+    told = next(one for one in ("rings", *plan.told) if one in plan.told)
+
+    def part(domain: str, target: str, what: str) -> Pool:
+        return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.judged)
+
+    values = {"domains": pool.names("domain"), "targets": plan.targets, "knowledge": list(knowledge)}
+    title, blocks = fill_template("wild/page.md", values, {
+        "agreement": lambda *names: _agreement(part(*names)),
+        "beyond_f1": lambda *names: _beyond_f1(part(*names)),
+        "broken_down": lambda domain, target: _broken_down(other.of(domain=domain, target=target, told=told)),
+        "ladder": lambda domain, target: _ladder(other.of(domain=domain, target=target, told="rings")),
+        "worst": lambda domain: _worst(plan, other.of(domain=domain, target=plan.targets[0], told=told)),
+    })  # fmt: skip
+    pictures = {block.name: block.png for block in blocks if isinstance(block, Picture)}
+    about = facts(
+        plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(tables)), commits=commits(results)
+    )  # fmt: skip
+    return pictures | {"wild.md": to_markdown(title, about, blocks).encode()}
+
+
+def _agreement(pool: Pool) -> Table:
+    """Return precision, recall and F1 of every method, own and other side by side, and recall at equal precision."""
+    rows, other = [], _own_and_other(pool)[1]
+    bar = other.of(method=AS_TOLD).counts.precision
+    for method in pool.names("method"):
+        row = [method]
+        for part in _own_and_other(pool.of(method=method)):
+            counts = part.counts
+            row += [format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1))]
+        rows.append([*row, format_rate(other.of(method=method).recall_at(bar))])
+    header = ["method", "own: precision / recall", "own: F1", "other: precision / recall", "other: F1",
+              f"other: recall at precision {format_rate(bar)}"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _beyond_f1(pool: Pool) -> Table:
+    """Return calibration, doubt, claims that no beam carries and states of every method, own / other."""
+    rows = []
+    for method in pool.names("method"):
+        parts = _own_and_other(pool.of(method=method))
+        rows.append([
+            method,
+            format_rates(*(part.mean_f1() for part in parts)),
+            format_rates(*(part.where(lambda one: one.numbers["flat"] > 0).counts.f1 for part in parts)),
+            format_rates(*(part.clear_f1() for part in parts)),
+            format_rates(*(part.ece() for part in parts)),
+            *(format_rates(*(part.mean(name) for part in parts)) for name in ("auroc", "auroc_std")),
+            " / ".join(format_number(part.mean("aurc"), 4) for part in parts),
+            format_rates(*(parts[1].share(name, "claimed_m2") for name in ("beyond_m2", "beyond_reach_m2"))),
+            format_rates(parts[1].share("off_m2", "known_m2"), parts[1].share("off_sure_m2", "off_m2")),
+            format_rates(*(part.share("unaimed_hidden", "unaimed") for part in parts)),
+        ])  # fmt: skip
+    header = ["own / other", "F1 by scene", "F1, flat", "F1, clear", "ECE", "AUROC", "AUROC std", "AURC",
+              "beyond (other)", "off (other)", "HIDDEN"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _own_and_other(pool: Pool) -> tuple[Pool, Pool]:
+    return pool.of(set_name=OWN), pool.where(lambda record: record.set_name != OWN)
+
+
+def _broken_down(pool: Pool) -> Iterator[Table]:
+    """Yield precision, recall and F1 by style, sensor and mounting, of each method that is judged."""
+    methods = [name for name in JUDGED if name in pool.names("method")]
+    for key in ("style", "sensor", "mounting"):
+        rows = []
+        for name in sorted(pool.names(key)):
+            same = pool.of(**{key: name})
+            counts = [same.of(method=method).counts for method in methods]
+            scenes = str(len(same.names("scene")))
+            rows.append([name, scenes, *(format_rates(one.precision, one.recall, one.f1) for one in counts)])
+        yield Table([key, "scenes", *methods], rows)
+
+
+def _ladder(pool: Pool) -> Table | None:
+    """Return the shadow map's figures with each step of knowledge, over the scenes that have all; None without."""
+    with_ladder = {record.scene for record in pool.of(method=LADDER[0]).records}
+    if not with_ladder:
+        return None
+    same = pool.where(lambda record: record.scene in with_ladder)
+    rows = []
+    for name in (AS_TOLD, *LADDER):
+        part = same.of(method=name)
+        counts = part.counts
+        shares = (
+            part.share("off_m2", "known_m2"),
+            part.share("off_sure_m2", "off_m2"),
+            part.share("unaimed_hidden", "unaimed"),
+        )
+        rows.append([name, format_rates(counts.precision, counts.recall), format_interval(counts.f1, part.interval(f1)),
+                     *map(format_rate, shares)])  # fmt: skip
+    return Table(["the shadow map given", "precision / recall", "F1", "ground off", "of that claimed", "HIDDEN"], rows)
+
+
+def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
+    """Yield the worst scene of each of the worst styles for the last of the judged methods, and a picture of each."""
+    judged = [name for name in JUDGED if name in pool.names("method")]
+    if not judged or not plan.worst:
+        return
+    ranked = sorted(pool.of(method=judged[-1]).records, key=lambda record: np.nan_to_num(record.counts.f1))
+    worst_first = {record.style: record for record in reversed(ranked)}
+    chosen = sorted(worst_first.values(), key=lambda record: np.nan_to_num(record.counts.f1))[: plan.worst]
+    yield Table(
+        ["scene", "sensor", "mounting", f"{judged[-1]}: precision / recall / F1", "height off by, m"],
+        [
+            [one.scene, one.sensor, one.mounting, format_rates(one.counts.precision, one.counts.recall, one.counts.f1),
+             f"{one.numbers['height_error_m']:+.2f}"] for one in chosen
+        ],
+    )  # fmt: skip
+    for one in chosen:
+        what = f"{one.scene}: exact ground, its error, true states, mistakes of {' and '.join(judged)}"
+        yield Picture(f"wild_{one.domain}_{one.style}.png", picture_of(one, judged), what)

@@ -1,0 +1,202 @@
+"""Attacks on a sweep: the table, the role, and the record of what was touched.
+
+>>> from viewshed_lab.threats.attacks import ADAPTIVE, ATTACKS
+>>> "far_wall" in ATTACKS, "adaptive_over_claim" in ADAPTIVE
+(True, True)
+
+The attacks by name: ``ATTACKS[name](budget)`` makes one; what each is tried with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+from viewshed_lab.threats.attacks._gradient import Expectation, WhiteBox
+from viewshed_lab.threats.attacks.adaptive import (
+    ADAPTIVE,
+    BlackBox,
+    Evade,
+    Objective,
+    OverClaim,
+    SearchResult,
+    Trip,
+    UnderClaim,
+)
+from viewshed_lab.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
+from viewshed_lab.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
+from viewshed_lab.threats.attacks.informed import CopiedObject, VanishedObject
+from viewshed_lab.threats.attacks.monitored import BITS, MonitorScore, smallest_budget, tripped_shares
+from viewshed_lab.threats.attacks.null import null_of
+from viewshed_lab.threats.attacks.placement import Placement
+from viewshed_lab.threats.attacks.points import (
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    Cluster,
+    Frustum,
+    Uniform,
+    WedgeCluster,
+)
+from viewshed_lab.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
+from viewshed_lab.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
+from viewshed_lab.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
+
+__all__ = [
+    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY",
+    "FREE_FORM", "FULL_WEDGE", "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY",
+    "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BlackBox", "CopiedObject", "Evade",
+    "Expectation", "Knowledge", "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
+    "Tampered", "Trip", "UnderClaim", "VanishedObject", "Wedge", "WhiteBox", "at_severity", "smallest_budget",
+    "tripped_shares",
+]  # fmt: skip
+
+FULL_WEDGE = 1_000_000_000
+"""A budget that no wedge holds: every beam in it."""
+
+
+def _replay(known: Knowledge) -> Attack:
+    if not known.earlier:
+        raise ValueError("replay needs an earlier sweep, got none; give Knowledge(earlier=(sweep, …))")
+    return Replay(known.earlier[-1])
+
+
+def _coherent_phantom(known: Knowledge) -> Attack:
+    first = known.earlier[0] if known.earlier else None
+    pose, first_ns = (None, None) if first is None else (first.world_from_sensor, first.t_ns)
+    return CoherentPhantom(pose, first_ns, range_m=max(12.0 * known.scale, 4.0), reach_m=(3.0, 50.0 * known.scale))
+
+
+def _cluster(known: Knowledge) -> Cluster:
+    return Cluster(range_m=(10.0 * known.scale, 70.0 * known.scale))
+
+
+def _frustum(known: Knowledge) -> Frustum:
+    return Frustum(apart_m=8.0 * known.scale, range_m=(4.0 * known.scale, 40.0 * known.scale))
+
+
+_MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
+    "uniform": lambda known: Uniform(half_extent_m=known.half_extent_m),
+    "uniform_on_beams": lambda known: Uniform(half_extent_m=known.half_extent_m, mode="beam_constrained"),
+    "cluster": _cluster,
+    "cluster_on_beams": lambda known: replace(_cluster(known), mode="beam_constrained"),
+    "wedge_cluster": lambda known: WedgeCluster(range_m=10.0 * known.scale),
+    "wedge_cluster_free": lambda known: WedgeCluster(range_m=10.0 * known.scale, mode="free_form"),
+    "frustum": _frustum,
+    "frustum_before": lambda known: Frustum(
+        side="before", apart_m=4.0 * known.scale, range_m=(8.0 * known.scale, 40.0 * known.scale)
+    ),
+    "frustum_free": lambda known: replace(_frustum(known), mode="free_form"),
+    "ghost_car": lambda known: GhostCar(range_m=max(10.0 * known.scale, 4.0)),
+    "ghost_wall": lambda known: GhostWall(range_m=15.0 * known.scale),
+    "far_wall": lambda known: FarWall(near_m=25.0 * known.scale, far_m=50.0 * known.scale),
+    "removal": lambda known: PhysicalRemoval(aim_m=30.0 * known.scale),
+    "high_frequency_removal": lambda known: HighFrequencyRemoval(aim_m=30.0 * known.scale),
+    "jamming": lambda known: Jamming(),
+    "replay": _replay,
+    "coherent_phantom": _coherent_phantom,
+    "relay": lambda known: Relay(offset_m=5.0 * known.scale, aim_m=30.0 * known.scale),
+    "pose_spoof": lambda known: PoseSpoof(shift_m=known.scale),
+    "removal_and_far_wall": lambda known: RemovalAndFarWall(far_m=50.0 * known.scale),
+    "far_wall_aimed": lambda known: _aimed("far_wall", known),
+    "removal_aimed": lambda known: _aimed("removal", known),
+    "removal_and_far_wall_aimed": lambda known: _aimed("removal_and_far_wall", known),
+    "wedge_cluster_clean": lambda known: _clean("wedge_cluster", known),
+    "ghost_car_clean": lambda known: _clean("ghost_car", known),
+    "ghost_wall_clean": lambda known: _clean("ghost_wall", known),
+    "far_wall_clean": lambda known: _clean("far_wall", known),
+    "removal_and_far_wall_clean": lambda known: _clean("removal_and_far_wall", known),
+    "vanished_object": lambda known: VanishedObject(near_m=25.0 * known.scale),
+    "copied_object": lambda known: CopiedObject(near_m=25.0 * known.scale),
+}
+
+
+def _aimed(name: str, known: Knowledge) -> Attack:
+    attack: Any = _MAKERS[name](known)
+    return cast(Attack, replace(attack, placement="largest_hidden_area"))
+
+
+def _clean(name: str, known: Knowledge) -> Attack:
+    attack: Any = _MAKERS[name](known)
+    return cast(Attack, replace(attack, spoofer=CLEAN_SPOOFER))
+
+
+def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+    attack: Any = _MAKERS[name](knowledge)
+    if budget is None:
+        return cast(Attack, attack)
+    if name == "pose_spoof":  # touches no return: a budget of 0 is no attack, any other is all of it
+        return PoseSpoof(0.0, 0.0) if budget == 0 else attack
+    return cast(Attack, replace(attack, budget=budget))
+
+
+INFORMED: dict[str, AttackFactory] = {name: partial(_make, name) for name in ("vanished_object", "copied_object")}
+"""Attackers of family 15 who know what a monitor looks at in one sweep, and avoid it."""
+
+ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAKERS if name not in INFORMED}
+"""By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
+
+
+def _make_null(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+    if knowledge.again is None:
+        raise ValueError(
+            "a null attack needs the same instant measured once more, got none; give Knowledge(again=sweep)"
+        )
+    if name == "pose_spoof":
+        return _make(name, 0, knowledge)
+    return null_of(_make(name, budget, knowledge), knowledge.again)
+
+
+NULL: dict[str, AttackFactory] = {name: partial(_make_null, name) for name in _MAKERS}
+"""``ATTACKS`` and ``INFORMED`` at zero strength: each chooses its beams and changes nothing but their noise. They need
+``Knowledge(again=…)``, a second measurement of the instant: ``measure(scan, conditions, rng).sweep()``."""
+
+FAMILY: dict[str, int] = {
+    "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,
+    "wedge_cluster_free": 3, "frustum": 4, "frustum_before": 4, "frustum_free": 4, "ghost_car": 5, "ghost_wall": 6,
+    "far_wall": 7, "removal": 8, "high_frequency_removal": 9, "jamming": 10, "replay": 11, "coherent_phantom": 11,
+    "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
+    "removal_and_far_wall_aimed": 14, "wedge_cluster_clean": 17, "ghost_car_clean": 17, "ghost_wall_clean": 17,
+    "far_wall_clean": 17, "removal_and_far_wall_clean": 17, "vanished_object": 15, "copied_object": 15,
+}  # fmt: skip
+"""The number of the family that each of ``ATTACKS`` and ``INFORMED`` belongs to."""
+
+FREE_FORM = frozenset({"uniform", "cluster", "wedge_cluster_free", "frustum_free"})
+"""Attacks that add points anywhere; ``pose_spoof`` touches no return, and all others keep to the beams."""
+
+EARLIER = frozenset({"replay"})
+"""Attacks that cannot be made without an earlier sweep."""
+
+_COUNTS = (0, 50, 100, 150, 200, 1000)
+
+BUDGETS: dict[str, tuple[int, ...]] = {
+    name: (0,) if name == "pose_spoof" else _COUNTS if name in FREE_FORM else (*_COUNTS, FULL_WEDGE) for name in ATTACKS
+}
+"""The budgets that a study runs. Free points have no wedge to fill, and a pose has no points."""
+
+SEVERITIES: dict[str, tuple[tuple[str, float], ...]] = {
+    "wedge_cluster": (("budget", 60), ("budget", 100), ("budget", 200)),
+    "ghost_wall": (("sector_deg", 10.0), ("sector_deg", 20.0), ("sector_deg", 30.0), ("sector_deg", 80.0)),
+    "far_wall": (("sector_deg", 10.0), ("sector_deg", 30.0), ("sector_deg", 80.0)),
+    "removal": (("sector_deg", 5.0), ("sector_deg", 15.0), ("sector_deg", 30.0), ("sector_deg", 45.0)),
+    "high_frequency_removal": (("sector_deg", 13.0), ("sector_deg", 20.0), ("sector_deg", 80.0)),
+    "jamming": (("share", 0.1), ("share", 0.3), ("share", 0.6), ("share", 1.0)),
+    "relay": (("offset_m", 1.0), ("offset_m", 2.0), ("offset_m", 5.0), ("offset_m", 10.0)),
+    "pose_spoof": (("yaw_deg", 0.5), ("yaw_deg", 1.0), ("yaw_deg", 2.0), ("yaw_deg", 5.0),
+                   ("shift_m", 0.2), ("shift_m", 0.5), ("shift_m", 1.0), ("shift_m", 2.0)),
+    "removal_and_far_wall": (("sector_deg", 10.0), ("sector_deg", 30.0), ("sector_deg", 80.0)),
+}  # fmt: skip
+"""For attacks that are not a matter of points alone: attributes and values, from mild to strong."""
+
+
+def at_severity(name: str, attribute: str, value: float, knowledge: Knowledge = NOTHING) -> Attack:
+    """Return the attack called ``name`` with one attribute changed, for example those of ``SEVERITIES``.
+
+    A pose is spoofed in that attribute alone.
+
+    >>> at_severity("ghost_wall", "sector_deg", 80.0).sector_deg
+    80.0
+    """
+    attack = PoseSpoof(0.0, 0.0) if name == "pose_spoof" else ATTACKS[name](None, knowledge)
+    return cast(Attack, replace(cast(Any, attack), **{attribute: value}))

@@ -1,0 +1,362 @@
+"""The beams of a sweep: which pixel (ring, column) each return has, which are empty, where each starts and points.
+
+Rays: the beams of a sweep that an attacker reaches, as straight lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64, Mask
+from viewshed.preprocess.no_return import JITTER_COLUMNS
+from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
+from viewshed_lab.sim.lidar.optics import step_of
+from viewshed_lab.threats.attacks.base import Wedge
+from viewshed_lab.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, fit_firing
+
+_SAMPLED = 4000
+"""Returns from which the phase of the columns is estimated."""
+
+_EDGE = 1e-6
+"""Radians from the edge of a wedge at which a return counts as outside, more than rounding can move it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamLattice:
+    """The beams of one sweep, R rings by C columns.
+
+    Attributes:
+        ring: (N,) int16 beam of each return, -1 where none explains it.
+        elevation: (R,) float64 radians.
+        azimuth_offset: (R,) float64 radians against the firing azimuth.
+        origin_m: (R,) float64 height of the start of each beam.
+        firing: when and from where each column was fired.
+        rows: (R, C) int32 row of the first return of each pixel, -1 where there is none.
+        empty: (R, C) bool, beams that were fired and did not return.
+        step_m: the sensor's step of range, 0 where it is not known.
+        by_column: the sweep is stored column by column, not ring by ring.
+        sense: +1 where ring (or column) ascends within a column (or ring) as it is stored, else -1.
+        seam: where the sweep is stored ring by ring, the lowest column that lies at an end of the stored rings.
+    """
+
+    ring: NDArray[np.int16]
+    elevation: F64
+    azimuth_offset: F64
+    origin_m: F64
+    firing: Firing
+    rows: NDArray[np.int32]
+    empty: NDArray[np.bool_]
+    step_m: float
+    by_column: bool
+    sense: int
+    seam: int
+
+    def of_returns(self, points: NDArray[np.float32], row: NDArray[np.intp]) -> tuple[F64, F64, F64]:
+        """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns.
+
+        A beam starts ``origin_m`` of its ring up the sensor's axis, as that stood when its column fired; a return of no
+        ring starts at the sensor itself.
+        """
+        ring, column = self.ring[row], self.firing.column[row]
+        lift_m = np.where(ring >= 0, self.origin_m[ring], 0.0)[:, None]
+        start_m = np.take(self.firing.shift_m, column, 0) + np.take(self.firing.turn[:, :, 2], column, 0) * lift_m
+        return start_m, *_towards(np.take(points, row, 0) - start_m)
+
+    def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[F64, F64]:
+        """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
+        firing = self.firing
+        beams: tuple[F64, F64] = beams_of_pixels(
+            ring,
+            column,
+            self.elevation,
+            self.azimuth_offset,
+            self.origin_m,
+            firing.azimuth,
+            firing.turn,
+            firing.shift_m,
+        )
+        return beams
+
+    def nearest_pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the ring and column (K,) of the beams that pass nearest to points (K, 3), seen from the sensor."""
+        x, y, z = points.astype(np.float64).T
+        rings = np.argsort(self.elevation, kind="stable")
+        ascending = self.elevation[rings]
+        elevation = np.arctan2(z - float(np.median(self.origin_m)), np.hypot(x, y))
+        ring = rings[np.searchsorted((ascending[1:] + ascending[:-1]) / 2, elevation)]
+        step = 2 * np.pi / len(self.firing.azimuth)
+        column = np.rint((np.arctan2(y, x) - self.azimuth_offset[ring] - self.firing.azimuth[0]) / step)
+        return ring, column.astype(np.intp) % len(self.firing.azimuth)
+
+    def storage_keys(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[NDArray[np.int64], F64]:
+        """Return the row of the nearest return (K,) and a key (K,) that sorts pixels among the sweep's rows.
+
+        A key is a row, plus less than one half in the order of storage; both are -1 and N for a sweep without returns.
+        """
+        rows = self.rows if self.by_column else np.roll(self.rows, -self.seam, axis=1)
+        column = column if self.by_column else (column - self.seam) % rows.shape[1]
+        nearest, ahead = nearest_rows(rows, ring, column, self.by_column)
+        # Before or after the neighbor's row, by a quarter and a little more the farther away the neighbor is.
+        side = np.where(ahead >= 0, self.sense, -self.sense)
+        key = nearest + side * (0.25 + 0.2 * np.minimum(np.abs(ahead) / self.rows.size, 1.0))
+        return nearest, np.where(nearest >= 0, key, float(len(self.ring)))
+
+
+@lru_cache(maxsize=2)
+def lattice_of(sweep: Sweep) -> BeamLattice | None:
+    """Return the beams of ``sweep``, or None where they are not known: no rings, not even by the order of the points.
+
+    Exact where the returns lie on the beams of the sweep's model within 2 mm; else columns are those of the returns
+    themselves and empty beams point where the median of their ring does.
+    """
+    model = sweep.model
+    if model is not None and sweep.ring is not None:
+        firing = fit_firing(sweep, model)
+        if firing is not None:
+            table = (model.elevation, model.azimuth_offset, model.origin_m)
+            return _lattice(sweep.ring, *table, firing, step_of(model))
+    beams = recover_rings(sweep)
+    if beams.source == "elevation bins" or len(sweep) == 0:
+        return None
+    return _lattice(beams.ring, *_recovered_table(beams, model), _recovered_firing(sweep, beams), 0.0)
+
+
+def _lattice(
+    ring: NDArray[np.int16], elevation: F64, azimuth_offset: F64, origin_m: F64, firing: Firing, step_m: float
+) -> BeamLattice:
+    exact = step_m > 0.0
+    columns = len(firing.azimuth)
+    rows, several = _pixel_rows(ring, firing.column, (len(elevation), columns))
+    by_column, sense, ends = _storage_order(ring, firing.column)
+    if not exact and not by_column:
+        several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
+    empty = _empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
+    seam = 0 if by_column or len(ends) == 0 else _seam(firing.column[ends], columns)
+    return BeamLattice(ring, elevation, azimuth_offset, origin_m, firing, rows, empty, step_m, by_column, sense, seam)
+
+
+def _seam(column: NDArray[np.int32], columns: int) -> int:
+    """Return the column at which rings begin, by the circular mean of the columns at their ends."""
+    turn = np.angle(np.exp(2j * np.pi * column / columns).sum()) / (2 * np.pi)
+    return int(np.ceil(turn * columns)) % columns
+
+
+def _recovered_table(beams: RingAssignment, model: LidarModel | None) -> tuple[F64, F64, F64]:
+    """Return elevation, azimuth offset and height of the start of each ring (R,), as far as they are known."""
+    none = np.zeros(beams.rings)
+    if model is not None and model.rings == beams.rings:
+        return model.elevation, none, model.origin_m
+    return beams.elevation, none, none
+
+
+def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
+    """Columns of the returns themselves, their common phase at the middle of a column."""
+    position = (np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) + np.float32(np.pi)) / np.float32(beams.azimuth_step)
+    sampled = position[:: max(len(position) // _SAMPLED, 1)].astype(np.float64)
+    phase = float(np.angle(np.exp(2j * np.pi * sampled).sum())) / (2 * np.pi) % 1.0
+    column = np.rint(position - np.float32(phase)).astype(np.int32) % beams.columns
+    return Firing(column, even_azimuths(beams.columns, phase), *at_rest(beams.columns))
+
+
+def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
+    """Return whether returns are stored column by column, in which sense, and the rows at the ends of stored rings."""
+    up, along = np.diff(ring), np.diff(column)
+    changes = up != 0
+    by_column = bool(changes.sum() * 2 > len(up))
+    steps = np.sign(up[along == 0]) if by_column else np.sign(along[~changes])
+    last = np.flatnonzero(changes)
+    return by_column, -1 if int(steps.sum()) < 0 else 1, np.concatenate([last, last + 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """K beams, in the sensor's frame: first those that returned, in the order of the sweep, then those that did not.
+
+    Attributes:
+        row: (K,) row of the return in the sweep, -1 where there is none.
+        ring: (K,) beam, -1 where it is not known.
+        column: (K,) azimuth column, -1 where it is not known.
+        start_m: (K, 3) float64 meters.
+        direction: (K, 3) float64 unit vectors.
+        depth_m: (K,) float64 meters from the start to the return, +inf where there is none.
+    """
+
+    row: NDArray[np.intp]
+    ring: NDArray[np.intp]
+    column: NDArray[np.intp]
+    start_m: F64
+    direction: F64
+    depth_m: F64
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def select(self, keep: NDArray[Any]) -> Rays:
+        """Return the rays that ``keep`` ((K,) mask or indices) names."""
+        return Rays(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    def at(self, depth_m: F64) -> NDArray[np.float32]:
+        """Return the points (K, 3) float32 at depths (K,) in meters."""
+        return (self.start_m + depth_m[:, None] * self.direction).astype(np.float32)
+
+
+def within(points: NDArray[Any], wedge: Wedge) -> Mask:
+    """Return which points (K, 3) lie in the wedge, clear of its edges by more than rounding can move them."""
+    if wedge.width >= 2 * np.pi:
+        return np.ones(len(points), np.bool_)
+    x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+    range_m = np.sqrt(x * x + y * y)
+    forward = x * np.cos(wedge.azimuth) + y * np.sin(wedge.azimuth)
+    inside: Mask = (forward >= np.cos(max(wedge.width / 2 - _EDGE, 0.0)) * range_m) & (range_m > 0)
+    return inside
+
+
+def rays_in(sweep: Sweep, wedge: Wedge, *, empty: bool = False) -> Rays:
+    """Return the beams of ``sweep`` that returned in the wedge and, with ``empty``, those there that did not.
+
+    Raises:
+        ValueError: ``empty`` beams are needed and the sweep's beams are not known.
+    """
+    lattice = lattice_of(sweep)
+    if empty and lattice is None and len(sweep):
+        raise ValueError(
+            f"the beams of this sweep must be known, got {len(sweep)} points without rings; name the sensor, give "
+            "rings, or use an attack that is free of beams"
+        )
+    returned = _returned_rays(sweep, lattice, np.flatnonzero(within(sweep.points, wedge)))
+    if not empty or lattice is None:
+        return returned
+    missing = _empty_rays(lattice, wedge)
+    return Rays(*(np.concatenate([getattr(returned, f.name), getattr(missing, f.name)]) for f in fields(Rays)))
+
+
+def _returned_rays(sweep: Sweep, lattice: BeamLattice | None, row: NDArray[np.intp]) -> Rays:
+    if lattice is not None:
+        ring, column = lattice.ring[row].astype(np.intp), lattice.firing.column[row].astype(np.intp)
+        return Rays(row, ring, column, *lattice.of_returns(sweep.points, row))
+    unknown = np.full(len(row), -1)
+    return Rays(row, unknown, unknown, np.zeros((len(row), 3)), *_towards(sweep.points[row].astype(np.float64)))
+
+
+def _towards(reach: F64) -> tuple[F64, F64]:
+    """Return unit directions (K, 3) and lengths (K,) of vectors (K, 3)."""
+    x, y, z = reach.T
+    depth_m = np.sqrt(x * x + y * y + z * z)
+    return reach / np.maximum(depth_m, 1e-9)[:, None], depth_m
+
+
+def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
+    ring, column = np.nonzero(lattice.empty)
+    start_m, direction = lattice.of_pixels(ring, column)
+    none = np.full(len(ring), -1)
+    missing = Rays(none, ring, column, start_m, direction, np.full(len(ring), np.inf))
+    return missing if wedge.width >= 2 * np.pi else missing.select(within(direction, wedge))
+
+
+def _pixel_rows(
+    ring: NDArray[np.int16], column: NDArray[np.int32], shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], Mask]:
+    """Return the first row of each pixel (R, C), -1 where there is none, and which pixels (R, C) hold several.
+
+    ``ring`` and ``column`` (N,) are those of the returns; ring -1 has no pixel.
+    """
+    known = np.flatnonzero(ring >= 0)
+    pixel = ring[known].astype(np.intp) * shape[1] + column[known]
+    rows = np.full(shape, -1, np.int32)
+    rows.reshape(-1)[pixel[::-1]] = known[::-1]  # of several rows of a pixel the last that is written stays: the first
+    return rows, (np.bincount(pixel, minlength=rows.size) > 1).reshape(shape)
+
+
+def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings: bool) -> Mask:
+    """Return which pixels (R, C) are beams that were fired and did not return.
+
+    Columns without any return were not fired, and rings without any may not exist (``all_rings`` says that they do). A
+    second return of a pixel is the neighbor's, within ``jitter`` columns, whose pixel only looks empty.
+    """
+    returned = rows >= 0
+    empty: Mask = ~returned & returned.any(axis=0)
+    if not all_rings:
+        empty &= returned.any(axis=1, keepdims=True)
+    for offset in range(-jitter, jitter + 1):
+        empty &= ~np.roll(several, offset, axis=1)
+    return empty
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
+    """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
+
+    Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
+    The row is -1 where there is no return at all.
+    """
+    row, ahead = np.full(ring.shape[0], -1, np.int64), np.zeros(ring.shape[0], np.int64)
+    for k in range(ring.shape[0]):
+        if by_column:
+            row[k], ahead[k] = _nearest_by_columns(rows, ring[k], column[k])
+        else:
+            row[k], ahead[k] = _nearest_by_rings(rows, ring[k], column[k])
+    return row, ahead
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    """Search the pixel's own column, then one column earlier at a time: those are stored before it."""
+    rings, columns = rows.shape
+    for away in range(columns):
+        row, ahead = _nearest_in_line(rows[:, (c - away) % columns], r)
+        if row >= 0:
+            return row, ahead + away * rings
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+    """Search the pixel's own ring, then the rings below and above it, farther and farther away."""
+    rings, columns = rows.shape
+    for away in range(rings):
+        for side in (r - away, r + away):
+            if 0 <= side < rings:
+                row, ahead = _nearest_in_line(rows[side], c)
+                if row >= 0:
+                    return row, ahead + (r - side) * columns
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_in_line(rows: Any, at: Any) -> Any:  # pragma: no cover - compiled
+    """Search a column or a ring; rows are stored from its first pixel on: beyond its ends is no neighbor."""
+    for away in range(rows.shape[0]):
+        if at - away >= 0 and rows[at - away] >= 0:
+            return rows[at - away], away
+        if at + away < rows.shape[0] and rows[at + away] >= 0:
+            return rows[at + away], -away
+    return -1, 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def beams_of_pixels(
+    ring: Any, column: Any, elevation: Any, offset: Any, origin_m: Any, azimuth: Any, turn: Any, shift_m: Any
+) -> Any:  # pragma: no cover - compiled
+    """Return starts (K, 3) and unit directions (K, 3) of the beams of pixels (K,), by the beam table and the motion.
+
+    ``elevation``, azimuth ``offset`` and ``origin_m`` (R,) are the rings'; firing ``azimuth`` (C,), rotations ``turn``
+    (C, 3, 3) and positions ``shift_m`` (C, 3) the columns'.
+    """
+    start, direction = np.empty((ring.shape[0], 3)), np.empty((ring.shape[0], 3))
+    flat, upward = np.cos(elevation), np.sin(elevation)
+    for k in range(ring.shape[0]):
+        r, c = ring[k], column[k]
+        angle = azimuth[c] + offset[r]
+        x, y, z = flat[r] * np.cos(angle), flat[r] * np.sin(angle), upward[r]
+        for i in range(3):
+            start[k, i] = shift_m[c, i] + turn[c, i, 2] * origin_m[r]
+            direction[k, i] = turn[c, i, 0] * x + turn[c, i, 1] * y + turn[c, i, 2] * z
+    return start, direction

@@ -1,0 +1,189 @@
+"""Ghosts: surfaces that are not there, one return for each beam that would meet them (families 5 and 6).
+
+Far walls: obstacles become free road with a wall at its end, the dangerous direction (families 7 and 14).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.sweep import Sweep
+from viewshed_lab.threats.attacks.base import Tampered, Wedge
+from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
+from viewshed_lab.threats.attacks.points import wedge_around
+from viewshed_lab.threats.attacks.spoofer import (
+    LEAVE,
+    MEASURED_SPOOFER,
+    NO_RETURN,
+    GroundBox,
+    Spoofer,
+    choose_nearest,
+    chord_m,
+    ground_at,
+    is_obstacle,
+    level_rays,
+    limits_m,
+    position_at,
+    random_open_azimuth,
+    street_depth_m,
+)
+from viewshed_lab.threats.attacks.wedge_attack import WedgeAttack
+from viewshed_lab.threats.parameters import Angle, Azimuth, Between, Budget, Checked, Range
+
+_MARGIN_M = 2.0
+"""A far wall stands so much nearer than the sensor's maximum range."""
+
+CAR_M = (4.2, 1.8, 1.5)
+"""Length, width and height of a ghost car."""
+
+_WALL_M = (0.3, 3.0)
+"""Thickness and height of a ghost wall."""
+
+_ROOM = 1.05
+"""Wedges of ghosts are so much wider than what they show."""
+
+_BEYOND = 1.2
+"""Ghosts stand where some beam goes farther than this multiple of their range."""
+
+
+@dataclass(frozen=True, slots=True)
+class FarWall(WedgeAttack):
+    """Beams that hit a near obstacle report what an empty street would: the ground behind it, or a far wall.
+
+    Opens a false corridor.
+
+    Attributes:
+        near_m: obstacles nearer than this disappear, and are aimed at.
+        far_m: range of the wall; at most 2 m less than the sensor's maximum.
+    """
+
+    near_m: Range = 25.0
+    far_m: Range = 50.0
+
+    @property
+    def aim_m(self) -> float:
+        """Obstacles nearer than this are aimed at."""
+        return self.near_m
+
+    @property
+    def reach_m(self) -> float:
+        """Ground up to the wall can be opened."""
+        return self.far_m
+
+    def plan(self, sweep: Sweep, rays: Rays, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Return the beams that hit near obstacles, with what an empty street would report where that is farther."""
+        near = is_obstacle(sweep, rays) & (rays.depth_m < self.near_m)
+        depth_m = street_depth_m(sweep, rays, _wall_m(sweep, self.far_m))
+        return near, np.where(depth_m > rays.depth_m, depth_m, LEAVE)
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalAndFarWall(WedgeAttack):
+    """Every obstacle in the wedge is removed, then its beams and the empty ones report an empty street to a far wall.
+
+    The strongest over-claim. A beam is won twice: one won by the removal and lost by the injection does not return.
+
+    Attributes:
+        far_m: range of the wall; at most 2 m less than the sensor's maximum. Obstacles nearer than this are aimed at.
+    """
+
+    far_m: Range = 50.0
+
+    @property
+    def aim_m(self) -> float:
+        """Obstacles nearer than this are aimed at."""
+        return self.far_m
+
+    reach_m = aim_m
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        wedge = self.aim(sweep, rng)
+        rays = rays_in(sweep, wedge, empty=True)
+        wall_m = _wall_m(sweep, self.far_m)
+        low = (rays.row < 0) & (rays.start_m[:, 2] + wall_m * rays.direction[:, 2] < _MARGIN_M)
+        rays = rays.select(choose_nearest(rays, is_obstacle(sweep, rays) | low, wedge, self.budget))
+        depth_m = street_depth_m(sweep, rays, wall_m)
+        depth_m = np.where((depth_m > rays.depth_m) | (rays.row < 0), depth_m, LEAVE)
+        lost = ~self.spoofer.wins(sweep, len(rays), rng)
+        return self.spoofer.spoof(sweep, rays, np.where(lost, NO_RETURN, depth_m), wedge, rng)
+
+
+def _wall_m(sweep: Sweep, far_m: float) -> float:
+    """Return the range of a far wall, which the sensor must be able to report."""
+    return min(far_m, limits_m(sweep)[1] - _MARGIN_M)
+
+
+@dataclass(frozen=True, slots=True)
+class GhostCar(Checked):
+    """A car that is not there: one return for each beam that would meet it, and so a shadow behind it.
+
+    What stands nearer than the ghost hides it as it would hide a car.
+
+    Attributes:
+        budget: most beams, those nearest to its middle; None for all that would meet it.
+        range_m: horizontal range of its middle.
+        azimuth: of its middle in the sensor's frame; None draws one where the view is open.
+        heading: yaw against the line of sight; 0 shows its rear.
+        size_m: length, width, height.
+        spoofer: how well the beams are won.
+    """
+
+    budget: Budget = None
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0
+    azimuth: Azimuth = None
+    heading: Angle = 0.0
+    size_m: Annotated[tuple[float, float, float], Between(0.05, 100.0)] = CAR_M
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
+        x, y, level_azimuth = position_at(sweep, azimuth, self.range_m)
+        box = GroundBox((x, y), level_azimuth + self.heading, self.size_m, ground_at(sweep, x, y))
+        radius_m = _ROOM * float(np.hypot(*self.size_m[:2])) / 2
+        return spoof_box(sweep, box, wedge_around(azimuth, self.range_m, radius_m), self, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class GhostWall(Checked):
+    """A wall that is not there, across a sector: blinds what lies behind it.
+
+    Attributes:
+        budget: most beams, those nearest to its middle; None for all that would meet it.
+        sector_deg: width of the sector.
+        range_m: horizontal range of the wall in the middle of the sector.
+        azimuth: of its middle in the sensor's frame; None draws one where the view is open.
+        height_m: of the wall.
+        spoofer: how well the beams are won.
+    """
+
+    budget: Budget = None
+    sector_deg: Annotated[float, Between(0.01, 150.0)] = 30.0
+    range_m: Annotated[float, Between(0.2, 1000.0)] = 15.0
+    azimuth: Azimuth = None
+    height_m: Annotated[float, Between(0.05, 100.0)] = _WALL_M[1]
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
+        wedge = Wedge.of_sector(azimuth, self.sector_deg)
+        x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
+        wide = 2 * self.range_m * np.tan(wedge.width / 2) * _ROOM + 1.0
+        box = GroundBox((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))
+        return spoof_box(sweep, box, wedge, self, rng)
+
+
+def spoof_box(
+    sweep: Sweep, box: GroundBox, wedge: Wedge, ghost: GhostCar | GhostWall, rng: np.random.Generator
+) -> Tampered:
+    """Return ``sweep`` with a box in it, on the beams of the wedge that meet it before anything else."""
+    rays = rays_in(sweep, wedge, empty=True)
+    enter, _ = chord_m(*level_rays(sweep, rays), box)
+    hit = np.isfinite(enter) & (enter < rays.depth_m)
+    return ghost.spoofer.spoof_nearest(sweep, rays, hit, enter, wedge, ghost.budget, rng)

@@ -1,0 +1,308 @@
+"""Points without a shape: over the whole extent, in a cluster, in a narrow wedge (families 1, 2 and 3).
+
+Points in the frustum of a real object, where a camera sees the object too (family 4).
+
+The attack of arXiv 2503.07375 as its code draws it, for its own profile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+from viewshed.geometry import rotation_from_quaternion
+from viewshed.sweep import Sweep
+from viewshed_lab.threats.attacks.assembly import add_points, untouched
+from viewshed_lab.threats.attacks.base import Tampered, Wedge
+from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
+from viewshed_lab.threats.attacks.spoofer import (
+    FULL_CIRCLE,
+    LEAVE,
+    MEASURED_SPOOFER,
+    GroundBox,
+    Spoofer,
+    azimuth_or_random,
+    choose_random,
+    chord_m,
+    ground_at,
+    is_obstacle,
+    level_rays,
+    position_at,
+    random_obstacle_azimuth,
+    random_open_azimuth,
+    scene_of,
+    street_depth_m,
+    to_sensor,
+)
+from viewshed_lab.threats.parameters import Ascending, Azimuth, Between, Budget, Checked, Points, Share
+
+Mode = Literal["free_form", "beam_constrained"]
+
+Side = Literal["behind", "before"]
+
+HEIGHTS_M = (0.2, 1.8)
+"""Free points lie between these heights above the ground."""
+
+MOST_FREE = 1_000_000
+"""The largest budget of free points; nothing else bounds them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uniform(Checked):
+    """Points over the whole extent: the paper's, which stretches whatever trusts the farthest return.
+
+    Free-form, x and y are uniform over the square. On beams, those to hit are drawn at random and their ranges so that
+    places are uniform over the disc.
+
+    Attributes:
+        budget: most points.
+        half_extent_m: half the side of the square, and radius of the disc.
+        mode: ``free_form`` or ``beam_constrained``.
+        spoofer: of the mode on beams.
+    """
+
+    budget: Points = 150
+    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 64.0
+    mode: Mode = "free_form"
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        half = self.half_extent_m
+        if self.mode == "free_form":
+            xy = rng.uniform(-half, half, (self.budget, 2))
+            return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
+        rays = rays_in(sweep, FULL_CIRCLE, empty=True)
+        rays = rays.select(choose_random(np.ones(len(rays), np.bool_), self.budget, rng))
+        _, direction = level_rays(sweep, rays)
+        range_m = half * np.sqrt(rng.random(len(rays)))
+        depth_m = range_m / np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-6)
+        return self.spoofer.spoof(sweep, rays, depth_m, FULL_CIRCLE, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster(Checked):
+    """Points in one cluster: the paper's, an object where there is none.
+
+    Attributes:
+        budget: most points.
+        spread_m: they lie within this of the cluster's middle, in x and in y.
+        range_m: nearest and farthest range of its middle.
+        mode: ``free_form`` or ``beam_constrained``.
+        azimuth: of its middle in the sensor's frame; None draws one.
+        spoofer: of the mode on beams.
+    """
+
+    budget: Points = 150
+    spread_m: Annotated[float, Between(0.01, 100.0)] = 3.0
+    range_m: Annotated[tuple[float, float], Ascending(0.1, 1000.0)] = (10.0, 70.0)
+    mode: Mode = "free_form"
+    azimuth: Azimuth = None
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        azimuth, range_m = azimuth_or_random(self.azimuth, rng), float(rng.uniform(*self.range_m))
+        x, y, _ = position_at(sweep, azimuth, range_m)
+        if self.mode == "free_form":
+            xy = np.array([x, y]) + rng.uniform(-self.spread_m, self.spread_m, (self.budget, 2))
+            return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
+        wide = 2 * self.spread_m
+        box = GroundBox((x, y), 0.0, (wide, wide, 3.0), ground_at(sweep, x, y))
+        wedge = wedge_around(azimuth, range_m, np.sqrt(2.0) * self.spread_m)
+        rays = rays_in(sweep, wedge, empty=True)
+        enter, leave = chord_m(*level_rays(sweep, rays), box)
+        hit = np.isfinite(enter)
+        depth_m = np.where(hit, rng.uniform(np.where(hit, enter, 0.0), np.where(hit, leave, 1.0)), LEAVE)
+        chosen = choose_random(hit, self.budget, rng)
+        return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class WedgeCluster(Checked):
+    """Points within a few degrees at one range: the classic spoof of an object.
+
+    Attributes:
+        budget: most points.
+        sector_deg: width of the wedge.
+        range_m: where the object is to be.
+        mode: ``beam_constrained`` or ``free_form``.
+        azimuth: middle of the wedge in the sensor's frame; None draws one where the view is open.
+        spoofer: of the mode on beams.
+    """
+
+    budget: Points = 100
+    sector_deg: Annotated[float, Between(0.01, 180.0)] = 8.0
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0
+    mode: Mode = "beam_constrained"
+    azimuth: Azimuth = None
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        check_free_budget(self.mode, self.budget)
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        azimuth = random_open_azimuth(sweep, self.range_m, rng) if self.azimuth is None else self.azimuth
+        wedge = Wedge.of_sector(azimuth, self.sector_deg)
+        x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m)
+        if self.mode == "free_form":
+            around = level_azimuth + rng.uniform(-0.5, 0.5, self.budget) * wedge.width
+            range_m = rng.normal(self.range_m, self.spoofer.sigma_m(sweep), self.budget)
+            xy = range_m[:, None] * np.stack([np.cos(around), np.sin(around)], axis=1)
+            return add_points(sweep, _at_obstacle_heights(sweep, xy, rng), rng)
+        rays = rays_in(sweep, wedge, empty=True)
+        start, direction = level_rays(sweep, rays)
+        depth_m = self.range_m / np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-6)
+        height_m = start[:, 2] + depth_m * direction[:, 2] - ground_at(sweep, x, y)
+        fits = (height_m > HEIGHTS_M[0]) & (height_m < HEIGHTS_M[1])
+        chosen = choose_random(fits, self.budget, rng)
+        return self.spoofer.spoof(sweep, rays, np.where(chosen, depth_m, LEAVE), wedge, rng)
+
+
+def wedge_around(azimuth: float, range_m: float, radius_m: float) -> Wedge:
+    """Return the wedge that holds a disc of ``radius_m`` at ``range_m``; everything if the sensor is inside."""
+    return Wedge(azimuth, 2 * np.pi if radius_m >= range_m else 2 * float(np.arcsin(radius_m / range_m)))
+
+
+def check_free_budget(mode: str, budget: int | None) -> None:
+    """Raise a ValueError where free points have no bound, or too large a one."""
+    if mode == "free_form" and (budget is None or budget > MOST_FREE):
+        raise ValueError(f"budget must lie in [0, {MOST_FREE}] for free points, got {budget}")
+
+
+def _at_obstacle_heights(sweep: Sweep, xy: F64, rng: np.random.Generator) -> F64:
+    """Return points (A, 3) of the sensor's frame over places (A, 2) of the level frame, at heights of an obstacle."""
+    z = scene_of(sweep).ground.at(xy) + rng.uniform(*HEIGHTS_M, len(xy))
+    return to_sensor(sweep, np.column_stack([xy, z]))
+
+
+@dataclass(frozen=True, slots=True)
+class Frustum(Checked):
+    """Points behind or before a real object, on beams that meet it: consistent with what a camera sees.
+
+    The object is the obstacle around a return drawn at random. Without any obstacle in range nothing is done.
+
+    Attributes:
+        budget: most points; None for all beams of the object.
+        side: ``behind`` or ``before`` the object.
+        apart_m: how far behind or before; never nearer than 1 m to the sensor, never below the ground.
+        range_m: nearest and farthest object.
+        radius_m: returns within this of the drawn one belong to the object.
+        mode: ``beam_constrained`` moves the object's returns, ``free_form`` adds points and leaves them.
+        spoofer: of the mode on beams.
+    """
+
+    budget: Budget = 200
+    side: Side = "behind"
+    apart_m: Annotated[float, Between(0.1, 200.0)] = 8.0
+    range_m: Annotated[tuple[float, float], Ascending(0.1)] = (4.0, 40.0)
+    radius_m: Annotated[float, Between(0.1, 50.0)] = 2.5
+    mode: Mode = "beam_constrained"
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        azimuth = random_obstacle_azimuth(sweep, *self.range_m, rng)
+        if azimuth is None:
+            return untouched(sweep)
+        rays, wedge = self._object(sweep, azimuth)
+        chosen = choose_random(np.ones(len(rays), np.bool_), self.budget, rng)
+        if self.mode == "beam_constrained":
+            wanted_m = np.where(chosen, self._depth_m(sweep, rays, self.apart_m), LEAVE)
+            return self.spoofer.spoof(sweep, rays, wanted_m, wedge, rng)
+        rays = rays.select(chosen)
+        apart_m = self.apart_m * rng.uniform(0.5, 1.5, len(rays))
+        return add_points(sweep, rays.at(self._depth_m(sweep, rays, apart_m)), rng)
+
+    def _object(self, sweep: Sweep, azimuth: float) -> tuple[Rays, Wedge]:
+        """Return the rays that meet the nearest obstacle at ``azimuth``, and a wedge around them."""
+        thin = rays_in(sweep, Wedge(azimuth, 0.01))
+        nearest_m = _range_m(sweep, thin)[is_obstacle(sweep, thin)].min(initial=np.inf)
+        nearest_m = float(nearest_m) if np.isfinite(nearest_m) else self.range_m[0]
+        wedge = wedge_around(azimuth, nearest_m, self.radius_m)
+        rays = rays_in(sweep, wedge)
+        near = np.abs(_range_m(sweep, rays) - nearest_m) < self.radius_m
+        return rays.select(near & is_obstacle(sweep, rays)), wedge
+
+    def _depth_m(self, sweep: Sweep, rays: Rays, apart_m: F64 | float) -> F64:
+        """Return depths (K,) of the points: the object's, moved, but not below the ground."""
+        if self.side == "before":
+            return np.maximum(rays.depth_m - apart_m, 1.0)
+        return np.maximum(np.minimum(rays.depth_m + apart_m, street_depth_m(sweep, rays, 1000.0)), rays.depth_m)
+
+
+def _range_m(sweep: Sweep, rays: Rays) -> F64:
+    _, direction = level_rays(sweep, rays)
+    return rays.depth_m * np.hypot(direction[:, 0], direction[:, 1])
+
+
+@dataclass(frozen=True, slots=True)
+class PaperAttack(Checked):
+    """For each sweep one of: points over the extent (p .6), one cluster (p .2), nothing (p .2).
+
+    The paper adds its points to the projection; here they are returns at the sensor's own height in the level frame,
+    which its profile projects to the same place.
+
+    Attributes:
+        uniform_share: probability of points over the extent.
+        cluster_share: probability of a cluster.
+        half_extent_m: half the side of the extent.
+        uniform_points: fewest and most points over the extent.
+        cluster_points: fewest and most points of a cluster.
+        cluster_m: nearest and farthest middle of a cluster, along each axis.
+        spread_m: points lie within this of the middle, along each axis.
+    """
+
+    uniform_share: Share = 0.6
+    cluster_share: float = 0.2
+    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 80.0
+    uniform_points: Annotated[tuple[int, int], Ascending(0)] = (80, 119)
+    cluster_points: Annotated[tuple[int, int], Ascending(0)] = (10, 159)
+    cluster_m: Annotated[tuple[float, float], Ascending(0.0)] = (40.0, 70.0)
+    spread_m: Annotated[float, Between(0.0, 100.0)] = 3.0
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        Between(0.0, 1.0 - self.uniform_share + 1e-9).check("cluster_share", self.cluster_share)
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it."""
+        which = rng.random()
+        if which < self.uniform_share:
+            count = int(rng.integers(*self.uniform_points, endpoint=True))
+            xy = rng.uniform(-self.half_extent_m, self.half_extent_m, (count, 2))
+        elif which < self.uniform_share + self.cluster_share:
+            count = int(rng.integers(*self.cluster_points, endpoint=True))
+            middle = rng.uniform(*self.cluster_m, 2) * rng.choice([-1.0, 1.0], 2)
+            xy = middle + rng.uniform(-self.spread_m, self.spread_m, (count, 2))
+        else:
+            return untouched(sweep)
+        return add_points(sweep, _level_with_sensor(sweep, xy), rng)
+
+
+def _level_with_sensor(sweep: Sweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points (A, 3) of the sensor's frame at its own height, over places (A, 2) of the level frame."""
+    attitude = sweep.known_attitude
+    rotation = scene_of(sweep).level_from_sensor.rotation if attitude is None else rotation_from_quaternion(attitude)
+    return np.column_stack([xy, np.zeros(len(xy))]) @ rotation
+
+
+PAPER_ATTACK = PaperAttack()
+"""The paper's, for cars on roads."""
+
+PAPER_INDOOR_ATTACK = PaperAttack(half_extent_m=18.0, cluster_m=(9.0, 15.75), spread_m=0.675)
+"""The same in proportion to its indoor extent of 18 m."""

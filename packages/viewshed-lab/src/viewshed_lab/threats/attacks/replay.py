@@ -1,0 +1,211 @@
+"""Attacks that last: an earlier sweep played again, and ghosts that move as real things do (family 11).
+
+Pose spoof: the returns are true, the place they are put at is not (family 13).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
+from viewshed.sweep import Sweep
+from viewshed_lab.threats.attacks.assembly import COLUMNS, untouched
+from viewshed_lab.threats.attacks.base import Tampered, Wedge
+from viewshed_lab.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
+from viewshed_lab.threats.attacks.ghosts import CAR_M, GhostCar
+from viewshed_lab.threats.attacks.points import Mode
+from viewshed_lab.threats.attacks.spoofer import FULL_CIRCLE, MEASURED_SPOOFER, NO_RETURN, NOISELESS_SPOOFER, Spoofer
+from viewshed_lab.threats.parameters import Angle, Ascending, Between, Budget, Checked, Sector
+
+Anchor = Literal["world", "sensor"]
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSpoof(Checked):
+    """A pose that is turned, shifted and tilted, by amounts given and in directions drawn at random.
+
+    The turn is about the vertical through the sensor, the shift is level, the tilt is about a level axis. Returns are
+    not touched.
+
+    Attributes:
+        yaw_deg: turn.
+        shift_m: shift.
+        tilt_deg: tilt, of the attitude as well.
+    """
+
+    yaw_deg: Annotated[float, Between(0.0, 180.0)] = 2.0
+    shift_m: Annotated[float, Between(0.0, 10_000.0)] = 1.0
+    tilt_deg: Annotated[float, Between(0.0, 90.0)] = 0.0
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it.
+
+        Raises:
+            ValueError: the sweep has no pose (for a tilt alone: neither pose nor attitude).
+        """
+        side, around, axis = rng.choice([-1.0, 1.0]), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
+        tilt = _about_level_axis(axis, np.deg2rad(self.tilt_deg))
+        pose, attitude = sweep.world_from_sensor, sweep.attitude
+        if pose is None and (self.yaw_deg > 0 or self.shift_m > 0 or attitude is None):
+            raise ValueError("a sweep must have a pose for it to be spoofed, got none; give world_from_sensor")
+        if pose is not None:
+            turn = Rigid.from_yaw(side * np.deg2rad(self.yaw_deg)).rotation
+            shift_m = self.shift_m * np.array([np.cos(around), np.sin(around), 0.0])
+            pose = Rigid(turn @ tilt @ pose.rotation, pose.translation + shift_m)
+        if attitude is not None and self.tilt_deg > 0:
+            attitude = quaternion_from_rotation(tilt @ rotation_from_quaternion(attitude))
+        return untouched(sweep.replace(world_from_sensor=pose, attitude=attitude))
+
+
+def _about_level_axis(axis: float, angle: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Return the rotation (3, 3) by ``angle`` about the level direction at azimuth ``axis``."""
+    half = angle / 2
+    x, y = np.sin(half) * np.cos(axis), np.sin(half) * np.sin(axis)
+    return rotation_from_quaternion([np.cos(half), x, y, 0.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replay(Checked):
+    """An earlier sweep of the same sensor instead of this one: looks real because it was.
+
+    On beams, each beam of the sector reports the range that it had in the earlier sweep, or nothing where it had none.
+    Free-form, the earlier returns take the place of all; time and pose stay those of this sweep.
+
+    Attributes:
+        earlier: the sweep that is played.
+        budget: most beams, those nearest to the middle of the sector; None for all. Not for the free form.
+        sector_deg: width of the sector.
+        azimuth: middle of the sector in the sensor's frame.
+        mode: ``beam_constrained`` or ``free_form``.
+        spoofer: of the mode on beams.
+    """
+
+    earlier: Sweep
+    budget: Budget = None
+    sector_deg: Sector = 360.0
+    azimuth: Angle = 0.0
+    mode: Mode = "beam_constrained"
+    spoofer: Spoofer = NOISELESS_SPOOFER
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it.
+
+        Raises:
+            ValueError: the beams of one of the sweeps are not known, or they have other rings.
+        """
+        if self.mode == "free_form":
+            return _replace_returns(sweep, self.earlier)
+        wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
+        rays = rays_in(sweep, wedge, empty=True)
+        earlier_m = depths_in(self.earlier, lattice_of(sweep), rays)
+        changed = (rays.ring >= 0) & ~((rays.row < 0) & np.isinf(earlier_m))
+        return self.spoofer.spoof_nearest(sweep, rays, changed, earlier_m, wedge, self.budget, rng)
+
+
+def _replace_returns(sweep: Sweep, earlier: Sweep) -> Tampered:
+    columns = {name: getattr(earlier, name) for name in COLUMNS}
+    return Tampered(sweep.replace(**columns), np.ones(len(earlier), np.bool_), np.ones(len(sweep), np.bool_))
+
+
+def depths_in(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:
+    """Return the depth (K,) that each ray had in another sweep of the sensor, by ring and firing azimuth.
+
+    +inf where it did not return, and everywhere if the beams of one of the sweeps are not known. Rays of no ring have
+    no depth there either; theirs means nothing.
+
+    Raises:
+        ValueError: the other sweep has another number of rings.
+    """
+    known = lattice_of(earlier)
+    if lattice is None or known is None:
+        return np.full(len(rays), NO_RETURN)
+    before = rays_in(earlier, FULL_CIRCLE)
+    if len(known.elevation) != len(lattice.elevation):
+        raise ValueError(
+            f"the earlier sweep must be of the same sensor with {len(lattice.elevation)} rings, got "
+            f"{len(known.elevation)}; play one of the same drive"
+        )
+    depth_m = np.full(known.rows.shape, NO_RETURN)
+    known_pixel = (before.row >= 0) & (before.ring >= 0)
+    depth_m[before.ring[known_pixel], before.column[known_pixel]] = before.depth_m[known_pixel]
+    columns = len(known.firing.azimuth)
+    azimuth = lattice.firing.azimuth[rays.column] - known.firing.azimuth[0]
+    column = np.rint(azimuth * (columns / (2 * np.pi))).astype(np.intp) % columns
+    result: NDArray[np.float64] = depth_m[rays.ring, column]
+    return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentPhantom(Checked):
+    """A ghost car that keeps its place in the world, moves through it, or keeps its place before the sensor.
+
+    A check over time finds nothing wrong: the ghost is where a real thing would be. Its place is that at ``azimuth``
+    and ``range_m`` from the pose ``first``. Out of range it is not there.
+
+    Attributes:
+        first: pose at which the ghost appeared; None for one that keeps its place before the sensor.
+        first_ns: time of that pose.
+        budget: most beams, those nearest to its middle; None for all that would meet it.
+        range_m: its range from the first pose.
+        azimuth: its azimuth from the first pose, in the sensor's frame.
+        anchor: ``world`` or ``sensor``.
+        velocity_mps: (vx, vy) of the ghost in the world, for the anchor ``world``.
+        reach_m: nearest and farthest range at which it is shown.
+        size_m: length, width, height.
+        spoofer: how well the beams are won.
+    """
+
+    first: Rigid | None = None
+    first_ns: int | None = None
+    budget: Budget = None
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 12.0
+    azimuth: Angle = 0.3
+    anchor: Anchor = "world"
+    velocity_mps: tuple[float, float] = (0.0, 0.0)
+    reach_m: Annotated[tuple[float, float], Ascending(0.0)] = (3.0, 50.0)
+    size_m: tuple[float, float, float] = CAR_M
+    spoofer: Spoofer = MEASURED_SPOOFER
+
+    def __post_init__(self) -> None:
+        Checked.__post_init__(self)
+        if not np.isfinite(self.velocity_mps).all():
+            raise ValueError(f"velocity_mps must be two finite numbers, got {self.velocity_mps}")
+        if any(self.velocity_mps) and self.first_ns is None:
+            raise ValueError("a ghost that moves must have a start, got no first_ns; give the time of the first pose")
+
+    def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
+        """Return the attacked sweep and what was done to it.
+
+        Raises:
+            ValueError: the sweep lacks the pose, or the time, that the ghost's place depends on.
+        """
+        azimuth, range_m, heading = self._place(sweep)
+        if not self.reach_m[0] <= range_m <= self.reach_m[1]:
+            return untouched(sweep)
+        ghost = GhostCar(self.budget, range_m, azimuth, heading, self.size_m, self.spoofer)
+        return ghost.apply(sweep, rng)
+
+    def _place(self, sweep: Sweep) -> tuple[float, float, float]:
+        """Return azimuth and range in the sensor's frame, and the heading against the line of sight."""
+        if self.anchor == "sensor" or self.first is None:
+            return self.azimuth, self.range_m, 0.0
+        pose = sweep.world_from_sensor
+        if pose is None:
+            raise ValueError("a sweep must have a pose for a ghost that stays in the world, got none; anchor='sensor'")
+        ahead_m = self.range_m * np.array([np.cos(self.azimuth), np.sin(self.azimuth), 0.0])
+        world_m = self.first @ ahead_m + self._moved_m(sweep)
+        x, y, _ = pose.inverse() @ world_m
+        azimuth = float(np.arctan2(y, x))
+        heading = self.first.yaw + self.azimuth - pose.yaw - azimuth
+        return azimuth, float(np.hypot(x, y)), heading
+
+    def _moved_m(self, sweep: Sweep) -> NDArray[np.float64]:
+        if self.first_ns is None or not any(self.velocity_mps):
+            return np.zeros(3)
+        if sweep.t_ns is None:
+            raise ValueError("a sweep must have a time for a ghost that moves, got none; give t_ns")
+        return np.array([*self.velocity_mps, 0.0]) * ((sweep.t_ns - self.first_ns) * 1e-9)

@@ -1,0 +1,276 @@
+"""What a laser that fires at a sensor achieves: which beams it wins and how exactly it sets their ranges.
+
+Where it aims: the level frame, ground and obstacles of the scene, by the victim's own sweep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64, Mask
+from viewshed.grid import GRIDS
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
+from viewshed.sweep import Sweep
+from viewshed_lab.sim.lidar.optics import Optics, optics_of
+from viewshed_lab.threats.attacks.assembly import Forged, assemble, untouched
+from viewshed_lab.threats.attacks.base import Tampered, Wedge
+from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, within
+from viewshed_lab.threats.parameters import Between, Checked
+
+RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
+"""Share of the aimed beams that a spoofer wins, by the name of the sensor."""
+
+DEFAULT_RELIABILITY = 0.985
+"""The same for other sensors."""
+
+LEAVE, NO_RETURN = np.nan, np.inf
+"""Wanted depths with a meaning of their own: do not touch the beam; make it return nothing."""
+
+FULL_CIRCLE = Wedge(0.0, 2 * np.pi)
+
+UNKNOWN_OPTICS = Optics()
+"""How exactly a sensor is taken to measure that is not known."""
+
+_MAX_RANGE_M = 100.0
+"""How far a sensor is taken to see that is not known."""
+
+_NEAR_M, _NEAR_SHARE = 25.0, 0.01
+"""A sweep is indoors where at most this share of its returns lies farther away."""
+
+_ROUNDS = 4
+"""Iterations on the height of the ground under a beam."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundBox:
+    """A box on the ground, in the level frame.
+
+    Attributes:
+        center: (x, y) of its middle, meters.
+        heading: yaw of its length, radians.
+        size_m: length, width, height.
+        ground_m: z of its lower side.
+    """
+
+    center: tuple[float, float]
+    heading: float
+    size_m: tuple[float, float, float]
+    ground_m: float
+
+
+@lru_cache(maxsize=2)
+def scene_of(sweep: Sweep) -> LeveledSweep:
+    """Return ``sweep`` leveled over the extent that it fills: indoors where hardly anything lies beyond 25 m."""
+    x, y, _ = sweep.points.T
+    far = np.count_nonzero(x * x + y * y > _NEAR_M**2)
+    return level(sweep, GRIDS["road" if far > _NEAR_SHARE * len(sweep) else "indoor"])
+
+
+def is_obstacle(sweep: Sweep, rays: Rays) -> Mask:
+    """Return which rays (K,) returned from more than 0.3 m above local ground; ego and null returns did not."""
+    leveled = scene_of(sweep)
+    raised = np.zeros(len(sweep) + 1, np.bool_)  # the last is for rays without a return, whose row is -1
+    raised[leveled.rows] = leveled.height_m > OBSTACLE_HEIGHTS_M[0]
+    return np.asarray(raised[rays.row])
+
+
+def random_obstacle_azimuth(sweep: Sweep, near_m: float, far_m: float, rng: np.random.Generator) -> float | None:
+    """Return the azimuth, in the sensor's frame, of a return of an obstacle drawn at random; None without any."""
+    leveled = scene_of(sweep)
+    low, high = OBSTACLE_HEIGHTS_M
+    fits = (leveled.height_m > low) & (leveled.height_m < high) & (leveled.range_m > near_m) & (leveled.range_m < far_m)
+    return _random_azimuth(sweep, leveled.rows[fits], rng)
+
+
+def random_open_azimuth(sweep: Sweep, range_m: float, rng: np.random.Generator) -> float:
+    """Return the azimuth of a return drawn among those beyond ``range_m``, where a ghost can be seen; else any."""
+    leveled = scene_of(sweep)
+    return azimuth_or_random(_random_azimuth(sweep, leveled.rows[leveled.range_m > range_m], rng), rng)
+
+
+def _random_azimuth(sweep: Sweep, rows: NDArray[Any], rng: np.random.Generator) -> float | None:
+    """Return the azimuth of one of the returns ``rows``, drawn at random; None without any."""
+    if len(rows) == 0:
+        return None
+    x, y, _ = sweep.points[rows[rng.integers(len(rows))]].astype(np.float64)
+    return float(np.arctan2(y, x))
+
+
+def azimuth_or_random(azimuth: float | None, rng: np.random.Generator) -> float:
+    """Return ``azimuth``, or one drawn at random where it is None."""
+    return float(rng.uniform(-np.pi, np.pi)) if azimuth is None else azimuth
+
+
+def level_rays(sweep: Sweep, rays: Rays) -> tuple[F64, F64]:
+    """Return starts (K, 3) in meters and directions (K, 3) in the level frame, the ground below the sensor at z = 0."""
+    to_level = scene_of(sweep).level_from_sensor
+    return to_level @ rays.start_m, rays.direction @ to_level.rotation.T
+
+
+def position_at(sweep: Sweep, azimuth: float, range_m: float) -> tuple[float, float, float]:
+    """Return x and y in the level frame at an azimuth of the sensor and a range, and their level azimuth."""
+    rotation = scene_of(sweep).level_from_sensor.rotation
+    x, y, _ = rotation @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    level_azimuth = float(np.arctan2(y, x))
+    return range_m * np.cos(level_azimuth), range_m * np.sin(level_azimuth), level_azimuth
+
+
+def ground_at(sweep: Sweep, x_m: float, y_m: float) -> float:
+    """Return z of the ground at a place in the level frame, in meters."""
+    return float(scene_of(sweep).ground.at(np.array([[x_m, y_m]]))[0])
+
+
+def to_sensor(sweep: Sweep, points: NDArray[Any]) -> F64:
+    """Return points (A, 3) of the level frame in the sensor's frame."""
+    return scene_of(sweep).level_from_sensor.inverse() @ points
+
+
+def street_depth_m(sweep: Sweep, rays: Rays, wall_m: float) -> F64:
+    """Return how far the rays (K,) would go on an empty street with a wall at range ``wall_m`` at its end.
+
+    To the ground, found by iteration on its height, or to the wall, whichever is nearer.
+    """
+    ground = scene_of(sweep).ground
+    start, direction = level_rays(sweep, rays)
+    flat = np.maximum(np.hypot(direction[:, 0], direction[:, 1]), 1e-6)
+    wall = wall_m / flat
+    down = direction[:, 2] < -1e-4
+    depth = wall.copy()
+    for _ in range(_ROUNDS):
+        below = ground.at(start[:, :2] + depth[:, None] * direction[:, :2]).astype(np.float64)
+        depth = np.where(down, np.clip((below - start[:, 2]) / np.minimum(direction[:, 2], -1e-4), 0.0, wall), wall)
+    return depth
+
+
+def chord_m(start: F64, direction: F64, box: GroundBox) -> tuple[F64, F64]:
+    """Return the depths (K,) in meters at which rays (K, 3) enter and leave a box; +inf and -inf where they miss it.
+
+    By slabs (Kay and Kajiya 1986).
+    """
+    c, s = np.cos(box.heading), np.sin(box.heading)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    middle = np.array([*box.center, box.ground_m + box.size_m[2] / 2])
+    start, direction = (start - middle) @ turn.T, direction @ turn.T
+    direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    half = np.array(box.size_m) / 2
+    first, second = (-half - start) / direction, (half - start) / direction
+    enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
+    hit = (enter > 0.0) & (enter <= leave)
+    return np.where(hit, enter, np.inf), np.where(hit, leave, -np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Spoofer(Checked):
+    """A spoofer: one return for each beam that it wins.
+
+    Attributes:
+        reliability: share of the aimed beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name.
+        point_sigma_m: noise of each range along its ray; None is the sensor's own, as of a strong return.
+        frame_sigma_m: noise that all ranges of a sweep share.
+    """
+
+    reliability: Annotated[float | None, Between(0.0, 1.0)] = None
+    point_sigma_m: Annotated[float | None, Between(0.0, 10.0)] = 0.10
+    frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35
+
+    def wins(self, sweep: Sweep, count: int, rng: np.random.Generator) -> Mask:
+        """Return which of ``count`` beams are won."""
+        name = "" if sweep.model is None else sweep.model.name
+        share = RELIABILITY.get(name, DEFAULT_RELIABILITY) if self.reliability is None else self.reliability
+        return rng.random(count) < share
+
+    def spoof(self, sweep: Sweep, rays: Rays, wanted_m: F64, wedge: Wedge, rng: np.random.Generator) -> Tampered:
+        """Return ``sweep`` after an attempt to give the rays depths (K,) in meters, ``LEAVE`` or ``NO_RETURN``.
+
+        A return nearer or farther than the sensor reports is none. A beam whose return would leave the wedge is left
+        as it is.
+        """
+        aimed = np.flatnonzero(~np.isnan(wanted_m))
+        aimed = aimed[self.wins(sweep, len(aimed), rng)]
+        rays = rays.select(aimed)
+        depth_m = self.reported_m(sweep, rays, wanted_m[aimed], rng)
+        low_m, high_m = limits_m(sweep)
+        reported = (depth_m >= low_m) & (depth_m <= high_m)
+        points = rays.at(np.where(reported, depth_m, 0.0))
+        stays = ~reported | within(points, wedge)
+        if not stays.any():
+            return untouched(sweep, wedge)
+        removed = np.zeros(len(sweep), np.bool_)
+        removed[rays.row[stays & (rays.row >= 0)]] = True
+        kept = reported & stays
+        forged = Forged(points[kept], rays.ring[kept], rays.column[kept], rays.row[kept])
+        return assemble(sweep, removed, forged, wedge, rng)
+
+    def spoof_nearest(
+        self,
+        sweep: Sweep,
+        rays: Rays,
+        candidates: Mask,
+        wanted_m: F64,
+        wedge: Wedge,
+        budget: int | None,
+        rng: np.random.Generator,
+    ) -> Tampered:
+        """Spoof at most ``budget`` of the rays that ``candidates`` (K,) marks, those nearest to the wedge's middle."""
+        chosen = choose_nearest(rays, candidates, wedge, budget)
+        return self.spoof(sweep, rays, np.where(chosen, wanted_m, LEAVE), wedge, rng)
+
+    def sigma_m(self, sweep: Sweep) -> float:
+        """Return the noise of each range in meters: given, or that of the sweep's sensor, as far as it is known."""
+        if self.point_sigma_m is not None:
+            return self.point_sigma_m
+        return (UNKNOWN_OPTICS if sweep.model is None else optics_of(sweep.model)).sigma_m
+
+    def reported_m(self, sweep: Sweep, rays: Rays, wanted_m: F64, rng: np.random.Generator) -> F64:
+        """Return what the rays (K,) that are won report: with noise, in whole steps of range where those are known."""
+        sigma_m = self.sigma_m(sweep)
+        noise_m = rng.normal(0.0, 1.0) * self.frame_sigma_m + rng.normal(0.0, 1.0, len(rays)) * sigma_m
+        lattice = lattice_of(sweep)
+        step_m = 0.0 if lattice is None else lattice.step_m
+        noisy = wanted_m + noise_m
+        return np.rint(noisy / step_m) * step_m if step_m > 0 else noisy
+
+
+MEASURED_SPOOFER = Spoofer()
+"""What was measured on commercial sensors."""
+
+NOISELESS_SPOOFER = Spoofer(point_sigma_m=0.0, frame_sigma_m=0.0)
+"""For ranges that are random anyway, or recorded with the noise of their own sweep."""
+
+CLEAN_SPOOFER = Spoofer(point_sigma_m=None, frame_sigma_m=0.0)
+"""One that sets ranges as exactly as the sensor measures them: no noise but the sensor's gives it away."""
+
+
+def limits_m(sweep: Sweep) -> tuple[float, float]:
+    """Return the nearest and farthest depth in meters that the sensor reports, as far as it is known."""
+    if sweep.model is not None:
+        return max(sweep.model.min_range_m, 0.05), sweep.model.max_range_m
+    if len(sweep) == 0:
+        return 0.5, _MAX_RANGE_M
+    farthest2 = float((sweep.points.astype(np.float64) ** 2).sum(axis=1).max())
+    return 0.5, max(_MAX_RANGE_M, float(np.sqrt(farthest2)))
+
+
+def choose_nearest(rays: Rays, candidates: NDArray[Any], wedge: Wedge, budget: int | None) -> Mask:
+    """Return which rays (K,) to attack: those among ``candidates`` (K,) nearest to the wedge's middle, in azimuth."""
+    if budget is None or int(candidates.sum()) <= budget:
+        return np.asarray(candidates, np.bool_)
+    azimuth = np.arctan2(rays.direction[:, 1], rays.direction[:, 0])
+    apart = np.abs((azimuth - wedge.azimuth + np.pi) % (2 * np.pi) - np.pi)
+    rows = np.flatnonzero(candidates)
+    chosen = np.zeros(len(rays), np.bool_)
+    chosen[rows[np.argsort(apart[rows], kind="stable")[:budget]]] = True
+    return chosen
+
+
+def choose_random(candidates: Mask, budget: int | None, rng: np.random.Generator) -> Mask:
+    """Return which rays (K,) to attack: at most ``budget`` of ``candidates`` (K,), drawn at random."""
+    rows = np.flatnonzero(candidates)
+    chosen = np.zeros(len(candidates), np.bool_)
+    chosen[rng.permutation(rows)[: len(rows) if budget is None else budget]] = True
+    return chosen

@@ -1,0 +1,173 @@
+"""Lies about a field of view: an agent claims more than it sees, or less, from elsewhere, or from another time.
+
+Each takes the honest view and returns the claimed one; what it changes obeys the rules of the message (states and
+probabilities agree), so that nothing but its content gives it away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.grid import polar_of_cells
+from viewshed.objects.matching import corners_of
+
+SURE = np.float32(0.98)
+"""Probability that a liar claims where it sees nothing; 1 less it where it denies what it sees."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewLie:
+    """How one agent lies about what it sees, the same way for a whole scene.
+
+    Attributes:
+        azimuth: toward which it lies, radians in ``level``.
+        amount: how much: share of the visible area, meters, seconds; see each lie.
+    """
+
+    azimuth: float
+    amount: float
+
+
+def over_claim(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim hidden and unknown cells free, in a wedge that opens until the visible area has grown by ``amount``."""
+    now = views[-1]
+    range_m, azimuth = polar_of_cells(now.grid)
+    visible = now.visible()
+    reach_m = 0.9 * float(range_m[visible].max(initial=0.0))
+    denied = ~visible & (range_m < min(reach_m, 45.0))
+    return _turned(now, _wedge(denied, azimuth, lie, int(lie.amount * visible.sum())), CellState.FREE)
+
+
+def under_claim(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim visible cells hidden, in a wedge that opens until the visible area has shrunk by ``amount``."""
+    now = views[-1]
+    _, azimuth = polar_of_cells(now.grid)
+    visible = now.visible()
+    return _turned(now, _wedge(visible, azimuth, lie, int(lie.amount * visible.sum())), CellState.HIDDEN)
+
+
+def shifted_pose(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim to stand ``amount`` meters away, toward the azimuth."""
+    now = views[-1]
+    step = Rigid(np.eye(3), lie.amount * np.array([np.cos(lie.azimuth), np.sin(lie.azimuth), 0.0]))
+    return replace(now, world_from_level=_pose(now) @ step)
+
+
+def turned_pose(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim to look ``amount`` degrees elsewhere, to the left or to the right by the sign of the azimuth."""
+    now = views[-1]
+    return replace(now, world_from_level=_pose(now) @ Rigid.from_yaw(np.radians(np.copysign(lie.amount, lie.azimuth))))
+
+
+def stale(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim what was seen ``amount`` seconds ago, from where the agent is now."""
+    now = views[-1]
+    if now.t_ns is None:
+        raise ValueError("views must have times to be replayed, got none")
+    wanted_ns = now.t_ns - round(1e9 * lie.amount)
+    old = min(views, key=lambda view: abs((view.t_ns or 0) - wanted_ns))
+    return replace(now, visible_prob=old.visible_prob, state=old.state)
+
+
+def inflated_certainty(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim every cell as surely as can be, with nothing doubtful; ``amount`` is not used."""
+    now = views[-1]
+    return replace(now, visible_prob=np.where(now.visible(), np.float32(1.0), np.float32(0.0)))
+
+
+def behind_own(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
+    """Claim free what lies behind the agent's own surfaces, ``amount`` of the visible area, wherever they stand."""
+    now = views[-1]
+    hidden = now.state == CellState.HIDDEN
+    rng = np.random.default_rng(int(1e6 * abs(lie.azimuth)))
+    order = np.flatnonzero(hidden)
+    # Patches of 4 m: cells are taken in the order of a random number of their patch.
+    patch = rng.random((now.grid.cells // 8 + 1,) * 2)
+    cells = np.unravel_index(order, now.grid.shape)
+    rank = np.argsort(patch[cells[0] // 8, cells[1] // 8], kind="stable")
+    chosen = np.zeros(now.grid.cells**2, np.bool_)
+    chosen[order[rank[: int(lie.amount * now.visible().sum())]]] = True
+    return _turned(now, chosen.reshape(now.grid.shape), CellState.FREE)
+
+
+def with_objects(view: FovEstimate, boxes: NDArray[np.float64]) -> FovEstimate:
+    """Return the view as if objects in boxes (K, 7) of ``level`` were there: surfaces in them, nothing seen behind.
+
+    So an agent that invents objects, or whose LiDAR is spoofed, makes its view agree with them.
+    """
+    range_m, azimuth = polar_of_cells(view.grid)
+    for box in boxes:
+        inside = _in_box(view, box)
+        off = (azimuth - np.arctan2(box[1], box[0]) + np.pi) % (2 * np.pi) - np.pi
+        corners = corners_of(box[None])[0]
+        across = (np.arctan2(corners[:, 1], corners[:, 0]) - np.arctan2(box[1], box[0]) + np.pi) % (2 * np.pi) - np.pi
+        near_m = range_m[inside].min(initial=np.inf)
+        shadow = (off > across.min()) & (off < across.max()) & (range_m > near_m)
+        # The first meter of the object is what returns come from.
+        view = _turned(view, shadow | inside, CellState.HIDDEN)
+        view = _turned(view, inside & (range_m < near_m + _DEPTH_M), CellState.SURFACE)
+    return view
+
+
+def without_objects(view: FovEstimate, boxes: NDArray[np.float64]) -> FovEstimate:
+    """Return the view with free cells where boxes (K, 7) of ``level`` are; what they hide stays hidden."""
+    for box in boxes:
+        view = _turned(view, _in_box(view, box), CellState.FREE)
+    return view
+
+
+_DEPTH_M = 1.0
+"""Depth of the near side of a claimed object."""
+
+_MARGIN_M = 0.4
+"""Boxes are taken so much larger on each side: surfaces lie in whole cells."""
+
+
+def _in_box(view: FovEstimate, box: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which cells (cells, cells) have their centers in a box (7,)."""
+    away = view.grid.centers - box[:2]
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    ahead, left = cos * away[..., 0] + sin * away[..., 1], cos * away[..., 1] - sin * away[..., 0]
+    return np.asarray((np.abs(ahead) < box[3] / 2 + _MARGIN_M) & (np.abs(left) < box[4] / 2 + _MARGIN_M))
+
+
+VIEW_LIES: dict[str, tuple[Callable[[Sequence[FovEstimate], ViewLie], FovEstimate], float]] = {
+    "over_claim": (over_claim, 0.2),
+    "behind_own": (behind_own, 0.2),
+    "under_claim": (under_claim, 0.3),
+    "shifted_pose": (shifted_pose, 1.0),
+    "turned_pose": (turned_pose, 2.0),
+    "stale": (stale, 2.0),
+    "inflated_certainty": (inflated_certainty, 1.0),
+}
+"""Every lie by name, with its usual amount; each is given the agent's honest views so far, the one to forge last."""
+
+
+def _wedge(cells: NDArray[np.bool_], azimuth: NDArray[np.float32], lie: ViewLie, count: int) -> NDArray[np.bool_]:
+    """Return ``count`` of some cells (cells, cells): those nearest in azimuth to the lie's."""
+    off = np.abs((azimuth - lie.azimuth + np.pi) % (2 * np.pi) - np.pi)
+    order = np.argsort(np.where(cells, off, np.inf), axis=None, kind="stable")
+    out = np.zeros(cells.size, np.bool_)
+    out[order[: min(count, int(cells.sum()))]] = True
+    return out.reshape(cells.shape)
+
+
+def _turned(view: FovEstimate, cells: NDArray[np.bool_], state: CellState) -> FovEstimate:
+    prob = 1 - SURE if state == CellState.HIDDEN else SURE
+    return replace(
+        view,
+        visible_prob=np.where(cells, prob, view.visible_prob),
+        state=np.where(cells, np.uint8(state), view.state),
+    )
+
+
+def _pose(view: FovEstimate) -> Rigid:
+    if view.world_from_level is None:
+        raise ValueError(f"the view of {view.agent} must have a pose to lie about it, got none")
+    return view.world_from_level

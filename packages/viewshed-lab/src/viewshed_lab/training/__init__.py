@@ -1,0 +1,9 @@
+"""Training and cross-validation of networks. Only what fits a network imports torch."""
+
+from __future__ import annotations
+
+from viewshed_lab.training.config import TrainConfig, config_names, read_config
+from viewshed_lab.training.data import Fold
+from viewshed_lab.training.run import Trained, train
+
+__all__ = ["Fold", "TrainConfig", "Trained", "config_names", "read_config", "train"]

@@ -1,0 +1,115 @@
+"""Post-training quantization of a network to int8: calibrated and checked on sweeps like those it was trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from viewshed._files import write_atomic
+from viewshed.metrics import Scores
+from viewshed.networks.runtime import OnnxRunner
+from viewshed_lab.training.config import TrainConfig
+from viewshed_lab.training.data import archived_samples
+from viewshed_lab.training.samples import TrainingFrames, TrainingSample
+from viewshed_lab.training.sources import FRAMES_PER_NEW_SCENE, OnlineSimulation
+
+MAX_F1_LOSS = 0.002
+"""F1 that quantization may cost."""
+
+FRAMES = 64
+"""Sweeps that calibrate, and as many others that check, where not asked otherwise."""
+
+_EPOCH = 0x62797465
+
+
+@dataclass(frozen=True, slots=True)
+class QuantizationCost:
+    """What int8 costs, on sweeps of other scenes than those that calibrated.
+
+    Attributes:
+        f1: of the network in float32, all cells of all sweeps together.
+        f1_int8: of the network in int8.
+        mean_difference: mean absolute difference of their probabilities.
+        flipped_share: share of the known cells that one calls visible and the other does not.
+    """
+
+    f1: float
+    f1_int8: float
+    mean_difference: float
+    flipped_share: float
+
+
+def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: int = FRAMES) -> QuantizationCost:
+    """Write a network in int8 to a new file ``out`` and return what that costs.
+
+    The sweeps are attacked as often as in the training; the first ``frames`` calibrate, as many others check. Those of
+    presets are simulated anew, each in a scene of its own that no epoch has seen; of archives they are sweeps of the
+    training, spread evenly, with other attacks.
+
+    Args:
+        config: that the network was trained with.
+        network: file of the network in float32.
+        out: file to be written, whole or not at all.
+        frames: sweeps that calibrate.
+
+    Raises:
+        ValueError: the network is not one of the config, or loses more F1 than ``MAX_F1_LOSS``; nothing is written.
+        ImportError: onnx is not installed.
+    """
+    from viewshed.networks.quantize import quantize_network
+
+    if frames < 1:
+        raise ValueError(f"frames must be at least 1, got {frames}")
+    content = Path(network).read_bytes()
+    whole = OnnxRunner.of_content(content, str(network), 1)
+    _check(config, whole)
+    drawn = _draw(config, 2 * frames)
+    calibration_maps = [next(drawn).maps for _ in range(frames)]
+    training_facts = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
+    small = quantize_network(content, str(network), calibration_maps, training_facts)
+    cost = _compare(whole, OnnxRunner.of_content(small, str(out), 1), list(drawn))
+    if cost.f1 - cost.f1_int8 > MAX_F1_LOSS:
+        raise ValueError(
+            f"F1 in bytes must be within {MAX_F1_LOSS} of float32, got {cost.f1_int8:.4f} and {cost.f1:.4f}; "
+            "calibrate with more frames, or keep float32"
+        )
+    write_atomic(out, small)
+    return cost
+
+
+def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
+    """Yield so many frames, in no order; see :func:`quantize`."""
+    if config.simulated:
+        source = TrainingFrames(OnlineSimulation(config, count * FRAMES_PER_NEW_SCENE), config)
+        numbers = np.arange(count) * FRAMES_PER_NEW_SCENE
+    else:
+        source = TrainingFrames(archived_samples(config), config)
+        spread = np.linspace(0, len(source) - 1, count).astype(np.intp)
+        numbers = np.random.default_rng(config.seed).permutation(spread)
+    return (source.draw(_EPOCH, int(number)) for number in numbers)
+
+
+def _check(config: TrainConfig, runner: OnnxRunner) -> None:
+    card, wanted = runner.card, config.card()
+    for name in ("grid", "inputs", "target", "heights_m", "counts"):
+        if getattr(card, name) != getattr(wanted, name):
+            raise ValueError(
+                f"the network must be one of the config {config.name}, with {name} {getattr(wanted, name)}, got"
+                f" {getattr(card, name)}"
+            )
+
+
+def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample]) -> QuantizationCost:
+    scores, differences, flipped = (Scores(), Scores()), [], []
+    for frame in frames:
+        probs = [runner.run(runner.card.shown(frame.maps)[None])[0] for runner in (whole, small)]
+        for score, prob in zip(scores, probs, strict=True):
+            score.add(prob[frame.known], frame.visible[frame.known])
+        masks = [prob >= np.float32(whole.card.threshold) for prob in probs]
+        differences.append(float(np.abs(probs[0] - probs[1]).mean()))
+        flipped.append(float((masks[0] != masks[1])[frame.known].mean()))
+    f1, f1_int8 = (score.f1(whole.card.threshold) for score in scores)
+    return QuantizationCost(f1, f1_int8, float(np.mean(differences)), float(np.mean(flipped)))

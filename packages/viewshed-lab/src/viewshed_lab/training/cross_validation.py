@@ -1,0 +1,301 @@
+"""Cross-validation by scene: which width, dropout and learning rate. A run that was stopped resumes where it was.
+
+Scores are kept by us, a line of ``folds.jsonl`` for each finished fold, for both samplers: an optuna storage would keep
+its trials, but not the state of its sampler, so that a resumed search would ask for other settings than one that ran
+through. Ours asks the seeded sampler again from the start and looks up what is finished.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import viewshed
+from viewshed._extras import needed_for
+from viewshed._files import append_jsonl, is_begun
+from viewshed_lab._page import facts, page, table
+from viewshed_lab.training.config import TrainConfig, current_keys, differing_keys
+from viewshed_lab.training.data import Fold, check_data, check_folds
+from viewshed_lab.training.log import Machines, Step, save
+from viewshed_lab.training.run import require_torch, train
+
+FILE = "folds.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class FoldScore:
+    """The best epoch of one fold: its number, and its scores on the held-out scenes.
+
+    ``setting`` names what was tried, ``fold`` is the number of the fold.
+    """
+
+    setting: str
+    fold: int
+    f1: float
+    iou: float
+    loss: float
+    epoch: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoldStore:
+    """Scores in a file: the first line tells what they are of, each other one a finished fold.
+
+    Attributes:
+        path: of the file.
+        scores: by setting and fold.
+    """
+
+    path: Path
+    scores: dict[tuple[str, int], FoldScore]
+
+    @classmethod
+    def open(cls, folder: Path, about: dict[str, Any]) -> FoldStore:
+        """Return the store in a folder, begun if there is none; what a kill left of a last line is cut off."""
+        path = folder / FILE
+        store = cls(path, {})
+        if not is_begun(path):
+            folder.mkdir(parents=True, exist_ok=True)
+            append_jsonl(path, about)
+            return store
+        try:
+            head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
+            scores = [FoldScore(**line) for line in lines]
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path} is damaged; delete it, finished folds are read from their folders") from error
+        head["config"] = current_keys(head.get("config", {}))
+        if head != about:
+            other = differing_keys(head["config"], about["config"]) or differing_keys(head, about)
+            raise ValueError(f"{path} is of a cross-validation with other {other}; choose another --out, or delete it")
+        store.scores.update({(score.setting, score.fold): score for score in scores})
+        return store
+
+    def add(self, score: FoldScore) -> None:
+        """Add a score, on the disk when this returns."""
+        append_jsonl(self.path, asdict(score))
+        self.scores[score.setting, score.fold] = score
+
+
+WIDTHS = (4, 8, 16, 32)
+DROPOUTS = (0.05, 0.10, 0.15)
+LEARNING_RATES = (1e-4, 1e-3, 1e-2)
+"""The settings of arXiv 2503.07375."""
+
+SAMPLERS = ("grid", "optuna")
+
+FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
+"""What cross-validation leaves in its folder, beside the trainings."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Hyperparameters:
+    """What cross-validation chooses: channels of the first stage, share of dropped channels, learning rate of Adam.
+
+    >>> Hyperparameters(8, 0.1, 1e-3).name
+    'w8-p0.10-lr1e-03'
+    """
+
+    width: int
+    dropout: float
+    learning_rate: float
+
+    @property
+    def name(self) -> str:
+        """Short name, also of its folder."""
+        return f"w{self.width}-p{self.dropout:.2f}-lr{self.learning_rate:.0e}"
+
+    def of(self, config: TrainConfig) -> TrainConfig:
+        """Return the config with this setting."""
+        return replace(config, width=self.width, dropout=self.dropout, learning_rate=self.learning_rate)
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """Which settings are tried.
+
+    Attributes:
+        sampler: ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for.
+        trials: how many; None is all of the grid.
+        folds: of the scenes.
+        widths: to choose from.
+        dropouts: to choose from.
+        learning_rates: to choose from.
+
+    Raises:
+        ValueError: a name is not known or a number is too small.
+    """
+
+    sampler: str = "grid"
+    trials: int | None = None
+    folds: int = 5
+    widths: tuple[int, ...] = WIDTHS
+    dropouts: tuple[float, ...] = DROPOUTS
+    learning_rates: tuple[float, ...] = LEARNING_RATES
+
+    def __post_init__(self) -> None:
+        if self.sampler not in SAMPLERS:
+            raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
+        if self.trials is not None and self.trials < 1:
+            raise ValueError(f"trials must be at least 1, got {self.trials}")
+        if self.folds < 2:
+            raise ValueError(f"folds must be at least 2, got {self.folds}")
+
+    @property
+    def grid(self) -> list[Hyperparameters]:
+        """All settings."""
+        return [Hyperparameters(*values) for values in product(self.widths, self.dropouts, self.learning_rates)]
+
+
+@dataclass(frozen=True, slots=True)
+class CrossValidation:
+    """The result of cross-validation.
+
+    Attributes:
+        chosen: the setting with the highest mean F1; of equals the smaller network.
+        scores: by setting, one of each fold, in the order in which they were tried.
+    """
+
+    chosen: Hyperparameters
+    scores: dict[Hyperparameters, tuple[FoldScore, ...]]
+
+
+def crossval(
+    config: TrainConfig,
+    out: str | Path,
+    *,
+    search: Search | None = None,
+    device: str = "cpu",
+    on_progress: Callable[[str, Step], None] | None = None,
+) -> CrossValidation:
+    """Return the best setting of a config by folds of whole scenes; figure, page and chosen config are in ``out``.
+
+    Folds that are finished stay; one that was stopped goes on after its last epoch.
+
+    Args:
+        config: what is trained; its own width, dropout and learning rate do not matter.
+        out: folder of this cross-validation alone.
+        search: which settings; None is the whole grid.
+        device: ``cpu`` or ``cuda``.
+        on_progress: is called after every batch with the name of the fold.
+
+    Raises:
+        ValueError: there are fewer scenes than folds, or ``out`` holds another cross-validation.
+        OSError: something cannot be read or written.
+        ImportError: torch or optuna is not installed.
+    """
+    require_torch()
+    from viewshed_lab.training.fit import check_device
+
+    wanted, folder = Search() if search is None else search, Path(out)
+    check_device(Machines(device))
+    check_data(config)
+    check_folds(config, wanted.folds)
+    # What the results depend on: not how many settings or which are tried.
+    about = {"version": viewshed.__version__, "config": config.to_json(), "folds": wanted.folds}
+    store = FoldStore.open(folder, about)
+
+    def score_fold(setting: Hyperparameters, number: int) -> FoldScore:
+        if (setting.name, number) not in store.scores:
+            name = f"{setting.name}/fold-{number}"
+            on_step = None if on_progress is None else partial(on_progress, name)
+            best = train(
+                setting.of(config), folder / name, device=device, on_progress=on_step, cache=folder / "cache",
+                fold=Fold(number, wanted.folds),
+            ).best  # fmt: skip
+            store.add(FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number))
+        return store.scores[setting.name, number]
+
+    try_settings = _search_with_optuna if wanted.sampler == "optuna" else _search_grid
+    tried = try_settings(
+        wanted, config, lambda setting: tuple(score_fold(setting, number) for number in range(wanted.folds))
+    )
+    scores = dict(tried)
+    result = CrossValidation(min(scores, key=lambda setting: (-mean_f1(scores[setting]), setting)), scores)
+    _write(config, folder, result)
+    return result
+
+
+ScoreFolds = Callable[[Hyperparameters], tuple[FoldScore, ...]]
+"""Returns one score of each fold of a setting: those that are stored, and those of trainings that run now."""
+
+TriedSettings = Iterator[tuple[Hyperparameters, tuple[FoldScore, ...]]]
+
+
+def _search_grid(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
+    order = np.random.default_rng([config.seed, len(search.grid)]).permutation(len(search.grid))
+    for index in order[: search.trials]:
+        setting = search.grid[index]
+        yield setting, score(setting)
+
+
+def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
+    """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
+    optuna = _optuna()
+    study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
+    choices = {"width": search.widths, "dropout": search.dropouts, "learning_rate": search.learning_rates}
+    spaces = {name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()}
+    for _ in range(search.trials or len(search.grid)):
+        trial = study.ask(spaces)
+        setting = Hyperparameters(**trial.params)
+        scores = score(setting)
+        study.tell(trial, mean_f1(scores))
+        yield setting, scores
+
+
+def _optuna() -> Any:
+    with needed_for("--sampler optuna"):
+        import optuna
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return optuna
+
+
+def mean_f1(scores: Sequence[FoldScore]) -> float:
+    """Return the mean F1 of the folds."""
+    return float(np.mean([score.f1 for score in scores]))
+
+
+def _write(config: TrainConfig, out: Path, result: CrossValidation) -> None:
+    """Write figure, page and the chosen config."""
+    from viewshed_lab.training.figures import fold_figure
+
+    ordered = sorted(result.scores)
+    values = {setting.name: [score.f1 for score in result.scores[setting]] for setting in ordered}
+    save(out / FIGURE, fold_figure(config.name, values, result.chosen.name))
+    save(out / PAGE, page_of(config, result).encode())
+    save(out / CHOSEN, toml_of(result.chosen.of(config)).encode())
+
+
+def page_of(config: TrainConfig, result: CrossValidation) -> str:
+    """Return the page of a cross-validation: the setting chosen and the scores of all, as Markdown."""
+    rows = []
+    for setting in sorted(result.scores, key=lambda key: -mean_f1(result.scores[key])):
+        f1 = np.array([score.f1 for score in result.scores[setting]])
+        iou = np.mean([score.iou for score in result.scores[setting]])
+        name = f"**{setting.name}**" if setting == result.chosen else setting.name
+        rows.append([name, f"{f1.mean():.4f}", f"{f1.std():.4f}", f"{f1.min():.4f}", f"{f1.max():.4f}", f"{iou:.4f}"])
+    count = len(result.scores[result.chosen])
+    about = facts(config=config.name, data=", ".join(config.data), truth=config.truth, seed=str(config.seed))
+    chosen = result.chosen
+    text = (
+        f"Chosen: **{chosen.name}** (width {chosen.width}, dropout {chosen.dropout:g}, learning rate "
+        f"{chosen.learning_rate:g}), by the mean F1 over {count} folds of whole scenes. No scene is on both "
+        "sides of a fold, and the test split is never read."
+    )
+    header = ["setting", "mean F1", "deviation", "lowest", "highest", "mean IoU"]
+    return page("Cross-validation", about, text, "![F1 of every fold](crossval.png)", table(header, rows))
+
+
+def toml_of(config: TrainConfig) -> str:
+    """Return a config as TOML, without its name, which is the file's.
+
+    A string in JSON is a string in TOML, and so are the lists of strings and numbers here.
+    """
+    values = {key: json.dumps(value, ensure_ascii=False) for key, value in config.to_json().items() if key != "name"}
+    return "".join(f"{key} = {value}\n" for key, value in values.items())

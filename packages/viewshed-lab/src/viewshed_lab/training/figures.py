@@ -1,0 +1,74 @@
+"""Figures of training: learning curves, and cross-validation setting by setting."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
+
+if TYPE_CHECKING:
+    from viewshed_lab.training.log import Epoch
+
+
+_TRAIN, _VALIDATION, _F1, _IOU = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+_COLORS = 64
+
+
+def curve_figure(name: str, history: Sequence[Epoch]) -> bytes:
+    """Return a PNG: the losses of every epoch, and F1 and IoU of the frames that validate; the best epoch marked."""
+    figure = Figure(figsize=(8.0, 3.0), dpi=100, layout="constrained")
+    losses, scores = figure.subplots(1, 2)
+    best = min(history, key=lambda epoch: epoch.validation_loss)
+    _lines(losses, history, {"train_loss": _TRAIN, "validation_loss": _VALIDATION}, best)
+    _lines(scores, history, {"f1": _F1, "iou": _IOU}, best)
+    losses.set_title(f"{name}: loss", fontsize=9)
+    scores.set_title("validation scores", fontsize=9)
+    return _png(figure)
+
+
+def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -> bytes:
+    """Return a PNG of one box for each setting: the best F1 of its folds, as dots; the chosen one in color."""
+    figure = Figure(figsize=(max(4.0, 0.34 * len(values) + 1.5), 4.0), dpi=100, layout="constrained")
+    axis = figure.subplots()
+    for index, (setting, folds) in enumerate(values.items()):
+        color = _VALIDATION if setting == chosen else _TRAIN
+        drawn = axis.boxplot([list(folds)], positions=[index], widths=0.6, showfliers=False, patch_artist=True)
+        drawn["boxes"][0].set(facecolor=color, alpha=0.4)
+        axis.scatter([index] * len(folds), folds, s=9, color=color, zorder=3)
+    axis.set_xticks(range(len(values)), list(values), rotation=90, fontsize=7)
+    axis.set_ylabel("F1 of the held-out scenes", fontsize=8)
+    axis.set_title(f"{name}: {len(next(iter(values.values())))} folds by scene", fontsize=9)
+    _grid(axis)
+    return _png(figure)
+
+
+def _lines(axis: Axes, history: Sequence[Epoch], columns: Mapping[str, str], best: Epoch) -> None:
+    numbers = [epoch.number for epoch in history]
+    for column, color in columns.items():
+        values = [getattr(epoch, column) for epoch in history]
+        axis.plot(numbers, values, color=color, marker="o", markersize=2.5, linewidth=1.3, label=column)
+    axis.axvline(best.number, color="#999999", linewidth=0.8, linestyle=":")
+    axis.set_xlabel("epoch", fontsize=8)
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.legend(frameon=False, fontsize=8)
+    _grid(axis)
+
+
+def _grid(axis: Axes) -> None:
+    axis.tick_params(labelsize=7)
+    axis.grid(axis="y", linewidth=0.4, color="#cccccc")
+    axis.set_axisbelow(True)
+
+
+def _png(figure: Figure) -> bytes:
+    drawn, buffer = io.BytesIO(), io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(drawn, format="png")
+    Image.open(drawn).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
+    return buffer.getvalue()

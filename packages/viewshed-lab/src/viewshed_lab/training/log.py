@@ -1,0 +1,190 @@
+"""The files, progress and history of a training: one record an epoch, whether it is finished. Needs no torch."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import errno
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._files import write_atomic
+from viewshed_lab._jobs import J, LocalEngine
+from viewshed_lab.training.config import TrainConfig
+
+DEVICES = ("cpu", "cuda")
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
+"""What a training leaves in its folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Machines:
+    """What a training runs on: ``cpu`` or ``cuda``, processes or graphics cards of each machine, and machines."""
+
+    device: str = "cpu"
+    devices: int = 1
+    nodes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.device not in DEVICES:
+            raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
+        for name in ("devices", "nodes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+def save(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all; one that exists is replaced, or stays where an OSError is raised."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, content)
+    except OSError as error:
+        what = "the disk is full; free some space" if error.errno in _FULL else f"{error.strerror or error}; mend that"
+        named = type(error)(f"{path}: {what} and start the same command again, it goes on from the last whole epoch")
+        named.errno = error.errno
+        raise named from error
+
+
+def build_files(
+    work: Callable[[J], int], folder: Path, jobs: Sequence[J], workers: int, on_progress: Callable[[int], None] | None
+) -> None:
+    """Run jobs that each write a file into a folder and return how many frames it holds, in ``workers`` processes.
+
+    Raises:
+        OSError: a job failed; files that are finished stay.
+    """
+    if jobs:
+        folder.mkdir(parents=True, exist_ok=True)
+    with contextlib.closing(LocalEngine(workers).run(work, jobs)) as run:
+        for done in run:
+            if done.result is None:
+                raise OSError(f"{done.error}; what is finished is kept, the same command goes on from here")
+            if on_progress is not None:
+                on_progress(done.result)
+
+
+def write_array(path: Path, rows: NDArray[np.uint8]) -> None:
+    """Write an array as NPY, whole or not at all."""
+    buffer = io.BytesIO()
+    np.save(buffer, rows)
+    write_atomic(path, buffer.getvalue())
+
+
+@lru_cache(maxsize=4096)
+def mapped_array(path: Path) -> NDArray[np.uint8]:
+    """Return an array of :func:`write_array`, mapped into memory: all processes share one copy in the page cache."""
+    rows: NDArray[np.uint8] = np.load(path, mmap_mode="r")
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """How far a training is.
+
+    Attributes:
+        stage: ``train``, ``validate``, or what is prepared before.
+        epoch: number, from 1; 0 before the first.
+        epochs: at most.
+        done: batches or frames of the stage that are done.
+        total: how many there are.
+        loss: of the last batch.
+    """
+
+    stage: str
+    epoch: int
+    epochs: int
+    done: int
+    total: int
+    loss: float
+
+
+OnProgress = Callable[[Step], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """One epoch.
+
+    Attributes:
+        number: from 1.
+        train_loss: mean over the frames it showed, while the weights changed.
+        validation_loss: over the frames that validate, without dropout.
+        precision: of the cells called visible there, the share that is.
+        recall: of the visible cells there, the share that is called so.
+        f1: harmonic mean of these two.
+        iou: cells both called and truly visible, of those that are either.
+        accuracy: share of cells that are called what they are.
+        learning_rate: at its end.
+        seconds: that it took.
+        frames_per_s: frames trained on in a second of training, waiting counted, validation not.
+        network_share: share of training and validation in which the network ran, not waiting for frames.
+    """
+
+    number: int
+    train_loss: float
+    validation_loss: float
+    precision: float
+    recall: float
+    f1: float
+    iou: float
+    accuracy: float
+    learning_rate: float
+    seconds: float
+    frames_per_s: float
+    network_share: float
+
+
+TIMES = ("seconds", "frames_per_s", "network_share")
+"""Measured times: another run of the same config has others."""
+
+
+def best_of(history: Sequence[Epoch]) -> Epoch:
+    """Return the first epoch with the lowest validation loss."""
+    return min(history, key=lambda epoch: epoch.validation_loss)
+
+
+def is_finished(history: Sequence[Epoch], config: TrainConfig) -> bool:
+    """Return whether training has ended: all epochs done, or ``patience`` of them without a lower validation loss."""
+    if not history:
+        return False
+    return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
+
+
+def history_to_json(history: Sequence[Epoch]) -> list[dict[str, Any]]:
+    """Return a history as plain values."""
+    return [asdict(epoch) for epoch in history]
+
+
+def csv_of(history: Sequence[Epoch]) -> str:
+    """Return a history as a table with commas, one epoch a line."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, [item.name for item in fields(Epoch)], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(history_to_json(history))
+    return buffer.getvalue()
+
+
+def scores_of(counts: Sequence[float]) -> dict[str, float]:
+    """Return the scores of cells: true and false positives, false and true negatives; 0 where there is nothing.
+
+    >>> scores_of([6, 2, 1, 11])["f1"]
+    0.8
+    """
+    hit, over, missed, right = counts
+    shares = {
+        "precision": (hit, hit + over),
+        "recall": (hit, hit + missed),
+        "f1": (2 * hit, 2 * hit + over + missed),
+        "iou": (hit, hit + over + missed),
+        "accuracy": (hit + right, hit + over + missed + right),
+    }
+    return {name: part / whole if whole else 0.0 for name, (part, whole) in shares.items()}

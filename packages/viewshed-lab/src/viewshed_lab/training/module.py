@@ -1,0 +1,190 @@
+"""Learner: the network, its loss and its scores as a LightningModule [torch]."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import lightning as L  # noqa: N812
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+import viewshed
+from viewshed.networks.unet_torch import UNet
+from viewshed_lab.training.config import TrainConfig
+from viewshed_lab.training.log import Epoch, OnProgress, Step, best_of, history_to_json, scores_of
+
+FORMAT = 1
+"""Version of what a checkpoint holds beside Lightning's own."""
+
+KEY = "viewshed"
+_LAST_RATE = 0.01
+_MOMENTUM = 0.1
+Batch = dict[str, Tensor]
+
+
+@dataclass(slots=True)
+class StepTimer:
+    """Adds up the time in which the network runs, and the time since the epoch began."""
+
+    began: float = field(default_factory=time.perf_counter)
+    busy: float = 0.0
+    step_began: float = 0.0
+    train_s: float = 0.0
+
+    def start(self) -> None:
+        """Begin a step of the network."""
+        self.step_began = time.perf_counter()
+
+    def stop(self, device: torch.device) -> None:
+        """End it: a graphics card has done its work."""
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        self.busy += time.perf_counter() - self.step_began
+
+    def elapsed(self) -> float:
+        """Return the seconds since the beginning."""
+        return time.perf_counter() - self.began
+
+
+class Learner(L.LightningModule):
+    """Fits a U-Net to frames, ``steps`` an epoch; checkpoints hold its history and the weights of the best epoch."""
+
+    def __init__(self, config: TrainConfig, steps: int, on_progress: OnProgress | None = None) -> None:
+        super().__init__()
+        self.config, self.steps, self.on_progress = config, steps, on_progress
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.network = UNet(config.shape).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.history: list[Epoch] = []
+        self.best: dict[str, Tensor] = {}
+        self._timer = StepTimer()
+        self._train = torch.zeros(2)
+        self._cells = torch.zeros(6, dtype=torch.float64)
+
+    def loss(self, logits: Tensor, batch: Batch) -> Tensor:
+        """Return the config's loss over the cells whose truth is known."""
+        visible, known = batch["visible"], batch["known"]
+        logits = logits[:, 0].float()
+        cells = functional.binary_cross_entropy_with_logits(logits, visible, reduction="none") * known
+        loss = cells.sum() / known.sum().clamp(min=1.0)
+        if self.config.loss == "bce":
+            return loss
+        prob = torch.sigmoid(logits) * known
+        both, either = (prob * visible).sum(), prob.sum() + (visible * known).sum()
+        return loss + 1.0 - (2.0 * both + 1.0) / (either + 1.0)
+
+    def configure_optimizers(self) -> Any:
+        """Return Adam and the config's schedule."""
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.config.learning_rate)
+        if self.config.schedule == "constant":
+            return optimizer
+        total = max(self.steps * self.config.epochs, 1)
+        cosine = torch.optim.lr_scheduler.CosineAnnealingLR(
+            optimizer, total, eta_min=_LAST_RATE * self.config.learning_rate
+        )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": cosine, "interval": "step"}}
+
+    def on_train_epoch_start(self) -> None:
+        """Begin to count."""
+        self._timer, self._train = StepTimer(), torch.zeros(2, device=self.device)
+
+    def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
+        """Begin to measure a step. In the very first, batch normalization takes over the statistics of the batch.
+
+        They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
+        """
+        self._timer.start()
+        self._set_momentum(1.0 if self.trainer.global_step == 0 else _MOMENTUM)
+
+    def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
+        """Return the loss of a batch."""
+        loss = self.loss(self._logits(batch), batch)
+        count = len(batch["inputs"])
+        self._train += torch.stack([loss.detach() * count, loss.new_tensor(count)])
+        return loss
+
+    def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
+        """End a step and report it."""
+        self._timer.stop(self.device)
+        self._timer.train_s = self._timer.elapsed()
+        self._report("train", batch_idx + 1, self.trainer.num_training_batches, float(outputs["loss"]))
+
+    def on_validation_epoch_start(self) -> None:
+        """Begin to count."""
+        self._cells = torch.zeros(6, dtype=torch.float64, device=self.device)
+
+    def on_validation_batch_start(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        """Begin to measure a step."""
+        self._timer.start()
+
+    def validation_step(self, batch: Batch, batch_idx: int) -> None:
+        """Count the cells of a batch; dropout is off."""
+        logits = self._logits(batch | {"masks": torch.ones_like(batch["masks"])})[:, 0].float()
+        visible, known = batch["visible"] > 0, batch["known"] > 0
+        cells = functional.binary_cross_entropy_with_logits(logits, batch["visible"], reduction="none")
+        called = torch.sigmoid(logits) >= self.config.threshold
+        masks = (called & visible, called & ~visible, ~called & visible, ~called & ~visible)
+        counts = [(mask & known).sum() for mask in masks]
+        self._cells += torch.stack([(cells * known).sum(dtype=torch.float64), known.sum(), *counts]).double()
+
+    def on_validation_batch_end(self, outputs: Any, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
+        """End a step and report it."""
+        self._timer.stop(self.device)
+        total = self.trainer.num_val_batches
+        self._report("validate", batch_idx + 1, total[0] if isinstance(total, list) else total, float("nan"))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log the loss over all processes."""
+        self._cells = self._summed(self._cells)
+        self.log("validation_loss", self._cells[0] / self._cells[1].clamp(min=1.0), rank_zero_only=False)
+
+    def on_train_epoch_end(self) -> None:
+        """Add the epoch to the history; keep its weights if it is the best."""
+        loss, known, *counts = (float(value) for value in self._cells.cpu())
+        trained, frames = (float(value) for value in self._summed(self._train).cpu())
+        if not math.isfinite(trained + loss):
+            raise ValueError(
+                f"{self.config.name}: the loss of epoch {self.current_epoch + 1} is not finite; choose a smaller "
+                "learning_rate, or precision 32"
+            )
+        timer, rate = self._timer, float(self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
+        elapsed = timer.elapsed()
+        self.history.append(Epoch(
+            self.current_epoch + 1, trained / max(frames, 1.0), loss / max(known, 1.0), **scores_of(counts),
+            learning_rate=rate, seconds=elapsed, frames_per_s=frames / max(timer.train_s, 1e-9),
+            network_share=timer.busy / elapsed,
+        ))  # fmt: skip
+        if best_of(self.history) is self.history[-1]:
+            self.best = {name: value.detach().cpu().clone() for name, value in self.network.state_dict().items()}
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add our entry: config, version, history, weights of the best epoch."""
+        about = {"format": FORMAT, "version": viewshed.__version__, "config": self.config.to_json()}
+        checkpoint[KEY] = about | {"history": history_to_json(self.history), "best": self.best}
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take over history and best weights."""
+        self.history = [Epoch(**table) for table in checkpoint[KEY]["history"]]
+        self.best = checkpoint[KEY]["best"]
+
+    def _set_momentum(self, momentum: float) -> None:
+        for module in self.network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.momentum = momentum
+
+    def _logits(self, batch: Batch) -> Tensor:
+        inputs = batch["inputs"].contiguous(memory_format=torch.channels_last)
+        logits: Tensor = self.network(inputs, batch["masks"])
+        return logits
+
+    def _summed(self, values: Tensor) -> Tensor:
+        total = self.trainer.strategy.reduce(values, reduce_op="sum")
+        return torch.as_tensor(total)
+
+    def _report(self, stage: str, done: int, total: float, loss: float) -> None:
+        if self.on_progress is not None and self.trainer.is_global_zero:
+            self.on_progress(Step(stage, self.current_epoch + 1, self.config.epochs, done, int(total), loss))

@@ -1,0 +1,334 @@
+"""TrainingFrames: the inputs and targets of a network, sample by sample; for torch's DataLoader, but needs no torch.
+
+A sample is drawn in steps: the clean sweep, an attack or none, earlier sweeps or none, rings or none, the feature maps.
+Everything random follows from seed, epoch and number of the frame, so that it does not depend on processes or resumes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.preprocess.history import HISTORY_SWEEPS
+from viewshed.sweep import Sweep, unorganized_no_sensor
+from viewshed_lab.threats.attacks import (
+    ATTACKS,
+    BUDGETS,
+    EARLIER,
+    PAPER_ATTACK,
+    PAPER_INDOOR_ATTACK,
+    SEVERITIES,
+    Attack,
+    Knowledge,
+    Wedge,
+    at_severity,
+)
+from viewshed_lab.training.config import PAPER, TrainConfig
+from viewshed_lab.training.sources import CleanSamples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttackedSweep:
+    """A sweep as the network is shown it, and the attack on it, so that earlier sweeps can be attacked alike.
+
+    Attributes:
+        sweep: attacked, or as it was measured.
+        attack: what was done to it, None for nothing.
+        wedge: where the attacker works, None if anywhere.
+    """
+
+    sweep: Sweep
+    attack: Attack | None = None
+    wedge: Wedge | None = None
+
+    def attack_history(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
+        """Return earlier sweeps as if the attack had lasted: each attacked as well, in the same direction of the map.
+
+        One that does not allow the attack stays as it is.
+        """
+        return tuple(self._attack(sweep, rng) for sweep in earlier)
+
+    def _attack(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
+        attack: Any = self.attack
+        now, then = self.sweep.world_from_sensor, sweep.world_from_sensor
+        if attack is None:
+            return sweep
+        aimed = "azimuth" in {setting.name for setting in fields(attack)}
+        if aimed and self.wedge is not None and now is not None and then is not None:
+            # The same direction of the map: the sensor's heading may have changed in between.
+            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))
+        try:
+            attacked: Sweep = attack.apply(sweep, rng).sweep
+        except ValueError:
+            return sweep
+        return attacked
+
+
+def draw_attacked_sweep(
+    config: TrainConfig, sweep: Sweep, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
+) -> AttackedSweep:
+    """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
+
+    Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
+    that this sweep does not allow leaves it as it is. ``earlier`` returns earlier sweeps of the same sensor, asked only
+    where the attack needs one.
+    """
+    if not config.attacks or rng.random() >= config.attack_share:
+        return AttackedSweep(sweep)
+    name = config.attacks[rng.integers(len(config.attacks))]
+    try:
+        attack = _draw_attack(config, name, earlier, rng)
+        tampered = attack.apply(sweep, rng)
+    except ValueError:
+        return AttackedSweep(sweep)
+    return AttackedSweep(tampered.sweep, attack, tampered.wedge)
+
+
+def _heading(pose: Rigid) -> float:
+    return float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+
+
+def _wrapped(azimuth: float) -> float:
+    return float((azimuth + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _draw_attack(
+    config: TrainConfig, name: str, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
+) -> Attack:
+    if name == PAPER:
+        return PAPER_INDOOR_ATTACK if config.indoor else PAPER_ATTACK
+    strengths = attack_strengths(name)
+    strength = strengths[rng.integers(len(strengths))]
+    attack_history = earlier() if name in EARLIER else ()
+    knowledge = Knowledge(attack_history, half_extent_m=config.half_extent_m)
+    if isinstance(strength, tuple):
+        return at_severity(name, *strength, knowledge)
+    return ATTACKS[name](strength, knowledge)
+
+
+@lru_cache(maxsize=64)
+def attack_strengths(name: str) -> tuple[int | tuple[str, float] | None, ...]:
+    """Return how strong an attack may be drawn: None its default, a budget, or an attribute with a value.
+
+    >>> attack_strengths("ghost_car")
+    (None, 50, 100, 150, 200, 1000, 1000000000)
+    """
+    budgets = tuple(budget for budget in BUDGETS[name] if budget)
+    return (None, *budgets, *SEVERITIES.get(name, ()))
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+Arrays = dict[str, NDArray[np.float32]]
+
+Key = tuple[int, int]
+"""Epoch and number of a frame."""
+
+BLANK = -1
+"""Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
+
+_LASTING_SHARE = 0.5
+"""Share of the attacks that had begun before the earlier sweeps."""
+
+
+class _Purpose(IntEnum):
+    ATTACK = 1
+    MASKS = 2
+    TURN = 3
+    RINGS = 4
+    PAST = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingSample:
+    """A sample as the network is taught it: feature maps in bytes and two masks, small enough to be cached.
+
+    Not a :class:`~viewshed_lab.data.sample.Sample`: sweep and truth are no longer in it, only what they come to on the
+    network's grid.
+
+    Attributes:
+        maps: (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked.
+        visible: (cells, cells) bool, of the clean sweep.
+        known: (cells, cells) bool, where that counts.
+    """
+
+    maps: NDArray[np.uint8]
+    visible: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+
+    def turned(self, turn: int) -> TrainingSample:
+        """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
+
+        >>> mask = np.eye(2, dtype=bool)
+        >>> TrainingSample(np.array([[[1, 2], [3, 4]]]), mask, mask).turned(5).maps.tolist()
+        [[[3, 4], [1, 2]]]
+        """
+        return TrainingSample(_turned(self.maps, turn), _turned(self.visible, turn), _turned(self.known, turn))
+
+
+def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
+    return np.rot90(maps.swapaxes(-2, -1) if turn >= 4 else maps, turn % 4, axes=(-2, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingFrames:
+    """Frames of one config as a map-style data set, in any number of processes.
+
+    Attributes:
+        source: the clean frames.
+        config: attacks, variant and seed.
+        cached: returns the sample of an epoch and a number that was drawn before; None draws each when it is needed.
+        mirrored: whether frames are turned and mirrored at random.
+    """
+
+    source: CleanSamples
+    config: TrainConfig
+    cached: Callable[[int, int], TrainingSample] | None = None
+    mirrored: bool = False
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, key: Key) -> Arrays:
+        """Return the frame ``(epoch, number)`` as float32 arrays; all that is random follows from seed and key.
+
+        ``inputs`` (channels, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` and
+        ``known`` (cells, cells): 0 or 1, of the clean sweep, and 1 where that counts; ``masks`` (M,): dropout's, ones
+        for ``mle``.
+
+        Raises:
+            IndexError: there is no such frame.
+            ValueError: its shard is damaged.
+            OSError: its shard cannot be read.
+        """
+        epoch, index = key
+        if index == BLANK:
+            return self._blank()
+        sample = self.draw(epoch, index) if self.cached is None else self.cached(epoch, index)
+        if self.mirrored:
+            sample = sample.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
+        return {
+            "inputs": self.config.card().shown(sample.maps),
+            "visible": sample.visible.astype(np.float32),
+            "known": sample.known.astype(np.float32),
+            "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
+        }
+
+    def draw(self, epoch: int, index: int) -> TrainingSample:
+        """Return a frame made now, with the attack of this epoch."""
+        clean = self.source.clean(epoch, index)
+        rng = self._rng(epoch, index, _Purpose.ATTACK)
+        attacked = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        sweeps = attacked.sweep, *self._past(epoch, index, attacked)
+        if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
+            sweeps = tuple(map(unorganized_no_sensor, sweeps))
+        return TrainingSample(self.config.card().maps_of(sweeps[0], sweeps[1:]), clean.visible, clean.known)
+
+    def _past(self, epoch: int, index: int, attacked: AttackedSweep) -> tuple[Sweep, ...]:
+        """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks.
+
+        Those without a pose cannot be seen together with others, and are left out.
+        """
+        rng = self._rng(epoch, index, _Purpose.PAST)
+        if rng.random() >= self.config.past_share or not self.config.card().uses_history:
+            return ()
+        if attacked.sweep.world_from_sensor is None:
+            return ()
+        earlier = self.source.earlier(epoch, index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
+        earlier = tuple(sweep for sweep in earlier if sweep.world_from_sensor is not None)
+        return attacked.attack_history(earlier, rng) if rng.random() < _LASTING_SHARE else earlier
+
+    def _blank(self) -> Arrays:
+        zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
+        inputs = np.zeros((shape.channels, *zeros.shape), np.float32)
+        return {"inputs": inputs, "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
+
+    def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
+        return np.random.default_rng([self.config.seed, epoch, index, purpose])
+
+
+VALIDATION_EPOCH = 0
+"""Epoch in which validation frames are drawn: the same attacks every time. Training's begin with 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """The part of one of several processes.
+
+    Attributes:
+        rank: number of the process.
+        world: how many there are.
+    """
+
+    rank: int = 0
+    world: int = 1
+
+
+@dataclass(slots=True)
+class TrainingOrder:
+    """The frames of an epoch in an order of its own, as keys; a sampler for torch's DataLoader.
+
+    Attributes:
+        frames: how many there are.
+        take: how many an epoch shows.
+        block: so many in a row stay together.
+        seed: with the epoch it decides the order.
+        share: this process's part; all are equally long, the first frames fill up.
+        epoch: number of the epoch, from 0; Lightning sets it.
+
+    >>> list(TrainingOrder(4, 4, 1, 7)) == sorted(TrainingOrder(4, 4, 1, 7))
+    False
+    """
+
+    frames: int
+    take: int
+    block: int
+    seed: int
+    share: Share = Share()
+    epoch: int = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Begin an epoch."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        return math.ceil(self.take / self.share.world)
+
+    def __iter__(self) -> Iterator[Key]:
+        order = np.resize(self._order(), len(self) * self.share.world)
+        for index in order[self.share.rank :: self.share.world]:
+            yield self.epoch + 1, int(index)
+
+    def _order(self) -> NDArray[np.int64]:
+        rng = np.random.default_rng([self.seed, self.epoch + 1])
+        blocks = rng.permutation(-(-self.frames // self.block))
+        order = (blocks[:, None] * self.block + np.arange(self.block)).reshape(-1)
+        return order[order < self.frames][: self.take]
+
+
+@dataclass(frozen=True, slots=True)
+class ValidationOrder:
+    """The frames that validate, one after the other, as keys; a sampler for torch's DataLoader.
+
+    Attributes:
+        frames: how many there are.
+        share: this process's part; all are equally long, blank frames fill up.
+    """
+
+    frames: int
+    share: Share = Share()
+
+    def __len__(self) -> int:
+        return math.ceil(self.frames / self.share.world)
+
+    def __iter__(self) -> Iterator[Key]:
+        for step in range(len(self)):
+            index = step * self.share.world + self.share.rank
+            yield VALIDATION_EPOCH, index if index < self.frames else BLANK

@@ -1,0 +1,125 @@
+"""Fits the classifier of the detector's candidates on simulated sweeps with true boxes [torch]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from torch.nn.functional import cross_entropy
+
+from viewshed.arrays import F64
+from viewshed.detections import ObjectKind
+from viewshed.objects.candidates import Candidates, find_candidates
+from viewshed.objects.completion import complete_boxes
+from viewshed.objects.shape_classifier import ENDS, KIND_SEEN_AS, SeenAs, ShapeClassifier
+from viewshed_lab.data.object_truth import ObjectSweep, SweepObjects
+
+NEAR_M = {
+    ObjectKind.OTHER: 0.8, ObjectKind.PEDESTRIAN: 0.6, ObjectKind.CYCLIST: 1.0, ObjectKind.CAR: 1.5,
+    ObjectKind.TRUCK: 3.0,
+}  # fmt: skip
+"""A candidate is an object if the middle of its whole box lies so near to that of the object ..."""
+
+INSIDE_SHARE = 0.6
+"""... and more than this share of its returns lies in the object's box, ..."""
+
+AROUND_M = 0.15
+"""... which is made larger by this on every side."""
+
+TURNED_M = 0.5
+"""A box that is turned by more than 45° counts as so much farther away."""
+
+UNITS = (64, 32)
+"""Of the hidden layers."""
+
+BATCH, EPOCHS, LEARNING_RATE, WEIGHT_DECAY = 512, 12, 4e-3, 1e-3
+
+
+def labels_of(leveled_xy: NDArray[np.float32], candidates: Candidates, objects: SweepObjects) -> NDArray[np.int64]:
+    """Return the member of :class:`SeenAs` (C,) that each candidate is.
+
+    Args:
+        leveled_xy: (M, 2) points of the leveled sweep.
+        candidates: C of them.
+        objects: what is there.
+    """
+    labels = np.full(len(candidates), SeenAs.NOTHING, np.int64)
+    if not len(objects) or not len(candidates):
+        return labels
+    # 1. The object that most of each candidate's returns belong to.
+    xy = leveled_xy[candidates.rows]
+    shares = np.stack([_shares_inside(xy, box, candidates) for box in objects.boxes])
+    owner, share = shares.argmax(axis=0), shares.max(axis=0)
+    # 2. Whether its whole box would lie where the object does, completed in each way that the kind allows.
+    nearest_m = np.full(len(candidates), np.inf)
+    for seen_as in SeenAs:
+        if seen_as == SeenAs.NOTHING:
+            continue
+        kind = KIND_SEEN_AS[seen_as]
+        which = np.flatnonzero((objects.kinds[owner] == kind) & (share > INSIDE_SHARE))
+        away_m = _distances(candidates, which, seen_as, objects.boxes[owner[which]])
+        better = (away_m < NEAR_M[ObjectKind(kind)]) & (away_m < nearest_m[which])
+        labels[which[better]] = seen_as
+        nearest_m[which] = np.minimum(nearest_m[which], away_m)
+    return labels
+
+
+def fit_shape_classifier(sweeps: Iterable[ObjectSweep], seed: int) -> ShapeClassifier:
+    """Return a classifier fitted on all candidates of some sweeps; the same seed gives the same on one machine."""
+    shapes, labels = [], []
+    for each in sweeps:
+        candidates = find_candidates(each.leveled)
+        shapes.append(candidates.shapes)
+        labels.append(labels_of(each.leveled.points[:, :2], candidates, each.objects))
+    return _fit(np.concatenate(shapes), np.concatenate(labels), seed)
+
+
+def _fit(shapes: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -> ShapeClassifier:
+    mean, scale = shapes.mean(axis=0), (1.0 / (shapes.std(axis=0) + 1e-6)).astype(np.float32)
+    inputs = torch.from_numpy(np.clip((shapes - mean) * scale, -6.0, 6.0))
+    targets = torch.from_numpy(labels)
+    generator = torch.Generator().manual_seed(seed)
+    sizes = (shapes.shape[1], *UNITS, len(SeenAs))
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        linear = [nn.Linear(a, b) for a, b in pairwise(sizes)]
+    network = nn.Sequential(linear[0], nn.ReLU(), linear[1], nn.ReLU(), linear[2])
+    optimizer = torch.optim.AdamW(network.parameters(), LEARNING_RATE / 2, weight_decay=WEIGHT_DECAY)
+    batches = max(len(inputs) // BATCH, 1)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, LEARNING_RATE, total_steps=EPOCHS * batches)
+    for _ in range(EPOCHS):
+        order = torch.randperm(len(inputs), generator=generator)
+        for k in range(batches):
+            rows = order[k * BATCH : (k + 1) * BATCH]
+            optimizer.zero_grad()
+            cross_entropy(network(inputs[rows]), targets[rows]).backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            schedule.step()
+    weights = tuple(np.ascontiguousarray(layer.weight.detach().numpy().T) for layer in linear)
+    return ShapeClassifier(mean, scale, weights, tuple(layer.bias.detach().numpy() for layer in linear))
+
+
+def _shares_inside(xy: NDArray[np.float32], box: F64, candidates: Candidates) -> F64:
+    """Return the share (C,) of each candidate's returns, at xy (P, 2) in the order of its rows, that lies in a box."""
+    away = xy - box[:2]
+    c, s = np.cos(box[6]), np.sin(box[6])
+    inside = np.abs(away[:, 0] * c + away[:, 1] * s) < box[3] / 2 + AROUND_M
+    inside &= np.abs(away[:, 1] * c - away[:, 0] * s) < box[4] / 2 + AROUND_M
+    up_to = np.concatenate([[0], np.cumsum(inside)])
+    result: F64 = (up_to[candidates.last] - up_to[candidates.first]) / candidates.returns
+    return result
+
+
+def _distances(candidates: Candidates, which: NDArray[np.intp], seen_as: SeenAs, boxes: F64) -> F64:
+    """Return how far (K,) the middles of whole boxes of candidates would lie from those of their objects (K, 7)."""
+    kinds = np.full(len(which), KIND_SEEN_AS[seen_as], np.uint8)
+    is_end = np.full(len(which), seen_as in ENDS)
+    found = complete_boxes(candidates.sides[which], kinds, is_end, candidates.column("top_m")[which])
+    away_m: F64 = np.hypot(*(found[:, :2] - boxes[:, :2]).T)
+    turned = np.abs((found[:, 6] - boxes[:, 6] + np.pi / 2) % np.pi - np.pi / 2) > np.pi / 4
+    has_side = kinds >= ObjectKind.CAR
+    return away_m + np.where(turned & has_side, TURNED_M, 0.0)

@@ -1,0 +1,100 @@
+"""``viewshed simulate`` and ``viewshed dataset``: what they say, and one line for what they refuse."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from tests.cli.commands import run
+
+from viewshed.cli import main
+
+SMALL = ["simulate", "ugv-small", "--sweeps", "6", "--grid", "24x8", "--workers", "1"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("simulate") / "a"
+    with pytest.raises(SystemExit) as stop:
+        main([*SMALL, "--out", str(out)])
+    assert not stop.value.code
+    return out
+
+
+def test_it_says_what_was_made(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "b"
+    code, said, progress = run(*SMALL, "--out", str(out))
+    assert code == 0
+    assert re.fullmatch(rf"{re.escape(str(out))}: 6 sweeps in 2 scene\(s\), 2 shards, \d\.\d MB\n", said)
+    assert "6/6" in progress
+    for path in out.glob("*.parquet"):
+        assert path.read_bytes() == (made / path.name).read_bytes()
+
+
+def test_info_tells_composition(made: Path) -> None:
+    code, said, _ = run("dataset", "info", str(made))
+    assert code == 0
+    assert "6 sweeps in 2 scene(s), 2 shards" in said
+    assert "preset ugv-small, seed 0" in said
+    assert "24 × 24 cells of 0.666667 m" in said
+    assert "split:   train, 5 sweeps in 1 scene(s)" in said
+    assert "split:   test, 1 sweeps in 1 scene(s)" in said
+
+
+def test_verify_finds_a_flipped_byte(made: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(made, tmp_path / "b"))
+    assert run("dataset", "verify", str(folder))[:2] == (0, "2 shards, all as they were written\n")
+    victim = folder / "train-0000-000.parquet"
+    raw = bytearray(victim.read_bytes())
+    raw[len(raw) // 2] ^= 4
+    victim.write_bytes(raw)
+    code, said, complaint = run("dataset", "verify", str(folder))
+    assert code == 2
+    assert "train-0000-000.parquet is damaged: its checksum is not the manifest's; run the command" in said
+    assert complaint == f"viewshed: 1 of 2 shards of {folder} are damaged\n"
+    assert run(*SMALL, "--out", str(folder))[0] == 0
+    assert run("dataset", "verify", str(folder))[0] == 0
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (["simulate", "kitti"], "preset must be one of carla, carla-small, .*, got 'kitti'"),
+    (["simulate", "ugv", "--grid", "4096x64"], "got 4096: a frame would not fit into memory"),
+    (["simulate", "ugv", "--sweeps", "1"], "sweeps must be at least 2, one for each split, got 1"),
+    (["simulate", "ugv", "--seed", "-1"], "seed must lie in"),
+    (["simulate", "ugv", "--engine", "slurm"], "engine must be one of local, ray, got 'slurm'"),
+    (["simulate", "ugv", "--workers", "0"], "workers must be at least 1, got 0"),
+])  # fmt: skip
+def test_what_cannot_be_made_is_one_line(words: list[str], message: str, tmp_path: Path) -> None:
+    code, said, complaint = run(*words, "--out", str(tmp_path / "none"))
+    assert (code, said, complaint.count("\n")) == (2, "", 1)
+    assert re.search(message, complaint)
+    assert not (tmp_path / "none").exists()
+
+
+def test_another_seed_into_the_same_place_is_one_line(made: Path) -> None:
+    code, _, complaint = run(*SMALL, "--seed", "3", "--out", str(made))
+    assert code == 2
+    assert complaint.splitlines()[-1] == f"viewshed: {made} holds seed 0, not 3; choose another place"
+
+
+@pytest.mark.parametrize("command", ["info", "verify"])
+def test_what_is_no_data_set_is_one_line(command: str, tmp_path: Path) -> None:
+    code, _, complaint = run("dataset", command, str(tmp_path))
+    assert (code, complaint) == (2, f"viewshed: {tmp_path} must be a data set of viewshed, but has no manifest.json\n")
+
+
+def test_a_later_schema_is_one_line(made: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(made, tmp_path / "b"))
+    manifest = folder / "manifest.json"
+    manifest.write_text(manifest.read_text("utf-8").replace('"schema_version": 1', '"schema_version": 2'), "utf-8")
+    code, _, complaint = run("dataset", "info", str(folder))
+    assert code == 2
+    assert "schema_version must be 1, got 2; read it with the version of viewshed that wrote it" in complaint
+
+
+def test_preview_writes_one_picture_and_no_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("viewshed_lab.studies.preview.preview_png", lambda name, seed: f"{name} {seed}".encode())
+    code, said, _ = run("simulate", "carla", "--preview", "--seed", "4", "--out", str(tmp_path / "a.png"))
+    assert (code, said) == (0, f"Look at {tmp_path / 'a.png'}\n")
+    assert (tmp_path / "a.png").read_bytes() == b"carla 4"
+    assert len(list(tmp_path.iterdir())) == 1

@@ -1,0 +1,79 @@
+"""``viewshed study robustness``: it runs, goes on, writes its pages, and refuses with one line."""
+
+import re
+from pathlib import Path
+
+import pytest
+from tests.cli.commands import run
+
+from viewshed.cli import main
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("report") / "study"
+    with pytest.raises(SystemExit) as stop:
+        main(["study", "robustness", "--preset", "tiny", "--out", str(out), "--workers", "1"])
+    assert not stop.value.code
+    return out
+
+
+def test_it_writes_one_html_file_and_a_page_with_its_figures(made: Path) -> None:
+    page = (made / "robustness.md").read_text("utf-8")
+    figures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)
+    assert len(figures) == 6
+    assert all((made / figure).read_bytes().startswith(b"\x89PNG") for figure in figures)
+    assert "- jobs: 9 of 9" in page
+    whole = (made / "index.html").read_text("utf-8")
+    assert whole.count("<img ") == len(figures)
+    assert 'src="http' not in whole
+    assert "Not finished" not in page
+
+
+def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
+    """Far points stretch what the farthest return decides, and leave the nearest obstacle where it is."""
+    page = (made / "robustness_tables.md").read_text("utf-8")
+    table = page.split("### Who withstands what, up to a full wedge, ugv")[1].split("##")[0]
+    header, uniform = (re.search(rf"^\| {word} ?\|.*$", table, re.MULTILINE) for word in ("", "uniform"))
+    assert header is not None
+    assert uniform is not None
+    verdicts = dict(zip(*([cell.strip() for cell in row[0].split("|")] for row in (header, uniform)), strict=True))
+    assert verdicts["quantized"].startswith("over")
+    assert verdicts["first_blocker"] == "yes"
+
+
+def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path) -> None:
+    before = (made / "results.jsonl").read_bytes()
+    page = tmp_path / "page.md"
+    words = ("--preset", "tiny", "--out", made, "--workers", "1", "--page", page)
+    code, said, progress = run("study", "robustness", *words)
+    assert code == 0
+    assert f"Markdown in {page}" in said
+    assert "9 of 9" in progress
+    assert (made / "results.jsonl").read_bytes() == before
+    assert (tmp_path / "robustness_scenes.png").exists()
+    assert "### majority_vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
+
+
+def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path) -> None:
+    code, _, complaint = run("study", "robustness", "--preset", "nonsense", "--out", str(tmp_path))
+    assert (code, complaint) == (2, "viewshed: preset must be one of full, small, tiny, got 'nonsense'\n")
+    code, _, complaint = run("study", "robustness", "--preset", "small", "--out", str(made), "--no-run")
+    assert code == 2
+    assert "must hold results of this plan and version, got another plan; choose another folder" in complaint
+    code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(tmp_path / "new"), "--no-run")
+    assert code == 2
+    assert complaint.endswith("must hold results, got none; run without --no-run\n")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "file").touch()
+    code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(tmp_path / "file"))
+    assert (code, complaint.count("\n")) == (2, 1)
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    lines = (made / "results.jsonl").read_bytes().splitlines(keepends=True)
+    (damaged / "results.jsonl").write_bytes(b"".join([*lines[:3], lines[3][:90] + b"\n", *lines[4:]]))
+    code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(damaged), "--no-run")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert "line 4 is damaged; delete that line, its job is done again" in complaint

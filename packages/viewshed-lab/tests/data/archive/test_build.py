@@ -1,0 +1,106 @@
+"""Archives that are made in several runs: what had to be left out is told by every run, not only by the first."""
+
+import contextlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed import GRIDS, Sweep, write_sweep
+from viewshed_lab._jobs import LocalEngine
+from viewshed_lab.data.archive.build import ShardResult
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.tampered import AttackPlan, sweeps_of_recording, tamper
+
+ONE = LocalEngine(1)
+PLAN = AttackPlan("uniform", 5)
+DAMAGED = b"12345"
+
+
+class _StoppedError(Exception):
+    """As if the power went off."""
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Two sequences of three sweeps; one sweep of the first is damaged."""
+    rng = np.random.default_rng(4)
+    for sequence in ("07", "08"):
+        folder = tmp_path / "kitti" / "sequences" / sequence / "velodyne"
+        folder.mkdir(parents=True)
+        (folder.parent / "times.txt").write_text("0.0\n0.1\n0.2\n")
+        for number in range(3):
+            points = rng.normal(0, 15, (40 + number, 3)).astype(np.float32)
+            write_sweep(Sweep(points), folder / f"{number:06d}.bin")
+    (tmp_path / "kitti" / "sequences" / "07" / "velodyne" / "000001.bin").write_bytes(DAMAGED)
+    return tmp_path / "kitti"
+
+
+def run(recording: Path, out: Path, stop_after: int = 9) -> list[str]:
+    """Return the lines that a run tells; it is stopped once so many shards are there."""
+    told: list[ShardResult] = []
+
+    def progress(made: ShardResult) -> None:
+        told.append(made)
+        if len(told) == stop_after:
+            raise _StoppedError
+
+    with contextlib.suppress(_StoppedError):
+        tamper(sweeps_of_recording(str(recording), GRIDS["indoor"]), PLAN, Storage.of(out), ONE, 0, progress)
+    return [line for made in told for line in made.problems]
+
+
+def test_a_stopped_run_that_goes_on_tells_the_lines_of_the_first(recording: Path, tmp_path: Path) -> None:
+    [line] = run(recording, tmp_path / "out", stop_after=1)
+    assert "000001.bin" in line
+    assert run(recording, tmp_path / "out") == [line]
+
+
+def test_a_stopped_run_lists_what_is_finished(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(recording, out, stop_after=1)
+    table = json.loads((out / "manifest.json").read_text("utf-8"))
+    assert [shard["name"] for shard in table["shards"]] == ["scene-00000-000.parquet"]
+    assert not table["complete"]
+    made = (out / "scene-00000-000.parquet").stat().st_mtime_ns
+    run(recording, out)
+    assert (out / "scene-00000-000.parquet").stat().st_mtime_ns == made
+
+
+def test_a_damaged_shard_is_taken_off_the_list_before_others_are_built(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(recording, out)
+    (out / "scene-00000-000.parquet").write_bytes(b"PAR1")
+    (out / "scene-00001-000.parquet").write_bytes(b"PAR1")
+    run(recording, out, stop_after=1)
+    table = json.loads((out / "manifest.json").read_text("utf-8"))
+    assert [shard["name"] for shard in table["shards"]] == ["scene-00000-000.parquet"]
+    assert not table["complete"]
+
+
+def test_a_finished_archive_tells_its_lines_again_and_is_as_if_made_at_once(recording: Path, tmp_path: Path) -> None:
+    whole = run(recording, tmp_path / "whole")
+    run(recording, tmp_path / "parts", stop_after=1)
+    run(recording, tmp_path / "parts")
+    assert run(recording, tmp_path / "parts") == run(recording, tmp_path / "whole") == whole
+    content = [{file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in ("whole", "parts")]
+    assert content[0] == content[1]
+    assert str(recording) not in content[0]["manifest.json"].decode()
+
+
+def test_a_shard_that_is_made_anew_tells_only_what_is_wrong_now(recording: Path, tmp_path: Path) -> None:
+    run(recording, tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "problems.json").read_text()).keys() == {"scene-00000-000.parquet"}
+    (tmp_path / "out" / "scene-00000-000.parquet").unlink()
+    whole = recording / "sequences" / "07" / "velodyne"
+    (whole / "000001.bin").write_bytes((whole / "000002.bin").read_bytes())
+    assert run(recording, tmp_path / "out") == []
+    assert not (tmp_path / "out" / "problems.json").exists()
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"scene-00000-000.parquet": 3}', "\xff"])
+def test_lines_that_cannot_be_read_cost_the_lines_alone(content: str, recording: Path, tmp_path: Path) -> None:
+    run(recording, tmp_path / "out")
+    (tmp_path / "out" / "problems.json").write_text(content, encoding="latin-1")
+    assert run(recording, tmp_path / "out") == []

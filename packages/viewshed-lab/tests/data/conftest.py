@@ -1,0 +1,141 @@
+"""Made-up samples, no part of the simulator decides what is in them; and object stores on this machine."""
+
+import contextlib
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from pyarrow import fs
+
+from viewshed.fov.truth import OTHER_DEFINITIONS, Truth
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sweep import Sweep
+from viewshed_lab.data import Sample
+from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
+from viewshed_lab.sim.raycast.scan import Motion
+
+MakeSample = Callable[..., Sample]
+
+
+@pytest.fixture
+def custom_model() -> LidarModel:
+    """A sensor that is in no table."""
+    elevation = np.deg2rad([-17.3, -3.1, 0.7])
+    return LidarModel("own", elevation, 40, np.deg2rad([0.1, 0.0, -0.2]), np.array([0.01, 0.0, -0.03]), 0.4, 77.7, "é")
+
+
+@pytest.fixture
+def make_truth() -> Callable[..., tuple[Truth, np.ndarray]]:
+    def make(seed: int = 0, cells: int = 33) -> tuple[Truth, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        grid = BevGrid(cells, 20.5, (1.5, -0.25))
+
+        def some(high: int) -> np.ndarray:
+            return rng.integers(0, high, grid.shape).astype(np.uint8)
+
+        returns, states = ({name: some(high) for name in ("pedestrian", "car")} for high in (256, 4))
+        return Truth(grid, returns, states, {name: some(2) == 1 for name in OTHER_DEFINITIONS}), some(2) == 1
+
+    return make
+
+
+@pytest.fixture
+def make_sample(make_truth: Callable[..., tuple[Truth, np.ndarray]], custom_model: LidarModel) -> MakeSample:
+    """Makes a sample with a range image (``image=True``) or with points only."""
+
+    def make(seed: int = 0, *, image: bool = True, scene: str = "s0", split: str = "train", cells: int = 33) -> Sample:
+        rng = np.random.default_rng(seed)
+        truth, known = make_truth(seed, cells)
+        pose = Rigid.from_yaw(rng.uniform(-3, 3), rng.normal(0, 100, 3))
+        if not image:
+            return Sample(_points(rng, pose), truth, known, scene, split)
+        model = custom_model if seed % 2 else lidar_model("vlp16")
+        shape = (model.azimuth_columns, model.rings)
+        steps = (rng.integers(0, 65536, shape) * (rng.random(shape) < 0.8)).astype(np.uint16)
+        level = np.where(steps > 0, rng.integers(0, 256, shape), 0).astype(np.uint8)
+        motion = Motion((8.1, -0.3, 0.07), 0.21, 0.1) if seed % 3 else Motion()
+        made = StoredSweep(
+            model, steps, level, 0.002, pose, motion, 1.73, 123_456_789_012_345_678 + seed, f"agent {seed}"
+        )
+        return Sample(made, truth, known, scene, split)
+
+    return make
+
+
+def _points(rng: np.random.Generator, pose: Rigid) -> Sweep:
+    count = int(rng.integers(0, 300))
+    return Sweep(
+        points=rng.normal(0, 30, (count, 3)).astype(np.float32),
+        intensity=rng.random(count).astype(np.float32),
+        ring=rng.integers(0, 64, count).astype(np.int16),
+        azimuth=None if rng.random() < 0.5 else rng.random(count).astype(np.float32),
+        time_s=rng.random(count).astype(np.float32),
+        t_ns=None if rng.random() < 0.5 else 7,
+        attitude=np.array([1.0, 0.0, 0.0, 0.0]) if rng.random() < 0.5 else None,
+        sensor_height_m=None,
+        world_from_sensor=pose if rng.random() < 0.5 else None,
+        agent="ägent",
+        dropped_points=3,
+    )
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[str]:
+    """Options of a URI that lead to a server; it has a bucket named ``data``, ``s3://data/FOLDER?OPTIONS``."""
+    pytest.importorskip("moto", reason="moto is not installed: S3 is not tested")
+    keys = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_EC2_METADATA_DISABLED": "true"}
+    port = _free_port()
+    with pytest.MonkeyPatch.context() as environment, _server("moto.server", "-H", "127.0.0.1", "-p", port):
+        for name, value in keys.items():
+            environment.setenv(name, value)
+        options = f"endpoint_override=127.0.0.1:{port}&scheme=http&region=us-east-1"
+        made, _ = fs.FileSystem.from_uri(f"s3://data?{options}&allow_bucket_creation=true")
+        made.create_dir("data")
+        yield options
+
+
+@pytest.fixture(scope="session")
+def gs() -> Iterator[str]:
+    """As ``s3``, for ``gs://anonymous@data/FOLDER?OPTIONS``."""
+    pytest.importorskip("gcp_storage_emulator", reason="gcp-storage-emulator is not installed: GCS is not tested")
+    port = _free_port()
+    words = ("start", "--host", "127.0.0.1", "--port", port, "--in-memory", "--default-bucket", "data")
+    with _server("gcp_storage_emulator", *words):
+        yield f"endpoint_override=127.0.0.1:{port}&scheme=http&retry_limit_seconds=3"
+
+
+def _free_port() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return str(free.getsockname()[1])
+
+
+@contextlib.contextmanager
+def _server(module: str, *words: str) -> Iterator[None]:
+    port = int(words[words.index("-p" if "-p" in words else "--port") + 1])
+    server = subprocess.Popen(
+        [sys.executable, "-m", module, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        _wait_for(port)
+        yield
+    finally:
+        server.kill()
+        server.wait()
+
+
+def _wait_for(port: int) -> None:
+    for _ in range(400):
+        try:
+            socket.create_connection(("127.0.0.1", port)).close()
+        except OSError:
+            time.sleep(0.05)
+        else:
+            return
+    pytest.fail("the server did not start")

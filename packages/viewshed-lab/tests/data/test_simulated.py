@@ -1,0 +1,258 @@
+"""Simulated data sets: the same bytes however they are made, stopped runs go on, refusals are one line."""
+
+import errno
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed_lab._jobs import Done, J, LocalEngine, R
+from viewshed_lab.data import Archive, Storage
+from viewshed_lab.data import simulated as simulation
+from viewshed_lab.data.presets import Preset, preset_named
+from viewshed_lab.data.simulated import ScenePlan, jobs_of, simulate_frame, world_of
+from viewshed_lab.sim.observe import pose_and_motion
+
+pytestmark = pytest.mark.slow
+
+SMALL = ["nuscenes-small", "--sweeps", "100", "--grid", "32x32"]
+"""Five shards: four scenes to train on and one to test with, of 20 sweeps each."""
+
+COMMAND = "from viewshed.cli import main; main()"
+LIMITED = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, (400_000, 400_000)); {COMMAND}"
+
+
+def _small() -> Preset:
+    return replace(preset_named("nuscenes-small").scaled(100), grid_cells=32, grid_half_extent_m=32.0)
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    """All bytes by name; commits are left out, so that committing while the tests run does no harm."""
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    if "manifest.json" in files:
+        files["manifest.json"] = re.sub(rb'"commits": \[[^]]*\]', b"", files["manifest.json"])
+    return files
+
+
+def _command(out: Path, *more: str) -> list[str]:
+    return [sys.executable, "-c", COMMAND, "simulate", *SMALL, "--out", str(out), *more]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small data set, made in one go by this process."""
+    folder = tmp_path_factory.mktemp("whole") / "a"
+    simulation.simulate(_small(), Storage.of(folder), LocalEngine(1))
+    return folder
+
+
+def test_the_archive_holds_what_the_preset_says(whole: Path) -> None:
+    archive, preset = Archive.open(whole), _small()
+    assert len(archive) == 100
+    assert [len(archive.split(name)) for name in ("train", "test")] == [80, 20]
+    assert [len(archive.split(name).scenes) for name in ("train", "test")] == list(preset.scenes)
+    sample = archive[85]
+    assert sample.split == "test"
+    assert sample.scene.startswith("test-0000-")
+    assert sample.truth.grid == preset.grid
+    assert set(sample.truth.expected_returns) == {"car", "pedestrian"}
+    assert sample.sweep.model is not None
+    assert sample.sweep.model.name == "HDL-32E"
+    assert len(sample.sweep) > 5000
+    table = json.loads((whole / "manifest.json").read_text("utf-8"))
+    assert table["recipe"]["seed"] == 0
+    assert table["recipe"]["config"]["interval_s"] == preset.interval_s
+    assert table["recipe"]["targets"]["pedestrian"]["min_returns"] == 3
+    assert table["schema_version"] == 1
+    assert set(_files(whole)) == {"manifest.json", *(shard["name"] for shard in table["shards"])}
+
+
+def test_frames_do_not_depend_on_those_before(whole: Path) -> None:
+    archive = Archive.open(whole)
+    world_of.cache_clear()
+    frame = simulate_frame(ScenePlan(_small(), 0, 1), 3)
+    stored = archive.split("train").of_scenes([ScenePlan(_small(), 0, 1).name])[3]
+    assert (frame.sweep.points == stored.sweep.points).all()
+    assert (frame.truth.expected_returns["car"] == stored.truth.expected_returns["car"]).all()
+
+
+def test_another_seed_is_another_world() -> None:
+    one, other = (simulate_frame(ScenePlan(replace(_small(), seed=seed), 0, 0), 0) for seed in (1, 2))
+    assert one.sweep.points.shape != other.sweep.points.shape or (one.sweep.points != other.sweep.points).any()
+
+
+def test_the_motion_is_that_of_the_pose() -> None:
+    scene = ScenePlan(_small(), 0, 0)
+    world = world_of(scene)
+    [agent] = world.agents
+    for t_s in (1.0, 3.3):
+        _, motion = pose_and_motion(world, agent, t_s, 0.05)
+        before, after = (world.world_from_sensor(agent, t_s + step) for step in (-0.02, 0.02))
+        step = (after.translation - before.translation) / 0.04
+        assert np.allclose(motion.velocity_mps, step, atol=0.05 + 0.02 * np.linalg.norm(step))
+        assert motion.yaw_rate == pytest.approx((after.yaw - before.yaw) / 0.04, abs=0.02)
+        assert motion.period_s == 0.05
+
+
+class _Backwards:
+    """An engine that does the last job first."""
+
+    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+        for index in reversed(range(len(jobs))):
+            yield Done(index, work(jobs[index]), None)
+
+
+def test_the_order_of_the_shards_does_not_matter(whole: Path, tmp_path: Path) -> None:
+    simulation.simulate(_small(), Storage.of(tmp_path / "b"), _Backwards())
+    assert _files(tmp_path / "b") == _files(whole)
+
+
+def test_a_run_that_is_killed_goes_on_with_other_workers(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "killed"
+    process = subprocess.Popen(_command(out, "--workers", "1"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end_s = time.monotonic() + 120
+    while not _listed(out) and time.monotonic() < end_s:
+        assert process.poll() is None, "it finished before it could be killed"
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    finished = {name: (out / name).stat().st_mtime_ns for name in _listed(out)}
+    assert 1 <= len(finished) < 5
+    with pytest.raises(ValueError, match="is not finished; run the command"):
+        Archive.open(out)
+    (out / ".train-0002-000.parquet.0123456789ab.part").write_bytes(b"half")
+    (out / "test-0000-000.parquet").write_bytes((whole / "test-0000-000.parquet").read_bytes()[:5000])
+    subprocess.run(_command(out, "--workers", "2"), check=True, capture_output=True)
+    assert _files(out) == _files(whole)
+    assert {name: (out / name).stat().st_mtime_ns for name in finished} == finished
+
+
+def _listed(out: Path) -> list[str]:
+    """Return the names of the shards that a manifest lists so far."""
+    place = out / "manifest.json"
+    return [shard["name"] for shard in json.loads(place.read_text("utf-8"))["shards"]] if place.exists() else []
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "remove", "manifest"])
+def test_what_is_damaged_is_made_anew_and_nothing_else(whole: Path, tmp_path: Path, damage: str) -> None:
+    out = Path(shutil.copytree(whole, tmp_path / "b"))
+    victim = out / "train-0001-000.parquet"
+    raw = victim.read_bytes()
+    if damage == "flip":
+        victim.write_bytes(raw[:9000] + bytes([raw[9000] ^ 1]) + raw[9001:])
+    elif damage == "cut":
+        victim.write_bytes(raw[:9000])
+    elif damage == "remove":
+        victim.unlink()
+    else:
+        table = json.loads((out / "manifest.json").read_text("utf-8"))
+        (out / "manifest.json").write_text(json.dumps(table | {"shards": [], "frames": 0, "complete": False}), "utf-8")
+    made: list[str] = []
+
+    class Recorded:
+        def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
+            made.extend(getattr(job, "name") for job in jobs)  # noqa: B009 - of any job
+            return LocalEngine(1).run(work, jobs)
+
+    simulation.simulate(_small(), Storage.of(out), Recorded())
+    assert _files(out) == _files(whole)
+    assert (made == ["train-0001-000.parquet"]) == (damage != "manifest")
+
+
+def test_a_full_disk_is_one_line_and_finished_shards_stay(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full: list[str] = []
+
+    def write(path: str, content: bytes) -> None:
+        if full or "train-0002" in path:
+            full.append(path)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        Path(path).write_bytes(content)
+
+    out = tmp_path / "b"
+    with monkeypatch.context() as patch:
+        patch.setattr("viewshed_lab.data.archive.storage.write_atomic", write)
+        with pytest.raises(OSError, match=r"train-0002-000\.parquet: the disk is full; .*finished") as caught:
+            simulation.simulate(_small(), Storage.of(out), LocalEngine(1))
+    assert "\n" not in str(caught.value)
+    kept = {name: content for name, content in _files(out).items() if name.endswith(".parquet")}
+    assert kept == {name: _files(whole)[name] for name in ("train-0000-000.parquet", "train-0001-000.parquet")}
+    simulation.simulate(_small(), Storage.of(out), LocalEngine(1))
+    assert _files(out) == _files(whole)
+
+
+def test_a_file_that_cannot_grow_is_one_line_and_leaves_no_half(tmp_path: Path) -> None:
+    out = tmp_path / "b"
+    words = _command(out, "--workers", "1")
+    run = subprocess.run([sys.executable, "-c", LIMITED, *words[3:]], check=False, capture_output=True, text=True)
+    assert run.returncode == 2
+    [line] = [line for line in run.stderr.splitlines() if line.startswith("viewshed: ")]
+    assert "train-0000-000.parquet: " in line
+    assert sorted(_files(out)) == ["manifest.json"]
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"seed": 5}, "holds seed 0, not 5"),
+    ({"name": "other"}, "holds preset nuscenes-small, not other"),
+    ({"interval_s": 0.25}, "holds nuscenes-small with other interval_s"),
+    ({"frames": (79, 20)}, "holds nuscenes-small with other frames"),
+])  # fmt: skip
+def test_a_place_that_holds_another_data_set_is_refused(whole: Path, change: dict[str, object], message: str) -> None:
+    before = _files(whole)
+    with pytest.raises(ValueError, match=f"{message}; choose another place"):
+        simulation.simulate(replace(_small(), **change), Storage.of(whole), LocalEngine(1))  # type: ignore[arg-type]
+    assert _files(whole) == before
+
+
+def test_a_place_that_holds_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("x")
+    with pytest.raises(ValueError, match=r"must be empty or hold this data set, got thesis\.txt"):
+        simulation.simulate(_small(), Storage.of(tmp_path), LocalEngine(1))
+    assert sorted(_files(tmp_path)) == ["thesis.txt"]
+
+
+def test_another_version_does_not_go_on(whole: Path, tmp_path: Path) -> None:
+    text = (whole / "manifest.json").read_text("utf-8").replace('"version": "', '"version": "9', 1)
+    (tmp_path / "manifest.json").write_text(text, "utf-8")
+    with pytest.raises(ValueError, match=r"was begun with viewshed 9.*; finish it with that version"):
+        simulation.simulate(_small(), Storage.of(tmp_path), LocalEngine(1))
+
+
+def test_a_failing_shard_stops_the_run_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(rng: object, plan: object) -> object:
+        raise ValueError("no such street")
+
+    world_of.cache_clear()
+    for kind in _small().worlds:
+        monkeypatch.setitem(simulation_worlds(), kind, broken)
+    with pytest.raises(OSError, match="no such street; finished shards are kept"):
+        simulation.simulate(_small(), Storage.of(tmp_path / "b"), LocalEngine(1))
+
+
+def simulation_worlds() -> dict:  # type: ignore[type-arg]
+    from viewshed_lab.sim.worlds import WORLDS
+
+    return WORLDS
+
+
+def test_several_agents_measure_at_the_same_time() -> None:
+    preset = replace(preset_named("carla-small").scaled(30), grid_cells=16)
+    [job] = [job for job in jobs_of(preset) if job.name.startswith("train")]
+    frames = list(islice(job.samples([]), 12))
+    assert {frame.split for frame in frames} == {"train"}
+    assert len({frame.measured.agent for frame in frames[:10]}) == 10
+    assert len({frame.measured.t_ns for frame in frames[:10]}) == 1
+    assert frames[10].measured.agent == frames[0].measured.agent
+    assert frames[10].measured.t_ns == 750_000_000

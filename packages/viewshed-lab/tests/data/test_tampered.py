@@ -1,0 +1,214 @@
+"""Data sets under attack: what is kept, what is recorded, the same bytes however they are made, and damage."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from viewshed import GRIDS, Archive, Sweep, write_sweep
+from viewshed.io import read_sweeps
+from viewshed_lab._jobs import LocalEngine
+from viewshed_lab.data.archive.build import ShardResult
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import simulate
+from viewshed_lab.data.tampered import (
+    AttackPlan,
+    CorruptionPlan,
+    sweeps_of_archive,
+    sweeps_of_files,
+    sweeps_of_recording,
+    tamper,
+    tampered_sweep,
+)
+from viewshed_lab.threats.attacks import ATTACKS
+from viewshed_lab.threats.attacks.base import Tampered
+
+pytestmark = pytest.mark.slow
+
+ONE = LocalEngine(1)
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    """Scenes of ten agents each in three splits, with coarse truth."""
+    preset = replace(preset_named("carla-small").scaled(40), grid_cells=16)
+    return simulate(preset, Storage.of(tmp_path_factory.mktemp("clean")), ONE)
+
+
+def _content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path: Path) -> None:
+    made = tamper(sweeps_of_archive(clean), AttackPlan("far_wall", 40), Storage.of(tmp_path), ONE, seed=3)
+    assert [(shard.name, shard.scene, shard.split, shard.frames) for shard in made.shards] == [
+        (shard.name, shard.scene, shard.split, shard.frames) for shard in clean.shards
+    ]
+    places = {}
+    for index, (before, after) in enumerate(zip(clean, Archive.open(tmp_path), strict=True)):
+        touched = made[index].tampered
+        assert touched is not None
+        assert touched.added.sum() <= 40
+        assert before.sweep.points[~touched.removed].tobytes() == after.sweep.points[~touched.added].tobytes()
+        assert touched.wedge is not None
+        new = after.sweep.points[touched.added]
+        assert touched.wedge.holds(np.arctan2(new[:, 1], new[:, 0])).all()
+        assert before.known.tobytes() == after.known.tobytes()
+        for target in before.truth.expected_returns:
+            assert (before.truth.expected_returns[target] == after.truth.expected_returns[target]).all()
+        places[index] = int(touched.added.sum())
+    assert max(places.values()) == 40
+
+
+def test_a_sweep_is_attacked_with_the_seed_of_its_scene_and_number(clean: Archive, tmp_path: Path) -> None:
+    made = tamper(sweeps_of_archive(clean), AttackPlan("uniform", 25), Storage.of(tmp_path), ONE, seed=9)
+    scene = clean.scenes[1]
+    inside = [index for index in range(len(clean)) if clean[index].scene == scene]
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([9, 1, 2])))
+    wanted = ATTACKS["uniform"](25).apply(clean[inside[2]].sweep, rng)
+    assert made[inside[2]].sweep.points.tobytes() == wanted.sweep.points.tobytes()
+
+
+def test_workers_and_a_stop_do_not_change_bytes(clean: Archive, tmp_path: Path) -> None:
+    plan = AttackPlan("ghost_car", 60)
+    told: list[ShardResult] = []
+    tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "one"), ONE, 1, told.append)
+    tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "two"), LocalEngine(2), 1)
+    whole = _content(tmp_path / "one")
+    assert _content(tmp_path / "two") == whole
+    assert len(told) == len(clean.shards)
+    (tmp_path / "two" / clean.shards[0].name).unlink()
+    with (tmp_path / "two" / clean.shards[-1].name).open("r+b") as file:
+        file.write(b"broken")
+    tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "two"), ONE, 1)
+    assert _content(tmp_path / "two") == whole
+
+
+def test_a_split_holds_the_same_sweeps_as_the_whole(clean: Archive, tmp_path: Path) -> None:
+    plan = AttackPlan("uniform_on_beams", 30)
+    whole = tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "all"), ONE)
+    test = tamper(sweeps_of_archive(clean, "test"), plan, Storage.of(tmp_path / "test"), ONE)
+    assert test.splits == ("test",)
+    told = {shard.name: shard.sha256 for shard in whole.shards}
+    assert [told[shard.name] for shard in test.shards] == [shard.sha256 for shard in test.shards]
+    with pytest.raises(ValueError, match="split must be one of train, test, got 'val'"):
+        sweeps_of_archive(clean, "val")
+
+
+def test_a_replay_plays_the_sweep_before_of_the_same_agent(clean: Archive, tmp_path: Path) -> None:
+    made = tamper(sweeps_of_archive(clean), AttackPlan("replay", mode="free_form"), Storage.of(tmp_path), ONE)
+    last: dict[tuple[str, str], Sweep] = {}
+    for before, after in zip(clean, made, strict=True):
+        key = before.scene, before.sweep.agent
+        wanted = last.get(key, before.sweep)
+        assert after.sweep.points.tobytes() == wanted.points.tobytes()
+        assert after.sweep.t_ns == before.sweep.t_ns
+        last[key] = before.sweep
+    assert len(last) < len(clean)
+
+
+def test_damage_costs_the_damaged_sweeps_alone(clean: Archive, tmp_path: Path) -> None:
+    folder = tmp_path / "clean"
+    assert clean.store.folder is not None
+    shutil.copytree(clean.store.folder, folder)
+    victim = clean.shards[0]
+    (folder / victim.name).write_bytes(b"PAR1 nothing of use PAR1")
+    told: list[ShardResult] = []
+    made = tamper(
+        sweeps_of_archive(Archive.open(folder)),
+        AttackPlan("jamming"),
+        Storage.of(tmp_path / "out"),
+        ONE,
+        0,
+        told.append,
+    )
+    problems = [problem for one in told for problem in one.problems]
+    assert len(problems) == 1
+    assert problems[0].startswith(
+        f"{victim.scene}, {victim.frames} sweeps from 0 on: {folder}/{victim.name} is damaged"
+    )
+    assert len(made) == len(clean) - victim.frames
+
+
+def test_an_archive_without_a_record_has_no_column_for_it(clean: Archive, tmp_path: Path) -> None:
+    attacked = tamper(sweeps_of_archive(clean, "test"), AttackPlan("relay"), Storage.of(tmp_path / "a"), ONE)
+    foggy = tamper(sweeps_of_archive(clean, "test"), CorruptionPlan("fog", 5), Storage.of(tmp_path / "b"), ONE)
+    assert clean.store.folder is not None
+    columns = [
+        pq.read_schema(folder / attacked.shards[0].name).names
+        for folder in (clean.store.folder, tmp_path / "b", tmp_path / "a")
+    ]
+    assert columns[0] == columns[1] == [name for name in columns[2] if name != "touched"]
+    assert columns[2][-1] == "touched"
+    assert foggy[0].tampered is None
+    assert len(foggy[0].sweep) != len(clean.split("test")[0].sweep)
+
+
+def test_an_untouched_frame_stays_a_range_image(clean: Archive, tmp_path: Path) -> None:
+    made = tamper(sweeps_of_archive(clean, "test"), AttackPlan("far_wall", 0), Storage.of(tmp_path), ONE)
+    sample, before = made[0], clean.split("test")[0]
+    assert sample.sweep.points.tobytes() == before.sweep.points.tobytes()
+    assert sample.tampered is not None
+    assert not sample.tampered.added.any()
+    assert not sample.tampered.removed.any()
+
+
+def test_a_record_that_does_not_fit_is_refused(clean: Archive) -> None:
+    sample, none = clean[0], np.zeros(2, np.bool_)
+    tampered = Tampered(sample.sweep.select(np.arange(2)), none, none)
+    with pytest.raises(ValueError, match=r"tampered must have \d+ returns, as measured, got 2"):
+        replace(sample, tampered=tampered)
+
+
+def test_a_place_that_holds_another_attack_is_refused(clean: Archive, tmp_path: Path) -> None:
+    sweeps, store = sweeps_of_archive(clean, "test"), Storage.of(tmp_path)
+    tamper(sweeps, AttackPlan("far_wall", 10), store, ONE)
+    with pytest.raises(ValueError, match="holds far_wall with other budget; choose another place"):
+        tamper(sweeps, AttackPlan("far_wall", 11), store, ONE)
+    with pytest.raises(ValueError, match="holds name far_wall, not relay"):
+        tamper(sweeps, AttackPlan("relay"), store, ONE)
+    with pytest.raises(ValueError, match="seed must not be negative, got -1"):
+        tamper(sweeps, AttackPlan("relay"), store, ONE, -1)
+
+
+def test_recordings_and_files_have_no_truth(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    folder = tmp_path / "kitti" / "sequences" / "07" / "velodyne"
+    folder.mkdir(parents=True)
+    (folder.parent / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    for number in range(3):
+        write_sweep(Sweep(rng.normal(0, 15, (50 + number, 3)).astype(np.float32)), folder / f"{number:06d}.bin")
+    (folder / "000001.bin").write_bytes(b"12345")
+    told: list[ShardResult] = []
+    sweeps = sweeps_of_recording(str(tmp_path / "kitti"), GRIDS["indoor"])
+    made = tamper(sweeps, AttackPlan("uniform", 5), Storage.of(tmp_path / "out"), ONE, 0, told.append)
+    assert [len(sample.sweep) for sample in made] == [55, 57]
+    assert not made[0].known.any()
+    problem = next(problem for one in told for problem in one.problems)
+    assert problem.count("000001.bin") == 1
+    files = sweeps_of_files(sorted(folder.iterdir()), read_sweeps, GRIDS["indoor"])
+    assert files.count == 2
+    assert len(files.problems) == 1
+    sweep, record = tampered_sweep(files, AttackPlan("uniform", 7))
+    assert len(sweep) == 57
+    assert record.count('"removed_rows": []') == 1
+
+
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: AttackPlan("far_wal"), "attack must be one of uniform, .*, paper, got 'far_wal'"),
+    (lambda: AttackPlan("paper", 100), "attack paper draws its own points"),
+    (lambda: AttackPlan("relay", mode="free_form"), "attack relay must be left in its own mode, got 'free_form'"),
+    (lambda: AttackPlan("cluster", mode="both"), "mode must be one of free_form, beam_constrained, got 'both'"),
+    (lambda: AttackPlan("paper", placement="random"), "leave budget, mode and placement out"),
+    (lambda: AttackPlan("far_wall", -3), "budget must be a whole number of returns"),
+    (lambda: CorruptionPlan("hail"), "corruption must be one of rain, .*, got 'hail'"),
+    (lambda: CorruptionPlan("rain", 6), "severity must be a whole number from 1 to 5, got 6"),
+])  # fmt: skip
+def test_plans_that_cannot_be(make: object, message: str) -> None:
+    assert callable(make)
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -1,0 +1,218 @@
+"""Indoor worlds: the same from a seed, solid walls, nothing in each other, robots that get through."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+import shapely
+from numpy.typing import NDArray
+
+from viewshed import lidar_model
+from viewshed_lab.sim.assets.furniture import bounds, cabinet, place_group
+from viewshed_lab.sim.assets.shapes import BOX
+from viewshed_lab.sim.raycast.caster import cast_world
+from viewshed_lab.sim.world import NOTHING, AgentPlan, Snapshot, World
+from viewshed_lab.sim.worlds import WORLDS
+from viewshed_lab.sim.worlds.indoor.floor import Rise, floor
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
+from viewshed_lab.sim.worlds.indoor.routes import drive_route, open_floor
+from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, build, wall_parts
+
+NAMES = ("rooms", "corridors", "hall", "warehouse", "atrium", "loft", "tunnel")
+PLAN = AgentPlan(moving=2, roadside=2, sensor="vlp16", sensor_height_m=0.7, duration_s=60.0)
+HOUSE = {"wall", "ceiling", "beam", "pillar", "duct", "gallery", "threshold", "balustrade"}
+
+
+def make(name: str, seed: int, plan: AgentPlan = PLAN) -> World:
+    return WORLDS[name](np.random.default_rng(seed), plan)
+
+
+def outlines(snapshot: Snapshot) -> NDArray[np.object_]:
+    """Polygons of all solids from above."""
+    turn = np.linspace(0, 2 * np.pi, 17)[:-1]
+    square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    polygons = []
+    for kind, center, rotation, half in zip(
+        snapshot.kind, snapshot.center_m, snapshot.rotation, snapshot.half_m, strict=True
+    ):
+        local = (square if kind == BOX else np.column_stack([np.cos(turn), np.sin(turn)])) * half[:2]
+        polygons.append(shapely.Polygon(local @ rotation[:2, :2].T + center[:2]))
+    return np.array(polygons)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_same_seed_gives_the_same_world_and_another_seed_another(name: str) -> None:
+    one, same, other = make(name, 7), make(name, 7), make(name, 8)
+    for t_s in (0.0, 31.0):
+        a, b = one.snapshot(t_s), same.snapshot(t_s)
+        for field in ("kind", "center_m", "rotation", "half_m", "velocity_mps", "material", "thing"):
+            assert np.array_equal(getattr(a, field), getattr(b, field))
+    assert [x.mount.translation.tolist() for x in one.agents] == [x.mount.translation.tolist() for x in same.agents]
+    assert one.snapshot(0.0).half_m.tolist() != other.snapshot(0.0).half_m.tolist()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_world_has_the_size_and_the_agents_that_were_asked_for(name: str, seed: int) -> None:
+    plan = AgentPlan(moving=3, roadside=1, sensor="vlp16", sensor_height_m=0.6, duration_s=5.0)
+    world = make(name, seed, plan)
+    snapshot = world.snapshot(0.0)
+    assert world.name == name
+    assert world.indoor
+    assert [agent.name for agent in world.agents] == ["robot_0", "robot_1", "robot_2", "ceiling_0"]
+    assert 150 <= len(snapshot.kind) <= 900
+    assert (world.terrain.material.size) * 2 <= 200
+    assert sum(one.track is not None for one in world.things) <= 12
+    walls = np.array([world.things[k].kind == "wall" for k in snapshot.thing])
+    reach = np.abs(snapshot.rotation[walls] * snapshot.half_m[walls][:, None]).sum(axis=2)
+    assert ((snapshot.center_m[walls] + reach).max(axis=0)[:2] > 16.0).all()
+    assert ((snapshot.center_m[walls] - reach).min(axis=0)[:2] < -16.0).all()
+    for agent in world.agents[:3]:
+        pose = world.world_from_sensor(agent, 2.0).translation
+        assert pose[2] - world.terrain.at(pose[None, :2])[0] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", [3, 4])
+def test_no_two_things_are_in_each_other(name: str, seed: int) -> None:
+    """Prisms around solids, by shapely; only the shell of the house may touch itself."""
+    world = make(name, seed)
+    snapshot = world.snapshot(0.0)
+    polygons = outlines(snapshot)
+    top, bottom = snapshot.center_m[:, 2] + snapshot.half_m[:, 2], snapshot.center_m[:, 2] - snapshot.half_m[:, 2]
+    i, j = shapely.STRtree(polygons).query(polygons, predicate="intersects")
+    deep = np.minimum(top[i], top[j]) - np.maximum(bottom[i], bottom[j])
+    rows = (snapshot.thing[i] < snapshot.thing[j]) & (deep > 0.02)
+    i, j = i[rows], j[rows]
+    area = shapely.area(shapely.intersection(polygons[i], polygons[j]))
+    kinds = [
+        (world.things[a].kind, world.things[b].kind) for a, b in zip(snapshot.thing[i], snapshot.thing[j], strict=True)
+    ]
+    met = [pair for pair, size in zip(kinds, area, strict=True) if size > 0.004 and not set(pair) <= HOUSE]
+    seated = [pair for pair in met if set(pair) == {"chair", "pedestrian"}]
+    assert sorted(set(met) - set(seated)) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", [0, 5])
+def test_robots_touch_nothing_on_their_way(name: str, seed: int) -> None:
+    world = make(name, seed)
+    snapshot = world.snapshot(0.0)
+    moves = np.array([world.things[k].track is not None for k in snapshot.thing])
+    ground = world.terrain.at(snapshot.center_m[:, :2])
+    top = snapshot.center_m[:, 2] + snapshot.half_m[:, 2] - ground
+    bottom = snapshot.center_m[:, 2] - snapshot.half_m[:, 2] - ground
+    tree = shapely.STRtree(outlines(snapshot)[~moves & (top > 0.04) & (bottom < 0.75)])
+    for robot in (one for one in world.things if one.kind == "robot"):
+        places = np.array([robot.pose_at(t) for t in np.arange(0.0, PLAN.duration_s, 0.2)])
+        nearest = tree.query_nearest(shapely.points(places[:, :2]), return_distance=True, all_matches=False)[1]
+        assert nearest.min() > 0.19
+        steps = np.diff(places, axis=0)
+        assert np.hypot(*steps[:, :2].T).max() < 0.8 * 0.2 + 1e-6
+        assert np.abs(np.diff(world.terrain.at(places[:, :2]))).max() < 0.03
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_whoever_moves_keeps_apart_for_ten_minutes(name: str) -> None:
+    world = make(name, 2, AgentPlan(moving=3, sensor="vlp16", sensor_height_m=0.5, duration_s=600.0))
+    movers = [one for one in world.things if one.track is not None]
+    times = np.arange(0.0, 600.0, 0.1)
+    paths = np.array([[np.interp(times, m.track.t_s, xy) for xy in m.track.xy_m.T] for m in movers if m.track])
+    for a, b in combinations(range(len(movers)), 2):
+        assert np.hypot(*(paths[a] - paths[b])).min() > 0.45, (movers[a].kind, movers[b].kind)
+    assert [m.kind for m in movers[:3]] == ["robot"] * 3
+    driven = np.hypot(*np.diff(paths[:3], axis=2).transpose(1, 0, 2)).sum(axis=1)
+    assert (driven > 60.0).all()
+    assert all(m.track is not None and m.track.t_s[0] <= 0 and m.track.t_s[-1] > 600.0 for m in movers)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", [1, 6])
+def test_sensors_look_into_the_building(name: str, seed: int) -> None:
+    world = make(name, seed)
+    for agent in world.agents:
+        scan = cast_world(world.snapshot(3.0), lidar_model(agent.sensor), world.world_from_sensor(agent, 3.0))
+        assert (scan.thing == NOTHING).mean() < 0.35
+        assert (scan.thing == agent.carrier).mean() < 0.12 if agent.carrier is not None else scan.depth_m.min() > 0.25
+        seen = {world.things[k].kind for k in np.unique(scan.thing[scan.thing >= 0])}
+        assert "wall" in seen
+
+
+def test_ceiling_sensors_hang_high_and_look_down() -> None:
+    world = make("corridors", 1)
+    for agent in world.agents[2:]:
+        assert agent.carrier is None
+        assert agent.mount.translation[2] > 2.0
+        assert -np.sin(0.26) < agent.mount.rotation[2, 0] < -np.sin(0.04)
+
+
+def test_a_doorway_is_a_gap_below_a_lintel_with_posts_at_both_ends() -> None:
+    wall = Wall(True, 3.0, -4.0, 6.0, 0.2, "brick", (Opening(1.0, 1.2, "passage"),))
+    parts = wall_parts(wall, 2.7)
+    inside = [p for p in parts if p.bottom_m < 2.0 and abs(p.x_m - 1.0) - p.length_m / 2 < 0.6 - 1e-9]
+    lintel = [p for p in parts if abs(p.bottom_m - 2.05) < 1e-9]
+    assert len(lintel) == 1
+    assert (lintel[0].x_m, lintel[0].y_m, lintel[0].length_m, lintel[0].top_m) == pytest.approx((1.0, 3.0, 1.2, 2.7))
+    assert sorted(round(p.x_m, 3) for p in inside) == [0.43, 1.57]
+    pieces = sorted(
+        (p.x_m - p.length_m / 2, p.x_m + p.length_m / 2) for p in parts if p.material == "brick" and p.bottom_m < 0
+    )
+    assert np.allclose(pieces, [(-4.0, 0.4), (1.6, 6.0)])
+
+
+def test_furniture_never_stands_in_a_doorway() -> None:
+    floor_plan = FloorPlan(np.random.default_rng(0))
+    build(floor_plan, [Wall(False, 0.0, 0.0, 9.0, 0.2, "plaster", (Opening(2.5, 1.0, "passage"),))], 2.5)
+    count = sum(floor_plan.against((0.1, 0.0, 4.0, 9.0), cabinet, (0,)) for _ in range(60))
+    assert count >= 3
+    rows = np.concatenate([bounds((one,)) for one in floor_plan.things if one.kind == "cabinet"])
+    assert not ((rows[:, 1] < 3.0) & (rows[:, 3] > 2.0)).any()
+    assert (rows[:, 0] >= 0.1).all()
+    assert not floor_plan.put(place_group(cabinet(floor_plan.rng), 0.5, 2.5))
+
+
+def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
+    rise = Rise((2.0, 1.0, 8.0, 5.0), 0.2, (2.0, 2.0, 4.0, 3.0), 0)
+    ground = floor(rise, (-9.0, -9.0, 9.0, 9.0), "wood")
+    points = [[0.0, 2.5], [3.0, 2.5], [4.5, 2.5], [3.0, 4.0], [7.9, 1.2], [8.1, 1.2], [5.0, 5.1]]
+    assert np.allclose(ground.at(points), [0.0, 0.1, 0.2, 0.2, 0.2, 0.0, 0.0], atol=1e-6)
+    assert rise.path()[0] == pytest.approx((1.4, 2.5))
+    assert np.allclose(ground.at(rise.path()), [0.0, 0.02, 0.1, 0.18, 0.2], atol=1e-6)
+    edges = shapely.MultiLineString([((a, b), (c, d)) for a, b, c, d in rise.steps()])
+    assert edges.distance(shapely.Point(2.0, 2.5)) == pytest.approx(0.5)
+    assert edges.distance(shapely.Point(2.0, 4.0)) == 0.0
+    assert edges.distance(shapely.Point(8.0, 2.5)) == 0.0
+
+
+def test_a_track_turns_in_place_at_corners() -> None:
+    track = drive_route(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, -1.0]]), 0.5, 1.0, 10.0)
+    assert track.at(12.0) == pytest.approx((1.0, 0.0, 0.0))
+    assert track.at(14.02 + np.pi / 4) == pytest.approx((2.0, 0.0, -np.pi / 4))
+    assert track.at(15.02 + np.pi / 2) == pytest.approx((2.0, -0.5, -np.pi / 2))
+
+
+def test_a_line_through_something_is_not_free() -> None:
+    lane = open_floor((-2.0, -1.0, 6.0, 3.0)).without(np.array([[1.0, 0.0, 1.2, 1.0]]), 0.3)
+    start = np.array([[0.0, 0.5], [0.0, 2.0], [0.0, 0.5]])
+    stop = np.array([[3.0, 0.5], [3.0, 1.6], [0.6, 2.0]])
+    assert lane.sees(start, stop).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize("height_m", [0.1, 2.4])
+def test_robots_that_are_too_low_or_too_tall_are_refused(height_m: float) -> None:
+    with pytest.raises(
+        ValueError, match=rf"sensor_height_m must lie in \[0\.3, 1\.85\] indoors, got {height_m}; change"
+    ):
+        make("rooms", 0, AgentPlan(sensor_height_m=height_m))
+    assert len(make("rooms", 0, AgentPlan(moving=0, roadside=2, sensor_height_m=height_m)).agents) == 2
+
+
+def test_robots_drive_up_ramps() -> None:
+    climbed = set()
+    for name, seed in ((name, seed) for name in NAMES for seed in range(8)):
+        world = make(name, seed, AgentPlan(moving=1, sensor="vlp16", sensor_height_m=0.5, duration_s=200.0))
+        heights = world.terrain.at([world.things[0].pose_at(t)[:2] for t in np.arange(0.0, 200.0, 0.5)])
+        if heights.max() > 0.06:
+            climbed.add(name)
+            assert np.abs(np.diff(heights)).max() < 0.08
+    assert len(climbed) >= 3

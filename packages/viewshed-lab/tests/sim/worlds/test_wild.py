@@ -1,0 +1,316 @@
+"""Worlds that are neither flat nor square: whoever drives has room and stands on what carries it, sweeps make sense."""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from shapely import STRtree, area, intersection, polygons
+
+from viewshed.sensors import lidar_model
+from viewshed_lab.sim.assets.shapes import BOX, material_index
+from viewshed_lab.sim.assets.street import footprint
+from viewshed_lab.sim.raycast.caster import cast_world
+from viewshed_lab.sim.raycast.scan import ExactScan
+from viewshed_lab.sim.world import AgentPlan, World
+from viewshed_lab.sim.worlds import WORLDS
+
+WILD = (
+    "country_road",
+    "open_field",
+    "embankment",
+    "cutting",
+    "bridge",
+    "pit",
+    "quay",
+    "garage",
+    "glass_fronts",
+    "oblique",
+    "slope_town",
+    "site",
+)
+LIE_TOGETHER = {
+    "guard_rail", "barrier", "fence", "hedge", "wall", "retaining_wall", "parapet", "deck", "bridge", "pole", "ceiling",
+    "duct", "pillar", "stop",
+}  # fmt: skip
+STANDING = {
+    "car",
+    "van",
+    "truck",
+    "bus",
+    "container",
+    "cabin",
+    "excavator",
+    "stack",
+    "barrels",
+    "pedestrian",
+    "scaffold",
+}
+PLANS = [(1, 0, 2.0), (0, 1, 20.0), (5, 5, 60.0), (2, 3, 8.0)]
+
+
+def made(name: str, seed: int, plan: tuple[int, int, float] = (1, 0, 10.0)) -> World:
+    moving, roadside, duration_s = plan
+    return WORLDS[name](np.random.default_rng(seed), AgentPlan(moving, roadside, duration_s=duration_s))
+
+
+def outlines(world: World, t_s: float) -> tuple[NDArray[np.object_], NDArray[np.float64], NDArray[np.int32]]:
+    """Return polygons of all solids from above, their lowest and highest z (n, 2), and the things they belong to."""
+    snapshot = world.snapshot(t_s)
+    turn = np.linspace(0, 2 * np.pi, 13)[:-1]
+    square, circle = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]), np.column_stack([np.cos(turn), np.sin(turn)])
+    rows = [
+        (square if kind == BOX else circle) * half[:2] @ rotation[:2, :2].T + center[:2]
+        for kind, center, rotation, half in zip(
+            snapshot.kind, snapshot.center_m, snapshot.rotation, snapshot.half_m, strict=True
+        )
+    ]
+    tall = np.abs(snapshot.rotation[:, 2] * snapshot.half_m).sum(axis=1)
+    shapes = np.array([polygons(row) for row in rows])
+    return shapes, np.stack([snapshot.center_m[:, 2] - tall, snapshot.center_m[:, 2] + tall], axis=1), snapshot.thing
+
+
+def overlaps(world: World, t_s: float) -> Iterator[tuple[str, str, float, float, float]]:
+    """Yield pairs of things whose solids share ground and height: kinds, shared area, and where."""
+    shapes, z, thing = outlines(world, t_s)
+    i, j = STRtree(shapes).query(shapes, predicate="intersects")
+    deep = np.minimum(z[i, 1], z[j, 1]) - np.maximum(z[i, 0], z[j, 0])
+    ground = world.terrain.at(np.array([[one.centroid.x, one.centroid.y] for one in shapes]))
+    overhead = np.maximum(z[i, 0] - ground[i], z[j, 0] - ground[j]) > 2.0
+    rows = (thing[i] < thing[j]) & (deep > 0.03) & ~overhead
+    for a, b in zip(i[rows], j[rows], strict=True):
+        kinds = world.things[thing[a]].kind, world.things[thing[b]].kind
+        shared = float(area(intersection(shapes[a], shapes[b])))
+        if shared > 0.03 and not set(kinds) <= LIE_TOGETHER:
+            yield *kinds, shared, shapes[a].centroid.x, shapes[a].centroid.y
+
+
+@pytest.mark.parametrize("name", WILD)
+@pytest.mark.parametrize("plan", PLANS, ids=str)
+def test_nothing_stands_in_anything_else_at_any_time(name: str, plan: tuple[int, int, float]) -> None:
+    found = []
+    for seed in range(2):
+        world = made(name, seed, plan)
+        for t_s in np.linspace(0.0, plan[2], 3):
+            found += [(seed, t_s, *pair) for pair in overlaps(world, float(t_s))]
+    assert found == []
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_every_plan_has_its_agents_on_the_ground_well_inside_the_world(name: str) -> None:
+    for (moving, roadside), duration_s in itertools.product([(1, 0), (5, 0), (0, 5), (5, 5)], (2.0, 20.0, 60.0)):
+        world = made(name, 11, (moving, roadside, duration_s))
+        names = [f"vehicle_{k}" for k in range(moving)] + [f"roadside_{k}" for k in range(roadside)]
+        assert [agent.name for agent in world.agents] == names
+        for agent, t_s in itertools.product(world.agents, (0.0, duration_s / 2, duration_s)):
+            x, y, z = world.world_from_sensor(agent, t_s).translation
+            lines_x, lines_y = world.terrain.x_m, world.terrain.y_m
+            assert min(x - lines_x[0], lines_x[-1] - x) > 54.0
+            assert min(y - lines_y[0], lines_y[-1] - y) > 54.0
+            above = z - float(world.ground_of(agent).at([[x, y]])[0])
+            assert 1.7 < above < 1.95 if agent.carrier is not None else 1.5 <= above <= 8.0
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_a_sensor_is_inside_no_solid_and_its_way_is_free(name: str) -> None:
+    """The box of the carrier, from 0.3 m above its ground up to the sensor, meets no solid that stands still."""
+    for seed in range(4):
+        world = made(name, seed, (4, 3, 10.0))
+        snapshot = world.snapshot(5.0)
+        for agent in world.agents:
+            away = world.world_from_sensor(agent, 5.0).translation - snapshot.center_m
+            local = np.abs(np.einsum("kji,kj->ki", snapshot.rotation, away))
+            assert not (local < snapshot.half_m).all(axis=1).any()
+        shapes, z, thing = outlines(world, 0.0)
+        still = np.array([world.things[k].track is None for k in thing])
+        tree = STRtree(shapes[still])
+        for agent in (one for one in world.agents if one.carrier is not None):
+            for t_s in np.linspace(0.0, 10.0, 21):
+                pose = world.pose_of(agent.carrier or 0, t_s)
+                square = np.array([[2.3, 0.85], [-2.3, 0.85], [-2.3, -0.85], [2.3, -0.85]])
+                body = polygons(square @ pose.rotation[:2, :2].T + pose.translation[:2])
+                near = tree.query(body, predicate="intersects")
+                low, high = z[still][near].T - pose.translation[2]
+                met = [world.things[k].kind for k in thing[still][near[(high > 0.45) & (low < 1.8)]]]
+                assert met == [], (seed, agent.name, t_s)
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_vehicles_stand_on_what_carries_them(name: str) -> None:
+    """Each corner of a car's wheelbase is within 0.3 m of the ground of its level; none is tilted by over 20°."""
+    for seed in range(4):
+        world = made(name, seed, (2, 0, 10.0))
+        for k, one in enumerate(world.things):
+            if one.kind not in ("car", "van"):
+                continue
+            ground = world.upper if one.upper and world.upper is not None else world.terrain
+            for t_s in (0.0, 5.0) if one.track is not None else (0.0,):
+                pose = world.pose_of(k, t_s)
+                if np.abs(pose.translation[:2]).max() > 105.0:
+                    continue
+                corners = np.array([[1.4, 0.7, 0], [1.4, -0.7, 0], [-1.4, 0.7, 0], [-1.4, -0.7, 0]])
+                feet = corners @ pose.rotation.T + pose.translation
+                gaps = feet[:, 2] - ground.at(feet)
+                assert np.abs(gaps).max() < 0.3, (seed, one.kind, pose.translation, gaps)
+                assert pose.rotation[2, 2] > np.cos(np.deg2rad(20.0))
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_the_same_seed_gives_the_same_world_and_another_seed_another(name: str) -> None:
+    one, same, other = (made(name, seed, (2, 2, 5.0)).snapshot(1.0) for seed in (7, 7, 8))
+    for field in ("kind", "center_m", "rotation", "half_m", "velocity_mps", "material", "thing"):
+        assert np.array_equal(getattr(one, field), getattr(same, field))
+    assert np.array_equal(one.terrain.heights_m, same.terrain.heights_m)
+    assert one.center_m.shape != other.center_m.shape or not np.allclose(one.center_m, other.center_m)
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_sizes_stay_where_casting_is_fast(name: str) -> None:
+    for seed in range(8):
+        world = made(name, seed, (1 + seed % 5, seed % 6, (2.0, 20.0, 60.0)[seed % 3]))
+        assert world.terrain.material.size <= 2600
+        assert len(world.snapshot(0.0).kind) < 2300
+        assert sum(thing.track is not None for thing in world.things) <= 40
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_sweeps_have_a_sane_number_of_stops(name: str) -> None:
+    """Over 20 seeds: the beams below the horizon mostly meet something, and those that meet the carrier are few."""
+    model = lidar_model("vlp16")
+    for seed in range(20):
+        world = made(name, seed)
+        agent = world.agents[0]
+        scan = cast_world(world.snapshot(5.0), model, world.world_from_sensor(agent, 5.0), seed=seed)
+        met = np.isfinite(scan.depth_m)
+        assert 0.2 < met.mean() <= 1.0, seed
+        assert met[:, : model.rings // 2 - 1].mean() > 0.6, seed
+        assert (scan.thing == agent.carrier).mean() < 0.3, seed
+        assert float(scan.depth_m.min()) > 0.05
+
+
+def beside(world: World, forward_m: float, left_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the ground's heights from that below the sensor, at places beside the first agent at 5 s."""
+    agent = world.agents[0]
+    pose, ground = world.world_from_sensor(agent, 5.0), world.ground_of(agent)
+    c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+    x, y = c * forward_m - s * left_m, s * forward_m + c * left_m
+    here = ground.at(pose.translation[None])[0]
+    return np.asarray(ground.at(np.stack([x, y], axis=-1) + pose.translation[:2]) - here)
+
+
+def scan_of(world: World, sensor: str = "hdl32e") -> ExactScan:
+    agent = world.agents[0]
+    return cast_world(world.snapshot(5.0), lidar_model(sensor), world.world_from_sensor(agent, 5.0), seed=1)
+
+
+def test_an_embankment_falls_and_a_cutting_rises_beside_the_road() -> None:
+    out = np.arange(0.0, 40.0, 0.5)
+    for seed in range(8):
+        low = [beside(made("embankment", seed), 0.0, way * out).min() for way in (-1, 1)]
+        assert -12.0 < min(low) < -1.4
+        high = [beside(made("cutting", seed), 0.0, way * out).max() for way in (-1, 1)]
+        assert 1.2 < max(high) < 13.0
+
+
+@pytest.mark.parametrize("name", ["pit", "quay"])
+def test_ground_drops_within_centimeters_next_to_the_lane_and_hides_what_stands_at_its_foot(name: str) -> None:
+    """The tallest upright face beside the sensor is 1 to 8 m; no beam meets the floor just behind it."""
+    steps = np.arange(0.0, 60.0, 0.04)
+    found = 0
+    for seed in range(12):
+        world = made(name, seed)
+        z = np.array([beside(world, 0.0, way * steps) for way in (-1, 1)])
+        way, k = np.unravel_index(int(np.argmin(np.diff(z, axis=1))), (2, len(steps) - 1))
+        deep = float(z[way, k] - z[way, k + 1])
+        if deep < 1.0:  # no pit just here
+            continue
+        found += 1
+        assert 1.0 < deep < 8.0
+        agent = world.agents[0]
+        scan = scan_of(world)
+        pose = world.world_from_sensor(agent, 5.0)
+        stops = (scan.origin_m + scan.direction * scan.depth_m[..., None])[np.isfinite(scan.depth_m)] @ pose.rotation
+        side = (1, -1)[1 - int(way)] * stops[:, 1]
+        foot = (np.abs(stops[:, 0]) < 2.0) & (side > steps[k] + 0.1) & (side < steps[k] + 0.3)
+        assert not (foot & (stops[:, 2] < -1.84 - 0.9 * deep)).any()
+    assert found > 3
+
+
+def test_under_a_bridge_beams_meet_the_deck_and_on_it_the_road() -> None:
+    up, down = 0, 0
+    for seed in range(30):
+        world = made("bridge", seed, (4, 0, 6.0))
+        deck = next(k for k, thing in enumerate(world.things) if thing.kind == "deck")
+        snapshot = world.snapshot(3.0)
+        row = int(np.flatnonzero(snapshot.thing == deck)[0])
+        for agent in world.agents:
+            pose = world.world_from_sensor(agent, 3.0)
+            off = np.abs((pose.translation - snapshot.center_m[row]) @ snapshot.rotation[row])
+            if (off[:2] > snapshot.half_m[row, :2] - 1.0).any():
+                continue
+            scan = cast_world(snapshot, lidar_model("os0_128"), pose, seed=0)
+            at_deck = scan.thing == deck
+            upward = scan.direction[..., 2] > 0
+            if world.ground_of(agent) is world.upper:
+                up += 1
+                assert at_deck[~upward].mean() > 0.05
+                assert not at_deck[upward].any()
+                assert pose.translation[2] > snapshot.center_m[row, 2]
+            else:
+                down += 1
+                assert at_deck[upward].mean() > 0.02
+                assert not at_deck[~upward].any()
+                assert snapshot.center_m[row, 2] - snapshot.half_m[row, 2] - pose.translation[2] > 1.5
+    assert up > 2
+    assert down > 2
+
+
+def test_a_garage_has_a_ceiling_within_reach_and_an_open_field_has_none() -> None:
+    for seed in range(6):
+        scan = scan_of(made("garage", seed), "os0_128")
+        upward = scan.direction[..., 2] > 0.5
+        assert np.isfinite(scan.depth_m[upward]).mean() > 0.95
+        assert np.median((scan.depth_m * scan.direction[..., 2])[upward & np.isfinite(scan.depth_m)]) < 1.6
+        world = made("open_field", seed)
+        field = scan_of(world, "os0_128")
+        assert not np.isfinite(field.depth_m[upward]).any()
+        assert ((field.thing >= 0) & (field.thing != world.agents[0].carrier)).mean() < 0.06
+
+
+def test_beams_pass_glass_fronts_and_some_stop_in_the_panes() -> None:
+    glass = [material_index(name) for name in ("glass", "window", "tinted")]
+    for seed in range(4):
+        world = made("glass_fronts", seed)
+        scan = scan_of(world)
+        buildings = [k for k, thing in enumerate(world.things) if thing.kind == "building"]
+        met = np.isin(scan.thing, buildings)
+        panes = np.isin(scan.material, glass) & met
+        assert panes.sum() > 300
+        assert (met & ~panes).sum() > 1000
+        assert (scan.cos_incidence[panes & (scan.material != glass[0])] < 0.999).any() or (
+            scan.material[panes] == glass[0]
+        ).all()
+
+
+def test_a_town_on_a_hill_climbs_and_an_old_town_has_walls_at_every_angle() -> None:
+    for seed in range(6):
+        z = beside(made("slope_town", seed), 0.0, np.zeros(1)), beside(made("slope_town", seed), 30.0, np.zeros(1))
+        assert 0.02 < abs(float(z[1][0] - z[0][0])) / 30.0 < 0.2
+        world = made("oblique", seed)
+        turns = [thing.yaw % (np.pi / 2) for thing in world.things if thing.kind in ("building", "house")]
+        assert np.histogram(turns, bins=6, range=(0, np.pi / 2))[0].min() > 0
+
+
+@pytest.mark.parametrize("name", ["pit", "quay", "site", "bridge", "embankment"])
+def test_nothing_that_stands_reaches_over_an_edge(name: str) -> None:
+    """Below vehicles, goods and people the ground is within 0.9 m of the plane that goes on from below their middle."""
+    for seed in range(12):
+        world = made(name, seed)
+        for thing in world.things:
+            if thing.track is None and not thing.upper and thing.kind in STANDING:
+                middle = np.array([thing.x_m, thing.y_m])
+                inside = 0.98 * (footprint(thing) - middle)
+                normal = world.terrain.normals_at(middle[None], 0.4)[0]
+                rise = world.terrain.at(inside + middle) - world.terrain.at(middle[None])[0]
+                assert np.abs(rise + inside @ normal[:2] / normal[2]).max() < 0.9, (seed, thing.kind)

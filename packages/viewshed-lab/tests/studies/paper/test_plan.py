@@ -1,0 +1,113 @@
+"""What the study runs: plans, models, settings, and the names of its jobs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from viewshed_lab._config import preset_names
+from viewshed_lab.studies.paper.jobs import needed
+from viewshed_lab.studies.paper.models import config_of, trade_config
+from viewshed_lab.studies.paper.plan import PROTOCOLS, Model, PaperPlan
+from viewshed_lab.studies.paper.protocols import setting_of
+from viewshed_lab.threats.attacks import ATTACKS, FAMILY
+
+TINY = PaperPlan.load("tiny")
+
+
+@pytest.mark.parametrize("name", preset_names("studies/paper/plans"))
+def test_a_plan_survives_its_plain_values(name: str) -> None:
+    plan = PaperPlan.load(name)
+    assert PaperPlan.from_json(plan.to_json()) == plan
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"domains": ["moon", "ugv", "carla"]}, "domains must be among .*, got 'moon'"),
+        ({"domains": ["ugv", "ugv", "carla"]}, "domains must be different names"),
+        ({"train_scenes": [1, 2]}, r"train_scenes must be a positive number for each domain, got \[1, 2\]"),
+        ({"test_seed": 1}, "test_seed must not be the seed that is trained on, got 1 for both"),
+        ({"cells": 30}, "cells must divide by 2 to the power of the depth 2, got 30"),
+        ({"passes": 0}, "passes must be at least 1, got 0"),
+        ({"pair_frames": 13}, "pair_frames and strict_frames must be at most 12, what nuscenes has with a past"),
+        ({"monitor_frames": 4}, "monitor_frames must be at most 3, a third of the held-out scenes"),
+        (
+            {"monitor_false_alarms": 0.2},
+            r"monitor_false_alarms must lie in \[1 / \(monitor_frames \+ 1\), 1\), got 0.2",
+        ),
+        ({"trained_attacks": list(ATTACKS)}, "trained_attacks must name some attacks and leave others unseen"),
+        ({"trade_domain": "roads"}, "trade_domain must be among carla, nuscenes, ugv, got 'roads'"),
+        ({"seed": True}, "seed must be int, got True"),
+        ({"dropout": "much"}, "dropout must be float, got 'much'"),
+        ({"extra": 1}, "missing or unknown: extra"),
+    ],
+)
+def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        PaperPlan.from_json(TINY.to_json() | change)
+
+
+def test_an_unknown_plan_is_refused() -> None:
+    with pytest.raises(ValueError, match="preset must be one of paper, small, tiny, got 'huge'"):
+        PaperPlan.load("huge")
+
+
+def test_there_are_72_pairs_of_12_models_in_each_protocol() -> None:
+    for protocol in PROTOCOLS:
+        models = TINY.models([protocol])
+        assert len(models) == len({model.name for model in models}) == 12
+        keys = [key for key in TINY.job_keys_of("pairs", [protocol]) if key[2] != "classical"]
+        assert 2 * len(keys) == 2 * len(set(keys)) == 72
+    assert len(TINY.job_keys_of("models")) == 24
+
+
+def test_a_pair_waits_for_its_model_and_nothing_else() -> None:
+    def wait(*key: str) -> list[tuple[str, ...]]:
+        return needed(TINY, key)
+
+    assert wait("pairs", "paper", "mcd-benign-ugv", "carla") == [("models", "paper", "mcd-benign-ugv")]
+    assert wait("pairs", "paper", "classical", "carla") == []
+    assert {name for _, protocol, name in wait("strict", "carla", "0") if protocol == "strict"} == {
+        "mle-benign-carla", "mle-adversarial-carla", "mcd-benign-carla", "mcd-adversarial-carla"
+    }  # fmt: skip
+    assert wait("monitor", "adversarial") == [("models", "strict", "mcd-adversarial-ugv")]
+
+
+def test_settings_of_the_paper_are_its_own() -> None:
+    """The figures are those of design 03: ±80 m and 100 m, indoors ±18 m and 20 m, threshold .7."""
+    road, room = setting_of(TINY, "paper", "carla"), setting_of(TINY, "paper", "ugv")
+    assert (road.grid.half_extent_m, road.max_range_m, road.heights_m, road.threshold) == (
+        80.0,
+        100.0,
+        (-3.0, 3.0),
+        0.7,
+    )
+    assert (room.grid.half_extent_m, room.max_range_m, room.truth) == (18.0, 20.0, "paper_label")
+    strict = setting_of(TINY, "strict", "ugv")
+    assert (strict.grid.half_extent_m, strict.grid.cells, strict.truth, strict.threshold) == (16.0, 32, "probe", 0.5)
+    assert "paper_label" not in road.classical()
+    assert {"paper_quantized", "majority_vote"} <= set(road.classical())
+    assert "paper_quantized" not in strict.classical()
+
+
+def test_models_differ_in_what_their_names_say(tmp_path: Path) -> None:
+    configs = {model: config_of(TINY, tmp_path, model) for model in TINY.models()}
+    for model, config in configs.items():
+        assert config.variant == model.variant
+        assert config.data[0].endswith(f"{model.domain}-train")
+        assert (config.attacks == ()) == (model.mixture == "benign")
+    assert configs[Model("paper", "mle", "adversarial", "ugv")].attacks == ("paper",)
+    assert configs[Model("strict", "mle", "adversarial", "ugv")].attacks == TINY.trained_attacks
+    assert len({config.seed for config in configs.values()}) == 1
+    assert trade_config(TINY, tmp_path, (8, 2, 32)).width == 8
+
+
+@pytest.mark.parametrize("name", ["small", "paper"])
+def test_most_families_are_never_trained_on(name: str) -> None:
+    trained = {FAMILY[attack] for attack in PaperPlan.load(name).trained_attacks}
+    assert len({FAMILY[attack] for attack in ATTACKS} - trained) == 11
+
+
+def test_another_number_of_passes_is_another_plan() -> None:
+    assert replace(TINY, passes=4) != TINY

@@ -1,0 +1,163 @@
+"""The whole study on one domain of rooms: every step leaves what the next one needs, and nothing is done twice."""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed.networks.architecture import UNetShape
+from viewshed.networks.card import NetworkCard
+from viewshed_lab.studies.cases import TOUCHING
+from viewshed_lab.studies.paper.data import evaluation_of, held_out, open_archive
+from viewshed_lab.studies.paper.jobs import Scope, do_job, run_study, tampered_of
+from viewshed_lab.studies.paper.models import NetworkAlone
+from viewshed_lab.studies.paper.page import files_of
+from viewshed_lab.studies.paper.plan import PaperPlan
+from viewshed_lab.studies.paper.protocols import setting_of
+from viewshed_lab.studies.paper.published import PaperResults
+from viewshed_lab.studies.records import from_table, to_table
+from viewshed_lab.studies.runner import Job, ignore_progress
+from viewshed_lab.studies.store import JobResult, ResultStore
+
+pytestmark = pytest.mark.slow
+
+PLAN = replace(
+    PaperPlan.load("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,), test_times=(5,),
+    interval_s=(0.5,), strict_frames=1, strengths=False, trade_widths=(4,), frames_per_epoch=4, epochs=1,
+)  # fmt: skip
+Steps = list[tuple[str, int, int]]
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ResultStore[PaperPlan], Steps]]:
+    """A study that has been run from start to end."""
+    before, seen = os.environ.get("OMP_NUM_THREADS"), Steps()
+    os.environ["OMP_NUM_THREADS"] = "1"
+    store = ResultStore.open(tmp_path_factory.mktemp("study"), PLAN)
+    assert list(run_study(store, Scope(workers=1), lambda *step: seen.append(step))) == []
+    yield store, seen
+    if before is None:
+        del os.environ["OMP_NUM_THREADS"]
+
+
+def test_every_job_is_there_and_none_is_done_twice(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
+    store, seen = study
+    assert store.keys() == set(PLAN.job_keys())
+    assert [step for step in seen if step[0] == "models"][-1] == ("models", 8, 8)
+    size = store.path.stat().st_size
+    assert list(run_study(store, Scope(workers=1), ignore_progress)) == []
+    assert store.path.stat().st_size == size
+
+
+def test_scores_of_a_job_are_the_same_when_it_is_done_again(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
+    store, _ = study
+    key = ("pairs", "strict", "mcd-adversarial-ugv", "ugv")
+    [line] = [line for line in map(json.loads, store.path.read_text("utf-8").splitlines()[1:]) if line["job"] == [*key]]
+    again = do_job(Job(PLAN, store.folder, key))
+    assert json.loads(json.dumps(to_table(again.records))) == line["records"]
+
+
+def test_pages_hold_targets_facts_and_figures(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
+    store, _ = study
+    results = PaperResults.read(store)
+    for protocol in ("paper", "strict"):
+        files = files_of(results, protocol)
+        page = files[{"paper": "paper.md", "strict": "paper_strict.md"}[protocol]].decode()
+        assert all(f"]({name})" in page for name in files if name.endswith(".png"))
+        assert all(content.startswith(b"\x89PNG") for name, content in files.items() if name.endswith(".png"))
+        assert "Not finished" not in page
+        assert f"seeds: {PLAN.seed} trained, {PLAN.test_seed} tested" in page
+    assert "paper_trade.png" in files_of(results, "paper")
+
+
+def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
+    store, _ = study
+    part = ResultStore.open(tmp_path, PLAN)
+    for line in map(json.loads, store.path.read_text("utf-8").splitlines()[1:]):
+        if line["job"][:2] == ["pairs", "paper"]:
+            part.append(tuple(line["job"]), JobResult(list(from_table(line["records"]))))
+    page = files_of(PaperResults.read(part), "paper")["paper.md"].decode()
+    assert "**Not finished:** models 0 of 4, trade 0 of 1." in page
+    with pytest.raises(ValueError, match="must hold pairs of the strict protocol, got none; run step pairs"):
+        files_of(PaperResults.read(part), "strict")
+
+
+def test_what_waits_for_a_model_is_told_and_left(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, PLAN)
+    with pytest.raises(ValueError, match="the other steps need the step data"):
+        list(run_study(store, Scope(steps=("monitor",)), ignore_progress))
+    assert list(run_study(store, Scope(steps=("data",), workers=1), ignore_progress)) == []
+    problems = list(run_study(store, Scope(steps=("monitor",), workers=1), ignore_progress))
+    assert problems == [
+        f"monitor {mixture}: not all of its models are trained" for mixture in ("benign", "adversarial")
+    ]
+
+
+def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
+    store, _ = study
+    train, test = (open_archive(store.folder, "ugv", split) for split in ("train", "test"))
+    assert (len(train), len(test)) == (8, 45)
+    samples = [held_out(PLAN, store.folder, "ugv", number) for number in range(12)]
+    assert len({one.sample.scene for one in samples[:9]}) == 9
+    assert samples[9].sample.scene == samples[0].sample.scene
+    assert not np.array_equal(samples[9].sweep.points[:50], samples[0].sweep.points[:50])
+    now, before = samples[0].sweep.t_ns, [sweep.t_ns for sweep in samples[0].earlier]
+    assert now is not None
+    assert [now - then for then in before if then is not None] == [2_000_000_000, 500_000_000]
+    trained = {train[k].sweep.points.tobytes() for k in range(8)}
+    assert not trained & {test[k].sweep.points.tobytes() for k in range(45)}
+
+
+def test_attacks_of_the_strict_pairs_take_turns_and_the_truth_is_the_clean_one(
+    study: tuple[ResultStore[PaperPlan], Steps],
+) -> None:
+    store, _ = study
+    setting = setting_of(PLAN, "strict", "ugv")
+    assert [setting.attack(number).name for number in range(3)] == list(TOUCHING[:3])
+    for number in range(3):
+        evaluation = evaluation_of(PLAN, store.folder, setting, setting.suite({}), number)
+        tampered = tampered_of(evaluation, setting.attack(number), PLAN.test_seed)
+        sample = held_out(PLAN, store.folder, "ugv", number)
+        assert np.array_equal(evaluation.reference.visible, sample.truth.visible())
+        assert tampered.added.any() or tampered.removed.any()
+
+
+class _Echo:
+    """Answers with its input, and with the sum of its masks in one corner."""
+
+    def __init__(self) -> None:
+        self.card = NetworkCard("echo", UNetShape(4, 2))
+
+    def run(self, inputs: np.ndarray, masks: np.ndarray | None = None) -> np.ndarray:
+        masks = np.ones((len(inputs), 1), np.float32) if masks is None else masks
+        found = np.repeat(inputs[:, 0], len(masks), axis=0).astype(np.float32) / 255
+        found[:, 0, 0] = masks.mean(axis=1) / 2
+        return found
+
+    def single_threaded(self) -> None:
+        return
+
+
+def test_a_network_is_tried_on_the_grid_of_where_it_is_tried(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
+    store, _ = study
+    sweep = held_out(PLAN, store.folder, "ugv", 0).sweep
+    setting, echo = setting_of(PLAN, "paper", "ugv"), _Echo()
+    once = NetworkAlone(echo, setting.card(echo.card), 1, 0).estimate(sweep)
+    assert np.isnan(np.asarray(once.std)).all()
+    assert once.visible_prob[0, 0] == 0.5  # masks of ones
+    counted = setting.grid.count(sweep.points, max_range_m=20.0)
+    assert once.visible_prob.shape == counted.shape
+    assert np.corrcoef(once.visible_prob[1:].ravel(), np.minimum(counted, 255)[1:].ravel())[0, 1] > 0.9
+    several = NetworkAlone(echo, setting.card(echo.card), 5, 0)
+    std = np.asarray(several.estimate(sweep).std)
+    assert std[0, 0] > 0
+    assert std[5, 5] == 0
+    assert np.array_equal(several.estimate(sweep).visible_prob, several.estimate(sweep).visible_prob)
+
+
+def test_plans_of_one_domain_are_plans_too() -> None:
+    assert PaperPlan.from_json(PLAN.to_json()) == PLAN

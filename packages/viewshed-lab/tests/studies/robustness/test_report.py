@@ -1,0 +1,272 @@
+"""What the pages say: verdicts by hand, tables from known records, one HTML file that fetches nothing."""
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from tests.studies.by_hand import records, refused
+
+from viewshed import BevGrid
+from viewshed_lab._page import Heading, Picture, Table, Text, to_html, to_markdown
+from viewshed_lab._page import PageBlock as Block
+from viewshed_lab.studies.figures import (
+    AGREE,
+    HIDDEN,
+    OUTSIDE,
+    OVER,
+    UNDER,
+    PictureRow,
+    compared,
+    curve_figure,
+    scene_figure,
+    violin_figure,
+)
+from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Record, Series
+from viewshed_lab.studies.robustness import tables
+from viewshed_lab.studies.robustness.page import long_page, main_page, provenance
+from viewshed_lab.studies.robustness.plan import RobustnessPlan
+from viewshed_lab.studies.robustness.verdicts import AttackedDomain, Verdict
+from viewshed_lab.studies.store import JobResult, ResultStore
+
+CLEAN = [80, 20, 20, 80]
+"""Both, over, under, neither: precision, recall and F1 of .8."""
+CALM = [8, 2, 2, 8]
+AREAS = {"majority_vote": 0.75, "quantized": 0.5}
+Store = ResultStore[RobustnessPlan]
+
+
+def _cells(view: Sequence[int], wedge: Sequence[int] = ()) -> dict[str, list[Sequence[int]]]:
+    """Counts of a vote, beside a method that never changes."""
+    return {"majority_vote": [view, wedge] if wedge else [view], "quantized": [CLEAN, CALM] if wedge else [CLEAN]}
+
+
+def _judged(number: int, case: Case, **numbers: int) -> Record:
+    return Record(Series("ugv", "", case), f"s{number}", number, numbers=numbers)
+
+
+def _store(folder: Path, worst: list[int], wedge: list[int]) -> Store:
+    """Two samples: the vote is given counts under a full ghost wall, quantized never changes."""
+    plan = replace(RobustnessPlan.load("tiny"), attacks=("uniform", "ghost_wall"), budgets=("0", "150", "full"))
+    store = ResultStore.open(folder, plan)
+    full, uniform = Case("attack", "ghost_wall", "full"), Case("paper", "uniform", "150")
+    for number in (0, 1):
+        attacks = [
+            *records("ugv", number, BENIGN, _cells(CLEAN), AREAS),
+            *records("ugv", number, Case("attack", "uniform", "0"), _cells(CLEAN)),
+            *records("ugv", number, Case("attack", "uniform", "150"), _cells([80, 60, 20, 40])),
+            *records("ugv", number, Case("attack", "ghost_wall", "0"), _cells(CLEAN, CALM)),
+            *records("ugv", number, Case("attack", "ghost_wall", "150"), _cells(CLEAN, CALM)),
+            *records("ugv", number, full, _cells(worst, wedge)),
+            refused("ugv", number, Case("attack", "replay", "full"), "replay needs an earlier sweep"),
+        ]
+        paper = [
+            *records("ugv", number, BENIGN, {"paper_quantized": [CLEAN]}, {"paper_quantized": 0.8}, PAPER),
+            *records("ugv", number, uniform, {"paper_quantized": [[60, 40, 20, 80]]}, {}, PAPER),
+        ]
+        behind = replace(full, defense="radius")
+        defenses = [
+            _judged(number, replace(BENIGN, defense="radius"), caught=0, added=0, lost=3, others=100),
+            *records("ugv", number, replace(BENIGN, defense="radius"), _cells(CLEAN)),
+            _judged(number, behind, caught=5, added=50, lost=1, others=100),
+            *records("ugv", number, behind, _cells(worst, wedge)),
+            _judged(number, replace(full, defense="empty_sector"), caught=0, added=50, lost=0, others=100, alarm=1),
+            *records("ugv", number, replace(full, defense="empty_sector"), _cells(worst, wedge)),
+        ]
+        for part, found in (("attacks", attacks), ("paper", paper), ("defenses", defenses)):
+            store.append((part, "ugv", str(number)), JobResult(found))
+    return store
+
+
+def _domain(folder: Path, worst: list[int], wedge: list[int]) -> AttackedDomain:
+    return AttackedDomain(_store(folder, worst, wedge).results(), "ugv")
+
+
+def test_who_loses_nothing_withstands(tmp_path: Path) -> None:
+    found = _domain(tmp_path, CLEAN, CALM)
+    for method in ("majority_vote", "quantized"):
+        assert found.verdict(method, "ghost_wall") == Verdict(0.0, 0.0, 0.0)
+    assert found.verdict("majority_vote", "ghost_wall").words() == "yes"
+
+
+def test_a_wedge_called_visible_is_found_although_the_view_hardly_changes(tmp_path: Path) -> None:
+    """Precision in the wedge falls from 8/10 to 10/20; F1 of the view from .8 to 164/(164+26+18) = .788."""
+    verdict = _domain(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0]).verdict("majority_vote", "ghost_wall")
+    assert verdict.precision == pytest.approx(0.3)
+    assert verdict.recall == 0.0  # it rises at the full budget; at 150 nothing changes
+    assert verdict.f1 == pytest.approx(0.8 - 164 / 208)
+    assert verdict.words() == "over .30"
+
+
+def test_without_a_wedge_the_view_counts(tmp_path: Path) -> None:
+    verdict = _domain(tmp_path, CLEAN, CALM).verdict("majority_vote", "uniform")
+    assert verdict.precision == pytest.approx(80 / 100 - 80 / 140)
+    assert verdict.words() == "over .23"
+
+
+def test_who_claims_nothing_any_more_loses_all_recall(tmp_path: Path) -> None:
+    verdict = _domain(tmp_path, [72, 18, 28, 82], [0, 0, 10, 10]).verdict("majority_vote", "ghost_wall")
+    assert (verdict.precision, verdict.recall) == pytest.approx((0.0, 0.8))
+
+
+def test_tables_say_what_was_counted(tmp_path: Path) -> None:
+    found = _domain(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
+    clean = tables.benign_table(found).rows
+    assert clean[1] == ["majority_vote", ".800", ".800", ".800 [.800, .800]", ".667", "5", "5", ".750"]
+    means = {row[0]: row[1:] for row in tables.budget_table(found).rows}
+    assert means["ghost_wall (6)"] == ["**.800 ±.000**", ".794 ±.000"]  # (.800 + .788) / 2
+    wedge = tables.wedge_table(found).rows
+    assert wedge == [["ghost_wall", ".800 / .800", ".500 / 1.000"], ["*untouched*", ".800 / .800", ".800 / .800"]]
+    assert tables.area_table(found).rows[2] == ["ghost_wall", "+0 / +0", "+2 / -0"]
+    assert tables.bar_overview([found], WEDGE).rows == [["ghost_wall", ".800 [.800, .800] quantized"]]
+    assert tables.bar_overview([found], "view").rows[1] == ["uniform", ".800 [.800, .800] quantized"]
+    assert tables.paper_table(found).rows == [["paper_quantized", ".800", ".600 (-25 %)"]]
+    assert tables.fall_of(found, "paper_quantized", Case("paper", "uniform", "150")) == pytest.approx(0.25)
+    caught = {row[0]: row[1:] for row in tables.caught_table(found).rows}
+    assert caught["ghost_wall"] == [".100 / .010", "alarm 1.00"]
+    assert caught["*benign*"] == ["– / .030", "–"]
+    assert tables.gain_table(found).rows[0] == ["radius", "+.000 / –", "+.000 / –"]
+    assert tables.verdict_table(found, 200).rows == [["uniform", "yes", "over .23"], ["ghost_wall", "yes", "yes"]]
+
+
+def _adaptive(folder: Path) -> Store:
+    """Three samples, the first of which meets attackers who query: they open half of the wedge of the vote."""
+    plan = replace(
+        RobustnessPlan.load("tiny"), samples=(3,), attacks=("far_wall",), budgets=("0", "150"), defenses=("radius",),
+        adaptive=("adaptive_over_claim",), adaptive_defended=("majority_vote",),
+    )  # fmt: skip
+    store = ResultStore.open(folder, plan)
+    opened, half = ([82, 26, 18, 74], [10, 10, 0, 0]), ([80, 24, 20, 76], [8, 6, 2, 4])
+    little = [80, 22, 20, 78], [8, 4, 2, 6]
+    for number in range(3):
+        wall = little if number == 0 else opened  # samples that nobody who queries meets do not count beside him
+        store.append(("attacks", "ugv", str(number)), JobResult([
+            *records("ugv", number, BENIGN, _cells(CLEAN)),
+            *records("ugv", number, Case("attack", "far_wall", "0"), _cells(CLEAN, CALM)),
+            *records("ugv", number, Case("attack", "far_wall", "150"), _cells(*wall)),
+        ]))  # fmt: skip
+    name = "adaptive_over_claim"
+    store.append(("adaptive", "ugv", "0"), JobResult([
+        *records("ugv", 0, Case("adaptive", name, "0"), _cells(CLEAN, CALM)),
+        *records("ugv", 0, Case("adaptive", name, "150"), _cells(*opened)),
+        *records("ugv", 0, Case("adaptive", name, "0", "radius"), {"majority_vote": [CLEAN, CALM]}),
+        *records("ugv", 0, Case("unaware", name, "150", "radius"), {"majority_vote": little}),
+        *records("ugv", 0, Case("adaptive", name, "150", "radius"), {"majority_vote": half}),
+    ]))  # fmt: skip
+    return store
+
+
+def test_who_queries_is_compared_on_the_samples_that_it_met(tmp_path: Path) -> None:
+    """Precision in the wedge: .8 untouched, 8/12 under the far wall, 10/20 under the attacker who queried."""
+    found = AttackedDomain(_adaptive(tmp_path).results(), "ugv")
+    assert tables.adaptive_table(found).rows == [
+        ["quantized", "far_wall +0 m² (.000)", "far_wall +0 m² (.000)", "+0 m² (.000)"],
+        ["majority_vote", "far_wall +0 m² (.133)", "far_wall +0 m² (.000)", "+2 m² (.300)"],
+    ]  # over: 22 - 20 and 26 - 20 cells of .25 m²
+    verdict = found.losses("majority_vote", found.adaptive("adaptive_over_claim"))
+    assert (verdict.precision, verdict.recall) == pytest.approx((0.3, -0.2))
+    assert verdict.f1 == pytest.approx(0.8 - 164 / 208)
+    assert tables.summary_table(found).rows[1][-1] == "0 of 1"
+    assert tables.summary_table(found).rows[0][-1] == "**1 of 1**"
+
+
+@pytest.mark.slow
+def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
+    store = _adaptive(tmp_path)
+    table = tables.known_defense_table("adaptive_over_claim", AttackedDomain(store.results(), "ugv"))
+    words = ("untouched", "defense not known", "defense known")
+    assert table.header == ["", *(f"majority_vote, {kind}" for kind in words)]
+    assert table.rows == [
+        ["*no defense*", ".800 / .800", "–", ".500 / 1.000"],
+        ["radius", ".800 / .800", ".667 / .800", ".571 / .800"],
+    ]
+    page = to_markdown("Report", {}, main_page(store, store.results())[1])
+    asking = page.split("## Adaptive attackers, who query their victim first")[1].split("## The bar")[0]
+    assert "- **quantized** withstands 1 of 1 in every domain: `adaptive_over_claim`." in asking
+    assert re.search(r"- Withstand 0 of 1 in every domain: .*\*\*majority_vote\*\*", asking)
+    assert "at most 8 plans" in " ".join(asking.split())
+    assert "Samples: ugv 1." in asking
+
+
+@pytest.mark.slow
+def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) -> None:
+    store = _store(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
+    found = store.results()
+    blocks = main_page(store, found, ["ugv 1 corruptions: no more memory"])[1]
+    words = to_markdown("Report", provenance(found), blocks)
+    assert "**Not finished: 6 of 9 jobs are done; a sample has up to 5.** 1 jobs failed: ugv 1 corruptions" in words
+    assert "| ugv | replay | full |  | 2 | replay needs an earlier sweep |" in words
+    assert "falls by 25 to 25 % (the paper: 18 to 60 %)" in words
+    assert "- **quantized** withstands 2 of 2 in every domain: `uniform`, `ghost_wall`." in words
+    assert "- **majority_vote** withstands 1 of 2 in every domain: `ghost_wall`." in words
+    everywhere = words.split("### Up to a full wedge")[1]
+    assert re.search(r"- Withstand 0 of 2 in every domain: .*\*\*majority_vote\*\*", everywhere)
+    assert "Adaptive attackers" not in words
+    words += to_markdown("Tables", provenance(found), long_page(found)[1])
+    assert re.findall(r"\bnan\b", words) == []
+
+
+class _Fetches(HTMLParser):
+    """Remembers every tag, and every address that a page would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
+
+
+def test_the_html_fetches_nothing_and_hides_nothing() -> None:
+    picture = Picture("a.png", b"\x89PNG", 'a "picture" & more')
+    blocks: list[Block] = [Heading(2, "A < B"), Text("one `x_y`\nand *two*"), Text("- a\n  b\n- **c**"),
+              Table(["n", "*m*"], [["1 & 2", "**3**"]]), picture]  # fmt: skip
+    page, read = to_html("T", {"seed": "0"}, blocks), _Fetches()
+    read.feed(page)
+    assert read.addresses == ["data:image/png;base64,iVBORw=="]
+    assert "http" not in page
+    assert "url(" not in page
+    for part in ("<h2>A &lt; B</h2>", "<p>one <code>x_y</code> and <i>two</i></p>", "<li>a b</li>", "<li><b>c</b></li>",
+                 "<td>1 &amp; 2</td><td><b>3</b></td>", 'alt="a &quot;picture&quot; &amp; more"'):  # fmt: skip
+        assert part in page
+    assert read.tags.count("td") == 2
+
+
+def test_a_claim_is_painted_by_what_it_gets_right() -> None:
+    claimed = np.array([[True, True], [False, False]])
+    truth = np.array([[True, False], [True, False]])
+    known = np.ones((2, 2), bool)
+    assert compared(claimed, truth, known).tolist() == [[list(AGREE), list(OVER)], [list(UNDER), list(HIDDEN)]]
+    known[0, 0] = False
+    assert compared(claimed, truth, known)[0, 0].tolist() == list(OUTSIDE)
+
+
+def test_pictures_open_and_show_forward_above_and_left_on_the_left() -> None:
+    grid = BevGrid(8, 4.0)
+    claimed = np.zeros(grid.shape, bool)
+    claimed[6:, 5:] = True  # ahead on the left, and false
+    scene = PictureRow("a", grid, ~np.ones(grid.shape, bool), np.ones(grid.shape, bool), np.ones((2, 2), np.float32),
+                  np.array([True, False]), (0.5, 0.4), {"one": claimed})  # fmt: skip
+    image = np.asarray(imread(io.BytesIO(scene_figure([scene]))), float)[..., :3]
+    rows, columns = np.nonzero(np.abs(image - OVER).max(axis=-1) < 0.04)
+    upper = rows < 0.7 * image.shape[0]  # not the legend
+    panel = columns[upper] - image.shape[1] / 2
+    assert 0 < panel.mean() < image.shape[1] / 4
+    assert rows[upper].mean() < image.shape[0] / 2
+
+
+def test_figures_take_gaps_and_constant_values() -> None:
+    values = np.array([0.5, 0.6, np.nan, 0.9])
+    violins = violin_figure({"a": {"x": (values, np.full(3, 0.2)), "y": (np.empty(0), values)}}, 1, "attacked")
+    curves = curve_figure({"a": {"x": {"0": 0.5, "1": float("nan")}, "y": {"0": 0.1, "1": 0.2}}}, 2, "F1")
+    for png in (violins, curves):
+        image = np.asarray(imread(io.BytesIO(png)), float)[..., :3]
+        assert min(image.shape[:2]) > 100
+        assert image.std() > 0.01

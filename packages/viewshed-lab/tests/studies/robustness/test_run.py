@@ -1,0 +1,242 @@
+"""What one job finds, against the same steps taken one by one; a study that is stopped and goes on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed import BevGrid, Sweep
+from viewshed.estimators import CLASSICAL
+from viewshed.fov.estimate import FovEstimate, FovEstimator
+from viewshed.metrics import ConfusionCounts
+from viewshed_lab._jobs import engine_named
+from viewshed_lab.studies.cases import apply, attack_of, case_generator, visible_with
+from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case, Results, Series
+from viewshed_lab.studies.robustness.jobs import do_job, evaluation_of, run_study
+from viewshed_lab.studies.robustness.plan import RobustnessPlan
+from viewshed_lab.studies.runner import Job
+from viewshed_lab.studies.samples import StudySample, sample_of
+from viewshed_lab.studies.store import FILE, JobResult, ResultStore
+from viewshed_lab.threats.attacks import Wedge
+from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
+from viewshed_lab.threats.attacks.replay import Replay
+from viewshed_lab.threats.defenses import DEFENSES, TemporalConsistency
+
+pytestmark = pytest.mark.slow
+
+PLAN = replace(
+    RobustnessPlan.load("tiny"), samples=(1,), attacks=("uniform", "replay"), corruptions=("fog",), severities=(3,),
+    defenses=("radius", "temporal"), defended=("quantized",),
+)  # fmt: skip
+UNIFORM = Case("attack", "uniform", "150")
+rng_of = partial(case_generator, PLAN.seed, "ugv", 0)
+
+
+@pytest.fixture(scope="module")
+def sample() -> StudySample:
+    return sample_of("ugv", 0, 1, PLAN.seed)
+
+
+def _job(part: str, plan: RobustnessPlan = PLAN) -> Job[RobustnessPlan]:
+    return Job(plan, Path(), (part, "ugv", "0"))
+
+
+def _results(part: str, plan: RobustnessPlan = PLAN) -> Results[RobustnessPlan]:
+    results = Results(plan)
+    results.add(do_job(_job(part, plan)).records)
+    return results
+
+
+def _counted(sample: StudySample, method: str, sweep: Sweep, wedge: Wedge | None = None) -> ConfusionCounts:
+    """Counts by hand, in the view or in a wedge."""
+    grid = sample.truth.grid
+    claimed, true, cells = CLASSICAL[method](grid).estimate(sweep).visible(), sample.truth.visible(), sample.known
+    x, y = np.moveaxis(grid.centers, -1, 0)
+    cells = cells if wedge is None else cells & wedge.holds(np.arctan2(y, x))
+    masks = (claimed & true, claimed & ~true, ~claimed & true, ~claimed & ~true)
+    both, over, under, neither = (int((mask & cells).sum()) for mask in masks)
+    return ConfusionCounts(both, over, under, neither, int(cells.sum()) * grid.cell_area_m2)
+
+
+def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySample) -> None:
+    results, case = _results("defenses"), replace(UNIFORM, defense="radius")
+    tampered = apply(UNIFORM, sample, rng_of(UNIFORM))
+    defended = DEFENSES["radius"]().apply(tampered.sweep)
+    by_hand = {"caught": 0, "added": 0, "lost": 0, "others": 0}
+    for dropped, added in zip(defended.dropped, tampered.added, strict=True):
+        by_hand["caught" if added else "lost"] += int(dropped)
+        by_hand["added" if added else "others"] += 1
+    judged = Series("ugv", "", case)
+    assert {name: results.numbers(judged, name).tolist() for name in by_hand} == {n: [k] for n, k in by_hand.items()}
+    assert results.numbers(judged, "alarm").size == 0
+    assert by_hand["caught"] != by_hand["lost"]
+    assert results.counts(Series("ugv", "quantized", case)) == _counted(sample, "quantized", defended.sweep)
+
+
+def test_an_attack_with_nothing_to_spend_scores_as_none() -> None:
+    results = _results("attacks")
+    assert results.methods("ugv")[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
+    assert set(results.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
+    for name in results.methods("ugv"):
+        clean = results.counts(Series("ugv", name))
+        assert results.counts(Series("ugv", name, replace(UNIFORM, level="0"))) == clean
+    assert results.counts(Series("ugv", "quantized", UNIFORM)) != results.counts(Series("ugv", "quantized"))
+
+
+def test_the_attacker_replays_two_seconds_and_the_defense_recalls_half_a_second(sample: StudySample) -> None:
+    now_ns = sample.sweep.t_ns
+    replay = attack_of(Case("attack", "replay", "full"), sample, 16.0)
+    assert isinstance(replay, Replay)
+    temporal = evaluation_of(_job("defenses")).defenses["temporal"]
+    assert isinstance(temporal, TemporalConsistency)
+    assert now_ns is not None
+    before = [now_ns - sweep.t_ns for sweep in (replay.earlier, *temporal.earlier) if sweep.t_ns is not None]
+    assert before == pytest.approx([2e9, 0.5e9])
+
+
+ASKING = replace(PLAN, adaptive=("adaptive_over_claim",), adaptive_queries=6, adaptive_defended=("quantized",))
+
+
+@pytest.fixture(scope="module")
+def adaptive_results() -> Results[RobustnessPlan]:
+    return _results("adaptive", ASKING)
+
+
+@dataclass(frozen=True)
+class _Filtered:
+    """A victim behind the radius filter."""
+
+    victim: FovEstimator
+
+    @property
+    def grid(self) -> BevGrid:
+        return self.victim.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        return self.victim.estimate(DEFENSES["radius"]().apply(sweep).sweep)
+
+
+def _by_hand(sample: StudySample, victim: FovEstimator) -> tuple[Sweep, Wedge]:
+    """The attack that asks ``victim``, where the far wall would be."""
+    far_wall = Case("attack", "far_wall", "0")
+    wedge = apply(far_wall, sample, rng_of(far_wall)).wedge
+    assert wedge is not None
+    attack = BlackBox(OverClaim(victim), 150, 6, np.rad2deg(wedge.width), wedge.azimuth, 25.0 * 16 / 64)
+    return attack.apply(sample.sweep, rng_of(Case("adaptive", "adaptive_over_claim", "150"))).sweep, wedge
+
+
+@pytest.mark.parametrize("victim", ["quantized", "first_blocker"])
+def test_each_victim_meets_the_attack_that_queried_it(
+    victim: str, sample: StudySample, adaptive_results: Results[RobustnessPlan]
+) -> None:
+    sweep, wedge = _by_hand(sample, CLASSICAL[victim](sample.truth.grid))
+    attacked, calm = (Series("ugv", victim, Case("adaptive", "adaptive_over_claim", level)) for level in ("150", "0"))
+    assert adaptive_results.counts(attacked) == _counted(sample, victim, sweep)
+    assert adaptive_results.counts(attacked.of(WEDGE)) == _counted(sample, victim, sweep, wedge)
+    assert adaptive_results.counts(calm.of(WEDGE)) == _counted(sample, victim, sample.sweep, wedge)
+    assert adaptive_results.counts(attacked.of(WEDGE)).over > adaptive_results.counts(calm.of(WEDGE)).over
+    assert set(adaptive_results.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
+
+
+def test_who_knows_the_defense_queries_behind_it(
+    sample: StudySample, adaptive_results: Results[RobustnessPlan]
+) -> None:
+    victim, radius = CLASSICAL["quantized"](sample.truth.grid), DEFENSES["radius"]()
+    for kind, asks in (("unaware", victim), ("adaptive", _Filtered(victim))):
+        sweep, wedge = _by_hand(sample, asks)
+        case = Case(kind, "adaptive_over_claim", "150", "radius")
+        assert {s.method for s in adaptive_results.series() if s.case == case} == {"quantized"}
+        expected = _counted(sample, "quantized", radius.apply(sweep).sweep, wedge)
+        assert adaptive_results.counts(Series("ugv", "quantized", case, WEDGE)) == expected
+    calm = Series("ugv", "quantized", Case("adaptive", "adaptive_over_claim", "0", "radius"), WEDGE)
+    assert adaptive_results.counts(calm) == _counted(sample, "quantized", radius.apply(sample.sweep).sweep, wedge)
+
+
+def test_a_truth_for_fewer_beams_counts_in_every_part(sample: StudySample) -> None:
+    plan = replace(PLAN, corruptions=("fewer_beams",), defenses=("radius",), defended_severity=3)
+    case = Case("corruption", "fewer_beams", "3")
+    visible = visible_with(case, sample, rng_of(case))
+    assert visible is not None
+    for part, defense in (("corruptions", ""), ("defenses", "radius")):
+        counts = _results(part, plan).counts(Series("ugv", "quantized", replace(case, defense=defense)))
+        assert counts.both + counts.under == (visible & sample.known).sum()
+
+
+def test_every_estimator_is_counted_on_the_same_cells() -> None:
+    results = _results("corruptions")
+    counts = [results.counts(series) for series in results.series() if series.region == VIEW]
+    assert {one.cells for one in counts} == {counts[0].cells}
+    assert counts[0].area_m2 / counts[0].cells == pytest.approx((32 / 256) ** 2)
+    assert results.cases("ugv") == [Case("corruption", "fog", "3")]
+    assert BENIGN not in results.cases("ugv")
+
+
+SMALLEST = replace(
+    RobustnessPlan.load("tiny"), attacks=("uniform", "far_wall"), budgets=("0", "150"), corruptions=("fog",),
+    severities=(2,), defenses=("radius",), defended=("quantized",), adaptive=("adaptive_over_claim",),
+    adaptive_queries=4,
+)  # fmt: skip
+
+
+def _lines(folder: Path) -> dict[tuple[str, ...], object]:
+    head, *jobs = [json.loads(line) for line in (folder / FILE).read_text("utf-8").splitlines()]
+    assert head["plan"]["name"] == "tiny"
+    for job in jobs:
+        del job["commits"]  # the code may be committed between two runs
+    return {tuple(job["job"]): job for job in jobs}
+
+
+def test_two_workers_and_one_find_the_same(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        store = ResultStore.open(tmp_path / str(workers), SMALLEST)
+        assert list(run_study(store, engine_named("local", workers))) == []
+    assert len(_lines(tmp_path / "1")) == 9
+    assert _lines(tmp_path / "1") == _lines(tmp_path / "2")
+
+
+def test_what_is_there_is_not_done_again(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, SMALLEST)
+    for key in SMALLEST.job_keys():
+        store.append(key, JobResult())
+    before = (tmp_path / FILE).read_bytes()
+    seen: list[tuple[str, int, int]] = []
+    assert list(run_study(store, engine_named("local", 1), lambda *step: seen.append(step))) == []
+    assert (tmp_path / FILE).read_bytes() == before
+    assert seen == [("tiny", 9, 9)]
+
+
+def test_a_job_that_fails_is_named_and_the_rest_goes_on(tmp_path: Path) -> None:
+    plan = replace(SMALLEST, domains=("ugv", str(tmp_path / "nothing")), samples=(1, 1), adaptive_samples=(1, 0))
+    failed = list(run_study(ResultStore.open(tmp_path, plan), engine_named("local", 1)))
+    assert len(failed) == 4
+    assert all("nothing 0: " in line for line in failed)
+    assert len(ResultStore.open(tmp_path, plan).keys()) == 5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_a_run_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> None:
+    code = (
+        "import sys; from tests.studies.robustness.test_run import *\n"
+        "list(run_study(ResultStore.open(sys.argv[1], SMALLEST), engine_named('local', 1)))"
+    )
+    root = Path(__file__).resolve().parents[5]
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "a")], cwd=root)
+    path = tmp_path / "a" / FILE
+    end_s = time.monotonic() + 120
+    while time.monotonic() < end_s and (not path.exists() or path.read_bytes().count(b"\n") < 3):
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    store = ResultStore.open(tmp_path / "a", SMALLEST)
+    assert 2 <= len(store.keys()) < 9
+    for folder in ("a", "b"):
+        assert list(run_study(ResultStore.open(tmp_path / folder, SMALLEST), engine_named("local", 1))) == []
+    assert _lines(tmp_path / "a") == _lines(tmp_path / "b")

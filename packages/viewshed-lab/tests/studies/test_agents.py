@@ -1,0 +1,134 @@
+"""The study of many agents: its machinery, from scenes to a page, and what its lies do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from viewshed.agents.claims import ClaimTable
+from viewshed.agents.honest import HonestModel
+from viewshed.agents.many import CommandCenter
+from viewshed.agents.suspicion import Suspicion
+from viewshed.objects.detector import Detector
+from viewshed_lab._jobs import LocalEngine
+from viewshed_lab.data.simulated import world_of
+from viewshed_lab.studies.agents.jobs import CLAIMS, HONEST_MODEL, run_study
+from viewshed_lab.studies.agents.lies import APART_M, FORGED, LIES, Liars
+from viewshed_lab.studies.agents.page import AgentsResults, page_of
+from viewshed_lab.studies.agents.plan import HONEST, SPLITS, AgentsPlan
+from viewshed_lab.studies.agents.runs import seen_objects
+from viewshed_lab.studies.agents.scenes import Scene, scene_path, with_tall_masts
+from viewshed_lab.studies.store import ResultStore
+
+PLAN = replace(AgentsPlan.load("tiny"), seconds=3.0, claims=1, calibration=4, test=1, each=2)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.simulate(PLAN.scene("test", 0), Detector())
+
+
+def test_presets_can_be_loaded_and_scenes_differ_between_splits() -> None:
+    for name in ("tiny", "small", "full"):
+        plan = AgentsPlan.load(name)
+        assert set(plan.lies) == set(LIES)
+        assert plan.cases_of("calibration", 3) == plan.cases_of("benign", 3) == [HONEST]
+        tried = {case for number in range(plan.test) for case in plan.cases_of("test", number)}
+        assert tried == {HONEST, *LIES} or name == "tiny"
+    seeds = {str(PLAN.scene(split, 0).seed(0).entropy) for split in SPLITS}
+    assert len(seeds) == 4
+    with pytest.raises(ValueError, match="lies must be"):
+        replace(PLAN, lies=("flattery",))
+
+
+def test_every_third_scene_has_masts_as_published_in_each_world_and_with_each_sensor() -> None:
+    plan = AgentsPlan.load("small")
+    tall = [number for number in range(36) if plan.has_tall_masts(number)]
+    assert len(tall) == 12
+    kinds = {(one.preset.worlds, one.preset.sensors) for one in (plan.scene("test", number) for number in tall)}
+    assert len(kinds) == len(plan.worlds) * len(plan.sensors)
+    assert not any(replace(plan, tall_masts=0).has_tall_masts(number) for number in range(36))
+    world = world_of(plan.scene("test", tall[0]))
+    before, after = (
+        [agent.mount.translation[2] for agent in one.agents if agent.carrier is None]
+        for one in (world, with_tall_masts(world))
+    )
+    assert before[0] < 10.0
+    assert after[0] - before[0] > 10.0
+
+
+def test_a_scene_is_kept_in_a_file_as_it_was(scene: Scene, tmp_path: Path) -> None:
+    scene.save(tmp_path / "scene.npz")
+    again = Scene.load(tmp_path / "scene.npz")
+    for name in Scene.__slots__:
+        assert np.array_equal(getattr(scene, name), getattr(again, name)), name
+    for one, other in zip(scene.reports(2), again.reports(2), strict=True):
+        assert np.array_equal(one.estimate.state, other.estimate.state)
+        assert np.array_equal(one.detections.boxes, other.detections.boxes)
+        assert one.estimate.basis == other.estimate.basis
+
+
+def test_a_vehicle_stands_below_its_own_sensor_and_is_seen_by_others_alone(scene: Scene) -> None:
+    for report in scene.reports(1):
+        if report.own_box is not None:
+            assert np.hypot(*report.own_box[:2]) < 2.5
+    assert len(seen_objects(scene, 1)) > 3
+
+
+@pytest.mark.parametrize("name", [name for name, lie in LIES.items() if lie.about.startswith("objects")])
+def test_liars_change_their_own_reports_and_no_others(scene: Scene, name: str) -> None:
+    lie = LIES[name]
+    numbers = (0, 1)[: lie.liars]
+    liars = Liars(lie, numbers, -1, np.random.default_rng(4))
+    for time in range(3):
+        honest = scene.reports(time)
+        said = liars.forge(list(honest))
+        for number, (before, after) in enumerate(zip(honest, said, strict=True)):
+            if number not in numbers:
+                assert after is before
+            assert (after.estimate is before.estimate) == (number not in numbers or "view" not in lie.about)
+        first, now = honest[0].in_world, said[0].in_world
+        if name.startswith("fabricate"):
+            away = np.linalg.norm(now.boxes[:, None, :2] - first.boxes[None, :, :2], axis=2).min(axis=1)
+            assert (away > APART_M / 2).sum() == FORGED
+        elif name.startswith("remove"):
+            assert len(now) < len(first) or liars.touched[-1] == 0
+        else:
+            assert len(now) == len(first)
+    assert len(liars.touched) == 3
+
+
+def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
+    store = ResultStore.open(tmp_path, PLAN)
+    assert not list(run_study(store, LocalEngine(1), ("scenes",)))
+    assert not list(run_study(store, LocalEngine(1), ("runs",)))
+    before = store.path.read_bytes()
+    assert not list(run_study(store, LocalEngine(1)))
+    assert store.path.read_bytes() == before
+    _center_judges_as_the_study(store)
+    page = page_of(store)
+    for heading in ("Against the targets", "Where nobody lies", "Found", "What claims are worth"):
+        assert f"## {heading}" in page
+
+
+def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:
+    """A live center with the study's calibration gives the study's scores for the same messages."""
+    found = AgentsResults(PLAN, store.results("run"))
+    center = CommandCenter(
+        Scene.load(scene_path(store.folder, "test", 0)).agents,
+        claims=ClaimTable.from_json((store.folder / CLAIMS).read_text("utf-8")),
+        honest=HonestModel.from_json((store.folder / HONEST_MODEL).read_text("utf-8")),
+        suspicion=Suspicion.from_json(found.suspicion.to_json()),
+    )
+    [benign] = found.benign
+    scene = Scene.load(scene_path(store.folder, "test", benign.scene))
+    live = np.array([
+        center.add(t_s, scene.reports(time)).suspicion for time, t_s in enumerate(scene.times_s.tolist())
+    ])  # fmt: skip
+    assert live == pytest.approx(benign.by_time, rel=0.01, abs=0.02)
+    assert np.isfinite(np.array(benign.run.checks[-1], float)).any()
+    accused = found.limits.accused(live.max(axis=0), found.elevated, found.rate)
+    assert accused.tolist() == found.accused(benign).tolist()

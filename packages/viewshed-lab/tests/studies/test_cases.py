@@ -1,0 +1,146 @@
+"""What a study runs: plans, cases and their order of strength."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from viewshed_lab._config import preset_names
+from viewshed_lab.studies.cases import apply, case_generator
+from viewshed_lab.studies.records import BENIGN, Case
+from viewshed_lab.studies.robustness.plan import PARTS, RobustnessPlan
+from viewshed_lab.studies.samples import sample_of
+from viewshed_lab.threats.attacks import ATTACKS, FULL_WEDGE
+from viewshed_lab.threats.corruptions import CORRUPTIONS
+from viewshed_lab.threats.defenses import DEFENSES
+
+TINY = RobustnessPlan.load("tiny")
+
+
+@pytest.mark.parametrize("name", preset_names("studies/robustness/plans"))
+def test_a_study_survives_its_plain_values(name: str) -> None:
+    study = RobustnessPlan.load(name)
+    assert RobustnessPlan.from_json(study.to_json()) == study
+
+
+def test_the_small_study_has_every_member_of_every_table() -> None:
+    study = RobustnessPlan.load("small")
+    cases = {part: study.cases(part) for part in PARTS}
+    assert {case.name for case in cases["attacks"] if case.name} == set(ATTACKS)
+    assert {(c.name, c.level) for c in cases["corruptions"]} == {(n, str(s)) for n in CORRUPTIONS for s in range(1, 6)}
+    assert {case.defense for case in cases["defenses"]} == set(DEFENSES)
+    levels = {case.level for case in cases["attacks"] if case.name == "ghost_wall" and case.kind == "attack"}
+    assert levels == {"0", "50", "100", "150", "200", "1000", "full"}
+    assert all(len(set(each)) == len(each) for each in cases.values())
+    asked = sum(study.adaptive_samples)
+    assert len(study.job_keys()) == sum(study.samples) * (len(PARTS) - 1) + asked == len(set(study.job_keys()))
+    assert {(c.name, c.defense) for c in cases["adaptive"] if c.level == "150"} >= {
+        ("adaptive_under_claim", ""), *(("adaptive_over_claim", defense) for defense in DEFENSES)
+    }  # fmt: skip
+
+
+def test_few_samples_meet_attackers_who_ask_and_they_are_spread_evenly() -> None:
+    study = replace(TINY, samples=(12,), adaptive_samples=(3,))
+    assert [number for part, _, number in study.job_keys() if part == "adaptive"] == ["0", "4", "8"]
+    none = replace(TINY, adaptive_samples=(0,))
+    assert {part for part, _, _ in none.job_keys()} == set(PARTS) - {"adaptive"}
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"attacks": ["nonsense"]}, "attacks must be among uniform, .*, got 'nonsense'"),
+        ({"severities": [6]}, "severities must be among 1, 2, 3, 4, 5, got 6"),
+        ({"budgets": ["half"]}, "budgets must be whole numbers or full, got 'half'"),
+        ({"samples": [1, 2]}, r"samples must be a positive number for each of \['ugv'\], got \(1, 2\)"),
+        ({"samples": [0]}, "samples must be a positive number"),
+        ({"seed": -1}, r"seed must lie in \[0, 4294967295\], got -1"),
+        ({"seed": True}, "seed must be int, got True"),
+        ({"domains": "ugv"}, "domains must be a list, got 'ugv'"),
+        ({"extra": 1}, "missing or unknown: extra"),
+        ({"domains": ["ugv", "ugv"], "samples": [1, 1]}, "domains must be different, got ugv, ugv"),
+        ({"paper_points": [-1]}, "paper_points must not be negative"),
+        ({"adaptive": ["far_wall"]}, "adaptive must be among adaptive_over_claim, .*, got 'far_wall'"),
+        ({"adaptive_samples": [3]}, r"adaptive_samples must be 0 to \[2\], one a domain, got \[3\]"),
+        ({"adaptive_samples": [1, 1]}, "adaptive_samples must be 0 to"),
+        ({"adaptive_budget": 0}, r"adaptive_budget must lie in \[1, 1000000\], got 0"),
+        ({"adaptive_queries": 2}, "adaptive_queries must be at least 3, got 2"),
+        ({"adaptive_defended": ["nobody"]}, "adaptive_defended must be among continuous, .*, got 'nobody'"),
+    ],
+)
+def test_a_wrong_plan_is_one_clear_line(change: dict[str, object], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        RobustnessPlan.from_json(TINY.to_json() | change)
+
+
+def test_an_unknown_plan_is_refused() -> None:
+    with pytest.raises(ValueError, match="preset must be one of full, small, tiny, got 'huge'"):
+        RobustnessPlan.load("huge")
+
+
+@pytest.mark.parametrize("name", list(ATTACKS))
+def test_every_attack_has_a_strongest_case_that_is_run(name: str) -> None:
+    study = RobustnessPlan.load("small")
+    case = study.strongest(name)
+    free = name in {"uniform", "cluster", "wedge_cluster_free", "frustum_free"}
+    assert case.level == ("yaw_deg 5" if name == "pose_spoof" else "1000" if free else "full")
+    assert case in study.cases("attacks")
+    assert replace(case, defense="radius") in study.cases("defenses")
+    assert TINY.strongest("uniform").level == "150"
+
+
+def test_a_case_touches_what_its_budget_says_and_its_seed_is_its_own() -> None:
+    sample = sample_of("ugv", 1, 3, 7)
+    clean = sample.sweep
+    few = apply(Case("attack", "uniform", "50"), sample, case_generator(1, "ugv", 1, Case("attack", "uniform", "50")))
+    assert (int(few.added.sum()), len(few.sweep)) == (50, len(clean) + 50)
+    again = apply(
+        Case("attack", "uniform", "50"), sample, case_generator(1, "ugv", 1, Case("attack", "uniform", "100"))
+    )
+    assert np.array_equal(few.sweep.points, again.sweep.points)
+    other = apply(Case("attack", "uniform", "50"), sample, case_generator(1, "ugv", 2, Case("attack", "uniform", "50")))
+    assert not np.array_equal(few.sweep.points, other.sweep.points)
+    assert apply(BENIGN, sample, case_generator(1, "ugv", 1, BENIGN)).sweep is clean
+
+
+def test_wedges_are_the_same_for_every_budget_so_that_none_is_the_reference() -> None:
+    sample = sample_of("nuscenes", 0, 2, 7)
+    for name in ("ghost_wall", "far_wall", "removal", "wedge_cluster", "high_frequency_removal"):
+        cases = [Case("attack", name, level) for level in ("0", "100", "full")]
+        trials = [apply(case, sample, case_generator(3, "nuscenes", 0, case)) for case in cases]
+        assert trials[0].wedge is not None
+        assert {(trial.wedge.azimuth, trial.wedge.width) for trial in trials if trial.wedge} == {
+            (trials[0].wedge.azimuth, trials[0].wedge.width)
+        }
+        assert not trials[0].added.any()
+        assert len(trials[0].sweep) == len(sample.sweep)
+
+
+def test_a_full_wedge_is_a_budget_that_none_holds() -> None:
+    sample = sample_of("ugv", 0, 2, 7)
+    full = apply(
+        Case("attack", "ghost_wall", "full"), sample, case_generator(1, "ugv", 0, Case("attack", "ghost_wall"))
+    )
+    assert 150 < full.added.sum() < FULL_WEDGE
+
+
+def test_a_kind_that_nobody_makes_is_refused() -> None:
+    sample = sample_of("ugv", 0, 2, 7)
+    with pytest.raises(ValueError, match="kind must be one that attacks, got 'adaptive'"):
+        apply(Case("adaptive", "uniform", "1"), sample, np.random.default_rng(0))
+
+
+def test_earlier_sweeps_are_of_the_same_sensor_and_before() -> None:
+    for domain, agents in (("carla", 10), ("ugv", 1)):
+        sample = sample_of(domain, 7, 8, 7)
+        assert sample.sweep.agent.endswith(f"_{7 % agents - 5 if agents == 10 else 0}")
+        now_ns = sample.sweep.t_ns
+        assert now_ns is not None
+        befores = [now_ns - earlier.t_ns for earlier in sample.earlier if earlier.t_ns is not None]
+        assert befores == pytest.approx([2e9, 0.5e9])
+        assert {earlier.agent for earlier in sample.earlier} == {sample.sweep.agent}
+
+
+def test_adding_a_sample_keeps_the_seed_of_the_others() -> None:
+    more = replace(TINY, samples=(3,))
+    assert set(TINY.job_keys()) < set(more.job_keys())

@@ -1,0 +1,131 @@
+"""Records survive their plain values, are pooled in any order, and depend on scenes."""
+
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from tests.studies.by_hand import records, refused
+
+from viewshed.metrics import ConfusionCounts, Scores
+from viewshed_lab.studies.records import (
+    BENIGN,
+    PAPER,
+    SEVERAL,
+    WEDGE,
+    Case,
+    Record,
+    Results,
+    Series,
+    from_table,
+    pool,
+    to_table,
+)
+from viewshed_lab.studies.statistics import bootstrap, f1, precision
+
+WALL = Case("attack", "ghost_wall", "full")
+KEY = Series("ugv", "vote", WALL)
+
+
+def _results() -> Results[None]:
+    """Two sweeps: one without average precision, and one that comes first though its number is larger."""
+    found: Results[None] = Results(None)
+    found.add(records("ugv", 2, WALL, {"vote": [[3, 1, 1, 5], [1, 0, 1, 0]]}, {"vote": 0.5}))
+    found.add(records("ugv", 0, WALL, {"vote": [[1, 1, 3, 5], [0, 0, 1, 1]]}))
+    for number in (2, 0):
+        found.add(records("ugv", number, BENIGN, {"vote": [[8, 0, 0, 2]]}, {"vote": 1.0}))
+        found.add([refused("ugv", number, Case("attack", "replay", "full"), "no earlier sweep")])
+    return found
+
+
+def test_sweeps_are_pooled_whatever_their_order() -> None:
+    found = _results()
+    assert found.counts(KEY) == ConfusionCounts(4, 2, 4, 10, 5.0, 2)
+    assert found.counts(KEY).over_m2 == 0.25
+    assert found.counts(KEY.of(WEDGE)).recall == pytest.approx(1 / 3)
+    assert found.each(KEY, precision).tolist() == pytest.approx([0.5, 0.75])
+    assert found.numbers(KEY, "auprc").tolist() == [0.5]
+    assert (found.sweeps("ugv"), found.sweeps("ugv", PAPER), found.scenes(KEY)) == (2, 0, {"s0", "s2"})
+    assert found.refused == {("ugv", Case("attack", "replay", "full"), "no earlier sweep"): 2}
+    nobody = Series("ugv", "nobody", WALL)
+    assert np.isnan([found.counts(nobody).f1, *found.interval([nobody], f1)]).all()
+
+
+def test_only_sweeps_that_met_a_kind_of_case_are_compared() -> None:
+    found = _results()
+    found.add(records("ugv", 2, Case("adaptive", "a", "150"), {"vote": [[1, 0, 0, 9]]}))
+    met = found.met("ugv", "adaptive")
+    assert met.counts(KEY) == ConfusionCounts(3, 1, 1, 5, 2.5, 1)
+    assert met.numbers(KEY, "auprc").tolist() == [0.5]
+    assert found.met("ugv", "unaware").series() == []
+
+
+def test_an_interval_spans_what_redrawn_scenes_give() -> None:
+    """Two scenes with F1 of 1/3 and 3/4: redrawn, one of them alone has a chance of 1/4 each."""
+    found = _results()
+    assert found.interval([KEY], f1) == pytest.approx((1 / 3, 3 / 4))
+    benign = KEY.under(BENIGN)
+    assert found.interval([benign], f1) == (1.0, 1.0)
+    assert found.interval([KEY, benign], f1) == pytest.approx((2 / 3, 7 / 8))
+
+
+def test_intervals_draw_scenes_not_sweeps() -> None:
+    """Three sweeps of one scene are one draw: precision is that of scene a, of b, or of both."""
+    counts = np.array([[1.0, 1, 0, 0], [1, 1, 0, 0], [2, 2, 0, 0], [4, 0, 0, 0]])
+    assert bootstrap([(counts, ["a", "a", "a", "b"])], precision) == pytest.approx((0.5, 1.0))
+    assert bootstrap([(counts, ["a"] * 4)], precision) == pytest.approx((8 / 12, 8 / 12))
+    assert np.isnan(bootstrap([(np.empty((0, 4)), [])], precision)).all()
+
+
+def test_a_rate_of_nothing_is_not_a_number() -> None:
+    assert np.isnan([precision(np.zeros(4)), f1(np.zeros(4))]).all()
+
+
+def _scores(prob: float, visible: bool) -> Scores:
+    scores = Scores()
+    scores.add([prob], [visible], [0.1])
+    return scores
+
+
+EVERY = [
+    *records("ugv", 0, WALL, {"vote": [[3, 1, 1, 5], [1, 0, 1, 0]]}, {"vote": 0.5}),
+    Record(Series("ugv", "a", protocol=PAPER), "s", 0, scores=_scores(0.7, True)),
+    refused("ugv", 1, WALL, "no rings"),
+]
+
+
+@dataclass
+class _Plain:
+    """What of a record can be compared."""
+
+    record: Record
+    told: object = field(init=False)
+
+    def __post_init__(self) -> None:
+        scores = None if self.record.scores is None else self.record.scores.to_json()
+        record = self.record
+        self.told = (record.series, record.scene, record.sweep, record.counts, scores, dict(record.numbers),
+                     record.refused)  # fmt: skip
+
+
+@pytest.mark.parametrize("some", [EVERY, EVERY[:1], []])
+def test_records_survive_their_plain_values(some: list[Record]) -> None:
+    table = json.loads(json.dumps(to_table(some)))
+    assert [_Plain(record).told for record in from_table(table)] == [_Plain(record).told for record in some]
+
+
+def test_what_all_records_share_is_written_once() -> None:
+    table = to_table(EVERY)
+    assert table["same"]["domain"] == "ugv"
+    assert set(table["same"]) & set(table["columns"]) == set()
+
+
+def test_pooled_records_are_the_sums() -> None:
+    """Probabilities of .7 and .2, of which only the first is visible."""
+    both = [Record(KEY, "s", n, ConfusionCounts(n, 1, 0, 0), _scores(p, v), {"auprc": 1.0})
+            for n, p, v in ((0, 0.7, True), (1, 0.2, False))]  # fmt: skip
+    [found] = pool(both)
+    assert (found.sweep, found.scene, found.numbers) == (SEVERAL, "", {})
+    assert found.counts == ConfusionCounts(1, 2, 0, 0, 0.0, 2)
+    assert found.scores is not None
+    assert found.scores.counts() == (1, 0, 0, 1)

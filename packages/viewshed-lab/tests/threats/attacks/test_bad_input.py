@@ -1,0 +1,103 @@
+"""One clear line for what cannot be attacked, or with what."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.threats.attacks.conftest import FlatScene
+
+from viewshed import Sweep, lidar_model
+from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Knowledge, Spoofer
+from viewshed_lab.threats.attacks.replay import CoherentPhantom, Replay
+
+MOVE_RETURNS = {
+    "frustum",
+    "frustum_before",
+    "far_wall",
+    "far_wall_aimed",
+    "far_wall_clean",
+    "removal",
+    "removal_aimed",
+    "relay",
+}
+
+
+@pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))
+def test_a_cloud_without_beams(name: str) -> None:
+    """Attacks that must know empty beams say so; those that only move returns, or add free points, work."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform([-30, -20, -1.8], [30, 25, 1.5], (4000, 3)).astype(np.float32)
+    cloud = Sweep(points, sensor_height_m=1.8)
+    attack = ATTACKS[name](30, Knowledge((cloud,)))
+    if name in FREE_FORM | MOVE_RETURNS:
+        tampered = attack.apply(cloud, rng)
+        assert tampered.added.any() or tampered.removed.any()
+        return
+    with pytest.raises(ValueError, match="beams of this sweep must be known, got 4000 points without rings; name"):
+        attack.apply(cloud, rng)
+
+
+@pytest.mark.parametrize("budget", [-1, 2.5, True, FULL_WEDGE + 1])
+@pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof", "replay"}))
+def test_budgets_that_are_none(name: str, budget: Any) -> None:
+    with pytest.raises(ValueError, match=r"budget must be a whole number of returns in \[0, 1000000000\], got"):
+        ATTACKS[name](budget)
+
+
+@pytest.mark.parametrize("name", sorted(FREE_FORM - {"frustum_free"}))
+def test_free_points_need_a_bound(name: str) -> None:
+    with pytest.raises(ValueError, match=r"budget must lie in \[0, 1000000\] for free points, got 1000000000"):
+        ATTACKS[name](FULL_WEDGE)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("uniform", {"half_extent_m": 0.0}, r"half_extent_m must lie in \[1, 1000\], got 0"),
+        ("uniform", {"mode": "beams"}, "mode must be one of free_form, beam_constrained, got 'beams'"),
+        ("cluster", {"range_m": (30.0, 20.0)}, r"range_m\[0\] must lie in \[0.1, 20\], got 30"),
+        ("wedge_cluster", {"azimuth": np.nan}, "azimuth must be finite, in radians, got nan"),
+        ("frustum", {"side": "above"}, "side must be one of behind, before, got 'above'"),
+        ("ghost_car", {"size_m": (4.0, 0.0, 1.5)}, r"size_m must lie in \[0.05, 100\], got 0"),
+        ("ghost_wall", {"sector_deg": 180.0}, r"sector_deg must lie in \[0.01, 150\], got 180"),
+        ("far_wall", {"far_m": -1.0}, "far_m must lie in"),
+        ("removal", {"sector_deg": 400.0}, r"sector_deg must lie in \[0.01, 360\], got 400"),
+        ("high_frequency_removal", {"noise_rate": 1.5}, r"noise_rate must lie in \[0, 1\], got 1.5"),
+        ("jamming", {"share": np.nan}, "share must lie in"),
+        ("relay", {"offset_m": np.inf}, "offset_m must lie in"),
+        ("pose_spoof", {"yaw_deg": -1.0}, r"yaw_deg must lie in \[0, 180\], got -1"),
+        ("coherent_phantom", {"velocity_mps": (1.0, 0.0)}, "a ghost that moves must have a start, got no first_ns"),
+        ("coherent_phantom", {"anchor": "moon"}, "anchor must be one of world, sensor, got 'moon'"),
+        ("far_wall", {"placement": "best"}, "placement must be one of random, .*, largest_hidden_area, got 'best'"),
+        ("removal_and_far_wall", {"sector_deg": 0.0}, "sector_deg must lie in"),
+    ],
+)
+def test_parameters_are_checked(name: str, changes: dict[str, Any], message: str) -> None:
+    attack: Any = ATTACKS[name]()
+    with pytest.raises(ValueError, match=message):
+        replace(attack, **changes)
+
+
+def test_spoofers_are_checked() -> None:
+    with pytest.raises(ValueError, match=r"reliability must lie in \[0, 1\], got 1.2"):
+        Spoofer(1.2)
+
+
+def test_what_lasts_needs_the_past(flat_scene: FlatScene, rng: np.random.Generator) -> None:
+    with pytest.raises(ValueError, match="replay needs an earlier sweep, got none"):
+        ATTACKS["replay"]()
+    clean = flat_scene()
+    other = Sweep(clean.points[:200], ring=(np.arange(200) % 16).astype(np.int16), model=lidar_model("vlp16"))
+    with pytest.raises(ValueError, match="earlier sweep must be of the same sensor with 28 rings, got 16"):
+        Replay(other).apply(clean, rng)
+    pose = clean.world_from_sensor
+    with pytest.raises(ValueError, match="a sweep must have a pose for a ghost that stays in the world"):
+        CoherentPhantom(pose).apply(clean.replace(world_from_sensor=None), rng)
+    with pytest.raises(ValueError, match="a sweep must have a time for a ghost that moves"):
+        CoherentPhantom(pose, 0, velocity_mps=(1.0, 0.0)).apply(clean.replace(t_ns=None), rng)
+
+
+def test_a_pose_that_is_not_there(flat_scene: FlatScene, rng: np.random.Generator) -> None:
+    with pytest.raises(ValueError, match="a sweep must have a pose for it to be spoofed, got none"):
+        ATTACKS["pose_spoof"]().apply(flat_scene().replace(world_from_sensor=None), rng)

@@ -1,0 +1,19 @@
+"""A junction without symmetry as a VLP-16 sees it, with every column that a sweep may have."""
+
+import numpy as np
+import pytest
+
+from viewshed.geometry import Rigid
+from viewshed.sensors import lidar_model
+from viewshed.sweep import Sweep
+from viewshed_lab.sim import cast, junction
+
+
+@pytest.fixture(scope="session")
+def street() -> Sweep:
+    sweep = cast(lidar_model("vlp16"), junction(), 1.8)
+    intensity = np.arange(len(sweep), dtype=np.float32)  # names the row
+    pose = Rigid.from_yaw(0.5, (10.0, 20.0, 1.8))
+    return sweep.replace(
+        time_s=intensity * np.float32(1e-5), intensity=intensity, world_from_sensor=pose, t_ns=7, agent="a"
+    )

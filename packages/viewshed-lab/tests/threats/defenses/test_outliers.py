@@ -1,0 +1,133 @@
+"""Outlier removal: by hand, by laws, and against scipy's k-d tree and graphs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from viewshed.arrays import F32
+from viewshed.sweep import Sweep
+from viewshed_lab.threats.defenses import ClusteringOutlierRemoval, RadiusOutlierRemoval, StatisticalOutlierRemoval
+
+
+@st.composite
+def clouds(draw: st.DrawFn) -> F32:
+    """Clumps, a line and scattered points, some of them twice."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    count = draw(st.integers(3, 300))
+    middles = rng.uniform(-30, 30, (draw(st.integers(1, 8)), 3))
+    points = middles[rng.integers(len(middles), size=count)] + rng.normal(0, draw(st.floats(0.01, 3)), (count, 3))
+    points[: count // 5] = points[0]
+    points[count // 5 : count // 3, 1:] = 0
+    return points.astype(np.float32)
+
+
+def _dropped(defense: object, points: F32) -> NDArray[np.bool_]:
+    mask: NDArray[np.bool_] = defense.apply(Sweep(points)).dropped  # type: ignore[attr-defined]
+    return mask
+
+
+@given(clouds())
+def test_statistical_removal_is_pcls_rule(points: F32) -> None:
+    k = min(10, len(points) - 1)
+    wide = points.astype(np.float64)
+    means = cKDTree(wide).query(wide, k=k + 1)[0].sum(axis=1) / k
+    limit = means.mean() + 1.5 * np.sqrt(((means - means.mean()) ** 2).sum() / (len(points) - 1))
+    clear = np.abs(means - limit) > 1e-4 * limit + 1e-5  # neither side is right where it hangs on rounding
+    found = _dropped(StatisticalOutlierRemoval(10, 1.5), points)
+    assert np.array_equal(found[clear], (means > limit)[clear])
+
+
+def test_statistical_removal_by_hand() -> None:
+    # Neighbors in a line 1 m apart: mean distance 1 to both sides; the ends have 1 and 2, mean 1.5; the far one 7.5.
+    line = np.array([[x, 2.0, 0.5] for x in (0, 1, 2, 3, 4, 5, 12)], np.float32)
+    # Means: 1.5, 1, 1, 1, 1, 1.5, 7.5: average 2.07, σ 2.40, so that one σ above lies at 4.47.
+    assert _dropped(StatisticalOutlierRemoval(2, 1.0), line).tolist() == [False] * 6 + [True]
+    assert not _dropped(StatisticalOutlierRemoval(2, 3.0), line).any()
+
+
+def test_a_regular_lattice_has_no_outliers() -> None:
+    ring = np.arange(64) * 2 * np.pi / 64
+    circle = np.stack([8 * np.cos(ring), 8 * np.sin(ring), 0 * ring], axis=1).astype(np.float32)
+    assert not _dropped(StatisticalOutlierRemoval(2, 1.0), circle).any()
+
+
+def test_statistical_removal_has_no_limits_of_space() -> None:
+    points = np.concatenate([np.random.default_rng(1).normal(size=(99, 3)), [[3e38, -3e38, 1.0]]]).astype(np.float32)
+    assert np.flatnonzero(_dropped(StatisticalOutlierRemoval(5, 1.0), points)).tolist() == [99]
+
+
+@given(clouds(), st.floats(0.05, 5), st.integers(1, 8))
+def test_radius_removal_counts_as_scipy_does(points: F32, radius_m: float, neighbors: int) -> None:
+    wide = points.astype(np.float64)
+    tree = cKDTree(wide)
+    low, high = (tree.query_ball_point(wide, radius_m * f, return_length=True) - 1 for f in (1 - 1e-9, 1 + 1e-9))
+    found = _dropped(RadiusOutlierRemoval(radius_m, neighbors), points)
+    assert np.array_equal(found[low == high], (low < neighbors)[low == high])
+
+
+def test_radius_removal_by_hand_on_both_sides_of_zero() -> None:
+    points = np.array([[-0.4, 0, 0], [0.4, 0, 0], [0, 0, 0.1], [3, -2, 0], [3.5, -2, 0], [-90, 40, 1]], np.float32)
+    assert _dropped(RadiusOutlierRemoval(0.81, 2), points).tolist() == [False, False, False, True, True, True]
+    assert _dropped(RadiusOutlierRemoval(0.81, 1), points).tolist() == [False] * 5 + [True]
+    assert _dropped(RadiusOutlierRemoval(0.5, 1), points).tolist() == [False] * 5 + [True]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e6, 1e30])
+def test_radius_removal_has_no_limits_of_space(scale: float) -> None:
+    points = (np.array([[1.0, 2, 3], [1, 2, 3], [-1, 2, 3], [5, 5, 5]]) * scale).astype(np.float32)
+    assert _dropped(RadiusOutlierRemoval(1e-4, 1), points).tolist() == [False, False, True, True]
+
+
+@given(clouds(), st.floats(0.05, 5), st.floats(1.0, 3.0), st.integers(1, 8))
+def test_a_larger_radius_or_a_denser_cloud_never_drops_more(
+    points: F32, radius_m: float, factor: float, neighbors: int
+) -> None:
+    for make in (RadiusOutlierRemoval, ClusteringOutlierRemoval):
+        few = _dropped(make(radius_m, neighbors + 1), points)
+        assert not (_dropped(make(radius_m * factor, neighbors + 1), points) & ~few).any()
+        denser = np.concatenate([points, points[::2] + np.float32(0.01)])
+        assert not (_dropped(make(radius_m, neighbors + 1), denser)[: len(points)] & ~few).any()
+
+
+@settings(max_examples=50)
+@given(clouds(), st.floats(0.05, 3), st.integers(2, 9))
+def test_clustering_drops_the_noise_of_dbscan(points: F32, radius_m: float, fewest: int) -> None:
+    """Noise as the definition has it: clusters are components of cores, and noise belongs to none."""
+    wide = points.astype(np.float64)
+    apart = np.linalg.norm(wide[:, None] - wide, axis=2)
+    if (np.abs(apart - radius_m) < 1e-6).any():
+        return
+    near = apart <= radius_m
+    core = near.sum(axis=1) >= fewest
+    _, label = connected_components(csr_matrix(near & core[:, None] & core))
+    in_cluster = np.zeros(len(points), np.bool_)
+    for cluster in np.unique(label[core]):
+        in_cluster |= near[core & (label == cluster)].any(axis=0)
+    assert np.array_equal(_dropped(ClusteringOutlierRemoval(radius_m, fewest), points), ~in_cluster)
+
+
+def test_clustering_by_hand() -> None:
+    # Five in a row 0.4 m apart: the middle three have 3 within 0.5 m; the ends belong to them; the pair is noise.
+    row = [[7 + 0.4 * k, -3, 0] for k in range(5)]
+    points = np.array([*row, [0, 9, 0], [0.1, 9, 0]], np.float32)
+    assert _dropped(ClusteringOutlierRemoval(0.5, 3), points).tolist() == [False] * 5 + [True, True]
+    assert _dropped(ClusteringOutlierRemoval(0.5, 4), points).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: StatisticalOutlierRemoval(0), r"neighbors must lie in \[1, 1000\] and deviations be finite, got .*"),
+        (lambda: RadiusOutlierRemoval(0.0), r"radius_m must lie in \(0, 1000\) and neighbors be at least 1, got .*"),
+        (lambda: ClusteringOutlierRemoval(0.5, 1), r"radius_m must lie in \(0, 1000\) and fewest be at least 2.*"),
+    ],
+)
+def test_parameters_out_of_range_are_one_clear_line(make: object, message: str) -> None:
+    assert callable(make)
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        make()

@@ -1,0 +1,62 @@
+"""The adversary: what it forges, of whom, from when on; everything else passes as it is."""
+
+import numpy as np
+import pytest
+
+from viewshed import load_estimator, read_sweep
+from viewshed.detections import Detections
+from viewshed.geometry import Rigid
+from viewshed.io.samples import junction_path
+from viewshed.preprocess.leveling import level
+from viewshed_lab.threats.adversary import Adversary
+
+SWEEP = read_sweep(junction_path())
+
+
+def test_sweeps_of_one_agent_are_forged_between_start_and_end_at_one_place() -> None:
+    adversary = Adversary("far_wall", frozenset({"car"}), start_s=1.0, end_s=3.0, reset_s=10.0, seed=3)
+    forged = {}
+    for t_s in (5.0, 5.9, 6.0, 7.0, 8.0):
+        for agent in ("car", "mast"):
+            sent = SWEEP.replace(t_ns=round(1e9 * t_s), agent=agent)
+            got = adversary.sweep(sent)
+            assert (got.agent, got.t_ns) == (agent, sent.t_ns)
+            forged[agent, t_s] = None if got is sent else got
+    assert [key for key, got in forged.items() if got is not None] == [("car", 6.0), ("car", 7.0)]
+    first, second = forged["car", 6.0], forged["car", 7.0]
+    assert first is not None
+    assert second is not None
+    assert np.array_equal(first.points, second.points)
+    assert len(first) != len(SWEEP) or not np.array_equal(first.points, SWEEP.points)
+
+
+def test_forged_objects_stand_still_in_the_world_while_their_agent_drives() -> None:
+    adversary = Adversary("fabricate_static", start_s=0.0, count=3)
+    places = []
+    for k in range(3):
+        pose = Rigid.from_yaw(0.3 * k, (2.0 * k, 1.0, 1.8))
+        leveled = level(SWEEP.replace(t_ns=k * 10**8, world_from_sensor=pose), load_estimator("shadow_map").grid)
+        found = adversary.detections(leveled, Detections.none())
+        assert leveled.world_from_level is not None
+        places.append(found.moved(leveled.world_from_level).boxes[:, :2])
+    assert places[0].shape == (3, 2)
+    np.testing.assert_allclose(places[1], places[0], atol=1e-6)
+    np.testing.assert_allclose(places[2], places[0], atol=1e-6)
+
+
+def test_a_claimed_view_grows_and_the_objects_stay_honest() -> None:
+    adversary = Adversary("over_claim", start_s=0.5)
+    honest = load_estimator("shadow_map").estimate(SWEEP.replace(t_ns=0))
+    assert adversary.view(honest) is honest
+    later = load_estimator("shadow_map").estimate(SWEEP.replace(t_ns=10**9))
+    assert adversary.view(later).area_m2() > 1.1 * later.area_m2()
+    none = Detections.none()
+    assert adversary.objects("ego", 1.0, none, np.zeros(3)) is none
+    assert adversary.sweep(SWEEP) is SWEEP
+
+
+def test_what_cannot_be() -> None:
+    with pytest.raises(ValueError, match=r"attack must be one of .*far_wall.*got 'melt'"):
+        Adversary("melt")
+    with pytest.raises(ValueError, match="must start at 0 s or later, before it ends"):
+        Adversary("far_wall", start_s=3.0, end_s=2.0)

@@ -1,0 +1,165 @@
+"""Attacks on objects: when they begin, what they forge, what they say they forged."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from viewshed.detections import Detections, ObjectKind
+from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS, ForgedDetections
+
+GROUND = np.array([100.0, -50.0, 2.0])
+
+
+def _detections(count: int, seed: int = 0, spread_m: float = 30.0) -> Detections:
+    rng = np.random.default_rng(seed)
+    boxes = np.tile([0.0, 0.0, 0.75, 4.2, 1.8, 1.5, 0.0], (count, 1))
+    boxes[:, :3] += GROUND
+    boxes[:, :2] += rng.uniform(-spread_m, spread_m, (count, 2))
+    return Detections(boxes, np.full(count, ObjectKind.CAR), np.full(count, 80))
+
+
+def _is_forged(one: ForgedDetections) -> bool:
+    return bool(one.removed.any() or one.moved.any() or (one.ghost >= 0).any())
+
+
+def _run(
+    name: str, detections: Detections, seed: int = 0, seconds: float = 6.0, **changed: object
+) -> list[ForgedDetections]:
+    running = OBJECT_ATTACKS[name](**{"counts": "exact", "mean_count": 3.0} | changed).begin(
+        np.random.default_rng(seed)
+    )
+    return [running.apply(detections, t_s, GROUND) for t_s in np.arange(0.0, seconds, 0.1)]
+
+
+@pytest.mark.parametrize("name", OBJECT_ATTACKS)
+def test_every_attack_keeps_its_times_and_its_record(name: str) -> None:
+    """Honest before two seconds, forged after; the same seed gives the same bytes; honest rows are untouched."""
+    detections = _detections(8)
+    before = detections.boxes.copy()
+    sweeps = _run(name, detections)
+    assert np.array_equal(detections.boxes, before)
+    for one in sweeps[:20]:
+        assert not _is_forged(one)
+    assert _is_forged(sweeps[21])
+    for one in sweeps[21:]:
+        kept = (one.source >= 0) & ~one.moved
+        assert np.array_equal(one.detections.boxes[kept], detections.boxes[one.source[kept]])
+        assert (one.source[one.ghost >= 0] == -1).all()
+    again = _run(name, detections)
+    assert all(np.array_equal(a.detections.boxes, b.detections.boxes) for a, b in zip(sweeps, again, strict=True))
+
+
+@pytest.mark.parametrize("name", OBJECT_ATTACKS)
+def test_no_object_no_harm(name: str) -> None:
+    """Nothing to remove or move is no error, and no count of 0 forges anything."""
+    for one in _run(name, Detections.none(), seconds=3.0):
+        assert len(one.removed) == 0
+    assert all(len(one.detections) == 0 for one in _run(name, Detections.none(), seconds=3.0, mean_count=0.0))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12))
+def test_a_random_walk_is_never_too_fast(seed: int, count: int) -> None:
+    """A fabricated object that walks at random keeps its number, its height, and a speed of 30 m/s at most."""
+    sweeps = _run("fabricate_markov", Detections.none(), seed, 4.0, mean_count=float(count))
+    for one, after in pairwise(sweeps[20:]):
+        assert np.array_equal(one.ghost, after.ghost)
+        way_m = np.linalg.norm((after.detections.boxes - one.detections.boxes)[:, :2], axis=1)
+        assert (way_m <= 3.0 + 1e-6).all()
+        assert np.allclose(after.detections.boxes[:, 2], GROUND[2] + 1.0)
+
+
+def test_fabricated_objects_have_the_published_size_and_spread() -> None:
+    """Boxes of 4 by 2 by 2 m, 15 m about the sensor; other objects after ten seconds, under new numbers."""
+    sweeps = _run("fabricate_static", Detections.none(), seconds=13.0, mean_count=400.0)
+    boxes = sweeps[30].detections.boxes
+    assert np.allclose(boxes[:, 3:6], (4.0, 2.0, 2.0))
+    assert np.allclose(boxes[:, :2].std(axis=0), 15.0, rtol=0.1)
+    assert np.allclose(boxes[:, :2].mean(axis=0), GROUND[:2], atol=2.5)
+    assert set(sweeps[125].ghost) == set(range(400, 800))
+
+
+def test_poisson_counts_have_their_mean() -> None:
+    """Over many resets the number of fabricated objects has the mean that was asked for."""
+    sweeps = _run("fabricate_static", Detections.none(), seconds=60.0, mean_count=2.0, counts="poisson", reset_s=0.2)
+    counts = [len(one.detections) for one in sweeps[20::2]]
+    assert 1.7 < np.mean(counts) < 2.3
+    assert np.var(counts) > 1.0
+
+
+def test_removal_takes_the_nearest_within_six_meters_and_only_near_objects() -> None:
+    """An object 60 m away is never chosen; a static place that its object has left removes nothing."""
+    far = Detections(_detections(1).boxes * 1.0 + np.array([[90.0, 0, 0, 0, 0, 0, 0]]), np.array([3]), np.array([9]))
+    assert not any(one.removed.any() for one in _run("remove_static", far))
+    near = _detections(1, spread_m=5.0)
+    running = OBJECT_ATTACKS["remove_static"](counts="exact", mean_count=1.0, start_s=0.0).begin(
+        np.random.default_rng(0)
+    )
+    assert running.apply(near, 0.0, GROUND).removed.tolist() == [True]
+    away = Detections(near.boxes + np.array([[5.9, 0, 0, 0, 0, 0, 0]]), near.kinds, near.returns)
+    assert running.apply(away, 0.1, GROUND).removed.tolist() == [True]
+    gone = Detections(near.boxes + np.array([[6.1, 0, 0, 0, 0, 0, 0]]), near.kinds, near.returns)
+    assert running.apply(gone, 0.2, GROUND).removed.tolist() == [False]
+
+
+def test_removal_on_a_trajectory_follows_its_object() -> None:
+    """An object that drives 2 m a sweep stays removed until the reset."""
+    start = _detections(1, spread_m=5.0)
+    running = OBJECT_ATTACKS["remove_trajectory"](counts="exact", mean_count=1.0, start_s=0.0).begin(
+        np.random.default_rng(0)
+    )
+    for step in range(20):
+        there = Detections(start.boxes + np.array([[2.0 * step, 0, 0, 0, 0, 0, 0]]), start.kinds, start.returns)
+        assert running.apply(there, 0.1 * step, GROUND).removed.tolist() == [True]
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("translate_static", 2.0, 6.0), ("shift_static", 0.3, 1.0)])
+def test_translated_objects_are_moved_by_so_much(name: str, low: float, high: float) -> None:
+    """The vector of each object stays the same, and has the length of its attack."""
+    detections = _detections(5)
+    sweeps = _run(name, detections, mean_count=5.0)
+    ways = [one.detections.boxes - detections.boxes[one.source] for one in sweeps[20:]]
+    length = np.linalg.norm(ways[0][:, :2], axis=1)
+    assert ((length >= low) & (length <= high)).all()
+    assert np.allclose(ways[0], ways[-1])
+    assert sweeps[-1].moved.all()
+
+
+def test_a_translation_on_a_trajectory_grows() -> None:
+    """Nothing at first, the whole vector after three seconds, and never a jump."""
+    detections = _detections(1, spread_m=5.0)
+    sweeps = _run("translate_trajectory", detections, mean_count=1.0)
+    ways = np.array([np.linalg.norm((one.detections.boxes - detections.boxes)[0, :2]) for one in sweeps[20:]])
+    assert ways[0] == 0.0
+    assert ways[-1] >= 2.0
+    assert np.diff(ways).max() < 0.3
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"mean_count": -1.0}, r"mean_count must lie in \[0, 1000\]"),
+        ({"mean_count": 1.5}, "mean_count must be a whole number"),
+        ({"motion": "sideways"}, "motion must be one of static, markov, trajectory"),
+        ({"reset_s": 0.0}, "reset_s must lie in"),
+        ({"start_s": float("nan")}, "start_s must lie in"),
+        ({"trajectory": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}, "trajectory must be rows of rising seconds"),
+    ],
+)
+def test_bad_parameters_are_refused_in_one_line(changed: dict[str, object], message: str) -> None:
+    """A value out of range is named with its rule."""
+    with pytest.raises(ValueError, match=message) as error:
+        OBJECT_ATTACKS["fabricate_static"](**{"counts": "exact"} | changed)
+    assert "\n" not in str(error.value)
+
+
+def test_time_that_goes_back_begins_anew() -> None:
+    """A second drive has its two honest seconds as well."""
+    running = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=1.0).begin(np.random.default_rng(0))
+    assert len(running.apply(Detections.none(), 10.0, GROUND).detections) == 0
+    assert len(running.apply(Detections.none(), 12.0, GROUND).detections) == 1
+    assert len(running.apply(Detections.none(), 3.0, GROUND).detections) == 0

@@ -1,0 +1,77 @@
+"""From a config and a network to a network in bytes, as the command does it."""
+
+import contextlib
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.networks.made import nearby
+
+from viewshed.cli import main
+from viewshed.networks.card import INT8
+from viewshed.networks.onnx_export import export_onnx
+from viewshed.networks.runtime import OnnxRunner
+from viewshed_lab.training import TrainConfig
+from viewshed_lab.training import calibrate_int8 as module
+from viewshed_lab.training.calibrate_int8 import quantize
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def fresh(config: TrainConfig, tmp_path: Path) -> tuple[TrainConfig, Path]:
+    """A config of simulated sweeps, and a network that says what lies near returns."""
+    made = replace(config, data=("nuscenes-small",), attacks=("ghost_wall",), counts="log")
+    export_onnx(tmp_path / "net.onnx", made.card(seed="1"), nearby(made.card().shape))
+    return made, tmp_path / "net.onnx"
+
+
+def test_a_network_is_quantized_and_compared(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
+    config, network = fresh
+    found = quantize(config, network, tmp_path / "bytes.onnx", 3)
+    assert 0.2 < found.f1 < 1.0
+    assert found.f1 - found.f1_int8 <= module.MAX_F1_LOSS
+    assert 0.0 < found.mean_difference < 0.1
+    assert 0.0 <= found.flipped_share < 0.1
+    card = OnnxRunner(tmp_path / "bytes.onnx", 1).card
+    assert card.precision == INT8
+    assert card.trained["calibration"] == "3 sweeps of nuscenes-small, 50% attacked"
+    assert card.trained["seed"] == "1"
+    assert quantize(config, network, tmp_path / "again.onnx", 3) == found
+    assert (tmp_path / "again.onnx").read_bytes() == (tmp_path / "bytes.onnx").read_bytes()
+
+
+def test_what_loses_too_much_is_not_written(
+    fresh: tuple[TrainConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, network = fresh
+    monkeypatch.setattr(module, "MAX_F1_LOSS", -1.0)
+    with pytest.raises(ValueError, match=r"F1 in bytes must be within -1.0 of float32, got 0\.\d{4} and 0\.\d{4};"):
+        quantize(config, network, tmp_path / "bytes.onnx", 1)
+    assert not (tmp_path / "bytes.onnx").exists()
+
+
+def test_a_network_of_another_config_is_refused(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
+    config, network = fresh
+    with pytest.raises(ValueError, match="the network must be one of the config tiny, with counts linear, got log"):
+        quantize(replace(config, counts="linear"), network, tmp_path / "bytes.onnx", 1)
+    with pytest.raises(ValueError, match="frames must be at least 1, got 0"):
+        quantize(config, network, tmp_path / "bytes.onnx", 0)
+
+
+def test_the_command_tells_what_it_costs(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
+    config, network = fresh
+    lines = [f"{key} = {json.dumps(value)}" for key, value in config.to_json().items() if key != "name"]
+    (tmp_path / "tiny.toml").write_text("\n".join(lines), "utf-8")
+    out, path = io.StringIO(), tmp_path / "bytes.onnx"
+    with contextlib.redirect_stdout(out), pytest.raises(SystemExit) as end:
+        main(["quantize", str(tmp_path / "tiny.toml"), str(network), "--out", str(path), "--frames", "2"])
+    assert end.value.code in (0, None)
+    assert out.getvalue().startswith(f"{path}: F1 0.")
+    assert "in float32; probabilities 0.0" in out.getvalue()
+    shown = np.zeros((1, 1, *config.grid.shape), np.uint8)
+    runner = OnnxRunner(path, 1)
+    assert runner.run(runner.card.shown(shown[0])[None], runner.card.shape.no_masks(1)).max() <= 1.0

@@ -1,0 +1,93 @@
+"""From a config to frames: scenes are divided, presets simulated once, and what does not fit is refused."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from viewshed import Archive
+from viewshed.cli import main
+from viewshed_lab._jobs import Done, LocalEngine
+from viewshed_lab.data import write_archive
+from viewshed_lab.training import Fold, TrainConfig
+from viewshed_lab.training.data import TrainingData, prepare, processes_for
+from viewshed_lab.training.sources import ArchivedSamples
+
+pytestmark = pytest.mark.slow
+
+
+def _scenes(frames: TrainingData) -> tuple[set[str], set[str]]:
+    sources = (cast(ArchivedSamples, part.source) for part in (frames.train, frames.validation))
+    train, validation = ({scene for archive in source.archives for scene in archive.scenes} for source in sources)
+    return train, validation
+
+
+def test_scenes_are_divided_and_the_test_split_is_not_read(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    train, validation = _scenes(prepare(config, tmp_path))
+    assert len(validation) == 2
+    assert not train & validation
+    assert train | validation == set(Archive.open(archive).split("train").scenes)
+    assert not list(tmp_path.iterdir())
+
+
+def test_every_scene_is_held_out_by_one_fold(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    parts = [_scenes(prepare(config, tmp_path, Fold(number, 3))) for number in range(3)]
+    assert all(not train & held for train, held in parts)
+    assert sorted(scene for _, held in parts for scene in held) == sorted(Archive.open(archive).split("train").scenes)
+    with pytest.raises(ValueError, match="must have a scene for each of 7 folds, got 6; ask for fewer folds"):
+        prepare(config, tmp_path, Fold(0, 7))
+    with pytest.raises(ValueError, match="fold must be one of at least 2, got 2 of 2"):
+        Fold(2, 2)
+
+
+def test_fresh_scenes_differ_from_epoch_to_epoch(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, data=("ugv-small",), fresh=True, frames_per_epoch=16, attacks=(), attack_share=0.0,
+                     half_extent_m=8.0)  # fmt: skip
+    frames = prepare(wanted, tmp_path)
+    assert (len(frames.train), len(frames.validation)) == (16, 8)
+    first, again, later = frames.train[1, 9], frames.train[1, 9], frames.train[2, 9]
+    assert (first["inputs"] == again["inputs"]).all()
+    assert (first["inputs"] != later["inputs"]).any()
+    assert (first["inputs"] != frames.train[1, 10]["inputs"]).any()
+    assert first["known"].any()
+    with pytest.raises(ValueError, match="fresh scenes have no folds"):
+        prepare(wanted, tmp_path, Fold(0, 2))
+
+
+def _refused(config: TrainConfig, tmp_path: Path, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        prepare(config, tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()
+
+
+def test_archives_that_do_not_fit_are_refused(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    _refused(replace(config, cells=64), tmp_path, r"truth on 32 cells, ±32 m; cells and half_extent_m must be those, "
+             "got 64 and 32")  # fmt: skip
+    _refused(replace(config, data=(str(tmp_path / "none"),)), tmp_path, "data must name presets or archives, got")
+    _refused(replace(config, train_split="all"), tmp_path, "train_split must be one of train, test of .* got 'all'")
+    _refused(replace(config, train_split="test"), tmp_path, "has 1 scene in split 'test'; validation is split by scene")
+
+
+def test_tampered_sweeps_have_no_label(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "attacked"
+    with pytest.raises(SystemExit):
+        main(["attack", str(archive), "--attack", "uniform", "--workers", "1", "--out", str(out)])
+    wanted = replace(config, data=(str(out),), truth="paper_label")
+    _refused(wanted, tmp_path, "holds tampered sweeps, and paper_label is of clean ones; train on its source")
+
+
+def test_an_archive_without_truth_for_the_target_is_refused(config: TrainConfig, tmp_path: Path) -> None:
+    samples = list(Archive.open(config.data[0]).split("train"))
+    bare = [replace(sample, truth=replace(sample.truth, expected_returns={}, state={})) for sample in samples]
+    write_archive(tmp_path / "bare", bare, {})
+    _refused(replace(config, data=(str(tmp_path / "bare"),)), tmp_path, "has no truth for target 'car', it has none")
+
+
+def test_a_worker_makes_frames_without_processes_of_its_own() -> None:
+    """A worker that started others would fail: so trainings beside each other once did."""
+    (done,) = LocalEngine(2).run(processes_for, [10_000])
+    assert done == Done(0, 1, None)
+    assert processes_for(10) == 1
+    assert processes_for(10_000) == os.cpu_count()

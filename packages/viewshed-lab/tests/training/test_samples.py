@@ -1,0 +1,338 @@
+"""TrainingFrames: inputs against a count by hand, truth against the archive, attacks and dropout by their seeds."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from viewshed import Archive, BevGrid, Sample, Sweep
+from viewshed.estimators import PAPER_ESTIMATORS
+from viewshed.geometry import Rigid
+from viewshed.networks.features import HISTORY_FEATURES, NO_HISTORY
+from viewshed.sensors import LidarModel
+from viewshed.sweep import unorganized_no_sensor
+from viewshed_lab._jobs import LocalEngine
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import simulate
+from viewshed_lab.sim import Box, Scene, cast
+from viewshed_lab.threats.attacks.removal import PhysicalRemoval
+from viewshed_lab.training import TrainConfig
+from viewshed_lab.training.data import prepare
+from viewshed_lab.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
+from viewshed_lab.training.sources import ArchivedSamples, CleanSample, CleanSamples, OnlineSimulation
+
+pytestmark = pytest.mark.slow
+
+
+def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
+    """The samples behind the frames, found by their truth."""
+    every = list(Archive.open(archive).split("train"))
+    found = []
+    for index in range(len(frames)):
+        visible = frames[0, index]["visible"] > 0
+        found.append(next(sample for sample in every if (sample.truth.visible("car") == visible).all()))
+    return found
+
+
+def _counted(sample: Sample) -> NDArray[np.float64]:
+    """Returns of each cell, by numpy: forward is the first axis, left the second."""
+    pose = sample.sweep.world_from_sensor
+    assert pose is not None
+    yaw = np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])
+    unturned = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    level = sample.sweep.points.astype(np.float64) @ (unturned @ pose.rotation).T
+    used = level[(np.abs(level[:, 2]) <= 3) & (np.hypot(level[:, 0], level[:, 1]) <= 100)]
+    counts: NDArray[np.float64] = np.histogram2d(used[:, 0], used[:, 1], bins=32, range=[[-32, 32], [-32, 32]])[0]
+    return counts
+
+
+def test_inputs_are_counts_and_truth_is_the_archives(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    frames = prepare(replace(config, attacks=(), attack_share=0.0, counts="linear"), tmp_path).train
+    for index, sample in enumerate(_samples(archive, frames)[:6]):
+        arrays = frames[1, index]
+        wrong = np.abs(arrays["inputs"][0] * 1000 - np.minimum(_counted(sample), 255))
+        assert arrays["inputs"].shape == (1, 32, 32)
+        assert wrong.sum() <= 0.002 * len(sample.sweep)  # float32 at the edges of cells
+        assert ((arrays["known"] > 0) == sample.known).all()
+        assert {str(array.dtype) for array in arrays.values()} == {"float32"}
+
+
+def test_half_of_the_frames_are_attacked_and_no_truth_moves(config: TrainConfig, tmp_path: Path) -> None:
+    clean = prepare(replace(config, attacks=(), attack_share=0.0), tmp_path).train
+    frames = prepare(replace(config, attacks=("ghost_wall",)), tmp_path).train
+    changed = 0
+    for epoch in range(1, 5):
+        for index in range(len(frames)):
+            before, after = clean[epoch, index], frames[epoch, index]
+            changed += bool((before["inputs"] != after["inputs"]).any())
+            assert (before["visible"] == after["visible"]).all()
+    assert 0.35 < changed / (4 * len(frames)) < 0.65
+
+
+def test_all_that_is_random_follows_from_seed_epoch_and_number(config: TrainConfig, tmp_path: Path) -> None:
+    attacked = replace(config, attack_share=1.0, attacks=("uniform",))
+    one, two = prepare(attacked, tmp_path).train, prepare(attacked, tmp_path).train
+    other = prepare(replace(attacked, seed=0, name="other"), tmp_path).train
+    for name in ("inputs", "masks"):
+        assert (one[1, 3][name] == two[1, 3][name]).all()
+        assert (one[1, 3][name] == other[1, 3][name]).all()
+        assert (one[1, 3][name] != one[2, 3][name]).any()
+    seeded = replace(one, config=replace(attacked, seed=5))
+    assert (one[1, 3]["inputs"] != seeded[1, 3]["inputs"]).any()
+
+
+def test_dropout_drops_its_share_of_channels_and_mle_none(config: TrainConfig, tmp_path: Path) -> None:
+    frames = prepare(replace(config, width=16, dropout=0.25), tmp_path).train
+    masks = np.concatenate([frames[epoch, 0]["masks"] for epoch in range(1, 60)])
+    assert np.unique(masks).tolist() == pytest.approx([0.0, 4 / 3])
+    assert abs((masks == 0).mean() - 0.25) < 0.02
+    plain = prepare(replace(config, variant="mle"), tmp_path).train
+    assert (plain[1, 0]["masks"] == 1).all()
+
+
+def test_the_papers_label_is_of_the_clean_sweep(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    wanted = replace(config, truth="paper_label", cells=64, attack_share=1.0, attacks=("paper",))
+    frames = prepare(wanted, tmp_path).train
+    estimator = PAPER_ESTIMATORS["paper_label"](BevGrid(64, 32.0))
+    labels = [estimator.estimate(sample.sweep).visible() for sample in Archive.open(archive).split("train")]
+    for index in range(0, len(frames), 5):
+        arrays = frames[2, index]
+        assert any(((arrays["visible"] > 0) == label).all() for label in labels)
+        assert (arrays["known"] == 1).all()
+    assert len(list((tmp_path / "labels").iterdir())) == 6
+    with pytest.raises(IndexError, match="index must be below"):
+        _ = frames[1, len(frames)]
+
+
+def test_an_attack_that_a_sweep_refuses_leaves_it(config: TrainConfig, tmp_path: Path) -> None:
+    clean = prepare(replace(config, attacks=(), attack_share=0.0), tmp_path).train
+    replayed = prepare(replace(config, attacks=("replay",), attack_share=1.0), tmp_path).train
+    same = [(clean[1, k]["inputs"] == replayed[1, k]["inputs"]).all() for k in range(len(clean))]
+    assert sum(same) * 4 == len(same)  # the first sweep of each scene of four has none before it
+
+
+@given(st.integers(1, 40), st.integers(1, 5), st.integers(1, 4), st.integers(0, 3))
+def test_processes_share_an_epoch(frames: int, world: int, block: int, epoch: int) -> None:
+    shares = [Share(rank, world) for rank in range(world)]
+    orders = [TrainingOrder(frames, frames, block, 3, share, epoch) for share in shares]
+    keys = [list(order) for order in orders]
+    assert {len(part) for part in keys} == {len(orders[0])}
+    assert {number for part in keys for _, number in part} == set(range(frames))
+    assert {shown for part in keys for shown, _ in part} == {epoch + 1}
+    held = [number for share in shares for _, number in ValidationOrder(frames, share)]
+    assert sorted(number for number in held if number != BLANK) == list(range(frames))
+    assert len(held) == len(ValidationOrder(frames, shares[0])) * world
+
+
+def test_an_epoch_has_an_order_of_its_own_and_keeps_blocks_together() -> None:
+    order = TrainingOrder(40, 24, 8, 1)
+    first = [number for _, number in order]
+    order.set_epoch(1)
+    assert first != [number for _, number in order]
+    assert [first[k] // 8 for k in (0, 8, 16)] == [first[k] // 8 for k in (7, 15, 23)]
+
+
+def test_a_blank_frame_counts_nowhere(config: TrainConfig, tmp_path: Path) -> None:
+    frames = prepare(config, tmp_path).validation
+    blank, real = frames[0, BLANK], frames[0, 0]
+    assert {name: array.shape for name, array in blank.items()} == {name: array.shape for name, array in real.items()}
+    assert not blank["known"].any()
+
+
+def _equal(one: dict[str, NDArray[np.float32]], two: dict[str, NDArray[np.float32]]) -> bool:
+    return all((one[name] == two[name]).all() for name in one)
+
+
+@pytest.mark.parametrize("truth", ["probe", "paper_label"])
+def test_kept_frames_are_those_that_would_be_made(config: TrainConfig, tmp_path: Path, truth: str) -> None:
+    wanted = replace(config, truth=truth, attacks=("uniform",), attack_share=1.0)
+    made, kept = prepare(wanted, tmp_path), prepare(replace(wanted, versions=2), tmp_path)
+    for index in range(len(made.train)):
+        assert _equal(made.train[1, index], kept.train[1, index])
+        assert _equal(made.train[2, index], kept.train[2, index])
+        assert (kept.train[3, index]["inputs"] == made.train[1, index]["inputs"]).all()
+        assert (kept.train[1, index]["inputs"] != kept.train[2, index]["inputs"]).any()
+    for index in range(len(made.validation)):
+        assert _equal(made.validation[0, index], kept.validation[0, index])
+    with pytest.raises(IndexError, match="index must be below"):
+        _ = kept.train[1, len(kept.train)]
+
+
+def test_what_decides_kept_frames_decides_where_they_are(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, attacks=("uniform",), attack_share=1.0, versions=1)
+    prepare(wanted, tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")}
+    prepare(replace(wanted, name="other", variant="mle", width=8, learning_rate=0.1, counts="linear"), tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")} == before
+    for change in ({"seed": 9}, {"attack_share": 0.5}, {"truth": "paper_label"}, {"max_range_m": 50.0}):
+        known = set((tmp_path / "frames").iterdir())
+        prepare(replace(wanted, **change), tmp_path)
+        assert len(set((tmp_path / "frames").iterdir()) - known) == 2
+
+
+def test_channels_of_the_same_frames_are_kept_once(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, attacks=("uniform",), attack_share=1.0, versions=1, inputs=("counts", "blocker"))
+    prepare(wanted, tmp_path)
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")}
+    more = replace(wanted, inputs=("expected", "counts"))
+    kept, made = prepare(more, tmp_path), prepare(replace(more, versions=0), tmp_path)
+    now = {
+        path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy") if "expected" not in path.name
+    }
+    truth = {path for path in before if "truth" in path.name}
+    assert {path: at for path, at in now.items() if path not in truth} == {
+        p: at for p, at in before.items() if p not in truth
+    }
+    for index in range(len(made.train)):
+        assert made.train[1, index]["inputs"].shape[0] == 2
+        assert _equal(made.train[1, index], kept.train[1, index])
+
+
+def test_a_share_of_the_clouds_has_no_rings(
+    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stripped: list[Sweep] = []
+
+    def strip(sweep: Sweep) -> Sweep:
+        stripped.append(unorganized_no_sensor(sweep))
+        return stripped[-1]
+
+    monkeypatch.setattr("viewshed_lab.training.samples.unorganized_no_sensor", strip)
+    bare = replace(config, attacks=(), attack_share=0.0, ringless_share=0.5)
+    some, none = prepare(bare, tmp_path).train, prepare(replace(bare, ringless_share=0.0), tmp_path).train
+    same = [(some[1, index]["inputs"] == none[1, index]["inputs"]).all() for index in range(len(none))]
+    assert all(same)
+    assert 0.2 < len(stripped) / len(none) < 0.8
+    assert all(sweep.ring is None and sweep.model is None for sweep in stripped)
+
+
+def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig, tmp_path: Path) -> None:
+    names = ("counts", "expected", *HISTORY_FEATURES)
+    wanted = replace(config, attacks=(), attack_share=0.0, past_share=0.5, inputs=names)
+    frames = prepare(wanted, tmp_path).train
+    shown = [frames[1, index]["inputs"] for index in range(len(frames))]
+    nothing = np.float32(NO_HISTORY) / np.float32(255.0)
+    with_past = [bool((maps[2] != nothing).any()) for maps in shown]
+    assert 0.15 < np.mean(with_past) < 0.6  # the first sweep of each scene has none before it
+    other = prepare(replace(wanted, inputs=HISTORY_FEATURES), tmp_path).train
+    assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
+
+
+def test_sweeps_without_a_pose_have_no_past(config: TrainConfig, tmp_path: Path) -> None:
+    wanted = replace(config, attacks=(), attack_share=0.0, past_share=1.0, inputs=("confirmations",))
+    frames = prepare(wanted, tmp_path).train
+    assert any((frames[1, index]["inputs"] * 255 != NO_HISTORY).any() for index in range(len(frames)))
+    lost = replace(frames, source=_WithoutPoses(frames.source))
+    assert all((lost[1, index]["inputs"] * 255 == NO_HISTORY).all() for index in range(len(frames)))
+
+
+@dataclass(frozen=True)
+class _WithoutPoses:
+    """Samples of which every other sweep has lost its pose."""
+
+    source: CleanSamples
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    @property
+    def block(self) -> int:
+        return self.source.block
+
+    def clean(self, epoch: int, index: int) -> CleanSample:
+        return self._lost(self.source.clean(epoch, index), index)
+
+    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        sweeps = self.source.earlier(epoch, index, count)
+        return sweeps if index % 2 else tuple(sweep.replace(world_from_sensor=None) for sweep in sweeps)
+
+    @staticmethod
+    def _lost(sample: CleanSample, index: int) -> CleanSample:
+        return replace(sample, sweep=sample.sweep.replace(world_from_sensor=None)) if index % 2 else sample
+
+
+def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
+    pair = replace(
+        preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("train",), scenes=(1,),
+        frames=(8,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
+    )  # fmt: skip
+    simulate(pair, Storage.of(tmp_path / "pair"), LocalEngine(1))
+    archived = ArchivedSamples((Archive.open(tmp_path / "pair"),), config)
+    for source in (archived, OnlineSimulation(replace(config, data=("roads",)), 8)):
+        longest, agents = 0, set()
+        for index in range(len(source)):
+            now, few = source.clean(1, index).sweep, source.earlier(1, index, 2)
+            times = [sweep.t_ns or 0 for sweep in (*few, now)]
+            assert times == sorted(set(times))
+            assert {sweep.agent for sweep in few} <= {now.agent}
+            agents.add(now.agent)
+            assert source.earlier(1, index) == () or source.earlier(1, index)[0].t_ns == few[-1].t_ns
+            longest = max(longest, len(few))
+        assert longest == 2
+        assert len(agents) == 2
+
+
+def test_an_attack_that_lasted_struck_the_same_place_before() -> None:
+    street = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
+    model = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 17)), azimuth_columns=720)
+    then = cast(model, street, 1.8).replace(world_from_sensor=Rigid.from_yaw(0.0, (0, 0, 1.8)))
+    turned = (then.points @ Rigid.from_yaw(0.5).rotation).astype(np.float32)  # the sensor turned left by half a radian
+    now = then.replace(points=turned, world_from_sensor=Rigid.from_yaw(0.5, (0, 0, 1.8)))
+    attack, rng = PhysicalRemoval(azimuth=-0.5), np.random.default_rng(0)
+    found = attack.apply(now, rng)
+    attacked = AttackedSweep(found.sweep, attack, found.wedge)
+    (before,) = attacked.attack_history([then], rng)
+    gone = ~np.isin(then.points.view("f4,f4,f4"), before.points.view("f4,f4,f4")).ravel()
+    azimuth = np.arctan2(then.points[gone, 1], then.points[gone, 0])
+    assert gone.sum() > 100
+    assert np.abs(azimuth).max() < np.deg2rad(16)
+    assert AttackedSweep(now).attack_history([then], rng) == (then,)
+
+
+def _turned(array: NDArray[np.float32], quarters: int, mirrored: bool) -> NDArray[np.float32]:
+    """Cells of a square grid, moved one by one: (x, y) to (y, x), then a quarter turn to the left at a time."""
+    last = len(array) - 1
+    found = np.empty_like(array)
+    for (x, y), value in np.ndenumerate(array):
+        at = (y, x) if mirrored else (x, y)
+        for _ in range(quarters):
+            at = (last - at[1], at[0])
+        found[at] = value
+    return found
+
+
+def test_mirrored_frames_are_turned_alike_in_all_their_parts(config: TrainConfig, tmp_path: Path) -> None:
+    plain = prepare(replace(config, attacks=(), attack_share=0.0), tmp_path).train
+    frames = replace(plain, mirrored=True)
+    seen = set()
+    for epoch in range(1, 40):
+        before, after = plain[epoch, 2], frames[epoch, 2]
+        fitting = [
+            (quarters, mirrored)
+            for quarters in range(4)
+            for mirrored in (False, True)
+            if (after["inputs"][0] == _turned(before["inputs"][0], quarters, mirrored)).all()
+        ]
+        assert len(fitting) == 1
+        for name in ("visible", "known"):
+            assert (after[name] == _turned(before[name], *fitting[0])).all()
+        seen |= set(fitting)
+    assert len(seen) == 8
+
+
+def test_the_papers_label_turns_with_its_sweep(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
+    """Else turned frames would be wrongly labeled: its sectors and bins must lie alike in all quarters."""
+    estimator = PAPER_ESTIMATORS["paper_label"](BevGrid(64, 32.0))
+    for sample in list(Archive.open(archive).split("train"))[::6]:
+        sweep = sample.sweep
+        left = np.column_stack([-sweep.points[:, 1], sweep.points[:, 0], sweep.points[:, 2]]).astype(np.float32)
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        straight = estimator.estimate(sweep.replace(attitude=level, world_from_sensor=None)).visible()
+        turned = estimator.estimate(sweep.replace(points=left, attitude=level, world_from_sensor=None)).visible()
+        wrong = turned != _turned(straight.astype(np.float32), 1, False).astype(np.bool_)
+        assert wrong.mean() < 0.01  # rounding at the edges of sectors

@@ -1,0 +1,293 @@
+#include "leveling.hpp"
+
+#include <nanobind/stl/optional.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "ego_vehicle.hpp"
+#include "parallel.hpp"
+#include "stages.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// Slopes are measured from this range on.
+constexpr float LEAST_RANGE_M = 1e-3f;
+
+// Points of a part that is worth a thread.
+constexpr std::size_t PART = 16384;
+
+// Which returns count: squared limits of range, and the box of the vehicle below, turned by its heading; 0 long if the
+// sensor stands on none.
+struct Limits {
+    float near2, far2, ego_length_m, ego_width_m, cos, sin;
+};
+
+// Coordinates (3, BLOCK) of the points of a block.
+struct Block {
+    float x[BLOCK], y[BLOCK], z[BLOCK];
+};
+
+// Mark the points of a block in range and outside the vehicle below; return how many there are.
+MULTIVERSION int mark_kept(const float* points, const bool* clutter, std::size_t count, const float* transform,
+                           const Limits& limits, std::uint8_t* kept) {
+    const Limits l = limits;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float px = points[3 * k], py = points[3 * k + 1], pz = points[3 * k + 2];
+        const float d2 = px * px + py * py + pz * pz;
+        const float x = transform[0] * px + transform[1] * py + transform[2] * pz;
+        const float y = transform[4] * px + transform[5] * py + transform[6] * pz;
+        const bool is_ego = (std::fabs(l.cos * x + l.sin * y) < l.ego_length_m) &
+                            (std::fabs(l.cos * y - l.sin * x) < l.ego_width_m);
+        kept[k] = (d2 >= l.near2) & (d2 <= l.far2) & !is_ego;
+    }
+    if (clutter != nullptr) {
+        for (std::size_t k = 0; k < count; ++k) kept[k] &= !clutter[k];
+    }
+    int number = 0;
+    for (std::size_t k = 0; k < count; ++k) number += kept[k];
+    return number;
+}
+
+// Gather the points of a block that are kept, and their rows.
+void gather_kept(const float* points, const std::uint8_t* kept, std::size_t count, std::size_t start, Block& block,
+                 std::int32_t* rows) {
+    // Close the gaps: each point is written to where the next kept one belongs.
+    std::size_t m = 0;
+    std::int32_t at[BLOCK];
+    for (std::size_t k = 0; k < count; ++k) {
+        at[m] = std::int32_t(k);
+        m += kept[k];
+    }
+    for (std::size_t k = 0; k < m; ++k) {
+        const float* point = points + 3 * std::size_t(at[k]);
+        block.x[k] = point[0], block.y[k] = point[1], block.z[k] = point[2];
+        rows[k] = std::int32_t(start) + at[k];
+    }
+}
+
+// Take the points of a block where all are kept.
+MULTIVERSION void take_all(const float* points, std::size_t count, std::size_t start, Block& block,
+                           std::int32_t* rows) {
+    for (std::size_t k = 0; k < count; ++k) {
+        block.x[k] = points[3 * k], block.y[k] = points[3 * k + 1], block.z[k] = points[3 * k + 2];
+        rows[k] = std::int32_t(start + k);
+    }
+}
+
+// Turn and raise the points of a block, and write them with range, azimuth and height above the ground.
+MULTIVERSION void measure_block(Block& block, std::size_t count, const float* transform, const Ground& ground,
+                                float* points, float* range_m, float* azimuth, float* height_m) {
+    // A copy of the numbers: the compiler cannot know that the loops do not write them.
+    std::array<float, 12> t;
+    std::copy_n(transform, 12, t.begin());
+    for (std::size_t k = 0; k < count; ++k) {
+        const float px = block.x[k], py = block.y[k], pz = block.z[k];
+        block.x[k] = t[0] * px + t[1] * py + t[2] * pz;
+        block.y[k] = t[4] * px + t[5] * py + t[6] * pz;
+        block.z[k] = t[8] * px + t[9] * py + t[10] * pz + t[11];
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+        points[3 * k] = block.x[k], points[3 * k + 1] = block.y[k], points[3 * k + 2] = block.z[k];
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+        const float x = block.x[k], y = block.y[k];
+        range_m[k] = std::sqrt(x * x + y * y);
+        azimuth[k] = azimuth_of(y, x);
+    }
+    // Positions on the ground's lattice come first: a loop that looks up does not vectorize as well.
+    const auto n = std::int32_t(ground.heights_m.rows);
+    const float half_m = ground.half_extent_m, last = float(n - 1.001);
+    const float nodes_per_m = float(n / (2.0 * double(half_m)));
+    std::int32_t node[BLOCK];
+    float right[BLOCK], below[BLOCK];
+    for (std::size_t k = 0; k < count; ++k) {
+        float u = (block.x[k] + half_m) * nodes_per_m - 0.5f, v = (block.y[k] + half_m) * nodes_per_m - 0.5f;
+        u = u > 0.0f ? u : 0.0f, v = v > 0.0f ? v : 0.0f;
+        u = u < last ? u : last, v = v < last ? v : last;
+        const auto i = std::int32_t(u), j = std::int32_t(v);
+        below[k] = u - float(i), right[k] = v - float(j);
+        node[k] = i * n + j;
+    }
+    const float* heights = ground.heights_m.data;
+    for (std::size_t k = 0; k < count; ++k) {
+        const float *at = heights + node[k], *under = at + n;
+        const float low = at[0] + (at[1] - at[0]) * right[k], high = under[0] + (under[1] - under[0]) * right[k];
+        height_m[k] = block.z[k] - low - (high - low) * below[k];
+    }
+}
+
+// Write the cell (cells · cells) of each point between two heights above the ground, and one past the last for others.
+MULTIVERSION void find_cells(const float* points, const float* height_m, std::size_t count, float x0_m, float y0_m,
+                             float cells_per_m, float low_m, float high_m, std::int32_t cells, std::int32_t* cell) {
+    for (std::size_t k = 0; k < count; ++k) {
+        const float u = (points[3 * k] - x0_m) * cells_per_m, v = (points[3 * k + 1] - y0_m) * cells_per_m;
+        const bool counts = (height_m[k] > low_m) & (height_m[k] < high_m) & (u >= 0.0f) & (v >= 0.0f) &
+                            (u < float(cells)) & (v < float(cells));
+        const auto i = std::int32_t(counts ? u : 0.0f), j = std::int32_t(counts ? v : 0.0f);
+        cell[k] = counts ? i * cells + j : cells * cells;
+    }
+}
+
+// Write the rise over range of a block of level points.
+MULTIVERSION void slopes_of_block(const float* points, const float* range_m, std::size_t count, float sensor_height_m,
+                                  float* slope) {
+    for (std::size_t k = 0; k < count; ++k) {
+        const float range = range_m[k] > LEAST_RANGE_M ? range_m[k] : LEAST_RANGE_M;
+        slope[k] = (points[3 * k + 2] - sensor_height_m) / range;
+    }
+}
+
+}  // namespace
+
+LevelPoints level_points(View2<const float> points, View1<const bool> clutter, View2<const float> level_from_sensor,
+                         float near_m, float far_m, double heading, const Ground& ground) {
+    const std::size_t count = points.rows, blocks = (count + BLOCK - 1) / BLOCK;
+    const float *transform = level_from_sensor.data, height_m = level_from_sensor(2, 3);
+    const bool has_ego = float(LEAST_EGO_HEIGHT_M) <= height_m && height_m <= float(MOST_EGO_HEIGHT_M);
+    const Limits limits{near_m * near_m,
+                        far_m * far_m,
+                        has_ego ? float(EGO_LENGTH_M) : 0.0f,
+                        has_ego ? float(EGO_WIDTH_M) : 0.0f,
+                        float(std::cos(heading)),
+                        float(std::sin(heading))};
+    const std::size_t parts = std::min(count_parts(count, PART), std::max<std::size_t>(blocks, 1));
+
+    // 1. Which points count, and how many in each block: then each block knows where its first one goes.
+    Buffer<std::uint8_t> kept(count);
+    std::vector<std::size_t> first(blocks + 1, 0);
+    for_ranges(blocks, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t b = begin; b < end; ++b) {
+            const std::size_t start = b * BLOCK, size = std::min(BLOCK, count - start);
+            const bool* mask = clutter.size ? &clutter[start] : nullptr;
+            first[b + 1] = std::size_t(mark_kept(points[start], mask, size, transform, limits, &kept[start]));
+        }
+    });
+    for (std::size_t b = 0; b < blocks; ++b) first[b + 1] += first[b];
+
+    // 2. Level and measure them, block by block.
+    const std::size_t room = first[blocks];
+    LevelPoints level{room, Buffer<float>(3 * room), Buffer<float>(room), Buffer<float>(room), Buffer<float>(room),
+                      Buffer<std::int32_t>(room)};
+    for_ranges(blocks, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+        Block block;
+        for (std::size_t b = begin; b < end; ++b) {
+            const std::size_t start = b * BLOCK, size = std::min(BLOCK, count - start), at = first[b];
+            const std::size_t number = first[b + 1] - at;
+            std::int32_t* rows = level.rows.data() + at;
+            if (number == size) {
+                take_all(points[start], size, start, block, rows);
+            } else {
+                gather_kept(points[start], &kept[start], size, start, block, rows);
+            }
+            measure_block(block, number, transform, ground, level.points.data() + 3 * at, level.range_m.data() + at,
+                          level.azimuth.data() + at, level.height_m.data() + at);
+        }
+    });
+    return level;
+}
+
+void beam_slopes(View2<const float> points, View1<const float> range_m, float sensor_height_m,
+                 View1<const bool> left_out, View1<const std::int32_t> rows, View1<float> slope) {
+    for_ranges(rows.size, count_parts(rows.size, 2 * PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        slopes_of_block(points[begin], &range_m[begin], end - begin, sensor_height_m, &slope[begin]);
+        if (left_out.size == 0) return;
+        for (std::size_t k = begin; k < end; ++k) {
+            slope[k] = left_out[rows[k]] ? std::numeric_limits<float>::infinity() : slope[k];
+        }
+    });
+}
+
+void bind_leveling(nb::module_& m) {
+    m.attr("EGO_BOX_M") = nb::make_tuple(EGO_LENGTH_M, EGO_WIDTH_M);
+    m.attr("EGO_HEIGHTS_M") = nb::make_tuple(LEAST_EGO_HEIGHT_M, MOST_EGO_HEIGHT_M);
+    using Rotation = nb::ndarray<const float, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
+    using Transform = nb::ndarray<const float, nb::shape<3, 4>, nb::c_contig, nb::device::cpu>;
+    m.def(
+        "vehicle_heading",
+        [](Points points, Rotation rotation) {
+            nb::gil_scoped_release unlocked;
+            return vehicle_heading(view(points), {rotation.data(), 3, 3});
+        },
+        "points"_a.noconvert(), "rotation"_a.noconvert(),
+        "Heading of the own vehicle in radians, of points (N, 3) and the rotation (3, 3) to a level frame.");
+    m.def(
+        "level_points",
+        [](Points points, std::optional<In1<bool>> clutter, Transform level_from_sensor, float near_m, float far_m,
+           double heading, In2<float> ground_m, float half_extent_m) {
+            const std::size_t nodes = ground_m.shape(0);
+            require(!clutter || clutter->shape(0) == points.shape(0), "clutter must be as long as points");
+            require(ground_m.shape(1) == nodes, "ground_m must be (n, n)");
+            require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
+            require(half_extent_m > 0.0f, "half_extent_m must be positive");
+            require(std::isfinite(heading), "heading must be finite");
+            require(points.shape(0) < std::numeric_limits<std::int32_t>::max(), "points must be fewer than 2^31");
+            std::optional<LevelPoints> made;
+            {
+                nb::gil_scoped_release unlocked;
+                const View1<const bool> mask = clutter ? view(*clutter) : View1<const bool>{nullptr, 0};
+                made = level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading,
+                                    {view(ground_m), half_extent_m});
+            }
+            LevelPoints& level = *made;
+            return nb::make_tuple(std::move(level.points).array({level.count, 3}), std::move(level.range_m).array(),
+                                  std::move(level.azimuth).array(), std::move(level.height_m).array(),
+                                  std::move(level.rows).array());
+        },
+        "points"_a.noconvert(), "clutter"_a.noconvert().none(), "level_from_sensor"_a.noconvert(), "near_m"_a,
+        "far_m"_a, "heading"_a, "ground_m"_a.noconvert(), "half_extent_m"_a,
+        "Level points (M, 3), range, azimuth, height above the ground and row (M,) of the points (N, 3) that count.");
+    m.def(
+        "beam_slopes",
+        [](Points points, In1<float> range_m, float sensor_height_m, std::optional<In1<bool>> left_out,
+           In1<std::int32_t> rows) {
+            const std::size_t count = points.shape(0);
+            require(range_m.shape(0) == count && rows.shape(0) == count, "points, range_m and rows must be as long");
+            View1<const bool> mask{nullptr, 0};
+            Buffer<std::int32_t> of_point(count);  // not looked at without a mask
+            if (left_out) {
+                mask = view(*left_out);
+                require(count == 0 || mask.size > 0, "left_out must have an element for each row");
+                of_point = indices_of<std::int32_t>(view(rows), 0, std::int32_t(std::max<std::size_t>(mask.size, 1) - 1), "rows");
+            }
+            Buffer<float> slope(count);
+            {
+                nb::gil_scoped_release unlocked;
+                beam_slopes(view(points), view(range_m), sensor_height_m, mask, of_point, slope);
+            }
+            return std::move(slope).array();
+        },
+        "points"_a.noconvert(), "range_m"_a.noconvert(), "sensor_height_m"_a, "left_out"_a.noconvert().none(),
+        "rows"_a.noconvert(), "Rise over range (M,) of level points (M, 3); +inf for rows that are left out.");
+    m.def(
+        "obstacle_cells",
+        [](Points points, In1<float> height_m, float x0_m, float y0_m, float cells_per_m, float low_m, float high_m,
+           std::int32_t cells) {
+            const std::size_t count = points.shape(0);
+            require(height_m.shape(0) == count, "points and height_m must be as long");
+            require(cells >= 1 && cells <= 32768, "cells must lie in [1, 32768]");
+            Buffer<bool> mask(std::size_t(cells) * cells + 1, false);  // the last one for points in no cell
+            {
+                nb::gil_scoped_release unlocked;
+                std::int32_t cell[BLOCK];
+                for (std::size_t start = 0; start < count; start += BLOCK) {
+                    const std::size_t size = std::min(BLOCK, count - start);
+                    find_cells(points.data() + 3 * start, height_m.data() + start, size, x0_m, y0_m, cells_per_m, low_m,
+                               high_m, cells, cell);
+                    for (std::size_t k = 0; k < size; ++k) mask[cell[k]] = true;
+                }
+            }
+            return std::move(mask).array({std::size_t(cells), std::size_t(cells)});
+        },
+        "points"_a.noconvert(), "height_m"_a.noconvert(), "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "low_m"_a, "high_m"_a,
+        "cells"_a,
+        "Mask (cells, cells) of cells that hold a point (N, 3) between two heights above the ground.");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,575 @@
+#include "object_candidates.hpp"
+
+#include <algorithm>
+#include <bitset>
+#include <cmath>
+#include <numeric>
+
+#include "parallel.hpp"
+#include "stages.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// Returns between these heights above the ground stand on it; those above, up to the last, hang over what stands below.
+constexpr float LOW_M = 0.3f, HIGH_M = 3.0f, OVERHEAD_M = 8.0f;
+
+// Cells in which returns are summed: their side, half the side of the square that they fill, and how many there are at most.
+constexpr float CELL_M = 0.2f, HALF_EXTENT_M = 80.0f;
+constexpr int CELLS = 800;
+constexpr std::size_t MOST_CELLS = 40'000;
+
+// Cells are linked up to these distances, at the sensor and more for each meter of range.
+constexpr std::size_t LEVELS = 4;
+constexpr std::array<float, LEVELS> GAP_M{0.3f, 0.45f, 0.7f, 1.0f}, GAP_PER_M{0.0f, 0.006f, 0.012f, 0.02f};
+
+// A candidate has so many returns, and no side longer than this; so many are looked at.
+constexpr std::int32_t FEWEST_RETURNS = 4;
+constexpr float LONGEST_M = 20.0f;
+constexpr std::size_t MOST_CANDIDATES = 2'000;
+
+// So many of its returns say how it is turned; so many what shape it has.
+constexpr std::size_t FIT_RETURNS = 64, SHAPE_RETURNS = 256;
+
+// Headings over a quarter turn that are tried first, and those between that are tried beside the best, degrees.
+constexpr int COARSE_DEG = 6, FINE_DEG = 1;
+constexpr float RAD_PER_DEG = PI / 180;
+
+// A return nearer to a side than this lies on it: the noise of ranges.
+constexpr float ON_SIDE_M = 0.1f, NEAR_SIDE_M = 0.15f;
+
+// Columns of azimuth in which the nearest return is kept, to see what hides the ends of a candidate, ...
+constexpr std::size_t COLUMNS = 1024;
+// ... within this distance beyond the end, and this much nearer.
+constexpr float BESIDE_M = 0.6f, BEFORE_M = 0.7f;
+
+// Layers of elevation in which returns are counted: their tangent, and how many.
+constexpr float LAYER_SLOPE = 0.004f;
+constexpr int LAYERS = 512;
+
+// Candidates of a part that is worth a thread.
+constexpr std::size_t PART = 24;
+
+struct Cell {
+    std::int32_t at;      // row * CELLS + column
+    std::int32_t first;   // of its returns in the rows that are sorted by cells
+    std::int32_t count, over;
+    float x, y, range_m;  // middle of its returns
+};
+
+// Sets that grow together.
+class Sets {
+public:
+    explicit Sets(std::size_t size) : above_(size) { std::iota(above_.begin(), above_.end(), 0); }
+
+    std::int32_t root(std::int32_t k) {
+        while (above_[k] != k) k = above_[k] = above_[above_[k]];
+        return k;
+    }
+    // The lower number stays the root, so that numbers do not depend on the order of joining.
+    void join(std::int32_t a, std::int32_t b) {
+        a = root(a);
+        b = root(b);
+        if (a < b) above_[b] = a;
+        if (b < a) above_[a] = b;
+    }
+
+private:
+    std::vector<std::int32_t> above_;
+};
+
+// The cell of a place, -1 outside.
+INLINE std::int32_t cell_of(float x, float y) {
+    const bool inside = std::fabs(x) < HALF_EXTENT_M && std::fabs(y) < HALF_EXTENT_M;
+    if (!inside) return -1;
+    const int i = std::min(int((x + HALF_EXTENT_M) / CELL_M), CELLS - 1);
+    const int j = std::min(int((y + HALF_EXTENT_M) / CELL_M), CELLS - 1);
+    return i * CELLS + j;
+}
+
+// The cells that hold returns, and the rows of the points sorted by them. `number` (CELLS²) is each cell's, -1 for none.
+std::vector<Cell> cells_of(View2<const float> points, View1<const float> height_m, Buffer<std::int32_t>& number,
+                           std::vector<std::int32_t>& rows) {
+    const std::size_t count = points.rows;
+    std::fill(number.begin(), number.end(), -1);
+    // 1. How many returns stand in each cell.
+    std::vector<Cell> cells;
+    std::vector<std::int32_t> cell(count);
+    std::size_t standing = 0;
+    for (std::size_t n = 0; n < count; ++n) {
+        cell[n] = -1;
+        if (!(height_m[n] >= LOW_M && height_m[n] < HIGH_M)) continue;
+        const std::int32_t at = cell_of(points(n, 0), points(n, 1));
+        if (at < 0) continue;
+        std::int32_t& k = number[at];
+        if (k < 0) {
+            k = std::int32_t(cells.size());
+            cells.push_back({at, 0, 0, 0, 0.0f, 0.0f, 0.0f});
+        }
+        ++cells[k].count;
+        cell[n] = k;
+        ++standing;
+    }
+    // 2. The nearest cells only, where there are too many: by whole meters of range.
+    if (cells.size() > MOST_CELLS) {
+        std::array<std::size_t, std::size_t(2 * HALF_EXTENT_M)> within{};
+        const auto ring_of = [](const Cell& each) {
+            const float x = float(each.at / CELLS) * CELL_M - HALF_EXTENT_M, y = float(each.at % CELLS) * CELL_M - HALF_EXTENT_M;
+            return std::min(std::size_t(std::hypot(x, y)), std::size_t(2 * HALF_EXTENT_M) - 1);
+        };
+        for (const Cell& each : cells) ++within[ring_of(each)];
+        std::size_t rings = 0, total = 0;
+        while (rings < within.size() && total + within[rings] <= MOST_CELLS) total += within[rings++];
+        std::vector<std::int32_t> kept(cells.size(), -1);
+        std::size_t next = 0;
+        for (std::size_t k = 0; k < cells.size(); ++k) {
+            if (ring_of(cells[k]) < rings) {
+                kept[k] = std::int32_t(next);
+                cells[next++] = cells[k];
+            } else {
+                number[cells[k].at] = -1;
+            }
+        }
+        cells.resize(next);
+        for (std::size_t k = 0; k < next; ++k) number[cells[k].at] = std::int32_t(k);
+        standing = 0;
+        for (std::int32_t& k : cell) {
+            k = k < 0 ? -1 : kept[k];
+            standing += k >= 0;
+        }
+    }
+    // 3. Sort the rows by cells, and take the middle of each.
+    std::int32_t next = 0;
+    for (Cell& each : cells) {
+        each.first = next;
+        next += each.count;
+        each.count = 0;
+    }
+    rows.resize(standing);
+    for (std::size_t n = 0; n < count; ++n) {
+        if (cell[n] >= 0) {
+            Cell& each = cells[cell[n]];
+            rows[each.first + each.count++] = std::int32_t(n);
+            each.x += points(n, 0);
+            each.y += points(n, 1);
+        } else if (height_m[n] >= HIGH_M && height_m[n] < OVERHEAD_M) {
+            const std::int32_t at = cell_of(points(n, 0), points(n, 1));
+            if (at >= 0 && number[at] >= 0) ++cells[number[at]].over;
+        }
+    }
+    for (Cell& each : cells) {
+        each.x /= float(each.count);
+        each.y /= float(each.count);
+        each.range_m = std::hypot(each.x, each.y);
+    }
+    return cells;
+}
+
+// Call visit(k, other, squared distance) for pairs of cells no farther apart than a level's distance; each pair once.
+template <typename Visit>
+INLINE void for_pairs(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number, std::size_t level, const Visit& visit) {
+    for (std::size_t k = 0; k < cells.size(); ++k) {
+        const Cell& one = cells[k];
+        const float gap_m = GAP_M[level] + GAP_PER_M[level] * one.range_m, gap_m2 = gap_m * gap_m;
+        const int steps = int(gap_m / CELL_M) + 1, i = one.at / CELLS, j = one.at % CELLS;
+        // Half of the cells around.
+        for (int p = i; p <= std::min(i + steps, CELLS - 1); ++p) {
+            const int from = p == i ? j + 1 : std::max(j - steps, 0), to = std::min(j + steps, CELLS - 1);
+            const std::int32_t* row = number.data() + std::size_t(p) * CELLS;
+            for (int q = from; q <= to; ++q) {
+                if (row[q] < 0) continue;
+                const float dx = cells[row[q]].x - one.x, dy = cells[row[q]].y - one.y, apart_m2 = dx * dx + dy * dy;
+                if (apart_m2 <= gap_m2) visit(k, row[q], apart_m2);
+            }
+        }
+    }
+}
+
+// Link cells at each distance; the sets of a greater distance hold those of a smaller one.
+std::vector<Sets> linked(const std::vector<Cell>& cells, const Buffer<std::int32_t>& number) {
+    // 1. The smallest distance: most pairs.
+    Sets smallest(cells.size());
+    for_pairs(cells, number, 0, [&](std::size_t k, std::int32_t other, float) { smallest.join(std::int32_t(k), other); });
+    std::vector<std::int32_t> part(cells.size());
+    for (std::size_t k = 0; k < cells.size(); ++k) part[k] = smallest.root(std::int32_t(k));
+    // 2. The others, between different parts.
+    std::vector<Sets> sets(LEVELS, smallest);
+    for_pairs(cells, number, LEVELS - 1, [&](std::size_t k, std::int32_t other, float apart_m2) {
+        if (part[k] == part[other]) return;
+        for (std::size_t l = LEVELS; l-- > 1;) {
+            const float gap_m = GAP_M[l] + GAP_PER_M[l] * cells[k].range_m;
+            if (apart_m2 > gap_m * gap_m) return;
+            sets[l].join(part[k], part[other]);
+        }
+    });
+    return sets;
+}
+
+// Spans of sorted cells that are linked at one distance.
+struct Span {
+    std::int32_t first, last, parent, returns;
+    std::size_t level;
+};
+
+// Sort cells so that every set of every distance is a span; return the spans that are larger than their parts.
+std::vector<Span> spans_of(std::vector<Cell>& cells, std::vector<Sets>& sets) {
+    const std::size_t count = cells.size();
+    std::vector<std::array<std::int32_t, LEVELS>> roots(count);
+    for (std::size_t k = 0; k < count; ++k) {
+        for (std::size_t l = 0; l < LEVELS; ++l) roots[k][l] = sets[l].root(std::int32_t(k));
+    }
+    // 1. By the root at the smallest distance, then the next, ...: each sort keeps the order of the one before.
+    std::vector<std::int32_t> order(count), sorted(count), next(count + 1);
+    std::iota(order.begin(), order.end(), 0);
+    for (std::size_t l = 0; l < LEVELS; ++l) {
+        std::fill(next.begin(), next.end(), 0);
+        for (std::size_t k = 0; k < count; ++k) ++next[roots[k][l] + 1];
+        std::partial_sum(next.begin(), next.end(), next.begin());
+        for (const std::int32_t k : order) sorted[next[roots[k][l]]++] = k;
+        order.swap(sorted);
+    }
+    std::vector<Cell> in_order(count);
+    for (std::size_t k = 0; k < count; ++k) in_order[k] = cells[order[k]];
+    cells.swap(in_order);
+    // 2. Spans, the greatest distance first; one that is as large as its parent is the parent.
+    std::vector<Span> spans;
+    std::vector<std::int32_t> holder(count, -1);
+    for (std::size_t l = LEVELS; l-- > 0;) {
+        for (std::size_t k = 0; k < count;) {
+            std::size_t end = k + 1;
+            while (end < count && roots[order[end]][l] == roots[order[k]][l]) ++end;
+            const std::int32_t parent = holder[k];
+            if (parent >= 0 && spans[parent].first == std::int32_t(k) && spans[parent].last == std::int32_t(end)) {
+                spans[parent].level = l;
+            } else {
+                std::int32_t returns = 0;
+                for (std::size_t c = k; c < end; ++c) returns += cells[c].count;
+                if (returns >= FEWEST_RETURNS) {
+                    std::fill(holder.begin() + k, holder.begin() + end, std::int32_t(spans.size()));
+                    spans.push_back({std::int32_t(k), std::int32_t(end), parent, returns, l});
+                }
+            }
+            k = end;
+        }
+    }
+    return spans;
+}
+
+// Least and greatest of some numbers.
+struct Interval {
+    float low = 1e30f, high = -1e30f;
+
+    void add(float value) {
+        low = value < low ? value : low;
+        high = value > high ? value : high;
+    }
+    float length() const { return high > low ? high - low : 0.0f; }
+};
+
+// How well returns (n,) lie on the sides of the box about them, turned by a heading: the closeness of Zhang et al. 2017.
+MULTIVERSION float closeness(const float* x, const float* y, std::size_t count, float c, float s) {
+    float a_low = 1e30f, a_high = -1e30f, b_low = 1e30f, b_high = -1e30f;
+    for (std::size_t n = 0; n < count; ++n) {
+        const float a = x[n] * c + y[n] * s, b = y[n] * c - x[n] * s;
+        a_low = a < a_low ? a : a_low;
+        a_high = a > a_high ? a : a_high;
+        b_low = b < b_low ? b : b_low;
+        b_high = b > b_high ? b : b_high;
+    }
+    float sum = 0.0f;
+    for (std::size_t n = 0; n < count; ++n) {
+        const float a = x[n] * c + y[n] * s, b = y[n] * c - x[n] * s;
+        const float one = a - a_low < a_high - a ? a - a_low : a_high - a;
+        const float other = b - b_low < b_high - b ? b - b_low : b_high - b;
+        const float away_m = one < other ? one : other;
+        sum += 1.0f / (away_m > ON_SIDE_M ? away_m : ON_SIDE_M);
+    }
+    return sum;
+}
+
+// The heading in [0, π/2) of the box on whose sides the returns lie best.
+float heading_of(const float* x, const float* y, std::size_t count) {
+    const auto value = [&](int degrees) {
+        return closeness(x, y, count, std::cos(float(degrees) * RAD_PER_DEG), std::sin(float(degrees) * RAD_PER_DEG));
+    };
+    int best = 0;
+    float most = -1.0f;
+    const auto look = [&](int degrees) {
+        const float now = value(degrees);
+        if (now > most) {
+            most = now;
+            best = degrees;
+        }
+    };
+    for (int degrees = 0; degrees < 90; degrees += COARSE_DEG) look(degrees);
+    const int middle = best;
+    for (int away = FINE_DEG; away < COARSE_DEG; away += FINE_DEG) {
+        look(middle - away);
+        look(middle + away);
+    }
+    return float((best + 90) % 90) * RAD_PER_DEG;
+}
+
+std::size_t column_of(float azimuth) {
+    const float turns = (azimuth + PI) / (2 * PI);
+    return std::min(std::size_t((turns - std::floor(turns)) * float(COLUMNS)), COLUMNS - 1);
+}
+
+// Whether something nearer than range_m stands within BESIDE_M beyond an azimuth, on the side of `step`.
+bool is_hidden_beside(const std::vector<float>& nearest_m, float azimuth, float range_m, int step) {
+    const int columns = 1 + int(BESIDE_M / std::max(range_m, 1.0f) * float(COLUMNS) / (2 * PI));
+    const int at = int(column_of(azimuth));
+    for (int k = 1; k <= columns; ++k) {
+        const int column = ((at + step * k) % int(COLUMNS) + int(COLUMNS)) % int(COLUMNS);
+        if (nearest_m[column] < range_m - BEFORE_M) return true;
+    }
+    return false;
+}
+
+// What all candidates are described with.
+struct Sweep {
+    View2<const float> points;
+    View1<const float> height_m;
+    float sensor_height_m;
+    const std::vector<std::int32_t>& rows;
+    const std::vector<float>& nearest_m;  // (COLUMNS,) by azimuth
+};
+
+// Fit a box to the returns of a span and describe it.
+void describe(const Sweep& sweep, const std::vector<Cell>& cells, const Span& span, std::int32_t first, std::int32_t last,
+              std::array<float, 6>& sides, std::array<float, SHAPES>& shape) {
+    // 1. Some of its returns, evenly.
+    std::array<float, SHAPE_RETURNS> x, y, z;
+    const auto total = std::size_t(last - first), count = std::min(total, SHAPE_RETURNS);
+    for (std::size_t n = 0; n < count; ++n) {
+        const std::int32_t row = sweep.rows[std::size_t(first) + n * total / count];
+        x[n] = sweep.points(row, 0);
+        y[n] = sweep.points(row, 1);
+        z[n] = sweep.height_m[row];
+    }
+    // 2. How it is turned: fewer of them suffice.
+    std::array<float, FIT_RETURNS> fit_x, fit_y;
+    const std::size_t fitted = std::min(count, FIT_RETURNS);
+    for (std::size_t n = 0; n < fitted; ++n) {
+        fit_x[n] = x[n * count / fitted];
+        fit_y[n] = y[n * count / fitted];
+    }
+    float heading = heading_of(fit_x.data(), fit_y.data(), fitted);
+    float c = std::cos(heading), s = std::sin(heading);
+    Interval along, across;
+    for (std::size_t n = 0; n < count; ++n) {
+        along.add(x[n] * c + y[n] * s);
+        across.add(y[n] * c - x[n] * s);
+    }
+    if (across.length() > along.length()) {  // the heading is that of the long side
+        heading += PI / 2;
+        const float turned = c;
+        c = -s;
+        s = turned;
+        const Interval before = along;
+        along = across;
+        across = {-before.high, -before.low};
+    }
+    // 3. Heights, distances to the sides, and how the upper and the lower part differ.
+    const bool near_low_a = std::fabs(along.low) < std::fabs(along.high), near_low_b = std::fabs(across.low) < std::fabs(across.high);
+    const bool beside_a = along.low > 0 || along.high < 0, beside_b = across.low > 0 || across.high < 0;
+    float top = 0.0f, bottom = 1e30f, z1 = 0.0f, z2 = 0.0f, x1 = 0.0f, y1 = 0.0f;
+    for (std::size_t n = 0; n < count; ++n) {
+        top = std::max(top, z[n]);
+        bottom = std::min(bottom, z[n]);
+        z1 += z[n];
+        z2 += z[n] * z[n];
+        x1 += x[n];
+        y1 += y[n];
+    }
+    const float per = 1.0f / float(count);
+    z1 *= per;
+    x1 *= per;
+    y1 *= per;
+    const float range_m = std::max(std::hypot(x1, y1), 0.1f);
+    Interval upper_a, upper_b, lower_a, lower_b, turn;
+    std::array<float, 4> bands{};
+    std::array<float, 3> thirds{};
+    std::bitset<LAYERS> layers;
+    float left_m = range_m, right_m = range_m;  // how far its ends are
+    float edge = 0.0f, on_edge = 0.0f, face = 0.0f, on_face = 0.0f, xx = 0.0f, xy = 0.0f, yy = 0.0f;
+    for (std::size_t n = 0; n < count; ++n) {
+        const float a = x[n] * c + y[n] * s, b = y[n] * c - x[n] * s;
+        const float da = std::min(a - along.low, along.high - a), db = std::min(b - across.low, across.high - b);
+        const float away_m = std::min(da, db);
+        edge += away_m;
+        on_edge += away_m < NEAR_SIDE_M;
+        // The sides that the sensor sees: one or two.
+        const float fa = beside_a ? (near_low_a ? a - along.low : along.high - a) : 1e30f;
+        const float fb = beside_b ? (near_low_b ? b - across.low : across.high - b) : 1e30f;
+        const float before_m = std::min({fa, fb, 10.0f});
+        face += before_m;
+        on_face += before_m < NEAR_SIDE_M;
+        (z[n] > 0.6f * top ? upper_a : lower_a).add(a);
+        (z[n] > 0.6f * top ? upper_b : lower_b).add(b);
+        ++bands[z[n] < 0.6f ? 0 : z[n] < 1.2f ? 1 : z[n] < 1.8f ? 2 : 3];
+        const auto third = std::min(std::size_t((a - along.low) / std::max(along.length(), 0.01f) * 3.0f), std::size_t{2});
+        thirds[third] = std::max(thirds[third], z[n]);
+        xx += (x[n] - x1) * (x[n] - x1);
+        xy += (x[n] - x1) * (y[n] - y1);
+        yy += (y[n] - y1) * (y[n] - y1);
+        const float own_m = std::max(std::sqrt(x[n] * x[n] + y[n] * y[n]), 0.1f);
+        const float layer = std::trunc((z[n] - sweep.sensor_height_m) / own_m / LAYER_SLOPE) + LAYERS / 2;
+        layers[std::size_t(std::clamp(layer, 0.0f, float(LAYERS - 1)))] = true;
+        // Azimuth from that of the middle: a candidate is no longer than LONGEST_M, and may be around the sensor.
+        const float away = azimuth_of(y[n] * x1 - x[n] * y1, x[n] * x1 + y[n] * y1);
+        left_m = away >= turn.high ? own_m : left_m;
+        right_m = away <= turn.low ? own_m : right_m;
+        turn.add(away);
+    }
+    // 4. What hides its ends.
+    const float azimuth = std::atan2(y1, x1);
+    const float hidden_left = is_hidden_beside(sweep.nearest_m, azimuth + turn.high, left_m, 1);
+    const float hidden_right = is_hidden_beside(sweep.nearest_m, azimuth + turn.low, right_m, -1);
+    float over = 0.0f;
+    for (std::int32_t k = span.first; k < span.last; ++k) over += float(cells[k].over);
+    const float middle = 0.5f * (xx + yy) * per, spread = std::hypot(0.5f * (xx - yy) * per, xy * per);
+    const float cells_of_box = (along.length() / CELL_M + 1.0f) * (across.length() / CELL_M + 1.0f);
+    const float sight = (x1 * c + y1 * s) / range_m;
+    const float hidden_end = (hidden_left > 0) == (hidden_right > 0) ? 0.0f : hidden_left > 0 ? 1.0f : 2.0f;
+    sides = {heading, along.low, along.high, across.low, across.high, hidden_end};
+    shape[LOG_RETURNS] = std::log(float(total));
+    shape[LOG_RANGE] = std::log(range_m);
+    shape[LEVEL] = float(span.level);
+    shape[LONG_M] = along.length();
+    shape[SHORT_M] = across.length();
+    shape[TOP_M] = top;
+    shape[BOTTOM_M] = bottom;
+    shape[MEAN_M] = z1;
+    shape[DEVIATION_M] = std::sqrt(std::max(z2 * per - z1 * z1, 0.0f));
+    shape[OVERHEAD] = std::log1p(over) - std::log1p(float(total));
+    shape[SHARE_LOW] = bands[0] * per;
+    shape[SHARE_MIDDLE] = bands[1] * per;
+    shape[SHARE_HIGH] = bands[2] * per;
+    shape[SHARE_TALL] = bands[3] * per;
+    shape[UPPER_LONG_M] = upper_a.length();
+    shape[UPPER_SHORT_M] = upper_b.length();
+    shape[LOWER_LONG_M] = lower_a.length();
+    shape[LOWER_SHORT_M] = lower_b.length();
+    shape[EDGE_M] = edge * per;
+    shape[EDGE_SHARE] = on_edge * per;
+    shape[FACE_M] = face * per;
+    shape[FACE_SHARE] = on_face * per;
+    shape[ALIGNMENT] = sight * sight;
+    shape[FILL] = float(span.last - span.first) / cells_of_box;
+    shape[MIDDLE_RISE_M] = thirds[1] - 0.5f * (thirds[0] + thirds[2]);
+    shape[MAJOR_M] = std::sqrt(std::max(middle + spread, 0.0f));
+    shape[MINOR_M] = std::sqrt(std::max(middle - spread, 0.0f));
+    shape[LOG_LAYERS] = std::log(float(layers.count()));
+    shape[HIDDEN_LEFT] = hidden_left;
+    shape[HIDDEN_RIGHT] = hidden_right;
+}
+
+}  // namespace
+
+Candidates find_candidates(View2<const float> points, View1<const float> height_m, View1<const float> range_m,
+                           float sensor_height_m) {
+    Candidates found;
+    // 1. Cells with returns that stand on the ground.
+    Buffer<std::int32_t> number(std::size_t(CELLS) * CELLS);
+    std::vector<std::int32_t> by_cell;
+    std::vector<Cell> cells = cells_of(points, height_m, number, by_cell);
+    // 2. Components at every distance.
+    std::vector<Sets> sets = linked(cells, number);
+    std::vector<Span> spans = spans_of(cells, sets);
+    // 3. The rows in the order of the components; where each cell begins.
+    std::vector<std::int32_t> begins(cells.size() + 1, 0);
+    found.rows.reserve(by_cell.size());
+    for (std::size_t k = 0; k < cells.size(); ++k) {
+        found.rows.insert(found.rows.end(), by_cell.begin() + cells[k].first, by_cell.begin() + cells[k].first + cells[k].count);
+        begins[k + 1] = std::int32_t(found.rows.size());
+    }
+    // 4. Leave out what is too long, and the smallest where there are too many.
+    std::vector<std::int32_t> kept;
+    for (std::size_t k = 0; k < spans.size(); ++k) {
+        Interval x, y;
+        for (std::int32_t c = spans[k].first; c < spans[k].last; ++c) {
+            x.add(cells[c].x);
+            y.add(cells[c].y);
+        }
+        if (std::hypot(x.length(), y.length()) <= LONGEST_M) kept.push_back(std::int32_t(k));
+    }
+    if (kept.size() > MOST_CANDIDATES) {
+        const auto more = [&](std::int32_t a, std::int32_t b) {
+            return spans[a].returns != spans[b].returns ? spans[a].returns > spans[b].returns : a < b;
+        };
+        std::nth_element(kept.begin(), kept.begin() + MOST_CANDIDATES, kept.end(), more);
+        kept.resize(MOST_CANDIDATES);
+        std::sort(kept.begin(), kept.end());
+    }
+    std::vector<std::int32_t> place(spans.size(), -1);
+    for (std::size_t k = 0; k < kept.size(); ++k) place[kept[k]] = std::int32_t(k);
+    // 5. The nearest return in each direction.
+    std::vector<float> nearest_m(COLUMNS, 1e30f);
+    for (const std::int32_t row : found.rows) {
+        float& nearest = nearest_m[column_of(azimuth_of(points(row, 1), points(row, 0)))];
+        nearest = std::min(nearest, range_m[row]);
+    }
+    // 6. Boxes and shapes.
+    const std::size_t count = kept.size();
+    found.first.resize(count);
+    found.last.resize(count);
+    found.parent.resize(count);
+    found.sides.resize(count);
+    found.shapes.resize(count);
+    const Sweep sweep{points, height_m, sensor_height_m, found.rows, nearest_m};
+    const std::size_t parts = (count + PART - 1) / PART;
+    const auto part = [&](std::size_t p) {
+        for (std::size_t k = p * PART; k < std::min((p + 1) * PART, count); ++k) {
+            const Span& span = spans[kept[k]];
+            found.first[k] = begins[span.first];
+            found.last[k] = begins[span.last];
+            describe(sweep, cells, span, found.first[k], found.last[k], found.sides[k], found.shapes[k]);
+        }
+    };
+    run_parts(parts, part);
+    // 7. The next larger candidate of each.
+    for (std::size_t k = 0; k < count; ++k) {
+        const Span& span = spans[kept[k]];
+        const std::int32_t parent = span.parent < 0 ? -1 : place[span.parent];
+        found.parent[k] = parent;
+        // One that is part of something too long has that as its parent as well, which is no candidate.
+        found.shapes[k][PARENT_SHARE] = span.parent < 0 ? 1.0f : float(span.returns) / float(spans[span.parent].returns);
+        found.shapes[k][PARENT_M] = span.parent < 0 ? 0.0f : parent < 0 ? LONGEST_M : found.shapes[parent][LONG_M];
+    }
+    return found;
+}
+
+void bind_object_candidates(nb::module_& m) {
+    m.def(
+        "object_candidates",
+        [](Points points, In1<float> height_m, In1<float> range_m, float sensor_height_m) {
+            require(height_m.shape(0) == points.shape(0), "height_m must be as long as points");
+            require(range_m.shape(0) == points.shape(0), "range_m must be as long as points");
+            require(std::isfinite(sensor_height_m), "sensor_height_m must be finite");
+            Candidates found;
+            {
+                nb::gil_scoped_release unlocked;
+                const Buffer<float> own = copy_of(view(points).flat()), own_m = copy_of(view(height_m));
+                found = find_candidates({own.data(), points.shape(0), 3}, own_m, view(range_m), sensor_height_m);
+            }
+            const auto whole = [](const std::vector<std::int32_t>& values) {
+                Buffer<std::int32_t> out(values.size());
+                std::copy(values.begin(), values.end(), out.begin());
+                return std::move(out).array();
+            };
+            const std::size_t count = found.first.size();
+            Buffer<float> sides(count * 6), shapes(count * SHAPES);
+            for (std::size_t k = 0; k < count; ++k) {
+                std::copy(found.sides[k].begin(), found.sides[k].end(), sides.begin() + k * 6);
+                std::copy(found.shapes[k].begin(), found.shapes[k].end(), shapes.begin() + k * SHAPES);
+            }
+            return nb::make_tuple(whole(found.rows), whole(found.first), whole(found.last), whole(found.parent),
+                                  std::move(sides).array({count, 6}), std::move(shapes).array({count, SHAPES}));
+        },
+        "points"_a.noconvert(), "height_m"_a.noconvert(), "range_m"_a.noconvert(), "sensor_height_m"_a,
+        "Candidates for objects: rows (P,) by candidate, first, last, parent (C,), sides (C, 6) and shapes (C, 32).");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,42 @@
+// Candidates for objects: returns that stand close together, at several nested distances, with their boxes and shapes.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "arrays.hpp"
+
+namespace viewshed {
+
+// What describes the shape of a candidate; the order is that of the columns in Python (viewshed.objects.candidates).
+enum Shape {
+    LOG_RETURNS, LOG_RANGE, LEVEL,                                   // how many, how far, linked at which distance
+    LONG_M, SHORT_M, TOP_M, BOTTOM_M, MEAN_M, DEVIATION_M,           // sides of the box, and heights above the ground
+    OVERHEAD, SHARE_LOW, SHARE_MIDDLE, SHARE_HIGH, SHARE_TALL,       // share of returns by height
+    UPPER_LONG_M, UPPER_SHORT_M, LOWER_LONG_M, LOWER_SHORT_M,        // sides of what is above and below .6 of the top
+    EDGE_M, EDGE_SHARE, FACE_M, FACE_SHARE,                          // how near to any side, and to the two near sides
+    ALIGNMENT, FILL, MIDDLE_RISE_M, MAJOR_M, MINOR_M, LOG_LAYERS,    // line of sight, cells, profile, moments, rings
+    HIDDEN_LEFT, HIDDEN_RIGHT, PARENT_SHARE, PARENT_M,               // something nearer at its ends; the next larger one
+    SHAPES
+};
+
+// C candidates of P returns that stand above the ground.
+struct Candidates {
+    std::vector<std::int32_t> rows;          // (P,) rows of the points, candidate after candidate: nested ranges of it
+    std::vector<std::int32_t> first, last;   // (C,) each candidate's range of `rows`
+    std::vector<std::int32_t> parent;        // (C,) the smallest candidate that holds it and more, -1 for none
+    std::vector<std::array<float, 6>> sides; // (C,) heading of the long side, least and greatest coordinate along it,
+                                             // the same across it, and 0 or 1, 2 where only its left or right end is hidden
+    std::vector<std::array<float, SHAPES>> shapes;  // (C,)
+};
+
+// Find candidates among points (N, 3) in the level frame with their heights above the ground (N,), at horizontal ranges (N,).
+//
+// Returns of similar places are summed in cells; cells are linked at LEVELS distances that grow with range, and linked ones
+// are a component. A component of one distance that is larger than its parts of the next smaller distance is a
+// candidate. At most MOST_CELLS cells, the nearest, and MOST_CANDIDATES candidates, those with most returns, are looked at.
+Candidates find_candidates(View2<const float> points, View1<const float> height_m, View1<const float> range_m,
+                           float sensor_height_m);
+
+}  // namespace viewshed

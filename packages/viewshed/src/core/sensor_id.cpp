@@ -1,0 +1,782 @@
+#include "sensor_id.hpp"
+
+#include <nanobind/stl/optional.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <numeric>
+
+#include "elevation_clusters.hpp"
+#include "random_rows.hpp"
+#include "sensor_motion.hpp"
+#include "parallel.hpp"
+#include "stages.hpp"
+
+namespace viewshed {
+namespace {
+
+constexpr double NEVER = std::numeric_limits<double>::infinity();
+constexpr double DEGREE = std::numbers::pi / 180;
+
+// Returns by which a sensor is identified, and those of them that tell the elevations of rings.
+constexpr std::size_t SAMPLE = 16'384, OF_RINGS = 8192;
+
+// The first of these suffice where so many of them agree with one table: no other has its beams where this one has.
+constexpr std::size_t FIRST_OF_RINGS = 2048;
+constexpr double SURE = 0.9;
+
+// Least share of the returns whose ring must lie where the table has it.
+constexpr double AGREEING = 0.8;
+
+// A ring lies at a beam within a quarter of the gap to the next beam, and within 0.25°, ...
+constexpr double NEAR_SHARE = 0.25, MOST_OFF = 0.25 * DEGREE;
+
+// ... the median ring within a tenth of it, or 0.03°: a sensor with a calibration of its own is none of the table's.
+constexpr double TYPICAL_SHARE = 0.1, LEAST_GAP = 0.3 * DEGREE;
+constexpr std::size_t FEWEST_OF_RING = 4;
+
+// Rings that are fewer than this share of a table's beams do not name it, nor clusters that are more than this, ...
+constexpr double LEAST_OF_TABLE = 0.5, MOST_OF_TABLE = 1.15;
+
+// ... nor do rings of which fewer lie at the very next beam: every second beam of a table is another sensor.
+constexpr double NEXT_BEAM = 0.8;
+
+// Where no rings are known: least share of a table's beams that must be hit, a beam being hit by so many returns.
+constexpr double HIT = 0.9, LEAST_HITS = 2.0, HIT_SHARE = 0.02;
+
+// Clusters that explain so many of the returns are the sensor's beams, whatever a table says.
+constexpr double SHARP = 0.97;
+
+// The same of a sensor whose motion was undone: near the seam a return may be of either end of the revolution.
+constexpr double SHARP_AT_REST = 0.95;
+
+// A table that explains less than this must not have more returns in its rings than columns, by this factor.
+constexpr double CERTAIN = 0.5, CROWDED = 1.3;
+
+// So many returns choose so many likely tables, which are then compared on the whole sample.
+constexpr std::size_t FEW = 2048, LIKELY = 2;
+
+// Rings of a cloud, what shows them, and how sharply.
+struct ShownRings {
+    View1<const std::int16_t> ring;
+    std::size_t count;
+    RingSource source;
+    double sharpness = 1.0;
+
+    bool are_clusters() const { return source == RingSource::ELEVATION_CLUSTERS; }
+};
+
+// Returns by ring, one ring after the other: for the elevations of rings.
+struct ReturnsByRing {
+    std::vector<std::size_t> starts;
+    std::vector<float> slope, nearness;  // 1 / range in 1/m; of returns nearer than 1 m, which tell no elevation, 0
+
+    std::size_t size_of(std::size_t ring) const { return starts[ring + 1] - starts[ring]; }
+    std::size_t size() const { return slope.size(); }
+};
+
+ReturnsByRing returns_by_ring(const std::vector<std::int16_t>& ring, std::size_t count, const float* slope,
+                              const float* range_m) {
+    ReturnsByRing returns{std::vector<std::size_t>(count + 1, 0), {}, {}};
+    for (const std::int16_t r : ring) {
+        if (r >= 0) ++returns.starts[std::size_t(r) + 1];
+    }
+    for (std::size_t r = 0; r < count; ++r) returns.starts[r + 1] += returns.starts[r];
+    returns.slope.resize(returns.starts[count]);
+    returns.nearness.resize(returns.starts[count]);
+    std::vector<std::size_t> next(returns.starts.begin(), returns.starts.end() - 1);
+    for (std::size_t n = 0; n < ring.size(); ++n) {
+        if (ring[n] < 0) continue;
+        const std::size_t place = next[std::size_t(ring[n])]++;
+        returns.slope[place] = slope[n];
+        returns.nearness[place] = range_m[n] > NEAR_M ? 1.0f / range_m[n] : 0.0f;
+    }
+    return returns;
+}
+
+// The median of what `value` makes of the slope and nearness of each ring's returns beyond 1 m; NaN for none.
+template <typename Value>
+std::vector<double> ring_medians(const ReturnsByRing& returns, const Value& value) {
+    std::vector<double> medians(returns.starts.size() - 1);
+    std::vector<float> values(returns.size());
+    for (std::size_t r = 0; r < medians.size(); ++r) {
+        std::size_t count = 0;
+        for (std::size_t k = returns.starts[r]; k < returns.starts[r + 1]; ++k) {
+            values[count] = value(r, returns.slope[k], returns.nearness[k]);
+            count += returns.nearness[k] > 0.0f;
+        }
+        medians[r] = lower_median(values.data(), count);
+    }
+    return medians;
+}
+
+// The median elevation of each ring's returns beyond 1 m, seen from its origin (rings,).
+std::vector<double> ring_elevations(const ReturnsByRing& returns, const std::vector<double>& origin_m) {
+    std::vector<double> medians = ring_medians(returns, [&](std::size_t ring, float slope, float nearness) {
+        return slope - float(origin_m[ring]) * nearness;
+    });
+    for (double& median : medians) median = std::atan(median);
+    return medians;
+}
+
+// The median, of an even number the mean of the two in the middle.
+double median_of(std::vector<double> values) {
+    const std::size_t half = values.size() / 2;
+    std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(half), values.end());
+    if (values.size() % 2) return values[half];
+    return (*std::max_element(values.begin(), values.begin() + std::ptrdiff_t(half)) + values[half]) / 2;
+}
+
+// Whether the rings are neither too few nor too many for a table.
+bool is_as_many(const ShownRings& rings, const BeamTable& table) {
+    const double count = double(rings.count), beams = double(table.rings());
+    return LEAST_OF_TABLE * beams <= count && count <= (rings.are_clusters() ? MOST_OF_TABLE : 1.0) * beams;
+}
+
+// The slope and the nearness that are the medians of a ring.
+struct RingMedian {
+    std::size_t ring;
+    double slope, nearness;
+};
+
+// How far the median ring lies from a beam, in gaps between beams; infinite where the numbers do not fit.
+//
+// A slope is the beam's and its origin's height times the nearness 1 / range, and so are their medians, roughly.
+double roughly_off(const ShownRings& rings, const std::vector<RingMedian>& medians, const BeamTable& table) {
+    if (!is_as_many(rings, table) || medians.size() < 2) return NEVER;
+    std::vector<double> off;
+    if (rings.count == table.rings() && !rings.are_clusters()) {
+        for (const auto& [ring, slope, nearness] : medians) {
+            const double elevation = std::atan(slope - table.origin_m[ring] * nearness);
+            off.push_back(std::abs(table.elevation[ring] - elevation) / table.gap[ring]);
+        }
+        return median_of(std::move(off));
+    }
+    std::vector<std::size_t> beam(medians.size());
+    for (std::size_t k = 0; k < medians.size(); ++k) {
+        const auto& [ring, slope, nearness] = medians[k];
+        // The second time the ring is seen from its own beam's origin.
+        const std::size_t first = table.nearest_to(std::atan(slope - table.mean_origin_m * nearness));
+        const double elevation = std::atan(slope - table.origin_m[first] * nearness);
+        beam[k] = table.nearest_to(elevation);
+        off.push_back(std::abs(table.elevation[beam[k]] - elevation) / table.gap[beam[k]]);
+    }
+    // Beams that are left out count against a table.
+    double left_out = 0.0;
+    for (std::size_t k = 1; k < beam.size(); ++k) left_out += beam[k] > beam[k - 1] + 1;
+    return median_of(std::move(off)) + left_out / double(beam.size() - 1);
+}
+
+// The beam (rings,) of the table at which each ring lies, none where they do not go together.
+//
+// They go together where each ring has a beam of its own, in the same order, and most returns are of a ring at the very
+// next beam. Clusters may be one beam's by twos.
+std::optional<std::vector<std::size_t>> beams_of_rings(const ShownRings& rings, const ReturnsByRing& returns,
+                                                       const BeamTable& table) {
+    if (!is_as_many(rings, table)) return std::nullopt;
+    std::vector<std::size_t> beam(rings.count);
+    std::iota(beam.begin(), beam.end(), std::size_t{0});
+    if (rings.count == table.rings() && !rings.are_clusters()) return beam;
+    // 1. The beam nearest to each ring; the second time each ring is seen from its own beam's origin. Rings whose returns
+    //    are all near have no elevation and stand between those beside them.
+    std::vector<double> origin_m(rings.count, table.mean_origin_m);
+    std::vector<std::size_t> known;
+    for (int time = 0; time < 2; ++time) {
+        const std::vector<double> medians = ring_elevations(returns, origin_m);
+        known.clear();
+        for (std::size_t r = 0; r < rings.count; ++r) {
+            if (!std::isfinite(medians[r])) continue;
+            beam[r] = table.nearest_to(medians[r]);
+            known.push_back(r);
+        }
+        if (known.size() < 2) return std::nullopt;
+        for (std::size_t r = 0, next = 0; r < rings.count; ++r) {
+            while (next < known.size() && known[next] < r) ++next;
+            if (next < known.size() && known[next] == r) continue;
+            if (next == 0 || next == known.size()) {
+                beam[r] = beam[next == 0 ? known.front() : known.back()];
+                continue;
+            }
+            const double low = double(beam[known[next - 1]]), high = double(beam[known[next]]);
+            const double per_ring = (high - low) / double(known[next] - known[next - 1]);
+            beam[r] = std::size_t(std::lrint(low + per_ring * double(r - known[next - 1])));
+        }
+        for (std::size_t r = 0; r < rings.count; ++r) origin_m[r] = table.origin_m[beam[r]];
+    }
+    // 2. From each ring to the next one.
+    double weights = 0.0, at_next_beam = 0.0;
+    for (std::size_t k = 1; k < known.size(); ++k) {
+        const auto step = std::ptrdiff_t(beam[known[k]]) - std::ptrdiff_t(beam[known[k - 1]]);
+        if (step < (rings.are_clusters() ? 0 : 1)) return std::nullopt;
+        const auto weight = double(std::min(returns.size_of(known[k - 1]), returns.size_of(known[k])));
+        weights += weight;
+        at_next_beam += step == 1 ? weight : 0.0;
+    }
+    if (at_next_beam / std::max(weights, 1.0) < NEXT_BEAM) return std::nullopt;
+    return beam;
+}
+
+// The share of returns whose ring lies at a beam of the table, 0 where rings and beams do not go together. Of rings whose
+// elevation is known: some have near returns alone.
+double ring_score(const ShownRings& rings, const ReturnsByRing& returns, const BeamTable& table) {
+    const auto beam = beams_of_rings(rings, returns, table);
+    if (!beam) return 0.0;
+    std::vector<double> origin_m(rings.count), shares;
+    for (std::size_t r = 0; r < rings.count; ++r) origin_m[r] = table.origin_m[(*beam)[r]];
+    const std::vector<double> elevations = ring_elevations(returns, origin_m);
+    double agreeing = 0.0, all = 0.0;
+    for (std::size_t r = 0; r < rings.count; ++r) {
+        const double gap = table.gap[(*beam)[r]], off = std::abs(elevations[r] - table.elevation[(*beam)[r]]);
+        if (!std::isfinite(off)) continue;
+        const auto size = double(returns.size_of(r));
+        all += size;
+        agreeing += off < std::min(NEAR_SHARE * gap, MOST_OFF) ? size : 0.0;
+        if (returns.size_of(r) >= FEWEST_OF_RING) shares.push_back(off / std::max(gap, LEAST_GAP));
+    }
+    if (shares.empty() || median_of(std::move(shares)) > TYPICAL_SHARE) return 0.0;
+    return agreeing / std::max(all, 1.0);
+}
+
+// A table, or none, and its score.
+using Scored = std::pair<int, double>;
+
+// The numbers of the tables with the highest scores, the first of equal ones.
+std::vector<int> likeliest(const std::vector<double>& scores) {
+    std::vector<int> order(scores.size());
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return scores[a] > scores[b]; });
+    order.resize(std::min(order.size(), LIKELY));
+    return order;
+}
+
+// The table that the rings of a sample agree with and its score, none where they agree with none.
+Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, const BeamTables& tables) {
+    // 1. Roughly, by the median slope and the median nearness of each ring.
+    std::vector<double> slopes, nearness;
+    run_parts(2, [&](std::size_t part) {
+        if (part == 0) slopes = ring_medians(returns, [](std::size_t, float slope, float) { return slope; });
+        if (part == 1) nearness = ring_medians(returns, [](std::size_t, float, float near) { return near; });
+    });
+    std::vector<RingMedian> medians;
+    for (std::size_t r = 0; r < rings.count; ++r) {
+        if (std::isfinite(slopes[r])) medians.push_back({r, slopes[r], nearness[r]});
+    }
+    std::vector<double> near;
+    for (const BeamTable& table : tables) near.push_back(-roughly_off(rings, medians, table));
+    // 2. The likeliest tables, each ring seen from its own beam's origin.
+    const std::vector<int> likely = likeliest(near);
+    std::vector<double> scores(likely.size(), 0.0);
+    run_parts(likely.size(), [&](std::size_t k) {
+        if (std::isfinite(near[likely[k]])) scores[k] = ring_score(rings, returns, tables[likely[k]]);
+    });
+    Scored best{NO_TABLE, 0.0};
+    for (std::size_t k = 0; k < likely.size(); ++k) {
+        if (scores[k] > best.second) best = {likely[k], scores[k]};
+    }
+    return {best.second >= AGREEING ? best.first : NO_TABLE, best.second};
+}
+
+// `excess` times the share of beams that were hit, among those inside the elevations of the returns.
+double cluster_score(View1<const float> slope, View1<const float> range_m, const BeamTable& table) {
+    const BeamMatch match = match_beams(slope, range_m, table);
+    const auto all = double(std::accumulate(match.hits.begin(), match.hits.end(), std::int64_t{0}));
+    const double least = std::max(LEAST_HITS, HIT_SHARE * all / double(table.rings()));
+    const auto is_hit = [&](std::int64_t hits) { return double(hits) > least; };
+    const auto first = std::find_if(match.hits.begin(), match.hits.end(), is_hit);
+    if (first == match.hits.end()) return 0.0;
+    const auto last = std::find_if(match.hits.rbegin(), match.hits.rend(), is_hit).base();
+    const double share = double(std::count_if(first, last, is_hit)) / double(last - first);
+    return share >= HIT ? match.excess * share : 0.0;
+}
+
+// Whether the median of the table's rings would hold clearly more of `count` returns than a revolution has columns.
+bool is_crowded(View1<const float> slope, View1<const float> range_m, const BeamTable& table, std::size_t count) {
+    std::vector<double> sizes(table.rings(), 0.0);
+    const BeamMatch match = match_beams(slope, range_m, table);
+    for (const std::int16_t r : View1<const std::int16_t>(match.ring)) {
+        if (r >= 0) sizes[std::size_t(r)] += 1.0;
+    }
+    return median_of(std::move(sizes)) * double(count) / double(slope.size) > CROWDED * table.columns;
+}
+
+// The table whose beams lie nearest to a sample of `count` returns, none where it explains too little.
+Scored explaining_table(const Elevations& sample, std::size_t count, const BeamTables& tables) {
+    const auto part_of = [](const std::vector<float>& values, std::size_t size) {
+        return View1<const float>{values.data(), std::min(size, values.size())};
+    };
+    std::vector<double> scores;
+    for (const BeamTable& table : tables) {
+        scores.push_back(cluster_score(part_of(sample.slope, FEW), part_of(sample.range_m, FEW), table));
+    }
+    const View1<const float> slope = part_of(sample.slope, SAMPLE), range_m = part_of(sample.range_m, SAMPLE);
+    Scored best{NO_TABLE, 0.0};
+    for (const int likely : likeliest(scores)) {
+        const double score = cluster_score(slope, range_m, tables[likely]);
+        if (score > best.second) best = {likely, score};
+    }
+    const auto [table, score] = best;
+    if (table == NO_TABLE || score < EXPLAINED) return {NO_TABLE, score};
+    if (score < CERTAIN && is_crowded(slope, range_m, tables[table], count)) return {NO_TABLE, score};
+    return best;
+}
+
+// Rows of a cloud in random order: the first of a sample that holds all of a small one.
+std::vector<std::uint32_t> sample_rows(std::size_t count, std::size_t size) {
+    if (count > SAMPLE) return random_rows(count, size);
+    std::vector<std::uint32_t> rows = shuffled_rows(count);
+    rows.resize(std::min(count, size));
+    return rows;
+}
+
+// A sample of points by ring, up to a size.
+ReturnsByRing sample_by_ring(View2<const float> points, const ShownRings& rings, std::size_t size) {
+    const std::vector<std::uint32_t> rows = sample_rows(points.rows, size);
+    const Elevations sample = elevations_of(points, rows);
+    std::vector<std::int16_t> ring(rows.size());
+    for (std::size_t k = 0; k < ring.size(); ++k) ring[k] = rings.ring[rows[k]];
+    return returns_by_ring(ring, rings.count, sample.slope.data(), sample.range_m.data());
+}
+
+// Rings (N,) counted as the table's beams, where rings are fewer than these; none where they are so already.
+std::optional<Buffer<std::int16_t>> counted_as_beams(const ShownRings& rings, const float* slope, const float* range_m,
+                                                     const BeamTable& table) {
+    if (rings.count == table.rings()) return std::nullopt;
+    const std::vector<std::int16_t> all(rings.ring.begin(), rings.ring.end());
+    const auto beam = beams_of_rings(rings, returns_by_ring(all, rings.count, slope, range_m), table);
+    if (!beam) return std::nullopt;
+    Buffer<std::int16_t> counted(rings.ring.size);
+    for (std::size_t n = 0; n < counted.size(); ++n) {
+        counted[n] = std::int16_t(rings.ring[n] < 0 ? -1 : int((*beam)[std::size_t(rings.ring[n])]));
+    }
+    return counted;
+}
+
+// Rings that own their memory.
+struct OwnRings {
+    Buffer<std::int16_t> ring;
+    std::size_t count;
+    RingSource source;
+    double sharpness = 1.0;
+
+    ShownRings shown() const { return {ring, count, source, sharpness}; }
+};
+
+std::optional<OwnRings> rings_shown_by_order(View2<const float> points) {
+    std::optional<Rings> rings = rings_by_order(points);
+    if (!rings) return std::nullopt;
+    return OwnRings{std::move(rings->ring), rings->count, RingSource::FILE_ORDER};
+}
+
+std::optional<OwnRings> rings_shown_by_clusters(const Directions& seen) {
+    std::optional<ClusteredRings> found = rings_by_clusters(seen);
+    if (!found) return std::nullopt;
+    return OwnRings{std::move(found->rings.ring), found->rings.count, RingSource::ELEVATION_CLUSTERS,
+                    found->clusters.sharpness};
+}
+
+// The nearest beam of each return (N,), none where the returns do not gather at the beams.
+std::optional<Buffer<std::int16_t>> nearest_beams(const Directions& seen, const BeamTable& table) {
+    BeamMatch match = match_beams(seen.slope, seen.range_m, table);
+    if (match.excess < EXPLAINED) return std::nullopt;
+    return std::move(match.ring);
+}
+
+// Points (N, 3) as their sensor measured them, once its motion is undone, what they show, and the rings at whose elevations nearly all gather then.
+struct AtRest {
+    Buffer<float> measured;
+    Directions seen;
+    std::optional<OwnRings> rings;
+};
+
+std::optional<AtRest> undo_motion_of(View2<const float> points) {
+    const std::optional<SensorMotion> motion = find_motion(points);
+    if (!motion) return std::nullopt;
+    Buffer<float> measured(points.size());
+    undo_motion(points, *motion, measured.view(points.rows, 3));
+    Directions seen = directions_of({measured.data(), points.rows, 3});
+    AtRest at_rest{std::move(measured), std::move(seen), std::nullopt};
+    at_rest.rings = rings_shown_by_clusters(at_rest.seen);
+    if (at_rest.rings && at_rest.rings->sharpness < SHARP_AT_REST) at_rest.rings.reset();
+    return at_rest;
+}
+
+// What rings and tables say of a bare cloud before any motion is undone: the table, its score and the rings; the first two
+// rings that are shown are tried in turn.
+struct Identified {
+    int table = NO_TABLE;
+    double score = 0.0;
+    std::optional<OwnRings> rings;
+    std::optional<Directions> seen;  // what the points show, where that had to be looked at
+};
+
+// Whether rings are surely those of an expected table, by the first of the sample.
+bool is_surely(const BeamTable& table, const ShownRings& rings, View2<const float> points) {
+    return rings.count == table.rings() &&
+           ring_score(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), table) >= SURE;
+}
+
+// The table that rings agree with, and its score.
+Scored table_by_rings(View2<const float> points, const ShownRings& rings, const BeamTables& tables) {
+    const Scored first = agreeing_table(rings, sample_by_ring(points, rings, FIRST_OF_RINGS), tables);
+    return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, OF_RINGS), tables);
+}
+
+Identified identify(View2<const float> points, const BeamTables& tables, int expected) {
+    Identified found;
+    const auto agrees = [&](std::optional<OwnRings>& rings) {
+        const auto [table, score] = table_by_rings(points, rings->shown(), tables);
+        found.score = table == NO_TABLE ? std::max(score, found.score) : score;
+        found.table = table;
+        if (table != NO_TABLE || !found.rings) found.rings = std::move(rings);
+        return table != NO_TABLE;
+    };
+    // 1. The order of the points.
+    std::optional<OwnRings> ordered = rings_shown_by_order(points);
+    if (ordered && expected != NO_TABLE && is_surely(tables[expected], ordered->shown(), points)) {
+        return {expected, SURE, std::move(ordered), std::nullopt};
+    }
+    if (ordered && agrees(ordered)) return found;
+    // 2. The elevations at which they gather.
+    found.seen = directions_of(points);
+    std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.seen);
+    if (clustered && agrees(clustered)) return found;
+    // 3. Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
+    if (!found.rings || (found.rings->shown().are_clusters() && found.rings->sharpness < SHARP)) {
+        const Elevations sample = elevations_of(points, sample_rows(points.rows, SAMPLE));
+        const auto [table, score] = explaining_table(sample, points.rows, tables);
+        if (!found.rings || score > found.rings->sharpness) {
+            found.table = table;
+            found.score = score;
+            found.rings.reset();
+        }
+    }
+    return found;
+}
+
+// Whether nothing shows rings, only clusters that are not sharp, or an order that no table confirms.
+bool is_doubtful(const Identified& found) {
+    if (!found.rings) return true;
+    if (found.rings->shown().are_clusters()) return found.rings->sharpness < SHARP;
+    return found.table == NO_TABLE;
+}
+
+// Whether sharp clusters tell more than the rings: sharper ones, or more than an order that skips rings.
+bool is_better(const OwnRings& clusters, const std::optional<OwnRings>& rings) {
+    if (!rings) return true;
+    if (rings->source == RingSource::FILE_ORDER) return clusters.count > rings->count;
+    return clusters.sharpness >= rings->sharpness;
+}
+
+ShownRings rings_of_file(View1<const std::int16_t> ring) {
+    std::int16_t most = 0;
+    for (const std::int16_t r : ring) most = std::max(most, r);
+    return {ring, std::size_t(most) + 1, RingSource::FILE};
+}
+
+}  // namespace
+
+SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables,
+                           int expected) {
+    const ShownRings rings = rings_of_file(ring);
+    if (expected != NO_TABLE && is_surely(tables[expected], rings, points)) return {std::nullopt, expected};
+    const auto [table, score] = table_by_rings(points, rings, tables);
+    if (table == NO_TABLE || rings.count == tables[table].rings()) return {std::nullopt, table};
+    const Directions seen = directions_of(points);
+    return {counted_as_beams(rings, seen.slope.data(), seen.range_m.data(), tables[table]), table};
+}
+
+SensorId identify_by_points(View2<const float> points, const BeamTables& tables, int expected) {
+    // 1. The rings that the points show, and the table that these agree with.
+    Identified found = identify(points, tables, expected);
+    // 2. In doubt the sensor moved: look again without the motion that blurred the elevations.
+    if (is_doubtful(found)) {
+        std::optional<AtRest> at_rest = undo_motion_of(points);
+        if (at_rest && at_rest->rings && is_better(*at_rest->rings, found.rings)) {
+            found.seen = std::move(at_rest->seen);
+            found.rings = std::move(at_rest->rings);
+            const View2<const float> measured{at_rest->measured.data(), points.rows, 3};
+            const int table = table_by_rings(measured, found.rings->shown(), tables).first;
+            if (table != NO_TABLE) found.table = table;
+        }
+    }
+    // 3. The rings as the table's beams. Clusters skip a beam that has no return: then the beams nearest to the returns.
+    if (found.table == NO_TABLE) {
+        return {found.rings ? std::optional(std::move(found.rings->ring)) : std::nullopt, NO_TABLE};
+    }
+    const BeamTable& table = tables[found.table];
+    if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
+        return {std::move(found.rings->ring), found.table};
+    }
+    const Directions seen = found.seen ? std::move(*found.seen) : directions_of(points);
+    if (!found.rings || found.rings->shown().are_clusters()) return {nearest_beams(seen, table), found.table};
+    auto counted = counted_as_beams(found.rings->shown(), seen.slope.data(), seen.range_m.data(), table);
+    return {counted ? std::move(*counted) : std::move(found.rings->ring), found.table};
+}
+
+std::optional<Buffer<std::int16_t>> rings_of_points(View2<const float> points) {
+    std::optional<OwnRings> rings = rings_shown_by_order(points);
+    if (!rings) rings = rings_shown_by_clusters(directions_of(points));
+    return rings ? std::optional(std::move(rings->ring)) : std::nullopt;
+}
+
+std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, const BeamTable& table) {
+    // 1. The order of the points tells the rings, if they are no more than the sensor has.
+    std::optional<OwnRings> ordered = rings_shown_by_order(points);
+    if (ordered && ordered->count <= table.rings()) return std::move(ordered->ring);
+    // 2. Else the beams nearest to the returns. Where the table does not explain them sharply, the sensor moved or has a
+    //    calibration of its own: then clusters without its motion are counted as the table's beams, if these go together.
+    const Directions seen = directions_of(points);
+    BeamMatch match = match_beams(seen.slope, seen.range_m, table);
+    std::optional<AtRest> at_rest = match.excess < SHARP ? undo_motion_of(points) : std::nullopt;
+    if (at_rest && at_rest->rings) {
+        const float *slope = at_rest->seen.slope.data(), *range_m = at_rest->seen.range_m.data();
+        if (at_rest->rings->count == table.rings()) return std::move(at_rest->rings->ring);
+        if (auto counted = counted_as_beams(at_rest->rings->shown(), slope, range_m, table)) return counted;
+    }
+    if (at_rest) {
+        BeamMatch moved = match_beams(at_rest->seen.slope, at_rest->seen.range_m, table);
+        if (moved.excess > match.excess) match = std::move(moved);
+    }
+    if (match.excess < EXPLAINED) return std::nullopt;
+    return std::move(match.ring);
+}
+
+std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring,
+                                    const BeamTables& tables) {
+    if (ring) return table_by_rings(points, rings_of_file(*ring), tables);
+    const Identified found = identify(points, tables, NO_TABLE);
+    return {found.table, found.score};
+}
+
+namespace {
+
+using RingColumn = In1<std::int16_t>;
+
+// Bounds of what is asked: beams of a table, columns of a revolution, and elevations in radians.
+constexpr std::size_t MOST_RINGS = 4096;
+constexpr std::int64_t MOST_COLUMNS = 65'536;
+constexpr double HIGHEST = std::numbers::pi / 2;
+
+// A ring column as the stage sees it: checked, or none.
+std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn>& ring, std::size_t count) {
+    if (!ring) return std::nullopt;
+    require(ring->shape(0) == count, "ring must have one row for each point");
+    return indices_of<std::int16_t>(view(*ring), -1, MOST_RINGS - 1, "ring");
+}
+
+std::size_t checked_count(const Points& points) {
+    require(points.shape(0) < (1u << 28), "a sweep must have fewer than 2^28 points");
+    return points.shape(0);
+}
+
+template <typename T>
+nb::object array_or_none(std::optional<Buffer<T>>&& buffer) {
+    return buffer ? nb::cast(std::move(*buffer).array()) : nb::none();
+}
+
+template <typename T>
+Out<T> array_of(const std::vector<T>& values) {
+    Buffer<T> copy(values.size());
+    std::copy(values.begin(), values.end(), copy.data());
+    return std::move(copy).array();
+}
+
+// Azimuth, slope and range columns as the stage keeps them.
+Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, const In1<float>& range_m) {
+    require(azimuth.shape(0) == slope.shape(0) && range_m.shape(0) == slope.shape(0),
+            "azimuth, slope and range_m must be as long");
+    Directions seen(slope.shape(0));
+    std::copy_n(azimuth.data(), seen.size(), seen.azimuth.data());
+    std::copy_n(slope.data(), seen.size(), seen.slope.data());
+    std::copy_n(range_m.data(), seen.size(), seen.range_m.data());
+    return seen;
+}
+
+// The beams of a sensor, checked.
+BeamTable checked_table(View1<const double> given_elevation, View1<const double> given_origin_m, std::int64_t columns) {
+    require(given_elevation.size >= 1 && given_elevation.size <= MOST_RINGS, "a table must have 1 to 4096 beams");
+    require(given_origin_m.size == given_elevation.size, "origin_m must have one value for each beam");
+    std::vector<double> elevation(given_elevation.begin(), given_elevation.end());
+    std::vector<double> origin_m(given_origin_m.begin(), given_origin_m.end());
+    require(columns >= 1 && columns <= MOST_COLUMNS, "columns must lie in [1, 65536]");
+    const auto is_wrong = [](double value) { return !std::isfinite(value); };
+    require(std::none_of(elevation.begin(), elevation.end(), is_wrong) &&
+                std::none_of(origin_m.begin(), origin_m.end(), is_wrong),
+            "elevations and origins must be finite");
+    require(std::is_sorted(elevation.begin(), elevation.end()), "elevations must ascend");
+    require(std::abs(elevation.front()) <= HIGHEST && std::abs(elevation.back()) <= HIGHEST,
+            "elevations must lie within a quarter of a turn");
+    return BeamTable(std::move(elevation), std::move(origin_m), int(columns));
+}
+
+// The beams of several sensors, whose numbers are given, one after the other.
+BeamTables checked_tables(const In1<double>& elevation, const In1<double>& origin_m, const In1<std::int64_t>& rings,
+                          const In1<std::int64_t>& columns) {
+    require(rings.shape(0) == columns.shape(0), "rings and columns must have one value for each table");
+    BeamTables tables;
+    std::size_t start = 0;
+    for (std::size_t k = 0; k < rings.shape(0); ++k) {
+        const auto size = std::size_t(read_once(view(rings), k));  // huge where it is negative
+        require(size >= 1 && size <= elevation.shape(0) - start && origin_m.shape(0) == elevation.shape(0),
+                "elevation and origin_m must have one value for each beam of the tables");
+        tables.push_back(
+            checked_table({elevation.data() + start, size}, {origin_m.data() + start, size}, columns(k)));
+        start += size;
+    }
+    return tables;
+}
+
+void check_expected(int expected, const BeamTables& tables) {
+    require(expected >= NO_TABLE && expected < int(tables.size()), "expected must be the number of a table, or -1");
+}
+
+}  // namespace
+
+// What Python calls: arrays are checked here, whatever hands them in.
+void bind_sensor_id(nb::module_& m) {
+    m.def(
+        "identify_by_rings",
+        [](Points points, RingColumn ring, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
+           In1<std::int64_t> columns, int expected) {
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            check_expected(expected, tables);
+            const auto known = checked_rings(ring, checked_count(points));
+            SensorId found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = identify_by_rings(view(points), *known, tables, expected);
+            }
+            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(), "expected"_a,
+        "The ring of each point (N, 3) as the table's beams, or None where they are the known rings (N,), and the "
+        "number of the table that the rings agree with, -1 for none. Tables follow each other: elevation (K,) and "
+        "origin_m (K,) of the beams, rings (T,) and columns (T,) of each table.");
+    m.def(
+        "identify_by_points",
+        [](Points points, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
+           In1<std::int64_t> columns, int expected) {
+            checked_count(points);
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            check_expected(expected, tables);
+            SensorId found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = identify_by_points(view(points), tables, expected);
+            }
+            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+        },
+        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rings"_a.noconvert(),
+        "columns"_a.noconvert(), "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
+    m.def(
+        "rings_of_points",
+        [](Points points) {
+            checked_count(points);
+            std::optional<Buffer<std::int16_t>> ring;
+            {
+                nb::gil_scoped_release unlocked;
+                ring = rings_of_points(view(points));
+            }
+            return array_or_none(std::move(ring));
+        },
+        "points"_a.noconvert(), "The ring of each point (N, 3) by their order or their elevations, or None.");
+    m.def(
+        "beams_of_sensor",
+        [](Points points, In1<double> elevation, In1<double> origin_m) {
+            checked_count(points);
+            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
+            std::optional<Buffer<std::int16_t>> ring;
+            {
+                nb::gil_scoped_release unlocked;
+                ring = beams_of_sensor(view(points), table);
+            }
+            return array_or_none(std::move(ring));
+        },
+        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "The beam of each point (N, 3) of a sensor that is known, or None.");
+    m.def(
+        "infer_sensor",
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
+           In1<std::int64_t> rings, In1<std::int64_t> columns) {
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            const auto known = checked_rings(ring, checked_count(points));
+            std::pair<int, double> found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = infer_sensor(view(points), known, tables);
+            }
+            return nb::make_tuple(found.first, found.second);
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(),
+        "The number of the table that explains points (N, 3) best, -1 for none, and its score.");
+    m.def(
+        "recover_rings",
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
+           std::int64_t columns) {
+            std::optional<BeamTable> table;
+            if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), columns);
+            const auto known = checked_rings(ring, checked_count(points));
+            std::optional<RingAssignment> made;
+            {
+                nb::gil_scoped_release unlocked;
+                made = recover_rings(view(points), known, table ? &*table : nullptr);
+            }
+            return nb::make_tuple(std::move(made->ring).array(), std::move(made->column).array(), made->columns,
+                                  std::move(made->elevation).array(), made->placed, made->alone, int(made->source));
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "columns"_a,
+        "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source. "
+        "A table of no beams is none.");
+    m.def(
+        "polar",
+        [](Points points) {
+            Directions seen = directions_of(view(points));
+            return nb::make_tuple(std::move(seen.azimuth).array(), std::move(seen.slope).array(),
+                                  std::move(seen.range_m).array());
+        },
+        "points"_a.noconvert(), "Azimuth, slope and horizontal range (N,) of points (N, 3).");
+    m.def(
+        "match_beams",
+        [](In1<float> slope, In1<float> range_m, In1<double> elevation, In1<double> origin_m) {
+            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
+            require(slope.shape(0) == range_m.shape(0), "slope and range_m must be as long");
+            BeamMatch match = match_beams(view(slope), view(range_m), table);
+            return nb::make_tuple(std::move(match.ring).array(), array_of(match.hits), match.excess);
+        },
+        "slope"_a.noconvert(), "range_m"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "The nearest beam of each return (N,), the returns close to each beam, and their share less chance.");
+    m.def(
+        "find_clusters",
+        [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> nb::object {
+            const auto found = find_clusters(directions_from(azimuth, slope, range_m));
+            if (!found) return nb::none();
+            return nb::make_tuple(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
+        },
+        "azimuth"_a.noconvert(), "slope"_a.noconvert(), "range_m"_a.noconvert(),
+        "Elevations at which returns (N,) gather, heights of their origin, and sharpness; or None.");
+    m.def(
+        "find_motion",
+        [](Points points) -> nb::object {
+            checked_count(points);
+            const auto motion = find_motion(view(points));
+            if (!motion) return nb::none();
+            return nb::make_tuple(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
+        },
+        "points"_a.noconvert(), "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
+    m.def(
+        "undo_motion",
+        [](Points points, double x_m, double y_m, double z_m, double seam, double reference) {
+            Buffer<float> measured(points.shape(0) * 3);
+            undo_motion(view(points), {{x_m, y_m, z_m}, seam, reference}, measured.view(points.shape(0), 3));
+            return std::move(measured).array({points.shape(0), 3});
+        },
+        "points"_a.noconvert(), "x_m"_a, "y_m"_a, "z_m"_a, "seam"_a, "reference"_a,
+        "Points (N, 3) as a sensor in motion measured them.");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,72 @@
+"""viewshed: what can this LiDAR see, how sure are we, and is someone lying about it?
+
+>>> import numpy as np, viewshed
+>>> sweep = viewshed.Sweep(points=np.zeros((0, 3), np.float32))
+>>> viewshed.estimate(sweep, method="shadow_map").visible().any()
+np.False_
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from viewshed import _core, _moved
+from viewshed._extras import needed_for, plugin
+
+if TYPE_CHECKING:
+    from viewshed.estimators import ESTIMATORS, estimate, load_estimator
+    from viewshed.fov.estimate import CellState, FovEstimate, FovEstimator
+    from viewshed.fov.score import score
+    from viewshed.fov.truth import Truth
+    from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
+    from viewshed.geometry import Rigid
+    from viewshed.grid import GRIDS, BevGrid
+    from viewshed.io import read_sweep, write_sweep
+    from viewshed.recordings.recording import open_recording
+    from viewshed.sensors import LidarModel, lidar_model
+    from viewshed.sweep import Sweep
+
+__version__ = "0.3.0"
+
+if _core.__version__ != __version__:
+    raise ImportError(
+        f"viewshed's native core must be of version {__version__}, got {_core.__version__};"
+        " install viewshed anew (in a checkout: pip install .)"
+    )
+
+_HOMES = {
+    # what most users need, in the order of the flow
+    "read_sweep": "io", "open_recording": "recordings.recording", "Sweep": "sweep",
+    "estimate": "estimators", "load_estimator": "estimators",
+    "FovEstimate": "fov.estimate", "CellState": "fov.estimate",
+    "Truth": "fov.truth", "score": "fov.score",
+    # values and tables behind them
+    "BevGrid": "grid", "GRIDS": "grid", "Target": "fov.visibility", "CAR": "fov.visibility",
+    "PEDESTRIAN": "fov.visibility", "LidarModel": "sensors", "lidar_model": "sensors", "Rigid": "geometry",
+    "ESTIMATORS": "estimators", "FovEstimator": "fov.estimate", "write_sweep": "io",
+}  # fmt: skip
+
+_OF_LABORATORY = ("Archive", "Sample", "WORLDS", "attacks")
+
+__all__ = [
+    "CAR", "ESTIMATORS", "GRIDS", "PEDESTRIAN", "WORLDS", "Archive", "BevGrid", "CellState", "FovEstimate",
+    "FovEstimator", "LidarModel", "Rigid", "Sample", "Sweep", "Target", "Truth", "attacks", "estimate", "lidar_model",
+    "load_estimator", "open_recording", "read_sweep", "score", "write_sweep",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that ``import viewshed`` stays light."""
+    if name in _OF_LABORATORY:
+        with needed_for(f"viewshed.{name}"):
+            return plugin("names", name, f"viewshed.{name}")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'viewshed' has no attribute {name!r}")
+    with needed_for(f"viewshed.{name}"):
+        return getattr(import_module(f"viewshed.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])
+
+
+_moved.install()

@@ -1,0 +1,80 @@
+"""What only some commands need: packages of an extra, and what other installed packages add to viewshed.
+
+Packages of an extra are imported where they are used, and one line names what is missing. Another package, such as the
+laboratory ``viewshed-lab``, adds commands, estimators, formats, sensors and more by entry points: docs/architecture.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+LABORATORY = "viewshed-lab"
+
+_RECORDINGS = ("rosbags", "mcap", "lz4", "zstandard", "velodyne_decoder", "yaml", "pyarrow", "foxglove")
+
+EXTRAS = {
+    **dict.fromkeys(("numba", "matplotlib", "pebble"), LABORATORY),
+    **dict.fromkeys(("torch", "lightning", "onnx", "optuna"), "viewshed-lab[train]"),
+    "ray": "viewshed-lab[ray]",
+    **dict.fromkeys(_RECORDINGS, "viewshed[recordings]"),
+    **dict.fromkeys(("scipy", "cbor2", "cwt", "cryptography", "zenoh"), "viewshed[agents]"),
+    "rasterio": "viewshed[geo]", "rerun": "viewshed[view]",
+}  # fmt: skip
+"""What to install for a package, by the name under which Python imports it."""
+
+_DISTRIBUTIONS = {
+    "foxglove": "foxglove-sdk", "rerun": "rerun-sdk", "zenoh": "eclipse-zenoh",
+    "velodyne_decoder": "velodyne-decoder", "yaml": "pyyaml",
+}  # fmt: skip
+"""What is installed, where that is not the name of the import."""
+
+
+@contextmanager
+def needed_for(task: str, install: str | None = None) -> Iterator[None]:
+    """Import packages of an extra inside; one that is not installed is an error that names it and what brings it.
+
+    Args:
+        task: what needs them, the beginning of the message: ``reading bags``.
+        install: what to install; None is what :data:`EXTRAS` says of the package.
+
+    Raises:
+        ImportError: a package is not installed.
+
+    >>> with needed_for("painting"):
+    ...     import numpy
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        # pip takes the viewshed that is there, of a release or a checkout, and adds what the extra names.
+        wanted = f"pip install '{install or EXTRAS[package]}'"
+        raise ImportError(f"{task} needs {_DISTRIBUTIONS.get(package, package)}: {wanted}", name=package) from error
+
+
+def plugins(group: str) -> dict[str, EntryPoint]:
+    """Return what installed packages add to viewshed in a group of entry points ``viewshed.GROUP``, by name."""
+    return {point.name: point for point in entry_points(group=f"viewshed.{group}")}
+
+
+def plugin(group: str, name: str, task: str) -> Any:
+    """Return what an installed package adds under a name of a group.
+
+    Args:
+        group: commands, recordings, adversaries, drives or names.
+        name: in the group.
+        task: what needs it, the beginning of the message: ``--attack``.
+
+    Raises:
+        ImportError: no installed package has it.
+    """
+    point = plugins(group).get(name)
+    if point is None:
+        install = f"pip install {LABORATORY} (in a checkout: pip install packages/{LABORATORY})"
+        raise ImportError(f"{task} needs {LABORATORY}: {install}", name="viewshed_lab")
+    return point.load()

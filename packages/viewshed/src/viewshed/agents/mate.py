@@ -1,0 +1,358 @@
+"""The published trust of agents and tracks (MATE, public code, MIT), formula by formula: the baseline to beat.
+
+Trust is a Beta distribution for each agent and each track of the center. A **pseudo-measurement** is a value v in
+[0, 1] with a confidence c in [0, 1], and moves it by
+
+    n = bias if v < threshold else 1,   α += n / (n + 1) · c · v,   β += n² / (n + 1) · c · (1 - v).
+
+Before each round both forget: α ← (1 - w) α + w α₀ with w = min(1, dt / return_s), and β alike. Agent i and track j of
+the center, whose trust is τ_i and τ_j with mean E and standard deviation σ, measure each other:
+
+| track j of the center | agent i gets | track j gets |
+|---|---|---|
+| matched by one of i's own within the gate | v = E[τ_j], c = clip(1 - 2σ_j) | v = 1, c = E[τ_i] |
+| is agent i itself | nothing | v = 1, c = 1 |
+| not matched, inside i's view, near enough | v = 1 - E[τ_j], c = clip(w (1 - 2σ_j)) | v = 0, c = w E[τ_i] |
+| not matched, outside i's view or too far | nothing | nothing |
+
+What i sees and the center lacks is left empty. Confidences of agents are clipped to [1e-4, 0.9999]. The weight w of
+what is not matched is the product of three: of the frames that j was in view, of its distance, and of its age.
+
+What the publication leaves open, and how it is read here: frames in view are counted in a row; clusters are chains of
+tracks, each within the radius of the next; a round takes all trusts as they were at its beginning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64, Mask
+from viewshed.objects.association import assign
+
+PRIOR_MEANS = {"distrusted": 0.2, "untrusted": 0.5, "trusted": 0.8}
+"""Means of the three priors; their strength, α + β, is 1."""
+
+_LEAST_CONFIDENCE, _MOST_CONFIDENCE = 1e-4, 0.9999
+
+
+@dataclass(frozen=True, slots=True)
+class MateRules:
+    """The published parameters.
+
+    Attributes:
+        agent_prior, track_prior: of ``PRIOR_MEANS``.
+        prior_strength: α + β of a prior.
+        agent_bias, agent_threshold: values below the threshold move an agent by the bias; also published 6 and 0.3,
+            8 and 0.2, and in the air a bias of 3.
+        track_bias, track_threshold: the same of tracks.
+        return_s: after so long without measurements trust is (0.5, 0.5) again; also published 1 s.
+        gate_m: an agent's own track farther from the center's is none of it; also published 2 and 1.
+        self_m: a track nearer to an agent than this is the agent.
+        reach_m: what is not matched counts up to this distance.
+        near_m, near_frames, near_weight: nearer than this the weight is 1 after more frames in view than these, and
+            before that it is the third.
+        far_frames: farther away it grows from 0 to 1 from so many frames in view to twice as many.
+        distant_m, distant_weight: farther than this it is multiplied by that.
+        least_updates: a track of the center with fewer updates is not missed.
+        least_measurements: tracks with fewer pseudo-measurements in a round keep their trust.
+        least_trust: tracks below are left out of the fused picture; in the air 0.5.
+        radio_m: agents farther apart do not hear each other.
+        cluster_m: tracks of several agents within this distance are of one object.
+
+    Raises:
+        ValueError: a prior is none, or a number is out of its range.
+    """
+
+    agent_prior: str = "untrusted"
+    track_prior: str = "untrusted"
+    prior_strength: float = 1.0
+    agent_bias: float = 4.0
+    agent_threshold: float = 0.4
+    track_bias: float = 1.0
+    track_threshold: float = 0.4
+    return_s: float = 10.0
+    gate_m: float = 3.0
+    self_m: float = 1.0
+    reach_m: float = 70.0
+    near_m: float = 30.0
+    near_frames: int = 2
+    near_weight: float = 0.25
+    far_frames: int = 3
+    distant_m: float = 60.0
+    distant_weight: float = 0.5
+    least_updates: int = 2
+    least_measurements: int = 2
+    least_trust: float = 0.4
+    radio_m: float = 40.0
+    cluster_m: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("agent_prior", "track_prior"):
+            if getattr(self, name) not in PRIOR_MEANS:
+                raise ValueError(f"{name} must be one of {', '.join(PRIOR_MEANS)}, got {getattr(self, name)!r}")
+        for name in ("prior_strength", "agent_bias", "track_bias", "return_s", "gate_m", "cluster_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+RETURN_TO = np.array([0.5, 0.5])
+"""α and β that trust returns to without measurements."""
+
+
+def prior(name: str, count: int, strength: float = 1.0) -> F64:
+    """Return α and β (count, 2) of a prior.
+
+    >>> prior("trusted", 1).tolist()
+    [[0.8, 0.2]]
+    """
+    mean = PRIOR_MEANS[name]
+    return np.tile(np.array([mean, round(1.0 - mean, 12)]) * strength, (count, 1))
+
+
+def mean_of(beta: F64) -> F64:
+    """Return the mean (…) of Beta distributions (…, 2)."""
+    return np.asarray(beta[..., 0] / beta.sum(axis=-1))
+
+
+def std_of(beta: F64) -> F64:
+    """Return the standard deviation (…) of Beta distributions (…, 2)."""
+    total = beta.sum(axis=-1)
+    return np.asarray(np.sqrt(beta.prod(axis=-1) / (total**2 * (total + 1.0))))
+
+
+def gains(value: F64, confidence: F64, bias: float, threshold: float) -> F64:
+    """Return by how much pseudo-measurements (…) move α and β (…, 2).
+
+    >>> gains(np.array([1.0, 0.0]), np.ones(2), bias=4.0, threshold=0.4).tolist()
+    [[0.5, 0.0], [0.0, 3.2]]
+    """
+    n = np.where(value < threshold, bias, 1.0)
+    return np.stack([n / (n + 1) * confidence * value, n**2 / (n + 1) * confidence * (1 - value)], axis=-1)
+
+
+def forget(beta: F64, dt_s: float, return_s: float) -> F64:
+    """Return Beta distributions (…, 2) after some time without measurements.
+
+    >>> forget(np.array([8.5, 0.5]), dt_s=2.5, return_s=10.0).tolist()
+    [6.5, 0.5]
+    """
+    share = min(1.0, dt_s / return_s)
+    return np.asarray((1.0 - share) * beta + share * RETURN_TO)
+
+
+def miss_weight(distance_m: F64, frames: F64, updates: F64, rules: MateRules) -> F64:
+    """Return the weight w (…) of tracks that an agent should have seen.
+
+    Args:
+        distance_m: (…) from the agent.
+        frames: (…) in a row in which its view covered the track.
+        updates: (…) of the track at the center.
+        rules: thresholds.
+    """
+    near = np.where(frames > rules.near_frames, 1.0, rules.near_weight)
+    far = np.clip((frames - rules.far_frames) / rules.far_frames, 0.0, 1.0)
+    of_view = np.where(distance_m < rules.near_m, near, far)
+    of_distance = np.where(distance_m > rules.distant_m, rules.distant_weight, 1.0)
+    return np.asarray(of_view * of_distance * (updates >= rules.least_updates))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MateReport:
+    """What one agent brings to a round.
+
+    Attributes:
+        agent: its name.
+        xy_m: (2,) where it is.
+        seen_xy_m: (K, 2) its own tracks.
+        covers: (J,) bool, which tracks of the center its view covers.
+    """
+
+    agent: str
+    xy_m: F64
+    seen_xy_m: F64
+    covers: Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PseudoMeasurements:
+    """What one agent and the J tracks of the center say of each other; NaN where they say nothing.
+
+    Attributes:
+        agent_value, agent_confidence: (J,) what the agent gets from each track.
+        track_value, track_confidence: (J,) what each track gets from the agent.
+    """
+
+    agent_value: F64
+    agent_confidence: F64
+    track_value: F64
+    track_confidence: F64
+
+
+def pseudo_measurements(
+    report: MateReport,
+    agent_trust: F64,
+    xy_m: F64,
+    updates: NDArray[np.int32],
+    track_trust: F64,
+    frames: NDArray[np.int32],
+    rules: MateRules,
+) -> PseudoMeasurements:
+    """Return what an agent and the tracks of the center say of each other in one round.
+
+    Args:
+        report: of the agent.
+        agent_trust: its α and β (2,).
+        xy_m: (J, 2) tracks of the center.
+        updates: (J,) of each.
+        track_trust: (J, 2) α and β of each.
+        frames: (J,) in a row, this one counted, in which the agent's view covered it.
+        rules: thresholds.
+    """
+    between = np.linalg.norm(xy_m[:, None] - report.seen_xy_m[None], axis=-1)
+    is_matched = assign(rules.gate_m - between) >= 0
+    distance_m = np.linalg.norm(xy_m - report.xy_m, axis=-1)
+    is_self = distance_m < rules.self_m
+    is_missed = ~is_matched & ~is_self & report.covers & (distance_m <= rules.reach_m)
+    is_matched &= ~is_self
+
+    weight = miss_weight(distance_m, frames.astype(np.float64), updates.astype(np.float64), rules)
+    mean, sureness = mean_of(track_trust), 1.0 - 2.0 * std_of(track_trust)
+    own = mean_of(agent_trust)
+    said = np.full((4, len(xy_m)), np.nan)
+    said[2:, is_self] = 1.0
+    said[:, is_matched] = np.stack([mean, sureness, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
+    said[:, is_missed] = np.stack([1.0 - mean, weight * sureness, np.zeros_like(mean), weight * own])[:, is_missed]
+    said[1] = np.clip(said[1], _LEAST_CONFIDENCE, _MOST_CONFIDENCE)
+    return PseudoMeasurements(*said)
+
+
+@dataclass(slots=True)
+class MateTrust:
+    """Trust of agents and of the tracks of a center, round by round.
+
+    >>> trust = MateTrust()
+    >>> here, there = np.array([[10.0, 0.0]]), np.array([0.0, 0.0])
+    >>> report = MateReport("car", there, here, np.array([True]))
+    >>> trust.update(0.0, [report], np.array([7]), here, np.array([5], np.int32))
+    >>> round(trust.of_agent("car"), 3)
+    0.5
+    """
+
+    rules: MateRules = field(default_factory=MateRules)
+    agents: dict[str, F64] = field(default_factory=dict)
+    tracks: dict[int, F64] = field(default_factory=dict)
+    _frames: dict[tuple[str, int], int] = field(default_factory=dict)
+    _t_s: float | None = None
+
+    def of_agent(self, agent: str) -> float:
+        """Return the mean trust of an agent; of one that nobody has heard, that of the prior."""
+        unknown = prior(self.rules.agent_prior, 1, self.rules.prior_strength)[0]
+        return float(mean_of(self.agents.get(agent, unknown)))
+
+    def of_tracks(self, ids: NDArray[np.int64]) -> F64:
+        """Return the mean trust (J,) of tracks; of one that nobody has heard, that of the prior."""
+        return mean_of(self._betas(ids))
+
+    def _betas(self, ids: NDArray[np.int64]) -> F64:
+        unknown = prior(self.rules.track_prior, 1, self.rules.prior_strength)[0]
+        return np.array([self.tracks.get(int(track), unknown) for track in ids]).reshape(-1, 2)
+
+    def update(
+        self,
+        t_s: float,
+        reports: Sequence[MateReport],
+        ids: NDArray[np.int64],
+        xy_m: F64,
+        updates: NDArray[np.int32],
+    ) -> None:
+        """Let agents and tracks of the center measure each other once.
+
+        Args:
+            t_s: time of the round.
+            reports: of the agents that are heard.
+            ids: (J,) of the tracks of the center; trust of others is given up.
+            xy_m: (J, 2) where they are.
+            updates: (J,) how often each was updated.
+
+        Raises:
+            ValueError: time goes back, or a view does not say of each track whether it covers it.
+        """
+        if self._t_s is not None and t_s < self._t_s:
+            raise ValueError(f"time of a round must not go back, got {t_s} after {self._t_s}")
+        if any(report.covers.shape != (len(ids),) for report in reports):
+            raise ValueError(f"each view must say of {len(ids)} tracks whether it covers them")
+        rules = self.rules
+        # 1. Forget; who is new begins with the prior.
+        dt_s = 0.0 if self._t_s is None else t_s - self._t_s
+        self._t_s = t_s
+        fresh = prior(rules.agent_prior, 1, rules.prior_strength)[0]
+        self.agents = {name: forget(beta, dt_s, rules.return_s) for name, beta in self.agents.items()}
+        self.agents |= {report.agent: fresh for report in reports if report.agent not in self.agents}
+        is_known = np.array([int(track) in self.tracks for track in ids], np.bool_)
+        betas = self._betas(ids)
+        betas[is_known] = forget(betas[is_known], dt_s, rules.return_s)
+
+        # 2. What each agent and each track say of each other, all by the trust at the beginning of the round.
+        found = []
+        for report in reports:
+            frames = self._count_frames(report, ids)
+            found.append(pseudo_measurements(report, self.agents[report.agent], xy_m, updates, betas, frames, rules))
+
+        # 3. Move agents, and those tracks of which enough was said.
+        for report, said in zip(reports, found, strict=True):
+            gain = gains(said.agent_value, said.agent_confidence, rules.agent_bias, rules.agent_threshold)
+            self.agents[report.agent] = self.agents[report.agent] + np.nansum(gain, axis=0)
+        if found:
+            values = np.stack([said.track_value for said in found])
+            confidences = np.stack([said.track_confidence for said in found])
+            gain = np.nansum(gains(values, confidences, rules.track_bias, rules.track_threshold), axis=0)
+            is_enough = (~np.isnan(values)).sum(axis=0) >= rules.least_measurements
+            betas = betas + gain * is_enough[:, None]
+        self.tracks = {int(track): beta for track, beta in zip(ids, betas, strict=True)}
+
+    def _count_frames(self, report: MateReport, ids: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Count the frames in a row (J,) in which a view covered each track, this one too."""
+        frames = np.zeros(len(ids), np.int32)
+        counted = {}
+        for k, (track, covers) in enumerate(zip(ids, report.covers, strict=True)):
+            if covers:
+                frames[k] = counted[report.agent, int(track)] = self._frames.get((report.agent, int(track)), 0) + 1
+        others = {key: count for key, count in self._frames.items() if key[0] != report.agent}
+        self._frames = others | counted
+        return frames
+
+    def is_trusted(self, ids: NDArray[np.int64]) -> Mask:
+        """Return which tracks (J,) belong to the fused picture."""
+        return np.asarray(self.of_tracks(ids) >= self.rules.least_trust)
+
+
+def observable(covers: Mask, repairs_empty_view: bool = False) -> Mask:
+    """Return which tracks (J,) an agent's view lets the central tracker miss.
+
+    The published code takes a view that covers no track for no view, so that **all** tracks count; ``True`` repairs it.
+
+    >>> observable(np.array([False, False])).tolist(), observable(np.array([False, False]), True).tolist()
+    ([True, True], [False, False])
+    """
+    if not covers.any() and not repairs_empty_view:
+        return np.ones_like(covers)
+    return covers.copy()
+
+
+def clusters_of(xy_m: F64, radius_m: float) -> NDArray[np.int64]:
+    """Return the number (N,) of the cluster of each point (N, 2): chains of points nearer than ``radius_m``.
+
+    >>> clusters_of(np.array([[0.0, 0.0], [1.5, 0.0], [9.0, 0.0], [3.0, 0.0]]), 2.0).tolist()
+    [0, 0, 1, 0]
+    """
+    is_near = np.linalg.norm(xy_m[:, None] - xy_m[None], axis=-1) < radius_m
+    labels = np.arange(len(xy_m))
+    while True:  # each takes the least label of its neighbors, until none changes
+        least = np.where(is_near, labels[None], len(xy_m)).min(axis=1, initial=len(xy_m))
+        if (least == labels).all():
+            return np.asarray(np.unique(labels, return_inverse=True)[1], np.int64)
+        labels = least

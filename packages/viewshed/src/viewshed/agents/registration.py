@@ -1,0 +1,183 @@
+"""Poses put right within what agents say of their errors, by the surfaces that several of them see.
+
+An honest agent that is half a degree off contradicts others as a dishonest one does. Messages carry the covariance of
+their pose, so that the receiver may look, within it, for the pose at which the agent's surfaces lie on those of others:
+a prior from the covariance, a likelihood from the surfaces that meet, and the mean of both (correlative scan matching;
+Olson, 2009). What is left of a pose that is off is for the checks of views to find.
+
+**Nobody buys freedom by stating large errors.** No pose moves by more than :data:`REACH` standard deviations, and
+those that are stated count up to :data:`MOST_M` and :data:`MOST_TURN`. Agents that state no errors stay where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+
+MOST_M, MOST_TURN = 0.25, float(np.radians(0.6))
+"""Larger standard deviations of a place, along each axis, and of a heading count as these."""
+
+LEAST_M, LEAST_TURN = 0.03, float(np.radians(0.05))
+"""Where both are smaller, a pose is left as it is."""
+
+REACH = 2.0
+"""So many standard deviations a pose is moved along each axis, or turned, at most."""
+
+_STEPS = np.linspace(-REACH, REACH, 5)
+
+_NEAR_M = 45.0
+"""Surfaces up to this range count."""
+
+_MOST_SURFACES = 250
+"""Of more surface cells of the agent that is moved every second, third, ... one counts."""
+
+_FEWEST_MET = 30
+"""So many of them must meet surfaces of others at some pose."""
+
+_NATS_EACH = 0.25
+"""Log-likelihood of a surface that meets one of another agent."""
+
+_CELL_M, _CELLS = 0.25, 1024
+"""Places in the world are kept in cells that repeat after 256 m, farther than two views overlap."""
+
+_BITS = 32
+
+# Covariances are rounded to float32: an eigenvalue below zero by no more than this share of the trace is none.
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class PoseStd:
+    """What an agent says of the errors of its pose: standard deviations.
+
+    Attributes:
+        place_m: along each horizontal axis.
+        yaw: of the heading, radians.
+
+    Raises:
+        ValueError: a number is negative or not finite.
+    """
+
+    place_m: float = 0.0
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.place_m < np.inf and 0.0 <= self.yaw < np.inf):
+            raise ValueError(f"standard deviations must be finite and not negative, got {self.place_m} and {self.yaw}")
+
+    @classmethod
+    def of(cls, covariance: NDArray[np.floating[Any]]) -> Self:
+        """Return those of a covariance (6, 6) of x, y, z, roll, pitch and yaw: the larger one of both axes.
+
+        Raises:
+            ValueError: a number is not finite, or a variance is negative.
+        """
+        if not np.isfinite(covariance).all():
+            raise ValueError("the covariance of a pose must be finite, got others; leave out what is not known")
+        least, slack = float(np.linalg.eigvalsh(covariance)[0]), _ROUNDING * float(np.abs(np.diag(covariance)).sum())
+        if least < -slack:
+            raise ValueError(
+                f"the covariance of a pose must have no negative eigenvalue, got {least:g}; write 0 where it is exact"
+            )
+        place_m2 = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+        return cls(max(place_m2, 0.0) ** 0.5, max(float(covariance[5, 5]), 0.0) ** 0.5)
+
+    @property
+    def bounded(self) -> PoseStd:
+        """What of it counts."""
+        return PoseStd(min(self.place_m, MOST_M), min(self.yaw, MOST_TURN))
+
+    @property
+    def matters(self) -> bool:
+        """Whether the pose may be put right."""
+        return self.place_m >= LEAST_M or self.yaw >= LEAST_TURN
+
+
+EXACT = PoseStd()
+"""Of a pose without errors, or of one whose errors nobody states."""
+
+
+def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> list[Rigid]:
+    """Return the poses of views, put right within their standard deviations; those that state none unchanged.
+
+    Raises:
+        ValueError: a view has no pose.
+    """
+    poses = []
+    for view in views:
+        if view.world_from_level is None:
+            raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be put right")
+        poses.append(view.world_from_level)
+    if len(views) < 2 or not any(std.matters for std in stds):
+        return poses
+    surfaces = [_surfaces(view) for view in views]
+    # Who sees a surface where: a bit for each agent, so that its own can be left out.
+    seen_by = np.zeros((_CELLS, _CELLS), np.uint32)
+    for number, (own, pose) in enumerate(zip(surfaces, poses, strict=True)):
+        _mark(seen_by, number, _placed(own, pose))
+    # One after the other, the least certain first: each meets those before it where they were put.
+    for number in sorted(range(len(views)), key=lambda k: -stds[k].bounded.place_m - 20.0 * stds[k].bounded.yaw):
+        if stds[number].matters and len(surfaces[number]) >= _FEWEST_MET:
+            own = surfaces[number]
+            moved = _put_right(own[:: -(-len(own) // _MOST_SURFACES)], poses[number], stds[number], seen_by, number)
+            _mark(seen_by, number, _placed(own, poses[number]), erase=True)
+            _mark(seen_by, number, _placed(own, moved))
+            poses[number] = moved
+    return poses
+
+
+def _surfaces(view: FovEstimate) -> F64:
+    """Return the centers (S, 2) of the near surface cells of a view, in ``level``."""
+    xy: F64 = view.grid.centers[view.state == CellState.SURFACE]
+    near: F64 = xy[(xy**2).sum(axis=1) < _NEAR_M**2]
+    return near
+
+
+def _placed(xy: F64, pose: Rigid) -> F64:
+    placed: F64 = xy @ pose.rotation[:2, :2].T + pose.translation[:2]
+    return placed
+
+
+def _steps_of(along_m: F64) -> NDArray[np.int32]:
+    """Return in which rows or columns of cells (…,) places along an axis of the world lie."""
+    steps: NDArray[np.int32] = np.floor(along_m / _CELL_M).astype(np.int32) & (_CELLS - 1)
+    return steps
+
+
+def _mark(seen_by: NDArray[np.uint32], number: int, xy: F64, *, erase: bool = False) -> None:
+    """Note that an agent sees surfaces half a meter wide at places (S, 2), or take that back."""
+    flat, bit = seen_by.reshape(-1), np.uint32(1 << number % _BITS)
+    # A surface covers the cell at its lower corner, and those beside it.
+    corner = _steps_of(xy - _CELL_M / 2) @ np.array([_CELLS, 1], np.int32)
+    cells = (corner + np.array([[0], [1], [_CELLS], [_CELLS + 1]], np.int32)) % _CELLS**2
+    flat[cells] = flat[cells] & ~bit if erase else flat[cells] | bit
+
+
+def _put_right(xy: F64, pose: Rigid, std: PoseStd, seen_by: NDArray[np.uint32], number: int) -> Rigid:
+    """Return the mean pose of an agent, given its surfaces (S, 2) in ``level`` and those that others see."""
+    turns, shifts = _STEPS * std.bounded.yaw, _STEPS * std.bounded.place_m
+    # All poses about the stated one: (turns, shifts along x, along y, S).
+    cos, sin = np.cos(pose.yaw + turns), np.sin(pose.yaw + turns)
+    headings = np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=1)
+    turned = xy @ headings + pose.translation[:2]
+    along_x, along_y = (_steps_of(turned[:, None, :, axis] + shifts[:, None]) for axis in (0, 1))
+    cells = along_x[:, :, None] * np.int32(_CELLS) + along_y[:, None]
+    met = ((seen_by.reshape(-1)[cells] & ~np.uint32(1 << number % _BITS)) != 0).sum(axis=-1)
+    if met.max() < _FEWEST_MET:
+        return pose
+    prior = -0.5 * _STEPS**2
+    logs = _NATS_EACH * met + prior[:, None, None] + prior[:, None] + prior
+    weight = np.exp(logs - logs.max())
+    weight /= weight.sum()
+    turn, x_m, y_m = (
+        float(weight.sum(axis=axes) @ values) for axes, values in (((1, 2), turns), ((0, 2), shifts), ((0, 1), shifts))
+    )
+    return Rigid(np.eye(3), np.array([x_m, y_m, 0.0])) @ pose @ Rigid.from_yaw(turn)

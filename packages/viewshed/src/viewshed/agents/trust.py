@@ -1,0 +1,454 @@
+"""Which agents lie: the likelihood of all that they report, under each small set of agents that might.
+
+Whom to believe cannot be decided agent by agent: that one contradicts another speaks against both alike. So the
+hypotheses are sets of liars, none of them, each one, each pair, and each explains all reports at once. An object that
+three agents report and a fourth denies is explained best by the fourth alone; where two contradict each other and no
+third could see, "the one lies" and "the other lies" explain it about as well, and nobody is convicted: it is
+*disputed*.
+
+**Model.** What an honest agent reports follows the measured errors of views and detectors
+(:mod:`viewshed.agents.honest`): whether it reports what other honest agents report and deny, whether it alone reports
+an object (*invented* by its own view, *contradicted* by others'), whether its box lies on the surfaces of its own view
+(*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to agree with its lies, so
+it vouches for them within a bound only. Each agent is asked given the other honest ones: a pseudo-likelihood (Besag,
+1975). A liar does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are
+there: then every report is as likely as none. So whoever is honest about many objects is not cleared of the one.
+
+**Dependence.** Frames are no independent witnesses: an agent that misses an object misses it in the next frame as well.
+So the log-likelihood of an object counts by the time that passed, as one report a second; what one object says is
+bounded by :attr:`TrustRules.most_of_object`, and against a hypothesis only the few objects count that say most
+(:attr:`TrustRules.objects`): an honest agent whose detector is poor errs mildly about many, a liar grossly about some.
+What is older fades.
+
+**Probabilities.** What objects say depends on each other: who misses one behind a bush misses the next one there too.
+Log-likelihoods that add up make up their mind too soon, so they are divided by :attr:`TrustRules.temper` before they
+become probabilities (a tempered posterior; Grünwald 2012). It is the smallest whole number with which at most one in
+twenty honest agents is ever trusted less than .5, in the first 60 calibration scenes of docs/results/agents.md.
+
+**Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
+it does not: the ratio of universal inference (Wasserman, Ramdas, Balakrishnan 2020), an e-value if the likelihoods were
+exact. They are pseudo-likelihoods of measured errors, so accusations are calibrated on benign scenes
+(:class:`TrustLimits`), together with what claimed views say (:mod:`viewshed.agents.suspicion`).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64, Mask
+
+MOST_LIARS = 2
+"""Agents that may lie together; never more than half of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrustRules:
+    """What honest agents and liars are taken to do.
+
+    Attributes:
+        false_report: chance that an honest agent reports an object that nobody else does where others see.
+        lie: share of the objects about which a liar lies.
+        prior: chance that an agent is a liar, before it reports anything.
+        least: no report, and no silence, of an honest agent is less likely: what is rare is known no better.
+        most_ratio: bound in nats of what views say about an invented or a displaced box; half as much for a report.
+        agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
+        disc_m: radius of the disc over which a lie puts an object.
+        astray: share of honest positions that are as those of lies: boxes of objects that are seen in part.
+        objects: so many objects count against a hypothesis, those that say most.
+        most_of_object: bound in nats of what one object says against a hypothesis.
+        half_life_s: after so many seconds a report counts half.
+        temper: log-likelihoods are divided by this before they become probabilities.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    false_report: float = 0.2
+    lie: float = 0.05
+    prior: float = 0.1
+    least: float = 0.005
+    most_ratio: float = 6.0
+    agreeing: float = 0.5
+    disc_m: float = 4.0
+    astray: float = 0.4
+    objects: int = 4
+    most_of_object: float = 20.0
+    half_life_s: float = 10.0
+    temper: float = 4.0
+
+    def __post_init__(self) -> None:
+        for name in ("false_report", "lie", "prior", "least", "agreeing", "astray"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
+        for name in ("most_ratio", "disc_m", "objects", "most_of_object", "half_life_s", "temper"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be positive and finite, got {getattr(self, name):g}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reports:
+    """What A agents say of J objects at one time; each of the objects is reported by somebody.
+
+    Attributes:
+        ids: (J,) int64, the same for one object over time.
+        seen: (J, A) bool, who reports it.
+        able: (J, A) bool, who could.
+        sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
+        reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
+        of_others: (others, deniers) log-odds for so many others that report an object and so many that deny it.
+        invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
+        contradicted: (J, A) the same in the views of others.
+        displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
+        there: (J, A) log-odds that each agent's report or silence adds to those that the object is one.
+        prior: (J,) log-odds that it is one, without them.
+        xy_m: (J, A, 2) where it is reported, in the world; NaN where it is not.
+        std_m: (J, A) standard deviation of an honest report's position along each axis.
+        elevated: (A,) bool, whose sensors look over the traffic.
+
+    Raises:
+        ValueError: the shapes do not fit, or a number is missing.
+    """
+
+    ids: NDArray[np.int64]
+    seen: Mask
+    able: Mask
+    sees: Mask
+    reported: F64
+    of_others: F64
+    invented: F64
+    contradicted: F64
+    displaced: F64
+    there: F64
+    prior: F64
+    xy_m: F64
+    std_m: F64
+    elevated: Mask
+
+    def __post_init__(self) -> None:
+        shape = self.seen.shape
+        if self.ids.shape != shape[:1] or self.prior.shape != shape[:1] or self.xy_m.shape != (*shape, 2):
+            raise ValueError(
+                f"reports of {len(self.ids)} objects must have prior (J,), seen (J, A) and xy_m (J, A, 2), got"
+                f" {self.prior.shape}, {shape} and {self.xy_m.shape}"
+            )
+        for name in ("able", "sees", "reported", "invented", "contradicted", "displaced", "there", "std_m"):
+            values = getattr(self, name)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name} must be {shape} finite numbers, got {values.shape}")
+        if not (self.std_m > 0).all():
+            raise ValueError("std_m must be positive, got others")
+        if not np.isfinite(self.xy_m[self.seen]).all():
+            raise ValueError("xy_m must be finite wherever an object is reported")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdicts:
+    """What is believed of each of A agents, and of each of J objects.
+
+    Attributes:
+        evidence: (A,) natural logarithm of the e-value against "this agent is honest".
+        doubt: how much better the best hypothesis with a liar explains the reports than "all are honest", in nats.
+        trust: (A,) probability that the agent is honest.
+        ids: (J,) of the objects of the last reports.
+        existence: (J,) probability that each exists, whoever lies.
+        suspects: (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars.
+        elevated: (A,) bool, whose sensors look over the traffic.
+    """
+
+    evidence: F64
+    doubt: float
+    trust: F64
+    ids: NDArray[np.int64]
+    existence: F64
+    suspects: Mask
+    elevated: Mask
+
+
+@dataclass(slots=True)
+class Trust:
+    """Follows what a number of agents report; see the module for the model.
+
+    Args:
+        agents: how many there are.
+        rules: of the model.
+    """
+
+    agents: int
+    rules: TrustRules = field(default_factory=TrustRules)
+    _lies: Mask = field(init=False, repr=False)
+    _share_of_lies: F64 = field(init=False, repr=False)
+    _of_objects: dict[int, F64] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.agents < 1:
+            raise ValueError(f"agents must be at least one, got {self.agents}")
+        self._lies = hypotheses(self.agents)
+        # Chance (H, H) that the liars of a hypothesis lie about an object as a set of agents, and all others do not.
+        liars, among = self._lies.sum(axis=1), ~(self._lies[None] & ~self._lies[:, None]).any(axis=2)
+        shares = self.rules.lie ** liars[None] * (1 - self.rules.lie) ** (liars[:, None] - liars[None])
+        self._share_of_lies = np.where(among, shares, 0.0)
+
+    def reset(self) -> None:
+        """Forget all reports."""
+        self._of_objects.clear()
+
+    def regroup(self, kept: Sequence[int]) -> None:
+        """Follow other agents: who stays keeps its record, who comes begins at the prior.
+
+        Args:
+            kept: for each agent from now on, its number so far; -1 for one that comes.
+        """
+        known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
+        # What is known of each set of liars among those who stay. Who goes may have lied or not, as explains most.
+        stays, numbers = frozenset(kept), dict[frozenset[int], list[int]]()
+        for number, line in enumerate(self._lies):
+            numbers.setdefault(stays.intersection(np.flatnonzero(line).tolist()), []).append(number)
+        logs = {liars: known[:, columns].max(axis=1) for liars, columns in numbers.items()}
+        nobody = logs[frozenset()]
+        self.agents = len(kept)
+        self.__post_init__()
+        columns = []
+        for line in self._lies:
+            # Who comes has said nothing yet: it explains as much as if it were honest.
+            liars = frozenset(kept[agent] for agent in np.flatnonzero(line).tolist()) - {-1}
+            if liars in logs:
+                columns.append(logs[liars])
+                continue
+            # A pair that was no hypothesis so far explains what both do, and no more than the better one alone.
+            gains = np.array([logs.get(frozenset({liar}), nobody) - nobody for liar in liars])
+            columns.append(nobody + np.minimum(gains.sum(axis=0), gains.max(axis=0)))
+        carried = np.stack(columns, axis=1)
+        carried -= carried.max(axis=1, initial=-np.inf, keepdims=True)
+        self._of_objects = dict(zip(self._of_objects, carried, strict=True))
+
+    def add(self, reports: Reports, seconds: float) -> Verdicts:
+        """Return what is believed after the next reports.
+
+        Args:
+            reports: of all agents.
+            seconds: since the reports before; at most one second of them counts.
+
+        Raises:
+            ValueError: there are other agents, or no time has passed.
+        """
+        if reports.seen.shape[1] != self.agents or not seconds > 0:
+            raise ValueError(
+                f"reports must be of {self.agents} agents, some time after the last ones, got {reports.seen.shape[1]}"
+                f" agents after {seconds:g} s"
+            )
+        # What is older fades; an object that says nothing any more is forgotten.
+        fade = 0.5 ** (seconds / self.rules.half_life_s)
+        faded = {number: fade * known for number, known in self._of_objects.items()}
+        self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
+        for number, logs in zip(reports.ids.tolist(), min(seconds, 1.0) * self._likelihoods(reports), strict=True):
+            self._of_objects[number] = self._of_objects.get(number, 0.0) + logs - logs.max()
+        return self._verdicts(reports)
+
+    def _likelihoods(self, reports: Reports) -> F64:
+        """Return the log-likelihoods (J, H) of the reports of each object, for each set of agents that lie about it."""
+        rules, honest, seen = self.rules, ~self._lies[None], reports.seen[:, None]
+        # How many other honest agents report the object, and how many deny it: (J, H, A).
+        reporters, deniers = seen & honest, (reports.sees & ~reports.seen)[:, None] & honest
+        others = reporters.sum(axis=2, keepdims=True) - reporters
+        denied = deniers.sum(axis=2, keepdims=True) - deniers
+        most = np.array(reports.of_others.shape) - 1
+        odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
+        chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
+        # A lie's box may agree with its own view as an honest one does, for the view may be forged; not with others'.
+        displaced, invented = (self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented))
+        invented = invented + np.clip(reports.contradicted, -rules.most_ratio / 2, rules.most_ratio)[:, None]
+        # Who alone reports an object errs seldom where others see; where they do not, it is as likely as not.
+        alone = np.where(denied > 0, np.log(rules.false_report), np.log(0.5)) - invented
+        with_others = np.where(
+            seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
+        )
+        by_itself = np.where(seen, alone, np.log1p(-rules.false_report))
+        # Those who lie together agree on a place as well.
+        lied = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
+        logs = np.where(honest, np.where(others > 0, with_others, by_itself), lied)
+        summed: F64 = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
+        return summed
+
+    def _unless_forged(self, ratios: F64) -> F64:
+        """Return log-ratios (J, A) of what an agent's own view says, if the views of liars agree with some lies."""
+        bounded = np.exp(np.clip(ratios, -self.rules.most_ratio, self.rules.most_ratio))
+        return np.log(self.rules.agreeing + (1.0 - self.rules.agreeing) * bounded)
+
+    def _agreement(self, reports: Reports, reporters: Mask) -> F64:
+        """Return the log-ratio (J, H, A) of each position about the mean of the other reporters' over one anywhere.
+
+        Positions are normal about it, but for a share that lies astray.
+        """
+        of_agents = reports.std_m**-2.0
+        # Sums over all reporters but the agent itself.
+        weight = np.where(reporters, of_agents[:, None], 0.0)
+        rest = weight.sum(axis=2, keepdims=True) - weight
+        some = rest > 1e-9
+        rest = np.where(some, rest, 1.0)
+        apart_m2 = np.zeros_like(rest)
+        for along in np.moveaxis(np.where(reports.seen[..., None], reports.xy_m, 0.0), 2, 0):
+            moment = weight * along[:, None]
+            apart_m2 += (along[:, None] - (moment.sum(axis=2, keepdims=True) - moment) / rest) ** 2
+        variance = (1.0 / of_agents)[:, None] + 1.0 / rest
+        ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-apart_m2 / (2.0 * variance))
+        return np.where(some, np.log((1.0 - self.rules.astray) * ratio + self.rules.astray), 0.0)
+
+    def _verdicts(self, reports: Reports) -> Verdicts:
+        """Return what is believed of the agents, and of the objects of the last reports."""
+        known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
+        # A hypothesis is the mean over the sets of its liars that may lie about an object.
+        of_objects = _mixed(known, self._share_of_lies)
+        # What an object says for hypotheses, against that nobody lies, is scaled down to the bound, and few objects
+        # count. All hypotheses are scaled alike: the worse ones, bounded each by itself, would catch up over time.
+        gain, bound = of_objects - of_objects[:, :1], self.rules.most_of_object
+        largest = np.maximum(np.abs(gain).max(axis=1, initial=0.0, keepdims=True), 1e-9)
+        gain *= bound * np.tanh(largest / bound) / largest
+        most = np.sort(np.maximum(gain, 0.0), axis=0)[::-1][: self.rules.objects]
+        logs = most.sum(axis=0) + np.minimum(gain, 0.0).sum(axis=0)
+        # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
+        evidence = np.empty(self.agents)
+        for agent in range(self.agents):
+            lies = self._lies[:, agent]
+            evidence[agent] = _log_mean_exp(logs[lies]) - logs[~lies].max() if lies.any() else 0.0
+        liars = self._lies.sum(axis=1)
+        prior = liars * np.log(self.rules.prior) + (self.agents - liars) * np.log1p(-self.rules.prior)
+        posterior = prior + logs / self.rules.temper
+        posterior = np.exp(posterior - posterior.max())
+        posterior /= posterior.sum()
+        best = logs >= logs.max() - 1.0
+        best &= liars == liars[best].min()
+        # An object is one by what those say who are honest.
+        odds = reports.prior[:, None] + reports.there @ (~self._lies).T.astype(np.float64)
+        existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
+        return Verdicts(
+            evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
+            self._lies[best].any(axis=0), reports.elevated,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrustLimits:
+    """Accuses agents at a stated rate, calibrated on benign scenes.
+
+    The unit is the scene: whoever is accused must be more suspicious than the most suspicious agent of its kind, low or
+    elevated, of nearly all benign scenes; an elevated sensor misses what stands beneath it, and errs more. Each kind in
+    a scene gets its part of the rate (Bonferroni). If the scene at hand is one like the others (exchangeable), somebody
+    is accused in at most the stated share of benign scenes, however the agents of one scene depend on each other. That
+    promises more than a false discovery rate over agents (Benjamini and Hochberg, 1995), and needs fewer scenes: 199
+    for 1 % and two kinds, where one random agent of each scene, among five, needed 499.
+
+    Attributes:
+        low: (N,) how suspicious any low sensor of each benign scene is at most, over time, ascending.
+        elevated: (N,) the same against any elevated one.
+        doubt: (N,) largest doubt of each benign scene, ascending.
+    """
+
+    low: F64
+    elevated: F64
+    doubt: F64
+
+    @classmethod
+    def of(
+        cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]
+    ) -> TrustLimits:
+        """Return the limits of N benign scenes: the most suspicious agent of each kind, and the largest doubt.
+
+        Raises:
+            ValueError: there are none, or a number is not finite.
+        """
+        columns = [np.asarray(one, np.float64) for one in (low, elevated, doubt)]
+        if any(one.shape != (len(low),) for one in columns) or not len(low):
+            shapes = ", ".join(str(one.shape) for one in columns)
+            raise ValueError(f"low, elevated and doubt must be (N,) of benign scenes, got {shapes}")
+        if not all(np.isfinite(one).all() for one in columns):
+            raise ValueError("suspicion and doubt must be finite; leave out scenes without reports")
+        return cls(*(np.sort(one) for one in columns))
+
+    def to_json(self) -> str:
+        """Return the limits as text."""
+        return json.dumps({name: getattr(self, name).round(4).tolist() for name in self.__slots__}) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> TrustLimits:
+        """Return the limits in a text of :meth:`to_json`."""
+        table = json.loads(text)
+        return cls.of(*(np.array(table[name]) for name in cls.__slots__))
+
+    @property
+    def least_rate(self) -> float:
+        """The smallest rate that so many scenes support, with sensors of both kinds."""
+        return 2.0 / (len(self.doubt) + 1.0)
+
+    def accused(self, suspicion: F64, elevated: Mask, rate: float) -> Mask:
+        """Return who is accused (A,) by how suspicious each is (A,): somebody in at most this share of benign scenes.
+
+        Raises:
+            ValueError: so few scenes support no such rate.
+        """
+        kinds = len(np.unique(elevated))
+        self._check(rate / max(kinds, 1))
+        of_low, of_elevated = (_p_values(benign, suspicion) for benign in (self.low, self.elevated))
+        return np.asarray(kinds * np.where(elevated, of_elevated, of_low) <= rate * (1.0 + 1e-9))
+
+    def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:
+        """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.
+
+        Raises:
+            ValueError: so few scenes support no such rate.
+        """
+        self._check(rate)
+        somebody = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate
+        return verdicts.suspects & ~accused if somebody else np.zeros_like(verdicts.suspects)
+
+    def _check(self, rate: float) -> None:
+        need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
+        if need < 0 or len(self.doubt) < need:
+            raise ValueError(f"rate must be in (0, 1), and {rate:g} needs {need} benign scenes, got {len(self.doubt)}")
+
+
+@lru_cache(maxsize=1)
+def trust_limits() -> TrustLimits:
+    """Return the limits in the box, of the calibration scenes of docs/results/agents.md."""
+    return TrustLimits.from_json(resources.files("viewshed.agents").joinpath("limits.json").read_text("utf-8"))
+
+
+def hypotheses(agents: int) -> Mask:
+    """Return who lies under each hypothesis (H, agents): first nobody, then each one, then each pair.
+
+    >>> hypotheses(3).astype(int).tolist()
+    [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    """
+    most = min(MOST_LIARS, agents // 2)
+    sets = [chosen for count in range(most + 1) for chosen in combinations(range(agents), count)]
+    out = np.zeros((len(sets), agents), np.bool_)
+    for line, chosen in zip(out, sets, strict=True):
+        line[list(chosen)] = True
+    return out
+
+
+def _mixed(logs: F64, shares: F64) -> F64:
+    """Return the logarithms of the means (J, H) of likelihoods (J, H) given as logarithms, by shares (H, H)."""
+    highest = logs.max(axis=1, keepdims=True)
+    highest = np.where(np.isfinite(highest), highest, 0.0)
+    return np.log(np.maximum(np.exp(logs - highest) @ shares.T, 1e-300)) + highest
+
+
+def _log_mean_exp(logs: F64) -> float:
+    highest = float(logs.max())
+    return highest + float(np.log(np.exp(logs - highest).mean()))
+
+
+def _p_values(benign: F64, values: F64) -> F64:
+    """Return the conformal p-values (K,) of values (K,) against those of benign scenes (N,), ascending."""
+    above = len(benign) - np.searchsorted(benign, values, "left")
+    p_values: F64 = np.asarray((1.0 + above) / (1.0 + len(benign)), np.float64)
+    return p_values

@@ -1,0 +1,505 @@
+"""What one agent says of one sweep: where it was, what it saw, what it found, and whether it doubts its sweep.
+
+A payload is a map of deterministic CBOR; ``docs/view_message.cddl`` is its schema. Numbers of many objects are typed
+arrays, and positions of tracks are differences to the position of the sender, so that float32 holds them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import MultiPolygon
+
+from viewshed.agents import cbor
+from viewshed.agents.fov_code import decode_fov, encode_fov, has_std
+from viewshed.agents.polygon_code import MAX_BYTES as MAX_POLYGON_BYTES
+from viewshed.agents.polygon_code import decode_polygon
+from viewshed.arrays import F64
+from viewshed.detections import Detections, ObjectKind
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import Target
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.grid import BevGrid
+from viewshed.monitor.evidence.base import SECTORS
+from viewshed.monitor.report import IntegrityReport
+from viewshed.objects.tracks import Tracks
+
+VERSION = 2
+"""Version of the payload; a receiver refuses others."""
+
+MAX_BYTES = 49_152
+"""The most bytes of a signed message."""
+
+MAX_TRACKS = 256
+MAX_DETECTIONS = 512
+
+MAX_EPOCH = 2**53
+MAX_SEQUENCE = 2**53
+MAX_T_NS = 2**63 - 1
+
+FIELDS = (
+    "version", "agent", "number", "t_ns", "frame", "pose",
+    "sensor", "view", "inner", "detections", "tracks", "report",
+)  # fmt: skip
+"""Fields of a payload by their keys."""
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,32}")
+
+_LAST_KIND = int(max(ObjectKind))
+
+_UPPER6 = np.triu_indices(6)
+_UPPER4 = np.triu_indices(4)
+
+
+def _square(size: int) -> NDArray[np.intp]:
+    """Return where each number of a symmetric matrix (size, size) stands among those of its upper triangle."""
+    rows, columns = np.triu_indices(size)
+    square = np.zeros((size, size), np.intp)
+    square[rows, columns] = square[columns, rows] = np.arange(len(rows))
+    return square
+
+
+_SQUARE6, _SQUARE4 = _square(6), _square(4)
+
+# Covariances are rounded to float32: an eigenvalue below zero by no more than this share of the trace is none.
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFacts:
+    """The sensor of a view.
+
+    Attributes:
+        name: of the beam table, or as the sender calls it; at most 32 characters.
+        height_m: above the ground below it; NaN where that is not known.
+        reach_m: how far it sees a dark target; NaN where that is not known.
+    """
+
+    name: str
+    height_m: float = math.nan
+    reach_m: float = math.nan
+
+    def __post_init__(self) -> None:
+        if not (0 < len(self.name) <= 32 and self.name.isprintable()):
+            raise ValueError(f"the name of a sensor must have 1 to 32 printable characters, got {self.name[:40]!r}")
+        if math.isinf(self.height_m) or self.reach_m < 0.0 or math.isinf(self.reach_m):
+            raise ValueError(f"height and reach must be finite or NaN, got {self.height_m} and {self.reach_m}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedTracks:
+    """The tracks that an agent shares, in the frame of its message.
+
+    Attributes:
+        ids: (N,) int64, the sender's own, the same for one object over time.
+        states: (N, 4) x, y in meters and their velocities in m/s.
+        covariances: (N, 4, 4) of the states.
+        boxes: (N, 7) columns ``viewshed.detections.BOX_COLUMNS``; the centers are those of the states.
+        box_variances: (N, 5) of z, length, width, height (square meters) and yaw (square radians).
+        kinds: (N,) uint8 of :class:`viewshed.detections.ObjectKind`.
+        existence: (N,) probability that there is such an object.
+        visible: (N,) probability that the sender's view let it be seen.
+        detectable: (N,) probability that the sender's detector finds it where the view lets it be seen.
+        born_hidden: (N,) probability, at its first detection, that it could have come from where nothing was seen.
+        age_s: (N,) seconds since the first detection.
+        unseen_s: (N,) seconds since the last detection.
+
+    Raises:
+        ValueError: the lengths differ, a number is not finite or out of its range, a covariance is none.
+    """
+
+    ids: NDArray[np.int64]
+    states: F64
+    covariances: F64
+    boxes: F64
+    box_variances: F64
+    kinds: NDArray[np.uint8]
+    existence: F64
+    visible: F64
+    detectable: F64
+    born_hidden: F64
+    age_s: F64
+    unseen_s: F64
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if count > MAX_TRACKS:
+            raise ValueError(f"a message must have at most {MAX_TRACKS} tracks, got {count}")
+        for name, shape in _TRACK_SHAPES.items():
+            array = getattr(self, name)
+            if array.shape != (count, *shape):
+                raise ValueError(f"{name} of tracks must have the shape {(count, *shape)}, got {array.shape}")
+        numbers = np.concatenate([getattr(self, name).ravel() for name in _TRACK_FLOATS])
+        if not np.isfinite(numbers).all():
+            wrong = [name for name in _TRACK_FLOATS if not np.isfinite(getattr(self, name)).all()]
+            raise ValueError(f"{wrong[0]} of tracks must be finite")
+        if (self.boxes[:, 3:6] <= 0).any() or (self.box_variances < 0).any():
+            raise ValueError("boxes of tracks must have positive sizes, and variances that are not negative")
+        if count and self.kinds.max() > _LAST_KIND:
+            raise ValueError(f"kinds of tracks must lie in [0, {_LAST_KIND}], got {self.kinds.max()}")
+        # The last columns of the numbers are four probabilities, age and time unseen.
+        ends = numbers[len(numbers) - 6 * count :]
+        if count and not (ends.min() >= 0.0 and ends[: 4 * count].max() <= 1.0):
+            raise ValueError("probabilities of tracks must lie in [0, 1], and their times not be negative")
+        _require_covariances(self.covariances, "covariances of tracks")
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self.ids)
+
+    @classmethod
+    def of(cls, tracks: Tracks) -> SharedTracks:
+        """Return the confirmed tracks of a tracker, the most probable first, at most :data:`MAX_TRACKS`.
+
+        Raises:
+            ValueError: the tracks are not in the world.
+        """
+        if not tracks.in_world:
+            raise ValueError("shared tracks must be in the world; give the tracker poses")
+        order = np.argsort(-tracks.existence, kind="stable")
+        chosen = order[tracks.confirmed[order]][:MAX_TRACKS]
+        plain = {name: getattr(tracks, name)[chosen] for name in _SAME_NAMES}
+        return cls(
+            **plain,
+            age_s=np.maximum(tracks.t_s - tracks.born_s[chosen], 0.0),
+            unseen_s=np.maximum(tracks.t_s - tracks.seen_s[chosen], 0.0),
+        )
+
+
+_TRACK_SHAPES: dict[str, tuple[int, ...]] = {
+    "ids": (), "states": (4,), "covariances": (4, 4), "boxes": (7,), "box_variances": (5,), "kinds": (),
+    "existence": (), "visible": (), "detectable": (), "born_hidden": (), "age_s": (), "unseen_s": (),
+}  # fmt: skip
+
+_TRACK_FLOATS = [name for name in _TRACK_SHAPES if name not in ("ids", "kinds")]
+
+_SAME_NAMES = [name for name in _TRACK_SHAPES if name not in ("age_s", "unseen_s")]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewMessage:
+    """What one agent says of one sweep.
+
+    Attributes:
+        agent: who says it: 1 to 32 letters, digits, ``_``, ``.`` or ``-``.
+        sequence: number of the message, greater than that of each earlier one of this epoch.
+        t_ns: time of the sweep by the agent's clock, nanoseconds since 1970.
+        frame: name of the map that the pose is in.
+        world_from_level: pose of the ``level`` frame in that map.
+        pose_covariance: (6, 6) of x, y, z in meters and rotations about x, y, z in radians, in the map.
+        sensor: what saw it.
+        view: the estimate, or None; what comes back is quantized (``fov_code``).
+        inner: code of a polygon inside the visible cells, meters in ``level`` (``polygon_code``), or None.
+        detections: objects of this sweep in ``level``, or None.
+        tracks: objects over time in the map, or None.
+        report: what a monitor said of the sweep, or None; reasons and suspect cells are not sent.
+        epoch: which start of the agent this is, greater at each: the milliseconds since 1970 when it started, or a
+            counter that it keeps in a file. Its numbers begin anew with each epoch.
+
+    Raises:
+        ValueError: a value is not as above.
+    """
+
+    agent: str
+    sequence: int
+    t_ns: int
+    frame: str
+    world_from_level: Rigid
+    pose_covariance: F64
+    sensor: SensorFacts
+    view: FovEstimate | None = None
+    inner: bytes | None = None
+    detections: Detections | None = None
+    tracks: SharedTracks | None = None
+    report: IntegrityReport | None = None
+    epoch: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("agent", "frame"):
+            require_name(name, getattr(self, name))
+        for name, highest in (("epoch", MAX_EPOCH), ("sequence", MAX_SEQUENCE), ("t_ns", MAX_T_NS)):
+            if not 0 <= getattr(self, name) <= highest:
+                raise ValueError(f"{name} must lie in [0, {highest}], got {getattr(self, name)}")
+        if self.pose_covariance.shape != (6, 6):
+            raise ValueError(f"pose_covariance must have the shape (6, 6), got {self.pose_covariance.shape}")
+        _require_covariances(self.pose_covariance[None], "pose_covariance")
+        if self.inner is not None and len(self.inner) > MAX_POLYGON_BYTES:
+            raise ValueError(f"the code of an inner polygon must have at most {MAX_POLYGON_BYTES} bytes")
+        if self.detections is not None and len(self.detections) > MAX_DETECTIONS:
+            raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, got {len(self.detections)}")
+
+    @property
+    def inner_polygon(self) -> MultiPolygon | None:
+        """The polygon inside the visible cells, meters in ``level``, or None where none was sent."""
+        return None if self.inner is None else decode_polygon(self.inner)
+
+
+def require_name(what: str, name: str) -> None:
+    """Raise ValueError where a name is not 1 to 32 letters, digits, ``_``, ``.`` or ``-``."""
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{what} must be 1 to 32 letters, digits, '_', '.' or '-', got {name[:40]!r}")
+
+
+def _require_covariances(matrices: F64, what: str) -> None:
+    """Raise ValueError where one of some matrices (N, K, K) is not finite, not symmetric or has a negative variance."""
+    if not np.isfinite(matrices).all():
+        raise ValueError(f"{what} must be finite")
+    slack = _ROUNDING * np.abs(np.einsum("nii->n", matrices)) + 1e-12
+    if (np.abs(matrices - matrices.swapaxes(1, 2)) > slack[:, None, None]).any():
+        raise ValueError(f"{what} must be symmetric")
+    try:  # what has a negative eigenvalue has no Cholesky decomposition
+        np.linalg.cholesky(matrices + slack[:, None, None] * np.eye(matrices.shape[-1]))
+    except np.linalg.LinAlgError:
+        raise ValueError(f"{what} must have no negative eigenvalue") from None
+
+
+def encode_message(message: ViewMessage) -> bytes:
+    """Return the payload of a message.
+
+    Raises:
+        ImportError: cbor2 is not installed.
+        ValueError: the view is too large or too irregular.
+    """
+    origin = message.world_from_level.translation
+    fields: dict[int, Any] = {
+        0: VERSION,
+        1: message.agent,
+        2: [message.epoch, message.sequence],
+        3: message.t_ns,
+        4: message.frame,
+        5: [
+            np.concatenate([origin, quaternion_from_rotation(message.world_from_level.rotation)]),
+            message.pose_covariance[_UPPER6].astype(np.float32),
+        ],
+        6: [message.sensor.name, float(message.sensor.height_m), float(message.sensor.reach_m)],
+    }
+    if message.view is not None:
+        fields[7] = _view_fields(message.view)
+    if message.inner is not None:
+        fields[8] = message.inner
+    if message.detections is not None:
+        found = message.detections
+        fields[9] = [found.boxes.astype(np.float32).ravel(), found.kinds, found.returns]
+    if message.tracks is not None:
+        fields[10] = _track_fields(message.tracks, origin)
+    if message.report is not None:
+        fields[11] = _report_fields(message.report)
+    return cbor.dumps(fields)
+
+
+def _view_fields(view: FovEstimate) -> dict[int, Any]:
+    grid, target = view.grid, view.target
+    sizes = [float(target.length_m), float(target.width_m), float(target.height_m)]
+    return {
+        0: [grid.cells, float(grid.half_extent_m), *map(float, grid.offset_m)],
+        1: [target.name, *sizes, target.min_returns],
+        2: float(view.threshold),
+        3: view.method,
+        4: has_std(view),
+        5: encode_fov(view),
+    }
+
+
+def _track_fields(tracks: SharedTracks, origin: F64) -> dict[int, Any]:
+    states = np.column_stack([tracks.states[:, :2] - origin[:2], tracks.states[:, 2:]])
+    shapes = np.column_stack([tracks.boxes[:, 2] - origin[2], tracks.boxes[:, 3:]])
+    shares = np.stack([tracks.existence, tracks.visible, tracks.detectable, tracks.born_hidden], axis=1)
+    return {
+        0: tracks.ids.astype(np.int64),
+        1: states.astype(np.float32).ravel(),
+        2: tracks.covariances[:, *_UPPER4].astype(np.float32).ravel(),
+        3: shapes.astype(np.float32).ravel(),
+        4: tracks.box_variances.astype(np.float32).ravel(),
+        5: tracks.kinds.astype(np.uint8),
+        6: np.rint(255 * shares).astype(np.uint8).ravel(),
+        7: np.stack([tracks.age_s, tracks.unseen_s], axis=1).astype(np.float32).ravel(),
+    }
+
+
+def _report_fields(report: IntegrityReport) -> list[Any]:
+    return [
+        report.monitor[:64],
+        float(report.score),
+        float(report.threshold),
+        float(report.p_value),
+        bool(report.degraded),
+        float(report.degraded_p_value),
+        np.packbits(report.suspect).tobytes(),
+    ]
+
+
+def decode_message(payload: bytes) -> ViewMessage:
+    """Return the message of a payload, checked; the view's cells are decoded.
+
+    Raises:
+        ValueError: it is no payload of this version, or one of its values is not what it must be.
+    """
+    if len(payload) > MAX_BYTES:
+        raise ValueError(f"a payload must have at most {MAX_BYTES} bytes, got {len(payload)}")
+    fields = cbor.loads(payload)
+    if not isinstance(fields, dict) or fields.get(0) != VERSION:
+        raise ValueError(f"a payload must be a map whose version is {VERSION}")
+    try:
+        return _message_of(fields)
+    except (KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
+        raise ValueError(f"a payload must have the fields of its schema, of their types: {error!r}") from error
+
+
+def _message_of(fields: dict[int, Any]) -> ViewMessage:
+    unknown = fields.keys() - set(range(len(FIELDS)))
+    if unknown:
+        raise ValueError(f"keys of a payload must lie in [0, {len(FIELDS) - 1}], got {min(unknown)}")
+    pose, upper = _columns(fields[5], (np.float64, np.float32))
+    world_from_level = Rigid.from_quaternion(pose[3:], pose[:3])
+    covariance = upper.astype(np.float64)[_SQUARE6]
+    name, height_m, reach_m = fields[6]
+    agent, t_ns = _text(fields[1]), _whole(fields[3])
+    epoch, sequence = fields[2]
+    view, inner, found, tracks, report = (fields.get(key) for key in range(7, 12))
+    if inner is not None:
+        decode_polygon(_bytes(inner))
+    return ViewMessage(
+        agent=agent,
+        sequence=_whole(sequence),
+        t_ns=t_ns,
+        frame=_text(fields[4]),
+        world_from_level=world_from_level,
+        pose_covariance=covariance,
+        sensor=SensorFacts(_text(name), _number(height_m), _number(reach_m)),
+        view=None if view is None else _view_of(view, agent, t_ns, world_from_level),
+        inner=inner,
+        detections=None if found is None else _detections_of(found),
+        tracks=None if tracks is None else _tracks_of(tracks, world_from_level.translation),
+        report=None if report is None else _report_of(report),
+        epoch=_whole(epoch),
+    )
+
+
+def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovEstimate:
+    cells, *extent = fields[0]
+    name, *sizes, least = fields[1]
+    half_extent_m, x_m, y_m = map(_number, extent)
+    length_m, width_m, height_m = map(_number, sizes)
+    grid = BevGrid(_whole(cells), half_extent_m, (x_m, y_m))
+    threshold, with_std = _number(fields[2]), fields[4] is True
+    found = decode_fov(_bytes(fields[5]), grid, threshold, with_std)
+    return FovEstimate(
+        grid=grid,
+        visible_prob=found.visible_prob,
+        state=found.state,
+        std=found.std,
+        method=_text(fields[3])[:64],
+        target=Target(_text(name)[:64], length_m, width_m, height_m, _whole(least)),
+        threshold=threshold,
+        world_from_level=pose,
+        t_ns=t_ns,
+        agent=agent,
+    )
+
+
+def _detections_of(fields: list[Any]) -> Detections:
+    boxes, kinds, returns = _columns(fields, (np.float32, np.uint8, np.int32))
+    if len(kinds) > MAX_DETECTIONS or (len(kinds) and kinds.max() > _LAST_KIND):
+        raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, of known kinds")
+    if len(boxes) != 7 * len(kinds):
+        raise ValueError("columns of detections must all be of as many objects")
+    return Detections(boxes.reshape(-1, 7).astype(np.float64), kinds, returns)
+
+
+# Types of the columns of tracks, and how many numbers each has of a track.
+_TRACK_TYPES = (np.int64, np.float32, np.float32, np.float32, np.float32, np.uint8, np.uint8, np.float32)
+_TRACK_WIDTHS = (1, 4, 10, 5, 5, 1, 4, 2)
+
+
+def _tracks_of(fields: dict[int, Any], origin: F64) -> SharedTracks:
+    columns = _columns([fields[key] for key in range(len(_TRACK_TYPES))], _TRACK_TYPES)
+    count = len(columns[0])
+    if count > MAX_TRACKS:
+        raise ValueError(f"a message must have at most {MAX_TRACKS} tracks, got {count}")
+    if [len(column) for column in columns] != [count * width for width in _TRACK_WIDTHS]:
+        raise ValueError("columns of tracks must all be of as many tracks")
+    wide = [
+        column.astype(np.float64).reshape(count, width) for column, width in zip(columns, _TRACK_WIDTHS, strict=True)
+    ]
+    states, upper, shapes, variances, shares, times = (wide[key] for key in (1, 2, 3, 4, 6, 7))
+    states[:, :2] += origin[:2]
+    shapes[:, 0] += origin[2]
+    covariances = upper[:, _SQUARE4]
+    existence, visible, detectable, born_hidden = (shares / 255.0).T
+    return SharedTracks(
+        columns[0], states, covariances, np.column_stack([states[:, :2], shapes]), variances, columns[5],
+        existence, visible, detectable, born_hidden, *times.T,
+    )  # fmt: skip
+
+
+def _report_of(fields: list[Any]) -> IntegrityReport:
+    monitor, score, threshold, p_value, degraded, degraded_p_value, suspect = fields
+    sectors = np.unpackbits(np.frombuffer(_bytes(suspect), np.uint8))
+    if len(sectors) != SECTORS:
+        raise ValueError(f"a report must have {SECTORS} sectors, got {len(sectors)}")
+    return IntegrityReport(
+        _text(monitor)[:64],
+        _number(score),
+        _number(threshold),
+        _number(p_value),
+        degraded is True,
+        _number(degraded_p_value),
+        sectors.astype(np.bool_),
+    )
+
+
+def _columns(arrays: list[Any], types: tuple[Any, ...]) -> list[NDArray[Any]]:
+    """Return arrays, each of its type, or raise ValueError."""
+    if [getattr(array, "dtype", None) for array in arrays] != [np.dtype(kind) for kind in types]:
+        raise ValueError("arrays of a payload must have the types of its schema")
+    return list(arrays)
+
+
+def _text(value: Any) -> str:
+    if type(value) is not str:
+        raise ValueError(f"a payload must have text here, got {type(value).__name__}")
+    return value
+
+
+def _bytes(value: Any) -> bytes:
+    if type(value) is not bytes:
+        raise ValueError(f"a payload must have bytes here, got {type(value).__name__}")
+    return value
+
+
+def _whole(value: Any) -> int:
+    if type(value) is not int:
+        raise ValueError(f"a payload must have a whole number here, got {type(value).__name__}")
+    return value
+
+
+def _number(value: Any) -> float:
+    if type(value) is not float:
+        raise ValueError(f"a payload must have a float here, got {type(value).__name__}")
+    return value
+
+
+def field_sizes(payload: bytes) -> dict[str, int]:
+    """Return the bytes that each field of a payload takes, its key among them, by name; ``map`` is what holds them.
+
+    Raises:
+        ValueError: it is no payload.
+    """
+    reader = cbor.Reader(payload)
+    major, _, count = reader.head()
+    if major != 5:
+        raise ValueError("a payload must be a map")
+    sizes = {"map": reader.at}
+    for _ in range(count):
+        begin = reader.at
+        key = reader.value()
+        if key not in range(len(FIELDS)):
+            raise ValueError(f"keys of a payload must lie in [0, {len(FIELDS) - 1}], got {key}")
+        reader.value(1)
+        sizes[FIELDS[key]] = reader.at - begin
+    return sizes

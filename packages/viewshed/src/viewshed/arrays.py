@@ -1,0 +1,12 @@
+"""Types of arrays, by what they hold."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+
+F64 = NDArray[np.float64]
+
+Mask = NDArray[np.bool_]

@@ -1,0 +1,133 @@
+"""The command line: ``viewshed estimate``, ``view``, ``fuse`` and more, each one file; other packages add theirs."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Annotated, TextIO, cast
+
+import typer
+
+from viewshed import __version__
+from viewshed._extras import needed_for, plugin, plugins
+from viewshed.cli._options import with_groups
+from viewshed.cli._status import status_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
+from viewshed.cli.compare import compare
+from viewshed.cli.demo import demo
+from viewshed.cli.estimate import estimate
+from viewshed.cli.export import export
+from viewshed.cli.fuse import fuse
+from viewshed.cli.info import info
+from viewshed.cli.monitor import monitor_app
+from viewshed.cli.record import record
+from viewshed.cli.replay import replay
+from viewshed.cli.view import view
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+_Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
+app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+_COMMANDS = (estimate, info, compare, view, replay, record, fuse, export, demo)
+LABORATORY_COMMANDS = (
+    "simulate", "label", "attack", "corrupt", "train", "crossval", "quantize", "evaluate", "dataset", "study"
+)  # fmt: skip
+"""What the package viewshed-lab adds, in the order in which help lists it."""
+
+
+def _add_commands() -> None:
+    """Add the commands of this package, and those that installed packages bring by entry points."""
+    for command in _COMMANDS:
+        app.command()(with_groups(command))
+    app.add_typer(monitor_app, name="monitor")
+    points = plugins("commands")
+    for name in dict.fromkeys([*LABORATORY_COMMANDS, *sorted(points)]):
+        if name not in points:
+            words = {"ignore_unknown_options": True, "allow_extra_args": True}
+            app.command(name, hidden=True, add_help_option=False, context_settings=words)(_missing(name))
+            continue
+        command = points[name].load()
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name)(with_groups(command))
+
+
+def _missing(name: str) -> Callable[[], None]:
+    """Return a command that says which package has it."""
+
+    def command() -> None:
+        plugin("commands", name, f"viewshed {name}")
+
+    return command
+
+
+_add_commands()
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"viewshed {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    """What can this LiDAR see, how sure are we, and is someone lying about it?
+
+    Start with: viewshed demo
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a command and exit; bad input is one line on standard error and exit code 2, Ctrl-C is exit code 130.
+
+    Args:
+        arguments: the command and its options; None takes those of the process.
+    """
+    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            with status_line(" ".join(words[:1])), needed_for(" ".join(["viewshed", *words[:1]])):
+                sys.exit(app(words, standalone_mode=False))
+    except _Refused as error:
+        _refuse(cast(typer.BadParameter, error).format_message())
+    except BAD_INPUTS as error:
+        _refuse(one_line(error))
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(INTERRUPTED)
+    except SystemError as error:  # how an interrupt leaves compiled code
+        if not _from_interrupt(error):
+            raise
+        sys.exit(INTERRUPTED)
+
+
+def _from_interrupt(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Say a warning as other complaints are said, without the place in the source that Python would add."""
+    complain(f"warning: {' '.join(str(message).split())}")
+
+
+def _refuse(message: str) -> None:
+    complain(" ".join(message.split()))
+    sys.exit(BAD_INPUT)

@@ -1,0 +1,465 @@
+"""Options that several commands share, and what they mean: how files are read, which estimator looks at them."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_type_hints
+
+import typer
+
+from viewshed._extras import plugin
+from viewshed.cli._terminal import complain, note
+
+if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
+    from viewshed.fov.visibility import Target
+    from viewshed.grid import BevGrid
+    from viewshed.io import IndexEntry
+    from viewshed.objects.object_stream import ObjectStream
+    from viewshed.pipeline.adversary import Adversary
+    from viewshed.sweep import Sweep
+
+
+GridName = Annotated[
+    str,
+    typer.Option(
+        "--grid",
+        help="Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m.",
+    ),
+]
+
+SensorName = Annotated[
+    str,
+    typer.Option(
+        "--sensor", help="The LiDAR: auto (from the points), none, a model (hdl32e), or a TOML file of beams."
+    ),
+]
+FormatName = Annotated[str, typer.Option("--format", help="File format; auto tells it by content and name.")]
+FrameName = Annotated[
+    str | None,
+    typer.Option("--file-frame", help="Axes of the file's points: sensor (x forward, y left), nuscenes, carla, …"),
+]
+Height = Annotated[float | None, typer.Option("--height", help="Sensor height above the ground in meters, if known.")]
+Origin = Annotated[
+    str | None, typer.Option("--origin", help="Where the sensor stands in the file's frame, X,Y,Z in meters.")
+]
+Topic = Annotated[
+    str | None, typer.Option("--topic", help="In a bag with several topics of clouds or scans: the one to read.")
+]
+Poses = Annotated[
+    Path | None,
+    typer.Option("--poses", help="Poses of the sweeps: 12 numbers a line (KITTI), or t x y z qx qy qz qw (TUM)."),
+]
+Crs = Annotated[
+    str | None,
+    typer.Option(
+        "--crs", help="Reference system that the poses, or the points with --origin, lie in, such as EPSG:25832."
+    ),
+]
+Number = Annotated[
+    int, typer.Option("--number", min=0, help="In a file or recording of several sweeps: which one, counted from 0.")
+]
+RingSource = Annotated[
+    str,
+    typer.Option("--ring", help="file: take the rings of the file, if it has any; none: find them from the points."),
+]
+VehicleYaw = Annotated[
+    float | None,
+    typer.Option("--vehicle-yaw", help="Heading of the own vehicle in the sensor's frame, in degrees, if known."),
+]
+Attitude = Annotated[
+    str | None,
+    typer.Option("--attitude", help="Tilt of the sensor, if known: unit quaternion W,X,Y,Z that turns its axes level."),
+]
+Index = Annotated[
+    Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
+]
+TargetName = Annotated[str, typer.Option("--target", help="What a cell counts as visible for: car or pedestrian.")]
+Profile = Annotated[
+    str, typer.Option("--profile", help="Parameters of the method: sound (ours) or paper (as published).")
+]
+Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
+Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
+Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
+EngineName = Annotated[str, typer.Option(help="Where jobs run: local, or ray (a cluster).")]
+AUTO = "auto"
+
+NO_SENSOR = "none"
+"""No sensor is known, and none is inferred from the points."""
+
+RING_SOURCES = ("file", "none")
+
+PROFILES = ("sound", "paper")
+
+_NO_OPTION = "no option"
+
+_FAR_M = 10_000.0
+"""An origin beyond this is in a map."""
+
+_IN_FLOAT64 = (".pcd", ".ply", ".npy")
+"""Files whose coordinates may be float64."""
+
+_COARSE_M = 0.02
+"""Points that float32 stores in coarser steps than this are noted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How files are read: what the options say about them; see :func:`with_groups`."""
+
+    sensor: SensorName = AUTO
+    format: FormatName = AUTO
+    file_frame: FrameName = None
+    height_m: Height = None
+    attitude: Attitude = None
+    origin: Origin = None
+    ring: RingSource = "file"
+    vehicle_yaw_deg: VehicleYaw = None
+    topic: Topic = None
+    poses: Poses = None
+    crs: str | None = field(default=None, metadata={_NO_OPTION: True})
+
+    def __post_init__(self) -> None:
+        if self.ring not in RING_SOURCES:
+            raise ValueError(f"ring must be one of {', '.join(RING_SOURCES)}, got {self.ring!r}")
+
+    def sweeps(self, path: Path, entry: IndexEntry | None = None) -> Iterator[Sweep]:
+        """Yield the sweeps in a file, or the one of an index's entry, with the sensor that the options name."""
+        from viewshed.sensors import lidar_model
+
+        model = None if self.sensor in {AUTO, NO_SENSOR} else lidar_model(self.sensor)
+        origin_m = parse_numbers("origin", self.origin, 3)
+        for sweep in self._read(path) if entry is None else self._indexed(entry):
+            if origin_m is not None:
+                sweep = self._seen_from(origin_m, sweep, self._is_moved(path, entry))  # noqa: PLW2901
+            changes: dict[str, Any] = {} if self.ring == "file" else {"ring": None}
+            if self.sensor != AUTO:
+                changes |= {"model": model, "infer_sensor": False}
+            if self.vehicle_yaw_deg is not None:
+                changes["vehicle_yaw"] = math.radians(self.vehicle_yaw_deg)
+            yield sweep.replace(**changes) if changes else sweep
+
+    def _is_moved(self, path: Path, entry: IndexEntry | None = None) -> bool:
+        """Return whether the reader itself moves points to a far origin: in float64, before they are rounded."""
+        origin_m = parse_numbers("origin", self.origin, 3)
+        if origin_m is None or entry is not None or self.file_frame is not None:
+            return False
+        return max(map(abs, origin_m)) > _FAR_M and path.name.lower().removesuffix(".gz").endswith(_IN_FLOAT64)
+
+    def _seen_from(self, origin_m: list[float], sweep: Sweep, is_moved: bool) -> Sweep:
+        """Return a sweep seen from the sensor; its place is its pose where the points lie in a reference system."""
+        import numpy as np
+
+        from viewshed.geometry import Rigid
+
+        if self.crs is not None and sweep.world_from_sensor is None and self.poses is None:
+            place = np.array(origin_m) if is_moved else np.zeros(3)
+            sweep = sweep.replace(world_from_sensor=Rigid(np.eye(3), place))
+        if is_moved:
+            return sweep
+        step_m = float(np.spacing(np.float32(max(map(abs, origin_m)))))
+        if step_m > _COARSE_M:
+            note(
+                f"coordinates as large as --origin are read to {step_m:g} m; subtract the sensor's position before they"
+                " are written"
+            )
+        return sweep.seen_from(origin_m)
+
+    def _read(self, path: Path) -> Iterator[Sweep]:
+        import numpy as np
+
+        from viewshed.geometry import Rigid
+        from viewshed.io import read_sweeps
+        from viewshed.io.formats import is_recording
+
+        if self.format == AUTO and is_recording(path):
+            return self._recorded(path)
+        if self.topic is not None:
+            raise ValueError(f"--topic goes with a bag, got {path}; leave it out")
+        file_frame: str | Rigid | None = self.file_frame
+        if self._is_moved(path):
+            file_frame = Rigid(np.eye(3), -np.array(parse_numbers("origin", self.origin, 3)))
+        return read_sweeps(
+            path, format=self.format, file_frame=file_frame,
+            sensor_height_m=self.height_m, attitude=parse_numbers("attitude", self.attitude, 4),
+        )  # fmt: skip
+
+    def _recorded(self, path: Path) -> Iterator[Sweep]:
+        """Yield the sweeps of a recording; what cannot be read costs one line each and an error at the end."""
+        from viewshed.recordings.read.source import each_sweep
+        from viewshed.recordings.recording import open_sweep_source
+
+        if self.file_frame is not None:
+            raise ValueError("--file-frame does not go with a recording, which knows its own axes")
+        count = problems = 0
+
+        def on_damage(scene: str, line: str) -> None:
+            nonlocal problems
+            problems += 1
+            complain(line)
+
+        source = open_sweep_source(path, topic=self.topic)
+        for line in source.notes():
+            note(line)
+        for _, sweep in each_sweep(source, on_damage=on_damage):
+            count += 1
+            yield self._overridden(sweep)
+        if problems or not count:
+            raise ValueError(f"{path}: {count} sweeps read, {problems} problems")
+
+    def _indexed(self, entry: IndexEntry) -> Iterator[Sweep]:
+        from viewshed.io import read_indexed
+
+        if self.format != AUTO or self.file_frame is not None:
+            raise ValueError("--format and --file-frame do not go with --index, which names the axes of its files")
+        yield self._overridden(read_indexed(entry))
+
+    def _overridden(self, sweep: Sweep) -> Sweep:
+        """Return the sweep with the height and attitude that the options give."""
+        given = {"sensor_height_m": self.height_m, "attitude": parse_numbers("attitude", self.attitude, 4)}
+        return sweep.replace(**{name: value for name, value in given.items() if value is not None})
+
+
+AS_THEY_ARE = Reading()
+"""Files are read as they say themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Following:
+    """What is made of sweeps beside their fields of view, and who forges it; see :func:`with_groups`."""
+
+    objects: Annotated[bool, typer.Option("--objects", help="Detect, track and explain objects as well.")] = False
+    fuse: Annotated[
+        bool, typer.Option("--fuse", help="Put several agents together as well: joint tracks, trust, disputes.")
+    ] = False
+    attack: Annotated[
+        str | None,
+        typer.Option("--attack", help="Forge sweeps, objects or claimed views: an attack (a wrong name lists all)."),
+    ] = None
+    attacked: Annotated[
+        str | None, typer.Option("--attacked", help="Agents that are attacked, AGENT,AGENT; all if not given.")
+    ] = None
+    attack_from: Annotated[
+        float,
+        typer.Option(
+            "--attack-from", min=0.0, help="Seconds after the first sweep of an agent at which the attack begins."
+        ),
+    ] = 2.0
+
+    def __post_init__(self) -> None:
+        if self.attacked is not None and self.attack is None:
+            raise ValueError("--attacked goes with --attack")
+
+    @property
+    def wants_objects(self) -> bool:
+        """Whether objects are followed: to be shown, or to be put together."""
+        return self.objects or self.fuse
+
+    def adversary(self) -> Adversary | None:
+        """Return who forges, or None.
+
+        Raises:
+            ValueError: there is no such attack.
+        """
+        if self.attack is None:
+            return None
+        agents = frozenset((self.attacked or "").split(",")) - {""}
+        named = plugin("adversaries", "attacks", "--attack")
+        return cast("Adversary", named(self.attack, agents, start_s=self.attack_from))
+
+    def object_stream(self, adversary: Adversary | None) -> ObjectStream | None:
+        """Return what follows objects, or None."""
+        if not self.wants_objects:
+            return None
+        from viewshed.objects.object_stream import ObjectStream
+
+        return ObjectStream(tamper=None if adversary is None else adversary.detections)
+
+
+NOT_FOLLOWED = Following()
+"""Fields of view alone."""
+
+GROUPS: dict[str, type[Any]] = {"reading": Reading, "following": Following}
+"""Options that several commands share, by the parameter that takes them."""
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameters of :data:`GROUPS` are an option for each of their fields; others as it is.
+
+    The reference system is no such option: only commands that write maps have one.
+    """
+    groups = {name: kind for name, kind in GROUPS.items() if name in command.__annotations__}
+    if not groups:
+        return command
+    signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
+    own = {name: _parameters(group) for name, group in groups.items()}
+
+    @wraps(command)
+    def with_options(**given: Any) -> None:
+        made = {
+            name: group(**{each.name: given.pop(each.name) for each in own[name]}) for name, group in groups.items()
+        }
+        command(**given, **made)
+
+    # Typer takes options from the signature and their types from the annotations.
+    parameters: list[inspect.Parameter] = []
+    for each in signature.parameters.values():
+        parameters += own[each.name] if each.name in own else [each.replace(kind=kind)]
+    with_options.__dict__["__signature__"] = signature.replace(parameters=parameters)
+    with_options.__annotations__ = {each.name: each.annotation for each in parameters}
+    return with_options
+
+
+def _parameters(group: type[Any]) -> list[inspect.Parameter]:
+    """Return a parameter for each field of a group that is an option."""
+    hints, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
+    return [
+        inspect.Parameter(each.name, kind, default=each.default, annotation=hints[each.name])
+        for each in fields(group)
+        if _NO_OPTION not in each.metadata
+    ]
+
+
+def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
+    """Return ``count`` numbers from text with commas, or None.
+
+    >>> parse_numbers("attitude", "1,0,0,0", 4)
+    [1.0, 0.0, 0.0, 0.0]
+    """
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError as error:
+        raise ValueError(f"{name} must be {count} numbers with commas, got {text!r}") from error
+    if len(numbers) != count:
+        raise ValueError(f"{name} must be {count} numbers with commas, got {len(numbers)} in {text!r}")
+    return numbers
+
+
+def parse_grid(text: str) -> BevGrid:
+    """Return the grid of a preset's name or of CELLSxHALF_EXTENT_M.
+
+    >>> parse_grid("128x32").cell_m
+    0.5
+    """
+    from viewshed.grid import GRIDS, BevGrid
+
+    if text in GRIDS:
+        return GRIDS[text]
+    cells, cross, half = text.partition("x")
+    try:
+        if not cross:
+            raise ValueError(text)
+        count, extent = int(cells), float(half)
+    except ValueError as error:
+        raise ValueError(f"grid must be one of {', '.join(GRIDS)} or CELLSxHALF_EXTENT_M, got {text!r}") from error
+    return BevGrid(count, extent)
+
+
+def parse_target(name: str) -> Target:
+    """Return the target called ``name``."""
+    from viewshed.fov.visibility import TARGETS
+
+    if name not in TARGETS:
+        raise ValueError(f"target must be one of {', '.join(TARGETS)}, got {name!r}")
+    return TARGETS[name]
+
+
+Weights = Annotated[
+    str | None,
+    typer.Option("--weights", help="For a network: its ONNX file, or the name of weights that come with viewshed."),
+]
+Passes = Annotated[int | None, typer.Option("--passes", help="Passes of the method mc_dropout; 20 if not given.")]
+Seed = Annotated[int | None, typer.Option("--seed", help="Seed of the method mc_dropout; 0 if not given.")]
+
+HistorySweeps = Annotated[
+    int,
+    typer.Option(
+        "--history", min=0, max=20,
+        help="Earlier sweeps of a recording that help viewnet and shadow_map, a second or more apart; 5 do well.",
+    ),
+]  # fmt: skip
+
+RequireConfirmation = Annotated[
+    bool,
+    typer.Option(
+        "--require-confirmation",
+        help="With --history: call visible only what an earlier sweep would have seen as well.",
+    ),
+]
+
+WithMonitor = Annotated[
+    bool,
+    typer.Option(
+        "--monitor",
+        help="Say whether each sweep is inconsistent (as forged ones are) or degraded (rain, dirt), and why.",
+    ),
+]
+
+MonitorFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--monitor-file",
+        help="Monitor made by viewshed monitor calibrate; without it, the one that comes with viewshed.",
+    ),
+]
+
+Device = Annotated[str, typer.Option("--device", help="Where networks run: cpu or cuda.")]
+
+AbstainBelow = Annotated[
+    float | None,
+    typer.Option(
+        "--abstain-below",
+        help="For a network: cells are visible from this probability, hidden below 1 minus it, else unknown.",
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOptions:
+    """What the options say about a network; other estimators take none of them."""
+
+    weights: str | None = None
+    passes: int | None = None
+    seed: int | None = None
+    abstain_below: float | None = None
+    device: str = "cpu"
+
+    def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> Estimator:
+        """Return the estimator called ``method``; None is the best that is shipped, or the paper's label.
+
+        In the profile ``paper`` its estimators may be named without ``paper_``.
+        """
+        from viewshed.estimators import load_estimator, paper_estimators_on
+
+        if profile not in PROFILES:
+            raise ValueError(f"profile must be {' or '.join(PROFILES)}, got {profile!r}")
+        if profile == "paper":
+            known = paper_estimators_on(grid)
+            method = "paper_label" if method is None else method
+            method = f"paper_{method}" if f"paper_{method}" in known else method
+        return load_estimator(
+            method, grid=grid, target=target, device=self.device, weights=self.weights, passes=self.passes,
+            seed=self.seed, abstain_below=self.abstain_below,
+        )  # fmt: skip
+
+    def threshold(self, given: float | None, estimator: Estimator, profile: str = "sound") -> float:
+        """Return the probability from which a cell counts as visible; None is the estimator's own, or the paper's."""
+        from viewshed.estimators import PAPER_THRESHOLD
+
+        if given is None:
+            return PAPER_THRESHOLD if profile == "paper" else estimator.threshold
+        if not 0 < given <= 1:
+            raise ValueError(f"threshold must lie in (0, 1], got {given}")
+        if self.abstain_below is not None and given < self.abstain_below:
+            raise ValueError(
+                f"--threshold must be at least --abstain-below {self.abstain_below:g}, got {given:g}; leave one of"
+                " them out"
+            )
+        return given

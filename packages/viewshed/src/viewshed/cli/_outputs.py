@@ -1,0 +1,343 @@
+"""Where results go: one name for each sweep, and never over an input; progress bars, and lines about data sets.
+
+What ``viewshed estimate`` does with its sweeps, one by one or in batches, and the lines that it prints.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
+from viewshed.cli._verdicts import stream_verdicts
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
+
+    from viewshed.estimators import Estimator
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.monitor import StreamMonitor
+    from viewshed.preprocess.leveling import LeveledSweep
+    from viewshed.sweep import Sweep
+
+T = TypeVar("T")
+
+RESULTS = ("png", "geojson", "npz")
+"""What is written of an estimate: picture, polygons, arrays; other formats of ``EXPORTERS`` where they are named."""
+
+_SUFFIXES = (
+    ".gz", ".zst", ".zstd", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap", ".bag", ".mcap",
+    ".db3",
+)  # fmt: skip
+
+
+def stem_of(name: str) -> str:
+    """Return a file's name without the endings of its format.
+
+    >>> stem_of("a.b.pcd.bin.gz")
+    'a.b'
+    """
+    for suffix in _SUFFIXES:
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            name = name[: -len(suffix)]
+    return name
+
+
+def parse_results(text: str, known: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return what is written, in the order of what is known: of each sweep pictures and formats of ``EXPORTERS``.
+
+    >>> parse_results("npz,png")
+    ('png', 'npz')
+    """
+    from viewshed.io.export import EXPORTERS
+
+    wanted, known = text.split(","), known or tuple(dict.fromkeys((*RESULTS, *EXPORTERS)))
+    for name in wanted:
+        if name not in known:
+            raise ValueError(f"results must be some of {','.join(known)}, with commas, got {text!r}")
+    return tuple(name for name in known if name in wanted)
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder of the results.
+
+    Raises:
+        ValueError: something else is there.
+    """
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"--out must be a folder, got the file {out}")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def stem_of_result(name: str, method: str) -> str:
+    """Return what the files of a sweep's results are named: one name for each method, the default one's the shortest.
+
+    >>> stem_of_result("a", "shadow_map"), stem_of_result("a", "unet")
+    ('a', 'a_unet')
+    """
+    from viewshed.estimators import DEFAULT_ESTIMATOR
+
+    return name if method == DEFAULT_ESTIMATOR else f"{name}_{method}"
+
+
+def output_names(files: Sequence[Path]) -> list[str]:
+    """Return one output name for each file, all different on every file system.
+
+    Files of one name get their folder's before it, then a number.
+
+    >>> output_names([Path("a/x.bin"), Path("b/x.bin"), Path("y.pcd.bin.gz"), Path("b/x.bin")])
+    ['a_x', 'b_x', 'y', 'b_x_1']
+    """
+    stems = [stem_of(file.name) for file in files]
+    folded = [stem.casefold() for stem in stems]
+    names: list[str] = []
+    taken: set[str] = set()
+    for file, stem in zip(files, stems, strict=True):
+        shared = folded.count(stem.casefold()) > 1 and file.absolute().parent.name
+        names.append(free_name(f"{file.absolute().parent.name}_{stem}" if shared else stem, taken))
+    return names
+
+
+def free_name(wanted: str, taken: set[str]) -> str:
+    """Return ``wanted``, with a number behind it if it is taken, and take it."""
+    name, number = wanted, 0
+    while name.casefold() in taken:
+        number += 1
+        name = f"{wanted}_{number}"
+    taken.add(name.casefold())
+    return name
+
+
+def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Check that no result replaces a file that is read.
+
+    Raises:
+        ValueError: one would.
+    """
+    read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises where links lead in a circle
+    for place in places:
+        if os.path.realpath(place) in read:
+            raise ValueError(f"{place} is an input and would be replaced; choose another place")
+
+
+class Named(NamedTuple):
+    """A sweep, the name of its results and the file that it came from."""
+
+    sweep: Sweep
+    name: str
+    file: Path
+
+
+@dataclass(slots=True)
+class Failures:
+    """Reports each failure in a line on standard error, and counts them."""
+
+    count: int = 0
+    _said: set[str] = field(default_factory=set, init=False)
+
+    def report(self, file: Path | str, error: Exception) -> None:
+        """Say what went wrong with a file; an error that is no fault of the input is raised."""
+        if not isinstance(error, BAD_INPUTS):
+            raise error
+        self.count += 1
+        text = one_line(error)
+        line = text if Path(file).name in text else f"{file}: {text}"
+        if line not in self._said:  # what is wrong with each sweep of a file is said once
+            self._said.add(line)
+            complain(line)
+
+
+def progress_bar(*columns: ProgressColumn | str, transient: bool = False) -> Progress:
+    """Return a bar on standard error with a description, how many are done of how many, and then ``columns``."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    begin = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    to_terminal = sys.stdout.isatty()  # else the lines belong in the file or pipe, not above the bar
+    return Progress(*begin, *columns, console=Console(stderr=True), transient=transient, redirect_stdout=to_terminal)
+
+
+def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
+    """Yield some items, with a progress bar on standard error where that is a terminal and they are several."""
+    if count < 2 or not sys.stderr.isatty():
+        yield from items
+        return
+    with progress_bar(transient=True) as bar:
+        yield from bar.track(items, total=count, description="sweeps")
+
+
+@dataclass(slots=True)
+class Run:
+    """What is done with every sweep.
+
+    Attributes:
+        estimator: what looks at it.
+        threshold: probability from which a cell counts as visible.
+        out: folder of the results.
+        results: what is written, ``png`` or names of ``EXPORTERS``.
+        monitor: says what it finds in each sweep; None without one.
+        crs: reference system of the poses, for the formats that have one; None for none.
+        dark: whether pictures are on a dark page.
+    """
+
+    estimator: Estimator
+    threshold: float
+    out: Path
+    results: tuple[str, ...] = RESULTS
+    monitor: StreamMonitor | None = None
+    crs: str | None = None
+    dark: bool = False
+    _is_warm: bool = field(default=False, init=False)
+
+    def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
+        """Yield the summary line of each sweep, one by one and timed, or so many of them together."""
+        return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
+
+    def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[str]:
+        for named in sweeps:
+            try:
+                yield self.one(named.sweep, named.name)[1]
+            except BAD_INPUTS as error:
+                failures.report(named.file, error)
+
+    def places(self, name: str) -> list[Path]:
+        """Return the files of a sweep's results, pictures of nav2's maps aside, in the order of ``results``."""
+        from viewshed.io.export import EXPORTERS
+
+        stem = stem_of_result(name, self.estimator.name)
+        ends = [".png" if kind == "png" else EXPORTERS[kind].suffix for kind in self.results]
+        return [self.out / f"{stem}{end}" for end in ends]
+
+    def one(self, sweep: Sweep, name: str) -> tuple[FovEstimate, str]:
+        """Level one sweep, estimate, write the results, and return the estimate and its summary line."""
+        from viewshed.io.export.crs import crs_named
+        from viewshed.preprocess.leveling import level
+
+        if self.crs is not None:
+            crs_named(self.crs, sweep.world_from_sensor)
+        if not self._is_warm:
+            warm_up(self.estimator, sweep)
+            self._is_warm = True
+        start = time.perf_counter()
+        leveled = level(sweep, self.estimator.grid)
+        estimate = self.estimator.estimate(leveled)
+        elapsed_ms = 1e3 * (time.perf_counter() - start)
+        line = self.write(leveled, name, estimate, elapsed_ms)
+        if self.monitor is not None:
+            line = f"{line}; {stream_verdicts(self.monitor.check(leveled, {estimate.method: estimate}))}"
+        return estimate, line
+
+    def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
+        """Estimate in batches and write in threads."""
+        from viewshed.estimators.batch import cores, in_order
+
+        with closing(in_order(self._written, self._estimated(sweeps, failures, batch), batch, cores())) as written:
+            for done in written:
+                file, line = done.result()
+                if isinstance(line, str):
+                    yield line
+                else:
+                    failures.report(file, line)
+
+    def _estimated(
+        self, sweeps: Iterable[Named], failures: Failures, batch: int
+    ) -> Iterator[tuple[Named, FovEstimate]]:
+        from viewshed.estimators.batch import estimate_all
+
+        taken: deque[Named] = deque()
+
+        def taking() -> Iterator[Sweep]:
+            for named in sweeps:
+                taken.append(named)
+                yield named.sweep
+
+        def on_error(error: Exception) -> None:
+            failures.report(taken.popleft().file, error)
+
+        for estimate in estimate_all(self.estimator, taking(), batch, on_error=on_error):
+            yield taken.popleft(), estimate
+
+    def _written(self, estimated: tuple[Named, FovEstimate]) -> tuple[Path, str | Exception]:
+        from viewshed.preprocess.leveling import level
+
+        named, estimate = estimated
+        try:
+            return named.file, self.write(level(named.sweep, self.estimator.grid), named.name, estimate)
+        except BAD_INPUTS as error:
+            return named.file, error
+
+    def write(self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
+        """Write the results of an estimate and return its summary line, with the time if there is one."""
+        from viewshed._files import write_atomic
+        from viewshed.io.export import EXPORTERS, write_export
+
+        report_doubts(leveled, name)
+        estimate = replace(estimate, threshold=self.threshold)
+        summary = summary_line(estimate, elapsed_ms)
+        places = self.places(name)
+        for kind, place in zip(self.results, places, strict=True):
+            if kind == "png":
+                write_atomic(place, estimate.plot(leveled, f"{name}\n{summary}", self.dark))
+            else:
+                write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
+        remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
+        return f"{name}: {summary}{remarks} → {places[0]}"
+
+
+def warm_up(estimator: Estimator, sweep: Sweep) -> None:
+    """Load compiled code on every eighth return: the time that is printed is that of the estimator.
+
+    Without its time a sweep is not remembered by an estimator that keeps a history.
+    """
+    import numpy as np
+
+    estimator.estimate(sweep.select(np.arange(0, len(sweep), 8)).replace(t_ns=None))
+
+
+def report_doubts(leveled: LeveledSweep, name: str) -> None:
+    """Say on standard error what cannot well be as it was read, a line each."""
+    from viewshed.preprocess.plausibility import doubts
+
+    for doubt in doubts(leveled):
+        complain(f"{name}: warning: {doubt}")
+
+
+def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
+    """Return visible area, shares of hidden and unknown cells, method and time if any, in one line."""
+    from viewshed.fov.estimate import CellState
+
+    hidden, unknown = estimate.share(CellState.HIDDEN), estimate.share(CellState.UNKNOWN)
+    elapsed = "" if elapsed_ms is None else f", {elapsed_ms:.1f} ms"
+    return (
+        f"visible {estimate.area_m2():.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%} "
+        f"({estimate.method}, {estimate.target.name}{elapsed})"
+    )
+
+
+def _basis_remark(leveled: LeveledSweep, estimate: FovEstimate) -> str:
+    """Return what the estimate rests on."""
+    if len(leveled.points) == 0:
+        return f"; no usable return among {len(leveled.sweep)} points: nothing is known"
+    basis = estimate.basis
+    if basis is None:
+        return ""
+    view = f"; {basis.view_line}" if estimate.visible().any() else ""
+    return f"; {basis.height_line}{view}"
+
+
+def _range_remark(leveled: LeveledSweep) -> str:
+    """Return how many returns lie beyond the maximum range of the sweep's own sensor, which were left out."""
+    from viewshed.preprocess.reach import returns_beyond
+
+    model = leveled.sweep.model
+    beyond = returns_beyond(leveled.sweep.points, model)
+    if model is None or not beyond:
+        return ""
+    return f"; {beyond} returns beyond the {model.max_range_m:g} m of {model.name} left out"

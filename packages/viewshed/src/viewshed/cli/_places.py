@@ -1,0 +1,136 @@
+"""From what a user names to files: a file, a pattern, a folder of sweeps, a recording; and the places of results."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from glob import glob
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from viewshed.cli._terminal import note
+
+if TYPE_CHECKING:
+    from viewshed.io import IndexEntry
+
+_FOLDERS_SEARCHED = 200
+"""So many folders below one without sweeps are looked into for a hint."""
+
+_PATTERN = re.compile(r"[*?\[]")
+
+
+def chosen_files(files: list[Path], index: Path | None) -> Iterator[tuple[Path, IndexEntry | None]]:
+    """Yield each file with its entry in the index; without files, every sweep of the index."""
+    if index is None:
+        if not files:
+            raise ValueError("name at least one FILE, or an --index")
+        yield from ((file, None) for place in files for file in files_in(place))
+        return
+    from viewshed.io import read_index
+
+    entries = {entry.file: entry for entry in read_index(index)}
+    if not files:
+        named = [(file, entry) for file, entry in entries.items() if entry.points]
+        if not named:
+            raise ValueError(f"{index} must name a sweep, got none")
+        yield from named
+    for file in files:
+        entry = entries.get(Path(os.path.realpath(file)))
+        if entry is None:
+            raise ValueError(f"{file} is not in the index {index}")
+        yield file, entry
+
+
+def files_in(place: Path) -> list[Path]:
+    """Return the files and recordings that are read for a place, in the order of the numbers in their names.
+
+    A pattern is the files that it fits, a folder of sweeps is its sweeps and bags; anything else is the place itself.
+
+    Raises:
+        ValueError: the pattern fits no file, or the folder holds no sweep.
+    """
+    if _PATTERN.search(str(place)) and not place.exists():
+        found = sorted((Path(name) for name in glob(str(place), recursive=True)), key=_by_numbers)  # noqa: PTH207
+        if not found:
+            raise ValueError(f"no file fits {place}")
+        return [file for each in found for file in files_in(each)]
+    return _files_of_folder(place) if place.is_dir() else [place]
+
+
+def _files_of_folder(folder: Path) -> list[Path]:
+    """Return the sweeps and bags in a folder, or the folder where it is a recording."""
+    from viewshed.io.formats import BAG_SUFFIXES
+    from viewshed.recordings.read import SOURCES
+    from viewshed.recordings.recording import is_data_set
+
+    if is_data_set(folder):
+        return [folder]
+    endings = _sweep_endings()
+    held = sorted(folder.iterdir(), key=_by_numbers)
+    sweeps = [file for file in held if file.name.lower().endswith(endings) and file.is_file()]
+    fits = next((name for name, known in SOURCES.items() if known.fits(folder)), None)
+    if fits is not None and not (fits == "bag" and sweeps):
+        return [folder]
+    if sweeps:
+        files = [file for file in held if file in sweeps or file.name.lower().endswith(BAG_SUFFIXES)]
+        left = sum(1 for file in held if file.is_dir())
+        if left:
+            note(f"{folder}: {len(files)} files are read, {left} folders in it are not")
+        return files
+    inner = next(
+        (each for each in islice(_folders_in(folder), _FOLDERS_SEARCHED) if _holds_sweeps(each, endings)), None
+    )
+    hint = f"; {inner} has some" if inner is not None else f"; sweeps end in {', '.join(_plain_endings())}"
+    layouts = ", ".join(SOURCES)
+    raise ValueError(f"{folder} is a folder without sweeps and no recording ({layouts}){hint}")
+
+
+def _folders_in(folder: Path) -> Iterator[Path]:
+    """Yield the folders below a folder, in the order of their names; links are not followed."""
+    for here, inner, _ in os.walk(folder):
+        inner.sort()
+        yield Path(here)
+
+
+def _holds_sweeps(folder: Path, endings: tuple[str, ...]) -> bool:
+    try:
+        return any(file.name.lower().endswith(endings) for file in folder.iterdir())
+    except OSError:
+        return False
+
+
+def _plain_endings() -> tuple[str, ...]:
+    from viewshed.io.formats import all_formats
+
+    return tuple(dict.fromkeys(suffix for known in all_formats().values() for suffix in known.suffixes))
+
+
+def _sweep_endings() -> tuple[str, ...]:
+    return tuple(suffix + packed for suffix in _plain_endings() for packed in ("", ".gz"))
+
+
+def _by_numbers(path: Path) -> list[tuple[int, str]]:
+    """Return what sorts paths by the numbers in them: ``2.bin`` before ``10.bin``.
+
+    >>> sorted([Path("10.bin"), Path("2.bin")], key=_by_numbers)[0].name
+    '2.bin'
+    """
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", str(path))]
+
+
+def place_of_result(out: str | None, name: str) -> Path:
+    """Return where one result goes: the file ``out``, or ``name`` in the folder ``out`` or here.
+
+    What exists as a folder or ends in a slash is a folder; it is made.
+
+    >>> place_of_result(None, "a.geojson").name
+    'a.geojson'
+    """
+    if out is None:
+        return Path(name)
+    place = Path(out)
+    if out.endswith(("/", os.sep)):
+        place.mkdir(parents=True, exist_ok=True)
+    return place / name if place.is_dir() else place

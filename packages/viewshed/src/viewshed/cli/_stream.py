@@ -1,0 +1,139 @@
+"""Sweeps one after the other, with their names, for ``estimate``, ``view`` and ``replay``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from viewshed.cli._options import Reading
+from viewshed.cli._outputs import Failures, Named, free_name, with_bar
+from viewshed.cli._places import chosen_files
+from viewshed.cli._terminal import BAD_INPUTS, note
+
+if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
+    from viewshed.estimators.temporal import SweepBuffer
+    from viewshed.io import IndexEntry
+    from viewshed.recordings.read.pose_files import PoseFile
+    from viewshed.sweep import Sweep
+
+    Job = tuple[Path, IndexEntry | None]
+
+
+def named_sweeps(
+    reading: Reading, jobs: list[Job], names: list[str], failures: Failures, *, history: int = 0
+) -> Iterator[Named]:
+    """Yield every sweep that can be read, with its name and its pose; what cannot is reported.
+
+    Where earlier sweeps are wanted as a ``history``, one without a pose or a time is reported as well.
+    """
+    taken = {name.casefold() for name in names}
+    poses = poses_of(reading, jobs)
+    count = 0
+    for job, name in zip(with_bar(jobs, len(jobs)), names, strict=True):
+        file = job[0]
+        try:
+            for sweep, own in _named(placed_sweeps(reading, jobs, job, poses, count), name, taken):
+                count += 1
+                if history and (sweep.world_from_sensor is None or sweep.t_ns is None):
+                    failures.report(file, ValueError(_NO_HISTORY))
+                else:
+                    yield Named(sweep, own, file)
+        except BAD_INPUTS as error:
+            failures.report(file, error)
+
+
+_NO_HISTORY = (
+    "--history needs a pose and a time of each sweep, this has none; give --poses FILE, an --index with poses, or a"
+    " recording that has them"
+)
+
+
+def poses_of(reading: Reading, jobs: list[Job]) -> PoseFile | None:
+    """Return the poses that an option names, and say what was assumed of them.
+
+    Raises:
+        ValueError: the file is wrong, or has not one pose for each file that is read.
+    """
+    if reading.poses is None:
+        return None
+    from viewshed.recordings.read.pose_files import PoseFile
+
+    poses = PoseFile.read(reading.poses)
+    poses.check([file for file, _ in jobs])
+    for line in poses.notes:
+        note(f"{reading.poses}: {line}")
+    return poses
+
+
+def placed_sweeps(
+    reading: Reading, jobs: list[Job], job: Job, poses: PoseFile | None = None, before: int = 0
+) -> Iterator[Sweep]:
+    """Yield the sweeps of one of the jobs with their poses.
+
+    Args:
+        reading: how files are read.
+        jobs: all that is read.
+        job: which of it.
+        poses: as read from the file of ``reading``; None where it names none.
+        before: how many sweeps the jobs before it gave.
+    """
+    files = [file for file, _ in jobs]
+    for number, sweep in enumerate(reading.sweeps(*job), start=before):
+        yield sweep if poses is None else poses.place_sweep(sweep, job[0], number, files)
+
+
+def all_sweeps(reading: Reading, jobs: list[Job]) -> Iterator[Sweep]:
+    """Yield every sweep with its pose; the first one that cannot be read is an error."""
+    poses, count = poses_of(reading, jobs), 0
+    for job in jobs:
+        for sweep in placed_sweeps(reading, jobs, job, poses, count):
+            count += 1
+            yield sweep
+
+
+def one_sweep(reading: Reading, file: Path, index: Path | None = None, number: int = 0) -> Sweep:
+    """Return one sweep of a file, folder or recording, with what an index and poses say of it."""
+    count = 0
+    for sweep in all_sweeps(reading, list(chosen_files([file], index))):
+        if count > number:
+            note(f"{file} holds more sweeps; taken is number {number} from 0; --number takes another")
+            break
+        taken, count = sweep, count + 1
+    if count <= number:
+        raise ValueError(f"number must be below {count}, the sweeps of {file}, got {number}")
+    return taken
+
+
+def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tuple[Sweep, str]]:
+    """Yield each sweep with the name of its results: the file's, or numbered ones where it holds several.
+
+    Where several agents or topics measured, their names are in it.
+    """
+    first = next(sweeps)
+    try:
+        second = next(sweeps, None)
+    except BAD_INPUTS:
+        yield first, name
+        raise
+    if second is None:
+        yield first, name
+        return
+    for number, sweep in enumerate(chain((first, second), sweeps)):
+        agent = "" if sweep.agent == "ego" else f"_{sweep.agent.replace('/', '_')}"
+        yield sweep, free_name(f"{name}{agent}_{number:03}", taken)
+
+
+def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
+    """Return what keeps so many earlier sweeps for an estimator, or None for none.
+
+    Raises:
+        ValueError: the estimator uses no history.
+    """
+    from viewshed.estimators.temporal import SweepBuffer
+
+    if sweeps and not estimator.uses_history:
+        raise ValueError(f"--history helps viewnet and shadow_map, got {estimator.name}, which looks at one sweep")
+    return SweepBuffer(sweeps) if sweeps else None

@@ -1,0 +1,137 @@
+"""``viewshed fuse``: what several agents see together, and which of them contradict the others."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import AS_THEY_ARE, Reading
+from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
+from viewshed.cli._places import chosen_files
+from viewshed.cli._stream import named_sweeps
+from viewshed.cli._terminal import note
+from viewshed.cli.estimate import Files, Method
+
+if TYPE_CHECKING:
+    from viewshed.agents.many import AgentReport
+    from viewshed.agents.rounds import Round
+    from viewshed.estimators import Estimator
+    from viewshed.objects.detector import Detector
+    from viewshed.sweep import Sweep
+
+FUSED = "fused.jsonl"
+
+
+def fuse(
+    files: Files = None,
+    method: Method = None,
+    grid: options.GridName = "road",
+    reading: Reading = AS_THEY_ARE,
+    index: options.Index = None,
+    slop: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Sweeps at most so many seconds apart count as of the same time.")
+    ] = 0.1,
+    results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
+) -> None:
+    """Put together what several agents see; who contradicts whom.
+
+    Agents are those of a recording, or one for each file; their sweeps need times and poses in one world. One line for
+    each time, all numbers in fused.jsonl, and the joint field of view as a picture.
+
+    Example: viewshed fuse junction.mcap --out fused
+    """
+    from viewshed._files import write_atomic
+    from viewshed.agents.rounds import Rounds
+    from viewshed.objects.detector import Detector
+
+    kinds = parse_results(results, ("jsonl", "png"))
+    estimator = options.NetworkOptions().estimator(method, options.parse_grid(grid), "car")
+    detector = Detector()
+    jobs = list(chosen_files(files or [], index))
+    names = output_names([file for file, _ in jobs])
+    make_folder(out)
+    failures, gathered, lines, times = Failures(), Rounds(), [], 0
+    streams = [named_sweeps(reading, [job], [name], failures) for job, name in zip(jobs, names, strict=True)]
+    for t_s, sweeps in rounds(streams, slop, failures):
+        reports = [report_of(sweep, estimator, detector) for sweep in sweeps]
+        done = gathered.together(t_s, reports)
+        for line in gathered.notes:
+            note(line)
+        if done is None:
+            failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be put together with others"))
+            continue
+        typer.echo(line_of(done))
+        lines.append(json.dumps(done.numbers()))
+        if "png" in kinds:
+            write_atomic(out / f"fused_{times:04}.png", picture_of(done))
+        times += 1
+    if "jsonl" in kinds and times:
+        write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
+    if times:
+        typer.echo(f"{times} times → {out}")
+    if failures.count or not times:
+        if not times and not failures.count:
+            raise ValueError("sweeps must have times and poses to be put together, got none that do")
+        raise typer.Exit(2)
+
+
+def rounds(streams: list[Iterator[Named]], slop: float, failures: Failures) -> Iterator[tuple[float, list[Sweep]]]:
+    """Yield sweeps of about the same time, one of each agent; what has no time or pose is reported."""
+    posed = (_with_times(stream, number, failures) for number, stream in enumerate(streams))
+    together: dict[str, Sweep] = {}
+    began_ns = 0
+    for t_ns, number, _, named in heapq.merge(*posed, key=lambda row: row[:3]):
+        agent = named.sweep.agent if len(streams) == 1 else f"{named.sweep.agent}{number}"
+        if together and (t_ns - began_ns > 1e9 * slop or agent in together):
+            yield began_ns / 1e9, list(together.values())
+            together = {}
+        if not together:
+            began_ns = t_ns
+        together[agent] = named.sweep.replace(agent=agent)
+    if together:
+        yield began_ns / 1e9, list(together.values())
+
+
+def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Iterator[tuple[int, int, int, Named]]:
+    for place, named in enumerate(stream):
+        if named.sweep.t_ns is None or named.sweep.world_from_sensor is None:
+            problem = "sweeps must have a time and a pose to be put together with others; give --poses FILE"
+            failures.report(named.file, ValueError(problem))
+        else:
+            yield named.sweep.t_ns, number, place, named
+
+
+def report_of(sweep: Sweep, estimator: Estimator, detector: Detector) -> AgentReport:
+    """Return what the agent of a sweep reports."""
+    from dataclasses import replace
+
+    from viewshed.agents.many import AgentReport
+    from viewshed.preprocess.leveling import leveled_on
+
+    leveled = leveled_on(sweep, estimator.grid)
+    estimate = replace(estimator.estimate(leveled), agent=sweep.agent)
+    return AgentReport.of(estimate, detector.detect(leveled))
+
+
+def line_of(done: Round) -> str:
+    """Return a round in a line: objects, who is accused of lies, and who is disputed."""
+    picture = done.picture
+    verdicts = "".join(
+        f"; {word} {', '.join(agent for agent, flag in zip(picture.agents, flags, strict=True) if flag)}"
+        for word, flags in (("ACCUSED", done.accused), ("disputed", done.disputed)) if flags.any()
+    )  # fmt: skip
+    objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
+    return f"{picture.t_s:.2f} s: {objects}{verdicts}"
+
+
+def picture_of(done: Round) -> bytes:
+    """Return the PNG of the joint field of view, about the middle of the agents."""
+    title = f"joint view of {len(done.reports)} agents, {done.picture.t_s:.2f} s"
+    return done.joint.estimate(done.t_ns).plot(title=title)

@@ -1,0 +1,479 @@
+"""``viewshed monitor``: is this sweep inconsistent or degraded, where and why; and how often that is said wrongly."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Protocol
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weights
+from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
+from viewshed.cli._places import chosen_files, place_of_result
+from viewshed.cli._stream import placed_sweeps, poses_of
+from viewshed.cli._terminal import BAD_INPUTS, complain
+from viewshed.cli._verdicts import HZ, Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
+
+if TYPE_CHECKING:
+    from viewshed.estimators import Estimator
+    from viewshed.estimators.unet import UnetEstimator
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.grid import BevGrid
+    from viewshed.monitor import DeviationMonitor, IntegrityReport, StreamMonitor
+    from viewshed.monitor.calibration import Promise
+    from viewshed.monitor.stream_monitor import StreamReport
+    from viewshed.monitor.sweep_monitor import BenignSweep, SweepMonitor
+    from viewshed.preprocess.leveling import LeveledSweep
+    from viewshed.sweep import Sweep
+
+
+monitor_app = typer.Typer(help="Say whether a sweep is inconsistent or degraded, where and why.")
+
+
+@monitor_app.callback()
+def monitor() -> None:
+    """Say whether a sweep is inconsistent or degraded, where and why."""
+
+
+@monitor_app.command()
+def fit(
+    sources: options.Sources,
+    out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
+    false_alarm_rate: Annotated[float, typer.Option(help="Share of benign sweeps that may alarm.")] = 0.05,
+    sigmas: Annotated[float, typer.Option(help="Standard deviations above its mean from which a cell is suspect.")] = 3,
+    split: options.Split = None,
+    grid: options.GridName = "road",
+    target: options.TargetName = "car",
+    weights: Weights = None,
+    passes: Passes = None,
+    seed: Seed = None,
+    sensor: options.SensorName = AUTO,
+) -> None:
+    """Fit the published monitor of Monte Carlo dropout.
+
+    On benign sweeps: thresholds on the first half, the limit on the second.
+
+    Example: viewshed monitor fit benign --out monitor.npz
+    """
+    from viewshed.estimators.unet import PASSES, load_network
+    from viewshed.monitor import DeviationMonitor, Rule, save_monitor
+    from viewshed.monitor.calibration import alarms_allowed
+
+    rule, sweeps = Rule(sigmas=sigmas), _Source(tuple(sources), split, sensor)
+    refuse_inputs((out,), map(Path, sources))
+    estimator = load_network(
+        "mc_dropout", options.parse_grid(grid), options.parse_target(target), weights=weights, passes=passes,
+        seed=seed or 0,
+    )  # fmt: skip
+    count = sum(1 for _ in sweeps)
+    alarms_allowed(count - count // 2, false_alarm_rate, unit="sweeps")
+    estimates = (estimator.estimate(sweep) for _, _, sweep in with_bar(sweeps, count))
+    made = DeviationMonitor.fit(islice(estimates, count // 2), rule).calibrated(estimates, false_alarm_rate)
+    facts = {"network": _identity(estimator), "target": target, "passes": str(passes or PASSES), "seed": str(seed or 0)}
+    save_monitor(replace(made, facts=facts), out)
+    typer.echo(
+        f"{out}: fitted on {made.sweeps[0]} sweeps, calibrated on {made.sweeps[1]}; alarms above a score of "
+        f"{made.limit:.4f}, for at most {false_alarm_rate:.1%} false alarms"
+    )
+
+
+@monitor_app.command()
+def calibrate(
+    sources: options.Sources,
+    out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
+    rate: Annotated[
+        float, typer.Option(help="Share of benign sweeps that may be called inconsistent, or degraded.")
+    ] = 0.01,
+    per: Annotated[str, typer.Option(help="What the rate counts: sweep, or scene (a drive of 20 s).")] = "sweep",
+    confident: Annotated[
+        bool, typer.Option("--confident", help="Keep the rate with probability .9, not only on average.")
+    ] = False,
+    correct: Annotated[
+        bool,
+        typer.Option("--correct", help="Correct the simulated calibration by these few scenes; do not replace it."),
+    ] = False,
+    worse: Annotated[
+        list[str] | None,
+        typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
+    ] = None,
+    per_hour: Annotated[
+        float | None,
+        typer.Option(help="False alarms an hour over time; as few as these drives support, but not below 1."),
+    ] = None,
+    monitor_file: MonitorFile = None,
+    split: options.Split = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random; 0 if not given.")] = None,
+) -> None:
+    """Calibrate the monitor on sweeps that nobody attacked.
+
+    The rate of false alarms then holds on more like these. What counts is scenes, not sweeps: each file is one, and
+    each 20 s of a recording or of a scene of a data set. Those of one recording are alike; the rate then holds for that
+    place and time. Inconsistent is calibrated on all of them, degraded on those that are not given by --worse. Alarms
+    over time keep --per-hour on sweeps that come ten times a second: one an hour needs an hour of drives.
+
+    Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
+    """
+    import numpy as np
+
+    from viewshed.monitor.sweep_monitor import Rates, SweepMonitor, save_sweep_monitor
+
+    if per not in ("sweep", "scene"):
+        raise ValueError(f"--per must be sweep or scene, got {per!r}")
+    if correct and per == "scene":
+        raise ValueError("--per scene must go with scenes that replace the calibration, got --correct; leave one out")
+    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
+    base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
+    failures = Failures()
+
+    def measured(places: Iterable[str]) -> Iterator[BenignSweep]:
+        several = _Source(tuple(places), split, sensor, failures=failures)
+        return _benign(several, options.parse_grid(grid), base, failures)
+
+    benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
+              for sweep in measured(places)]  # fmt: skip
+    rates = Rates(rate, rate)
+    promise: Promise = "confident" if confident else "expected"
+    if correct:
+        made = base.corrected(benign, rng, rates=rates, promise=promise)
+    else:
+        made = SweepMonitor.calibrate(
+            base.score, benign, rng, rates=rates, promise=promise, per="drive" if per == "scene" else "sweep",
+            estimates=base.estimates, facts=base.facts,
+        )  # fmt: skip
+    made = replace(made, per_hour=per_hour)
+    made.detector(hz=HZ)
+    save_sweep_monitor(made, out)
+    for warning in made.warnings:
+        complain(f"warning: {warning}")
+    scenes = len({sweep.scene for sweep in benign})
+    typer.echo(f"{out}: calibrated on {len(benign)} sweeps of {scenes} scenes")
+    for line in made.promises():
+        typer.echo(f"  {line}")
+    if failures.count:
+        raise typer.Exit(2)
+
+
+@monitor_app.command()
+def check(
+    sources: options.Sources,
+    monitor_file: MonitorFile = None,
+    split: options.Split = None,
+    grid: options.GridName = "road",
+    weights: Weights = None,
+    sensor: options.SensorName = AUTO,
+    topic: options.Topic = None,
+    poses: options.Poses = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of pictures and suspect cells; none if not given.")] = None,
+) -> None:
+    """Check sweeps with a monitor: verdict and reason, a line each.
+
+    A line has p-value and suspect sectors as well. Without --monitor-file it is the monitor that comes with viewshed.
+    Sweeps of a recording are judged with those before them. A sweep that cannot be checked costs one line on standard
+    error and does not stop the others; the exit code is then 2. An alarm does not change the exit code.
+
+    Example: viewshed monitor check drive --monitor-file monitor.npz
+    """
+    if out is not None:
+        make_folder(out)
+    run = _watching(monitor_file, options.parse_grid(grid), weights, out)
+    for source in sources:
+        try:
+            for seen in _Source((source,), split, sensor, topic, poses, run.failures):
+                run.one(seen)
+        except BAD_INPUTS as error:
+            run.failures.report(source, error)
+    typer.echo(run.summary())
+    if run.failures.count:
+        raise typer.Exit(2)
+
+
+@monitor_app.command()
+def explain(
+    source: Annotated[str, typer.Argument(metavar="SRC", help="A sweep, or a recording or data set.")],
+    number: Annotated[int, typer.Option(min=0, help="Which sweep of the recording, counted from 0.")] = 0,
+    monitor_file: MonitorFile = None,
+    split: options.Split = None,
+    grid: options.GridName = "road",
+    sensor: options.SensorName = AUTO,
+    out: Annotated[str, typer.Option(help="Picture to write, or a folder for it.")] = "explained.png",
+) -> None:
+    """Draw the suspect sectors of one sweep, and why they are.
+
+    The map, and all evidence by azimuth. Without --monitor-file it is the monitor that comes with viewshed. A sweep of
+    a recording is judged with those before it.
+
+    Example: viewshed monitor explain drive.mcap --number 120 --out explained.png
+    """
+    from viewshed._files import write_atomic
+
+    picture = place_of_result(out, "explained.png")
+    refuse_inputs((picture,), [Path(source)])
+    run = SweepRun(stream_monitor(monitor_file), options.parse_grid(grid))
+    for place, seen in enumerate(_Source((source,), split, sensor)):
+        leveled, report = run.check(seen)
+        if place == number:
+            line = f"{seen.name}: {stream_verdicts(report)}"
+            write_atomic(picture, run.picture(leveled, report.now, line))
+            typer.echo(f"{line} → {picture}")
+            for reason in report.now.reasons[1:]:
+                typer.echo(f"  {reason}")
+            return
+    raise ValueError(f"number must be below the sweeps of {source}, got {number}")
+
+
+class Seen(NamedTuple):
+    """A sweep with the file or scene that it is of and its own name."""
+
+    scene: str
+    name: str
+    sweep: Sweep
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """Sweeps that can be gone through more than once, in their order.
+
+    A file that cannot be read is reported to ``failures``, or an error where there are none.
+    """
+
+    places: tuple[str, ...]
+    split: str | None
+    sensor: str
+    topic: str | None = None
+    poses: Path | None = None
+    failures: Failures | None = None
+
+    def __iter__(self) -> Iterator[Seen]:
+        from viewshed.recordings.recording import is_data_set
+
+        for place in self.places:
+            if is_data_set(place):
+                yield from self._archived(place)
+            elif self.split is not None:
+                raise ValueError(f"--split goes with a data set that has splits, got {place}")
+            else:
+                yield from self._read(place)
+
+    def _archived(self, place: str) -> Iterator[Seen]:
+        from viewshed.recordings.recording import data_sets
+
+        for number, (scene, sweep) in enumerate(data_sets(place).sweeps(place, self.split)):
+            yield Seen(f"{place} {scene}", f"{scene} {number:05}", sweep)
+
+    def _read(self, place: str) -> Iterator[Seen]:
+        reading = Reading(self.sensor, topic=self.topic, poses=self.poses)
+        jobs = list(chosen_files([Path(place)], None))
+        poses, count = poses_of(reading, jobs), 0
+        for job in jobs:
+            path = job[0]
+            several = path.is_dir()
+            try:
+                for number, sweep in enumerate(placed_sweeps(reading, jobs, job, poses, count)):
+                    count += 1
+                    name = f"{path.name} {number:05}" if several or number else path.name
+                    yield Seen(str(path) if poses is None else place, name, sweep)
+            except BAD_INPUTS as error:
+                if self.failures is None:
+                    raise
+                self.failures.report(path, error)
+
+
+def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
+    """Yield what all evidence measures of each sweep that can be read and leveled."""
+    from viewshed.monitor.evidence import EVIDENCE
+    from viewshed.monitor.score import HeldEvidence, measure_all
+    from viewshed.monitor.sweep_monitor import EARLIER_SWEEPS, BenignSweep, group_of
+    from viewshed.preprocess.leveling import level
+
+    if base.estimates:
+        raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
+    agents: dict[str, tuple[Drives, HeldEvidence]] = {}
+    for seen in sources:
+        drives, held = agents.setdefault(seen.sweep.agent, (Drives(), HeldEvidence()))
+        try:
+            monitored = drives.next(level(seen.sweep, grid), f"{seen.scene} {seen.sweep.agent}")
+            if len(monitored.earlier) < EARLIER_SWEEPS:
+                monitored = replace(monitored, earlier=())
+            group, measured = group_of(monitored), measure_all(monitored)
+            if not drives.goes_on or group.earlier != "posed":
+                held.clear()
+            if group.earlier == "posed":
+                # As in a stream; those with fewer sweeps behind them than are held are as in no other place of it.
+                alone, measured = measured, held.with_next(measured, EVIDENCE)
+                held.add(alone)
+                if not held.is_full:
+                    continue
+            yield BenignSweep(drives.scene(monitored.leveled), group, measured)
+        except BAD_INPUTS as error:
+            failures.report(seen.name, error)
+
+
+class _Watching(Protocol):
+    """A monitor at work, of either kind."""
+
+    failures: Failures
+
+    def one(self, seen: Seen) -> None:
+        """Say what the monitor finds in a sweep."""
+        ...
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and what was found, in a line."""
+        ...
+
+
+def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Watching:
+    """Return the monitor in a file at work, whichever kind it is; None is the shipped one."""
+    from viewshed.monitor.deviation import NAME, load_monitor
+    from viewshed.monitor.sweep_monitor import kind_of_monitor
+
+    if file is not None and kind_of_monitor(file) == NAME:
+        fitted = load_monitor(file)
+        return _DeviationRun(fitted, estimator_of(fitted, weights), out)
+    if weights is not None:
+        raise ValueError("--weights goes with a monitor of viewshed monitor fit, whose network it names")
+    return SweepRun(stream_monitor(file), grid, out)
+
+
+@dataclass(slots=True)
+class SweepRun:
+    """The monitor of all evidence at work."""
+
+    monitor: StreamMonitor
+    grid: BevGrid
+    out: Path | None = None
+    checked: int = 0
+    inconsistent: int = 0
+    degraded: int = 0
+    alarms: int = 0
+    failures: Failures = field(default_factory=Failures)
+    taken: set[str] = field(default_factory=set)
+    scene: str = ""
+    estimator: Estimator | None = None
+
+    def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
+        """Return the next sweep, leveled, and what the monitor says of it; each file or scene begins anew."""
+        from viewshed.preprocess.leveling import level
+
+        if seen.scene != self.scene:
+            self.monitor.reset()
+        self.scene = seen.scene
+        leveled = level(seen.sweep, self.grid)
+        return leveled, self.monitor.check(leveled)
+
+    def one(self, seen: Seen) -> None:
+        """Say what the monitor finds in a sweep."""
+        from viewshed._files import write_atomic
+
+        try:
+            leveled, report = self.check(seen)
+            line = f"{seen.name}: {stream_verdicts(report)}"
+            if self.out is not None:
+                place = self.out / f"{free_name(stem_of(seen.name).replace('/', '_'), self.taken)}.png"
+                write_atomic(place, self.picture(leveled, report.now, line))
+                line = f"{line} → {place}"
+            typer.echo(line)
+        except BAD_INPUTS as error:
+            self.failures.report(seen.name, error)
+        else:
+            self.checked += 1
+            self.inconsistent += report.now.inconsistent
+            self.degraded += report.now.degraded
+            self.alarms += report.alarm
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and what was found, in a line."""
+        over_time = f", {self.alarms} alarms over time" if self.alarms else ""
+        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{over_time}"
+
+    def picture(self, leveled: LeveledSweep, report: IntegrityReport, line: str) -> bytes:
+        """Return the PNG of a report: suspect sectors on the map of the default estimate, and the evidence scored."""
+        from viewshed.estimators import load_estimator
+        from viewshed.grid import BevGrid
+        from viewshed.show.plot import Panel, monitor_picture
+
+        self.estimator = self.estimator or load_estimator(grid=BevGrid(256, leveled.ground.half_extent_m))
+        estimate, score = self.estimator.estimate(leveled), self.monitor.monitor.score
+        panel = Panel(estimate, line, leveled, estimate.threshold)
+        return monitor_picture(panel, report, score.names, score.scale(report.evidence[None])[0])
+
+
+@dataclass(slots=True)
+class _DeviationRun:
+    """The published detector at work, with the network that it was fitted on."""
+
+    monitor: DeviationMonitor
+    estimator: UnetEstimator
+    out: Path | None
+    checked: int = 0
+    alarms: int = 0
+    failures: Failures = field(default_factory=Failures)
+    taken: set[str] = field(default_factory=set)
+
+    def one(self, seen: Seen) -> None:
+        """Say what the monitor finds in a sweep."""
+        _, name, sweep = seen
+        try:
+            found = self.estimator.estimate(sweep)
+            report = self.monitor.check(found)
+            line = f"{name}: {verdicts(report)}"
+            typer.echo(line if self.out is None else f"{line} → {self._drawn(name, line, found, report, sweep)}")
+        except BAD_INPUTS as error:
+            self.failures.report(name, error)
+        else:
+            self.checked += 1
+            self.alarms += report.alarm
+
+    def summary(self) -> str:
+        """Return how many sweeps were checked and how many alarmed, in a line."""
+        return f"{self.checked} sweeps, {self.alarms} alarms"
+
+    def _drawn(self, name: str, line: str, found: FovEstimate, report: IntegrityReport, sweep: Sweep) -> Path:
+        """Write picture and suspect cells of a sweep and return where the picture is."""
+        from viewshed._files import write_atomic
+        from viewshed.monitor.report import suspects_geojson
+        from viewshed.preprocess.leveling import level
+        from viewshed.show.plot import Panel, maps_picture
+
+        panel = Panel(found, line, level(sweep, self.estimator.grid), self.estimator.card.threshold)
+        stem = free_name(stem_of(name).replace("/", "_"), self.taken)
+        place = (self.out or Path()) / f"{stem}.png"
+        write_atomic(place, maps_picture(panel))
+        write_atomic(place.with_name(f"{stem}.geojson"), suspects_geojson(report))
+        return place
+
+
+def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimator:
+    """Return the network that a monitor was fitted on.
+
+    Raises:
+        ValueError: the monitor does not name it, or the weights are others.
+    """
+    from viewshed.estimators.unet import load_network
+
+    if not {"network", "target", "passes", "seed"} <= set(monitor.facts):
+        raise ValueError("monitor must name its network, passes and seed, got none; fit it with viewshed monitor fit")
+    facts = monitor.facts
+    estimator = load_network(
+        "mc_dropout", monitor.grid, options.parse_target(facts["target"]), weights=weights,
+        passes=int(facts["passes"]), seed=int(facts["seed"]),
+    )  # fmt: skip
+    if _identity(estimator) != facts["network"]:
+        raise ValueError(
+            f"weights must be those of the monitor, {facts['network']}, got {_identity(estimator)}; give --weights,"
+            " or fit a monitor for these"
+        )
+    return estimator
+
+
+def _identity(estimator: UnetEstimator) -> str:
+    """Return name and fingerprint of an estimator's network: its card tells how it was trained."""
+    digest = hashlib.sha256(estimator.card.to_json().encode()).hexdigest()
+    return f"{estimator.card.name} {digest[:12]}"

@@ -1,0 +1,133 @@
+"""``viewshed record``: a simulated drive, or any recording, as a bag with what could be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from viewshed._extras import plugin
+from viewshed.cli import _options as options
+from viewshed.cli._options import (
+    AS_THEY_ARE,
+    NOT_FOLLOWED,
+    Following,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Reading,
+    WithMonitor,
+)
+from viewshed.cli._outputs import Failures, output_names
+from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import PipelineSettings, ProfileName, settings
+from viewshed.cli._record import Awaited, Listener, SchemaNames, recorders, run, written_line
+from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._verdicts import watching
+from viewshed.cli.estimate import Method
+from viewshed.cli.replay import USUAL_PERIOD_S
+
+if TYPE_CHECKING:
+    from viewshed.recordings.write.moment import DriveTruth
+    from viewshed.sweep import Sweep
+
+SIMULATED = "sim"
+"""In place of files: a simulated drive."""
+
+
+def record(
+    ctx: typer.Context,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="sim|SRC...", help="sim for a simulated drive, or recordings and files.")
+    ],
+    to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
+    schemas: SchemaNames = "ros",
+    profile: ProfileName = None,
+    method: Method = None,
+    grid: options.GridName = "road",
+    reading: Reading = AS_THEY_ARE,
+    target: options.TargetName = "car",
+    history: HistorySweeps = 0,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
+    following: Following = NOT_FOLLOWED,
+    sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
+    preset: Annotated[
+        str, typer.Option(help="For sim: preset of sensors and heights: drives, nuscenes, ugv, …")
+    ] = "drives",
+    world: Annotated[
+        str | None, typer.Option(help="For sim: street, junction, …; the preset's first if not given.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="For sim: how long the drive lasts.")] = 10.0,
+    hz: Annotated[float, typer.Option(help="For sim: sweeps of each agent a second.")] = 10.0,
+    agents: Annotated[int, typer.Option(help="For sim: vehicles that measure.")] = 1,
+    seed: Annotated[
+        int | None, typer.Option(help="For sim: seed of everything random; the preset's if not given.")
+    ] = None,
+) -> None:
+    """Write a bag: a simulated drive, or sweeps and what they saw.
+
+    A simulated drive comes with its truth. As viewshed replay --as-fast --to: every sweep is answered, and the same
+    command gives the same bytes.
+
+    Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
+    """
+    from viewshed.pipeline import Pipeline
+
+    is_simulated = [str(file) for file in files] == [SIMULATED]
+    if is_simulated and reading != AS_THEY_ARE:
+        raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
+    buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, monitor_file)
+    failures = Failures()
+    if is_simulated:
+        stream = _simulated(preset, seconds, hz, agents, world, seed)
+    else:
+        stream = _read(reading, files, chosen, failures, history)
+    with recorders(to, schemas, [] if is_simulated else files) as records:
+        adversary = following.adversary()
+        listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
+            rules=chosen.rules, lossless=True,
+        )  # fmt: skip
+        count = run(pipeline, listener, _timed(islice(stream, sweeps)), adversary)
+        if not count:
+            raise ValueError(f"no sweep could be read, {to} was not written")
+    typer.echo(written_line(to))
+    if failures.count:
+        raise typer.Exit(2)
+
+
+def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaited]:
+    """Yield sweeps with their times since the first; those without a time come a tenth of a second apart."""
+    begin_ns = 0
+    for count, (sweep, truth) in enumerate(stream):
+        begin_ns = sweep.t_ns or 0 if count == 0 else begin_ns
+        due_s = count * USUAL_PERIOD_S if sweep.t_ns is None else (sweep.t_ns - begin_ns) / 1e9
+        yield Awaited(sweep.agent, due_s, sweep, truth)
+
+
+def _read(
+    reading: Reading, files: list[Path], chosen: PipelineSettings, failures: Failures, history: int
+) -> Iterator[tuple[Sweep, DriveTruth | None]]:
+    """Yield the sweeps of files and recordings, as many a second as are wanted."""
+    jobs = list(chosen_files(files, None))
+    names = output_names([file for file, _ in jobs])
+    for named in chosen.at_rate(named_sweeps(reading, jobs, names, failures, history=history)):
+        yield named.sweep, None
+
+
+def _simulated(
+    preset: str, seconds: float, hz: float, agents: int, world: str | None, seed: int | None
+) -> Iterator[tuple[Sweep, DriveTruth | None]]:
+    """Return the sweeps of a simulated drive."""
+    drive = plugin("drives", "simulated", "viewshed record sim")
+    return cast(
+        "Iterator[tuple[Sweep, DriveTruth | None]]",
+        drive(preset, seconds=seconds, hz=hz, agents=agents, world=world, seed=seed),
+    )

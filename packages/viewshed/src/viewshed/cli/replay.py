@@ -1,0 +1,134 @@
+"""``viewshed replay``: the sweeps of a recording at the pace at which they were measured."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import (
+    AS_THEY_ARE,
+    NOT_FOLLOWED,
+    Following,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Reading,
+    WithMonitor,
+)
+from viewshed.cli._outputs import Failures, Named, output_names
+from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import ProfileName, settings
+from viewshed.cli._record import Awaited, Listener, SchemaNames, To, recorders, repeated, run, written_line
+from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._verdicts import watching
+from viewshed.cli.estimate import Files, Method
+
+USUAL_PERIOD_S = 0.1
+"""Between two sweeps whose times are not known or do not rise."""
+
+LONGEST_PERIOD_S = 2.0
+"""Longer gaps, as between the scenes of a recording, are cut to this."""
+
+
+@dataclass(slots=True)
+class Pacer:
+    """Hands sweeps on when they are due.
+
+    Attributes:
+        rate: so many times as fast as they were measured; 0 waits for none.
+        time_s: of the last sweep that was handed on, since the first.
+    """
+
+    rate: float
+    time_s: float = 0.0
+
+    def kept(self, sweeps: Iterable[Named]) -> Iterator[Named]:
+        """Yield each sweep when it is due, at once if that is past."""
+        begun, last_ns = None, None
+        for named in sweeps:
+            if begun is None:
+                begun = time.monotonic()
+            else:
+                self.time_s += _period_s(last_ns, named.sweep.t_ns)
+            if self.rate:
+                time.sleep(max(0.0, begun + self.time_s / self.rate - time.monotonic()))
+            last_ns = named.sweep.t_ns
+            yield named
+
+
+def _period_s(last_ns: int | None, now_ns: int | None) -> float:
+    """Return the seconds between two sweeps.
+
+    >>> _period_s(0, 50_000_000), _period_s(None, 0), _period_s(5, 0), _period_s(0, 10**12)
+    (0.05, 0.1, 0.1, 2.0)
+    """
+    if last_ns is None or now_ns is None or now_ns <= last_ns:
+        return USUAL_PERIOD_S
+    return min((now_ns - last_ns) / 1e9, LONGEST_PERIOD_S)
+
+
+def replay(
+    ctx: typer.Context,
+    files: Files = None,
+    profile: ProfileName = None,
+    method: Method = None,
+    grid: options.GridName = "road",
+    reading: Reading = AS_THEY_ARE,
+    index: options.Index = None,
+    target: options.TargetName = "car",
+    history: HistorySweeps = 0,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Pace: 1 as measured, 2 twice as fast.")] = 1.0,
+    as_fast: Annotated[
+        bool, typer.Option("--as-fast", help="Do not wait between sweeps; --rate does not count.")
+    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
+    to: To = None,
+    schemas: SchemaNames = "ros",
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
+    following: Following = NOT_FOLLOWED,
+) -> None:
+    """Estimate the sweeps of a recording as they would come in live.
+
+    Each is a line: time, visible area and latency. A sweep that is not begun when the next one is due is dropped and
+    counted, unless --as-fast. With --to the sweeps and what came of them are written to a bag; with --as-fast the same
+    bytes each time.
+
+    Example: viewshed replay drive.mcap --rate 2
+    """
+    from viewshed.pipeline import Pipeline
+
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
+    buffer = history_buffer(estimator, chosen.history)
+    watch = watching(chosen.monitor, monitor_file)
+    failures = Failures()
+    jobs = list(chosen_files(files or [], index))
+    names = output_names([file for file, _ in jobs])
+
+    def read() -> Iterator[Named]:
+        return named_sweeps(reading, jobs, names, failures, history=history)
+
+    pace = Pacer(0.0 if as_fast else rate)
+    with recorders(to, schemas, [file for file, _ in jobs]) as records:
+        adversary = following.adversary()
+        listener = Listener(records, failures, is_live=not as_fast, following=following, adversary=adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
+            rules=chosen.rules, lossless=as_fast, stale_after_s=math.inf,
+        )  # fmt: skip
+        taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
+        awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)
+        count = run(pipeline, listener, awaited, adversary)
+        if to is not None and not count:
+            raise ValueError(f"no sweep could be read, {to} was not written")
+    if to is not None:
+        typer.echo(written_line(to))
+    if failures.count:
+        raise typer.Exit(2)

@@ -1,0 +1,266 @@
+"""``viewshed view``: a recording's estimates to watch, as one HTML page, in Rerun or live in Foxglove."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from viewshed.cli import _options as options
+from viewshed.cli._options import (
+    AS_THEY_ARE,
+    NOT_FOLLOWED,
+    Following,
+    HistorySweeps,
+    MonitorFile,
+    NetworkOptions,
+    Passes,
+    Reading,
+    Seed,
+    Weights,
+    WithMonitor,
+)
+from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
+from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import ProfileName, settings
+from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
+from viewshed.cli._stream import history_buffer, named_sweeps
+from viewshed.cli._terminal import BAD_INPUTS
+from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
+from viewshed.cli.estimate import Files, Method
+from viewshed.cli.monitor import estimator_of
+from viewshed.cli.replay import Pacer
+
+if TYPE_CHECKING:
+    from viewshed.agents.rounds import Round
+    from viewshed.estimators import Estimator
+    from viewshed.estimators.temporal import SweepBuffer
+    from viewshed.fov.estimate import FovEstimate
+    from viewshed.monitor import IntegrityReport, StreamMonitor
+    from viewshed.pipeline.adversary import Adversary
+    from viewshed.pipeline.reactions import ReactionRules
+    from viewshed.preprocess.leveling import LeveledSweep
+    from viewshed.show.view import Frame, PackedFrame
+
+    Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
+    """What a monitor says of the next sweep and its estimate, and that in words."""
+
+Every = Annotated[int, typer.Option(min=1, help="Take one of so many sweeps.")]
+
+MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")]
+
+
+def view(
+    ctx: typer.Context,
+    files: Files = None,
+    html: Annotated[Path | None, typer.Option(help="The page to write, one file that needs no network.")] = None,
+    rerun: Annotated[Path | None, typer.Option(help="The file to write for Rerun: NAME.rrd.")] = None,
+    foxglove: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Serve live to Foxglove at this port, until Ctrl-C.")
+    ] = None,
+    profile: ProfileName = None,
+    method: Method = None,
+    grid: options.GridName = "road",
+    reading: Reading = AS_THEY_ARE,
+    index: options.Index = None,
+    target: options.TargetName = "car",
+    weights: Weights = None,
+    passes: Passes = None,
+    seed: Seed = None,
+    monitor: WithMonitor = False,
+    monitor_file: MonitorFile = None,
+    history: HistorySweeps = 0,
+    every: Every = 1,
+    sweeps: MostSweeps = None,
+    following: Following = NOT_FOLLOWED,
+) -> None:
+    """Show what sweeps could see: a page, a file for Rerun, or live.
+
+    The page is for any browser, has a map and a timeline and needs no network. Live, in Foxglove, the sweeps come at
+    the pace at which they were measured, again and again unless --sweeps ends it, and late ones are dropped.
+
+    A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
+
+    Example: viewshed view drive.mcap --html run.html --every 5
+    """
+    if [html, rerun, foxglove].count(None) != 2:
+        raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
+    jobs = list(chosen_files(files or [], index))
+    places = [file for file, _ in jobs]
+    failures, names = Failures(), output_names(places)
+
+    def read() -> Iterator[Named]:
+        return named_sweeps(reading, jobs, names, failures, history=history)
+
+    if foxglove is not None:
+        estimator = network.estimator(chosen.method, cells, target)
+        watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
+        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else every * sweeps, every)
+        buffer = history_buffer(estimator, chosen.history)
+        _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures, following)
+    else:
+        own, check = (None, None)
+        if chosen.monitor or monitor_file:
+            own, check = _monitored(monitor_file, weights, method)
+        estimator = own or network.estimator(chosen.method, cells, target)
+        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else every * sweeps, every)
+        frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
+        title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
+        typer.echo(_written(html, rerun or Path(), frames, title, places))
+    if failures.count:
+        raise typer.Exit(2)
+
+
+def _written(
+    html: Path | None, rerun: Path, frames: Iterator[tuple[Frame, str]], title: str, inputs: list[Path]
+) -> str:
+    """Write the page, or else the file for Rerun, print a line for each frame, and return what was written."""
+    from viewshed.show.view import pack_frame, write_page
+
+    def packed() -> Iterator[PackedFrame]:
+        for frame, line in frames:
+            made = pack_frame(frame)
+            typer.echo(f"{line}; {len(made.data) / 1e3:.1f} kB")
+            yield made
+
+    def shown() -> Iterator[Frame]:
+        for frame, line in frames:
+            typer.echo(line)
+            yield frame
+
+    refuse_inputs([html or rerun], inputs)
+    if html is not None:
+        return f"{html}: {write_page(html, packed(), title) / 1e6:.2f} MB"
+    from viewshed.show.view.rerun import write_rerun
+
+    return f"{rerun}: {write_rerun(rerun, shown(), title) / 1e6:.2f} MB"
+
+
+def _serve(
+    port: int,
+    sweeps: Iterable[Named],
+    estimator: Estimator,
+    buffer: SweepBuffer | None,
+    watch: StreamMonitor | None,
+    rules: ReactionRules,
+    failures: Failures,
+    following: Following,
+) -> None:
+    """Show sweeps live in Foxglove, at the pace at which they were measured."""
+    from viewshed.pipeline import Pipeline
+    from viewshed.recordings.write.foxglove_topics import foxglove_server
+
+    pace, adversary = Pacer(1.0), following.adversary()
+    with foxglove_server(port) as record:
+        typer.echo(f"open ws://localhost:{port} in Foxglove; Ctrl-C ends")
+        listener = Listener([record], failures, is_live=True, following=following, adversary=adversary)
+        objects = following.object_stream(adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=objects, rules=rules, stale_after_s=math.inf
+        )
+        awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps))
+        run(pipeline, listener, awaited, adversary)
+
+
+def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
+    """Return the estimator that a monitor was fitted on, if it was on one, and what the monitor says of each sweep."""
+    from viewshed.monitor import load_monitor
+    from viewshed.monitor.deviation import NAME as DEVIATION
+    from viewshed.monitor.sweep_monitor import kind_of_monitor
+
+    if file is not None and kind_of_monitor(file) == DEVIATION:
+        if method not in {None, "mc_dropout"}:
+            raise ValueError(f"--monitor-file was fitted on mc_dropout, got --method {method}; leave it out")
+        fitted = load_monitor(file)
+
+        def check_estimate(_: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
+            report = fitted.check(estimate)
+            return report, verdicts(report)
+
+        return estimator_of(fitted, weights), check_estimate
+    stream = stream_monitor(file)
+
+    def check(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
+        report = stream.check(leveled, {estimate.method: estimate})
+        return report.now, stream_verdicts(report)
+
+    return None, check
+
+
+def _frames(
+    sweeps: Iterable[Named],
+    estimator: Estimator,
+    buffer: SweepBuffer | None,
+    check: Check | None,
+    failures: Failures,
+    following: Following,
+) -> Iterator[tuple[Frame, str]]:
+    """Yield each sweep as it is shown, with its line; the sensor of the one before is expected first.
+
+    Where agents are put together, each round is shown in place of its sweeps.
+    """
+    from viewshed.agents.legend import tracks_of_agent
+    from viewshed.preprocess.leveling import level
+    from viewshed.show.view import Frame
+
+    adversary = following.adversary()
+    objects, center = following.object_stream(adversary), Center(adversary) if following.fuse else None
+    sensor, is_warm, seen = None, False, None
+    for named in sweeps:
+        try:
+            if not is_warm:
+                warm_up(estimator, named.sweep)
+                is_warm = True
+            begin_s = time.perf_counter()
+            sweep = named.sweep if adversary is None else adversary.sweep(named.sweep)
+            leveled = level(sweep, estimator.grid, sensor)
+            history = None if buffer is None else buffer.history(leveled)
+            leveled = leveled if history is None else history.now
+            estimate = estimator.estimate(leveled, history)
+            elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
+            report, said = (None, "") if check is None else check(leveled, estimate)
+            seen = None if objects is None else objects.follow(leveled, estimate, report)
+            done = None if center is None or seen is None else center.add(estimate, seen)
+        except BAD_INPUTS as error:
+            failures.report(named.file, error)
+            continue
+        if buffer is not None:
+            buffer.add(leveled)
+        sensor = leveled.sensor_id.model
+        report_doubts(leveled, named.name)
+        line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{f'; {said}' if said else ''}"
+        line += "" if seen is None else objects_line(seen)
+        if done is not None:
+            yield _round_frame(done, adversary), line
+        elif center is None:
+            found = None if seen is None else seen.detections
+            tracks = None if seen is None else tracks_of_agent(seen).moved(seen.tracks_from_level.inverse())
+            yield Frame(named.name, estimate, leveled, report, found, tracks), line
+    note_unmet(adversary)
+
+
+def _round_frame(done: Round, adversary: Adversary | None) -> Frame:
+    """Return a round as it is shown: what all see together, their joint tracks, and who is trusted."""
+    from viewshed.agents.legend import tracks_of_center
+    from viewshed.show.view import AgentTrust, Frame
+
+    picture, joint = done.picture, done.joint
+    trust = tuple(
+        AgentTrust(
+            agent, float(picture.verdicts.trust[n]), bool(done.accused[n]), bool(done.disputed[n]),
+            adversary is not None and adversary.attacks(agent),
+        )
+        for n, agent in enumerate(picture.agents)
+    )  # fmt: skip
+    tracks = tracks_of_center(picture).moved(joint.world_from_grid.inverse())
+    return Frame(
+        f"{len(done.reports)} agents, {picture.t_s:.2f} s", joint.estimate(done.t_ns), tracks=tracks, trust=trust,
+        lies=tuple(done.sentences()),
+    )  # fmt: skip

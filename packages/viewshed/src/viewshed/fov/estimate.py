@@ -1,0 +1,268 @@
+"""③ FovEstimate: what a sweep could see, cell by cell; the role that makes one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+from importlib import import_module  # pictures and formats know this module: it looks them up when it is asked
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._files import write_atomic
+from viewshed.fov.visibility import CAR, Target
+from viewshed.geometry import FloatArray, Rigid
+from viewshed.grid import BevGrid
+from viewshed.sweep import Sweep
+
+if TYPE_CHECKING:
+    from shapely import MultiPolygon
+
+    from viewshed.preprocess.leveling import LeveledSweep
+
+
+THRESHOLD = 0.5
+"""A cell counts as visible from this probability on."""
+
+
+UNSURE_M = 0.5
+"""Ground with a larger standard deviation is unsure: by a third of a car's height."""
+
+HeightSource = Literal["given", "estimated", "held", "assumed"]
+"""Where a sensor's height is from: the sweep, its returns, earlier sweeps of its stream, or none of them."""
+
+_HEIGHT_SOURCES = get_args(HeightSource)
+
+
+class CellState(IntEnum):
+    """What is known of a cell. Visible means FREE or SURFACE; only UNKNOWN says nothing."""
+
+    UNKNOWN = 0
+    """No evidence: outside coverage, too few beams, or beams with no return whose cause is not known."""
+    FREE = 1
+    """Visible, and nothing stands there."""
+    SURFACE = 2
+    """Visible, and the first surface that the beams meet."""
+    HIDDEN = 3
+    """Inside range and coverage, but blocked by something nearer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What an estimate rests on, by which a reader can judge it.
+
+    Attributes:
+        sensor_height_m: height of the sensor above the ground below it.
+        height_source: ``given`` with the sweep, ``estimated`` from its returns, ``held`` from earlier sweeps of the
+            stream, or ``assumed`` where no ground was seen.
+        ground_support: share in [0, 1] of the near ground that lies on the plane that carries the sensor.
+        unsure_ground_share: share in [0, 1] of the FREE and SURFACE cells on ground whose height has a standard
+            deviation above :data:`UNSURE_M`.
+        inferred_share: share in [0, 1] of these cells that measured beams alone would not support.
+        reach_m: how far the sensor sees a dark target; nothing is claimed beyond.
+    """
+
+    sensor_height_m: float
+    height_source: HeightSource
+    ground_support: float
+    unsure_ground_share: float
+    inferred_share: float
+    reach_m: float
+
+    def __post_init__(self) -> None:
+        if self.height_source not in _HEIGHT_SOURCES:
+            raise ValueError(f"height_source must be one of {', '.join(_HEIGHT_SOURCES)}, got {self.height_source!r}")
+        for name in ("ground_support", "unsure_ground_share", "inferred_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
+        if not (isfinite(self.sensor_height_m) and self.reach_m >= 0.0):
+            raise ValueError(
+                f"sensor_height_m must be finite and reach_m not negative, got {self.sensor_height_m}, {self.reach_m}"
+            )
+
+    @property
+    def height_line(self) -> str:
+        """The sensor's height, where it is from, how sure it is, and how far the sensor sees, in words.
+
+        >>> Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0).height_line
+        'sensor 1.84 m above the ground (estimated, 63% of the near ground agrees), reach 80 m'
+        """
+        height, reach = f"{self.sensor_height_m:.2f} m above", f"reach {self.reach_m:.0f} m"
+        if self.height_source == "assumed":
+            return f"ground not seen, sensor taken to be {height} it, {reach}"
+        agrees = f", {self.ground_support:.0%} of the near ground agrees" if self.height_source == "estimated" else ""
+        return f"sensor {height} the ground ({self.height_source}{agrees}), {reach}"
+
+    @property
+    def view_line(self) -> str:
+        """How much of the view stands on unsure ground, and how much rests on inferred beams, in words.
+
+        >>> Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0).view_line
+        '4% of the view over ground unsure by 0.5 m, 7% by inferred beams'
+        """
+        return (
+            f"{self.unsure_ground_share:.0%} of the view over ground unsure by {UNSURE_M:g} m,"
+            f" {self.inferred_share:.0%} by inferred beams"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FovEstimate:
+    """The field of view of one sweep on a :class:`BevGrid` in the ``level`` frame.
+
+    Attributes:
+        grid: where the cells are.
+        visible_prob: (cells, cells) float32 in [0, 1]: probability that a target in the cell would have given at
+            least ``target.min_returns`` returns (the one definition of visible).
+        std: (cells, cells) float32 standard deviation of that probability over the model's posterior: of
+            ``mc_dropout`` over its passes; NaN where the estimator has none.
+        state: (cells, cells) uint8 of :class:`CellState`.
+        method: name of the estimator.
+        target: what would have to be seen.
+        threshold: probability in (0, 1] from which the estimator calls a cell visible.
+        world_from_level: pose of the ``level`` frame in the map, or None.
+        t_ns: time of the sweep, or None.
+        agent: whose sensor it was.
+        basis: what the estimate rests on; None where no sweep is known that it was made from.
+
+    Raises:
+        ValueError: a shape is not the grid's, or a value lies outside its range.
+    """
+
+    grid: BevGrid
+    visible_prob: NDArray[np.float32]
+    state: NDArray[np.uint8]
+    std: NDArray[np.float32] | None = None
+    method: str = ""
+    target: Target = CAR
+    threshold: float = THRESHOLD
+    world_from_level: Rigid | None = None
+    t_ns: int | None = None
+    agent: str = "ego"
+    basis: Basis | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.threshold <= 1.0:
+            raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
+        self._store("visible_prob", self.visible_prob, np.float32)
+        std: Any = _no_deviation(self.grid.cells) if self.std is None else self.std
+        self._store("std", std, np.float32)
+        self._store("state", self.state, np.uint8)
+        # The least and the greatest of numbers with a NaN among them are NaN, and lie in no bounds.
+        if self.visible_prob.size and not (self.visible_prob.min() >= 0 and self.visible_prob.max() <= 1):
+            raise ValueError("visible_prob must lie in [0, 1] and not be NaN")
+        if self.std is not None and (np.asarray(std) < 0).any():
+            raise ValueError("std must not be negative; NaN means that the estimator has none")
+        if self.state.size and self.state.max() > max(CellState):
+            raise ValueError(f"state must lie in [0, {max(CellState):d}], got {self.state.max()}")
+
+    def _store(self, name: str, value: Any, dtype: type[np.generic]) -> None:
+        array = np.ascontiguousarray(value, dtype=dtype)
+        if array.shape != self.grid.shape:
+            raise ValueError(f"{name} must have the grid's shape {self.grid.shape}, got {array.shape}")
+        array = array.view()
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+
+    def visible(self, threshold: float | None = None) -> NDArray[np.bool_]:
+        """Return the mask (cells, cells) of cells with probability ≥ ``threshold``; None is the estimate's own."""
+        threshold = self.threshold if threshold is None else threshold
+        if not 0.0 < threshold <= 1.0:
+            raise ValueError(f"threshold must lie in (0, 1], got {threshold}")
+        mask: NDArray[np.bool_] = self.visible_prob >= np.float32(threshold)
+        return mask
+
+    def doubt(self) -> NDArray[np.float32]:
+        """Return the doubt (cells, cells) float32 in [0, 0.5]: the probability that the likelier answer is wrong.
+
+        As good as the probabilities are: best with ``viewnet``; a mask of zeros and ones has no doubt anywhere.
+
+        >>> prob = np.array([[0.0, 0.25], [0.5, 1.0]])
+        >>> FovEstimate(BevGrid(2, 1.0), prob, np.zeros((2, 2))).doubt().tolist()
+        [[0.0, 0.25], [0.5, 0.0]]
+        """
+        doubt: NDArray[np.float32] = np.float32(0.5) - np.abs(self.visible_prob - np.float32(0.5))
+        return doubt
+
+    def area_m2(self, threshold: float | None = None) -> float:
+        """Return the visible area in square meters."""
+        return float(self.visible(threshold).sum()) * self.grid.cell_area_m2
+
+    def share(self, state: CellState) -> float:
+        """Return the share of the grid's cells in ``state``, in [0, 1]."""
+        return float((self.state == state).mean())
+
+    def at(self, xy: FloatArray) -> NDArray[np.float32]:
+        """Return the probability of visibility (…,) at points (…, 2+) in ``level``; NaN outside the grid.
+
+        A look-up, not an interpolation: a point has the probability of its cell.
+        """
+        cells, inside = self.grid.index(xy)
+        prob = self.visible_prob[cells[..., 0], cells[..., 1]]
+        return np.where(inside, prob, np.float32(np.nan)).astype(np.float32)
+
+    def polygon(self, threshold: float | None = None) -> MultiPolygon:
+        """Return the visible cells as a valid polygon with holes, exact to the cells' edges, meters in ``level``."""
+        from viewshed.fov.polygons import polygon_of_mask
+
+        return polygon_of_mask(self.visible(threshold), self.grid)
+
+    def inner_polygon(self, max_vertices: int, threshold: float | None = None) -> MultiPolygon:
+        """Return a simpler polygon of at most ``max_vertices`` vertices that never claims a cell the mask does not."""
+        from viewshed.fov.polygons import inner_polygon_of_mask
+
+        return inner_polygon_of_mask(self.visible(threshold), self.grid, max_vertices)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the estimate to ``path`` and return it; the suffix chooses the format.
+
+        ``.png`` is the picture of :meth:`plot`, ``.npz`` all arrays, ``.geojson`` polygons, ``.cpm.json`` an ETSI
+        perception region; ``viewshed.io.export.EXPORTERS`` has all formats.
+
+        Raises:
+            ValueError: no format has this suffix.
+        """
+        path = Path(path)
+        if path.suffix == ".png":
+            write_atomic(path, self.plot())
+        else:
+            export = import_module("viewshed.io.export")
+            export.write_export(self, export.format_of_path(path), path)
+        return path
+
+    def plot(self, leveled: LeveledSweep | None = None, title: str | None = None, dark: bool = False) -> bytes:
+        """Return a PNG of the states, with probability and doubt beside them where there is more than a mask.
+
+        Args:
+            leveled: the sweep that the estimate was made from, to draw its returns as well.
+            title: above the picture; None is method and target.
+            dark: on a dark page.
+        """
+        plot = import_module("viewshed.show.plot")
+        heading = f"{self.method}, {self.target.name}" if title is None else title
+        return cast(bytes, plot.draw(plot.Panel(self, heading, leveled, self.threshold), dark))
+
+
+@lru_cache(maxsize=8)
+def _no_deviation(cells: int) -> NDArray[np.float32]:
+    """Return the plane (cells, cells) of NaN that estimates without deviations share, read-only."""
+    plane = np.full((cells, cells), np.nan, np.float32)
+    plane.setflags(write=False)
+    return plane
+
+
+class FovEstimator(Protocol):
+    """Anything that turns a sweep into an estimate on its own grid."""
+
+    @property
+    def grid(self) -> BevGrid:
+        """The grid of every estimate that comes back."""
+        ...
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Estimate what the sensor sees. Must not modify ``sweep``."""
+        ...

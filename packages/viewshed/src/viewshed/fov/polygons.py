@@ -1,0 +1,341 @@
+"""Masks to polygons and back: exact to the cells' edges, or simpler and never outside the mask.
+
+Polygons are in meters of the ``level`` frame; cell (i, j) spans x (forward) by i and y (left) by j.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import GeometryType, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from viewshed import _core
+from viewshed.arrays import Mask
+from viewshed.fov._mask_regions import label_regions, squared_depth
+from viewshed.fov._sector_polygons import best_sectors
+from viewshed.fov._star_polygons import free_ranges, star_vertices
+from viewshed.geometry import FloatArray
+from viewshed.grid import BevGrid
+
+BINS = 720
+"""Directions that the vertices of inner polygons are chosen from: half a degree each."""
+
+SECTOR_BINS = 1800
+"""Directions that up to 64 sectors are made of, 0.2° each: whole numbers of the 0.1° of ETSI messages. More sectors
+are made of half as many."""
+
+MAX_SECTORS = 256
+"""The most sectors that are chosen together."""
+
+_MAX_PIECES = 8
+
+_PRICE_STEPS, _PRICE_SPAN = 7, 500.0
+
+
+def checked_mask(mask: Mask, grid: BevGrid) -> Mask:
+    """Return ``mask`` as a contiguous bool array, or raise ValueError where its shape or type is wrong."""
+    array = np.asarray(mask)
+    if array.shape != grid.shape or array.dtype != np.bool_:
+        raise ValueError(f"mask must be bool of the grid's shape {grid.shape}, got {array.dtype} {array.shape}")
+    return np.ascontiguousarray(array)
+
+
+def local_crs(frame: str) -> dict[str, Any]:
+    """Return the member ``crs`` of a GeoJSON in meters of a frame: else programs take them for longitude and latitude.
+
+    >>> local_crs("level")["properties"]["name"].partition("[")[0]
+    'LOCAL_CS'
+    """
+    name = f'LOCAL_CS["{frame} frame of viewshed",UNIT["metre",1],AXIS["x",EAST],AXIS["y",NORTH]]'
+    return {"type": "name", "properties": {"name": name}}
+
+
+def polygon_of_mask(mask: Mask, grid: BevGrid) -> MultiPolygon:
+    """Return the true cells of ``mask`` (cells, cells) as a valid polygon with holes, in meters.
+
+    Exact to the cells' edges; vertices stand at corners only. Cells that meet at a corner alone are separate.
+
+    >>> polygon_of_mask(np.eye(2, dtype=bool), BevGrid(2, 1.0)).area
+    2.0
+    """
+    array = checked_mask(mask, grid)
+    if not array.any():
+        return MultiPolygon()
+    vertices, starts, ring_labels = _core.rings_of_mask(array, label_regions(array))
+    vertices, rings, owners = _grouped(vertices, starts, ring_labels)
+    coords = np.asarray(grid.origin_m) + vertices * grid.cell_m
+    return MultiPolygon(
+        shapely.from_ragged_array(GeometryType.MULTIPOLYGON, coords, (rings, owners, np.array([0, len(owners) - 1])))[0]
+    )
+
+
+def _grouped(
+    vertices: NDArray[np.int16], starts: NDArray[np.int64], labels: NDArray[np.int32]
+) -> tuple[NDArray[np.int16], NDArray[np.int64], NDArray[np.int64]]:
+    """Return closed rings ordered by component, the shell first: vertices, ring offsets, polygon offsets."""
+    counts = np.diff(starts)
+    order = np.lexsort((labels < 0, np.abs(labels)))
+    rings = np.concatenate([[0], np.cumsum(counts[order] + 1)])
+    within = np.arange(rings[-1]) - np.repeat(rings[:-1], counts[order] + 1)
+    rows = np.repeat(starts[:-1][order], counts[order] + 1) + within % np.repeat(counts[order], counts[order] + 1)
+    owners = np.concatenate([np.flatnonzero(labels[order] > 0), [len(order)]])
+    return vertices[rows], rings, owners
+
+
+def mask_of_polygon(polygon: BaseGeometry, grid: BevGrid) -> Mask:
+    """Return the mask (cells, cells) of cells whose center lies inside ``polygon`` (meters, holes respected).
+
+    A center exactly on the outline counts where the outline is the shape's lower x or lower y side.
+
+    >>> int(mask_of_polygon(shapely.box(-1, -1, 1, 0), BevGrid(4, 2.0)).sum())
+    2
+    """
+    if polygon.geom_type not in ("Polygon", "MultiPolygon"):
+        raise ValueError(f"polygon must be a Polygon or MultiPolygon, got {polygon.geom_type}")
+    return _core.cells_inside(*_rings_in_cells(polygon, grid), grid.cells)
+
+
+def _rings_in_cells(polygon: BaseGeometry, grid: BevGrid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the points (V, 2) of all closed rings of a polygon in cells, and where each ring begins (R + 1,)."""
+    rings = shapely.get_rings(shapely.get_parts(polygon))
+    begin = np.concatenate([[0], np.cumsum(shapely.get_num_coordinates(rings), dtype=np.int64)])
+    return (shapely.get_coordinates(rings) - grid.origin_m) / grid.cell_m, begin
+
+
+def claims_only(polygon: BaseGeometry, mask: Mask, grid: BevGrid) -> bool:
+    """Return whether a polygon (meters) lies on the grid and covers no part of a cell that is false in ``mask``.
+
+    >>> claims_only(shapely.box(0, 0, 1, 1), np.array([[False, False], [False, True]]), BevGrid(2, 1.0))
+    False
+    >>> claims_only(shapely.box(0.1, 0.1, 0.9, 0.9), np.array([[False, False], [False, True]]), BevGrid(2, 1.0))
+    True
+    """
+    if polygon.is_empty:
+        return True
+    corner = np.asarray(grid.origin_m)
+    if not shapely.box(*corner, *(corner + 2 * grid.half_extent_m)).covers(polygon):
+        return False
+    claimed = mask_of_polygon(polygon, grid) | _core.cells_met(*_rings_in_cells(polygon, grid), grid.cells)
+    return not bool((claimed & ~checked_mask(mask, grid)).any())
+
+
+def vertices_of(polygon: BaseGeometry) -> int:
+    """Return the number of vertices of all rings; the one that closes a ring is not counted twice.
+
+    >>> vertices_of(shapely.box(0, 0, 1, 1))
+    4
+    """
+    rings = shapely.get_rings(shapely.get_parts(polygon))
+    return int(shapely.get_num_coordinates(rings).sum()) - len(rings)
+
+
+def inner_polygon_of_mask(mask: Mask, grid: BevGrid, max_vertices: int) -> MultiPolygon:
+    """Return a polygon of at most ``max_vertices`` vertices that lies within the true cells of ``mask``.
+
+    The exact outline where that has few enough vertices. Otherwise star polygons, each with the greatest area for its
+    vertices: one about the sensor, with a hole where the sensor's own surroundings are not seen, then others in what
+    is left. A price per vertex, found by bisection, shares them out: at area / ``max_vertices`` no more than that many
+    can be worth it. A heuristic, not the optimum.
+
+    Raises:
+        ValueError: fewer than three vertices, or a mask that is not the grid's.
+    """
+    if max_vertices < 3:
+        raise ValueError(f"max_vertices must be at least 3, got {max_vertices}")
+    array = checked_mask(mask, grid)
+    exact = polygon_of_mask(array, grid)
+    if vertices_of(exact) <= max_vertices:
+        return exact
+    best, high = MultiPolygon(), exact.area / max_vertices
+    low = high / _PRICE_SPAN
+    for _ in range(_PRICE_STEPS):
+        price = float(np.sqrt(low * high))
+        found = _inner_pieces(array, grid, price)
+        if vertices_of(found) > max_vertices:
+            low = price
+            continue
+        high = price
+        best = max(best, found, key=lambda shape: shape.area)
+    return best
+
+
+def star_ring(mask: Mask, grid: BevGrid, bins: int = 360) -> NDArray[np.float64]:
+    """Return one ring (V, 2) of corners in meters that lies within the true cells of ``mask``, all about the sensor.
+
+    Each of ``bins`` wedges reaches up to the first other cell; of what lies behind that nothing is claimed. A blind
+    spot about the sensor is left out by a circle, which the ring walks in the other direction: it needs no hole.
+    A hundred times as fast as :func:`inner_polygon_of_mask` at least, with more vertices. (0, 2) where the sensor is
+    neither on a true cell nor in a hole among them.
+
+    Args:
+        mask: (cells, cells) bool.
+        grid: of the mask.
+        bins: wedges, a multiple of 4.
+
+    >>> box = BevGrid(8, 4.0)
+    >>> ring = star_ring(np.ones((8, 8), bool), box)
+    >>> 48.0 < Polygon(ring).area <= 64.0
+    True
+    """
+    array = checked_mask(mask, grid)
+    hole = blind_spot(array, grid)
+    if hole is None:
+        return np.zeros((0, 2))
+    # 1. The blind spot ends within this range; a polygon about that circle touches it in the middle of each wedge.
+    inner_m = 0.0
+    if hole.any():
+        farthest_m = np.hypot(*grid.centers[hole].T).max() + grid.cell_m / np.sqrt(2)
+        inner_m = float(farthest_m / np.cos(np.pi / bins))
+    # 2. Two corners for each wedge, at its range: their chord stays in the circle that is free.
+    reach_m = np.maximum(free_ranges(array | hole, grid, (0.0, 0.0), bins), inner_m)
+    border = np.arange(bins + 1) * (2 * np.pi / bins)
+    angle, range_m = np.repeat(border, 2)[1:-1], np.repeat(reach_m, 2)
+    if hole.any():
+        angle, range_m = np.append(angle, border[::-1]), np.append(range_m, np.full(bins + 1, inner_m))
+    ring = np.column_stack([np.cos(angle), np.sin(angle)]) * range_m[:, None]
+    return ring if reach_m.max() > inner_m else np.zeros((0, 2))
+
+
+def _inner_pieces(mask: Mask, grid: BevGrid, price_m2: float) -> MultiPolygon:
+    """Return star polygons inside ``mask``, apart from each other, as long as one is worth its vertices' price."""
+    left, pieces = mask.copy(), list[Polygon]()
+    for _ in range(_MAX_PIECES):
+        piece, spent = _best_star(left, grid, price_m2, about_sensor=not pieces)
+        if piece.area - price_m2 * vertices_of(piece) <= 0.0:
+            break
+        pieces.extend(part for part in shapely.get_parts(piece) if isinstance(part, Polygon))
+        left &= ~spent
+    return MultiPolygon(pieces)
+
+
+def _best_star(mask: Mask, grid: BevGrid, price_m2: float, about_sensor: bool) -> tuple[BaseGeometry, Mask]:
+    """Return the star polygon that pays most, about the sensor or the deepest cell, and the cells it uses up."""
+    deepest = deepest_point(mask, grid)
+    candidates = [_star_about(mask, grid, (float(deepest[0]), float(deepest[1])), price_m2, None)]
+    hole = blind_spot(mask, grid) if about_sensor else None
+    if hole is not None:
+        candidates.append(_star_about(mask | hole, grid, (0.0, 0.0), price_m2, hole))
+    star = max(candidates, key=lambda shape: shape.area - price_m2 * vertices_of(shape))
+    spent = mask_of_polygon(star, grid) if not star.is_empty else np.zeros_like(mask)
+    spent |= _core.cells_met(*_rings_in_cells(star, grid), grid.cells)
+    return star, spent
+
+
+def _star_about(
+    mask: Mask, grid: BevGrid, apex_m: tuple[float, float], price_m2: float, hole: Mask | None
+) -> BaseGeometry:
+    bins = min(BINS, 48 + 3 * grid.cells // 16 * 16)
+    bins = bins if hole is not None else bins // 4
+    vertices = star_vertices(free_ranges(mask, grid, apex_m, bins), price_m2)
+    if len(vertices) < 3:
+        return MultiPolygon()
+    angle, radius = vertices.T
+    star = Polygon(np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius[:, None] + apex_m)
+    return star if hole is None or not hole.any() else shapely.difference(star, bounding_box(hole, grid))
+
+
+def deepest_point(mask: Mask, grid: BevGrid) -> NDArray[np.float64]:
+    """Return (2,) meters: the center of the true cell of ``mask`` that lies farthest from any other."""
+    deepest = np.unravel_index(int(np.argmax(squared_depth(mask))), mask.shape)
+    center: NDArray[np.float64] = grid.centers[deepest]
+    return center
+
+
+def bounding_box(hole: Mask, grid: BevGrid) -> Polygon:
+    """Return the smallest upright rectangle around the true cells of ``hole``, at least one, in meters."""
+    low, high = np.argwhere(hole).min(axis=0), np.argwhere(hole).max(axis=0) + 1
+    corners = np.asarray(grid.origin_m) + np.stack([low, high]) * grid.cell_m
+    box: Polygon = shapely.box(*corners[0], *corners[1])
+    return box
+
+
+def blind_spot(mask: Mask, grid: BevGrid) -> Mask | None:
+    """Return the cells (cells, cells) of the hole in ``mask`` that the sensor stands in, all False where there is none.
+
+    None where the sensor is not surrounded by true cells, or not on the grid.
+    """
+    nudges = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * grid.cell_m * 1e-6
+    cells, inside = grid.index(nudges)
+    if not inside.all():
+        return None
+    labels = label_regions(np.pad(~mask, 1, constant_values=True), diagonal=True)
+    around = labels[1:-1, 1:-1]
+    own = np.unique(around[cells[:, 0], cells[:, 1]])
+    if labels[0, 0] in own:
+        return None
+    hole: Mask = np.isin(around, own[own > 0])
+    return hole
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sectors:
+    """Sectors of rings about one point: K angles and ranges. They may lie upon one another; what counts is their union.
+
+    Attributes:
+        apex_m: (x, y) of the point in ``level``, in meters.
+        start: (K,) radians in [0, 2π), counter-clockwise from x, ascending.
+        end: (K,) radians, larger than ``start``.
+        range_m: (K,) outer range in meters.
+        inner_m: inner range of all sectors in meters; 0 where they reach the point.
+    """
+
+    apex_m: tuple[float, float]
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    range_m: NDArray[np.float64]
+    inner_m: float = 0.0
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the union of the sectors in square meters."""
+        turn = 2 * np.pi
+        borders = np.unique(np.concatenate([[0.0, turn], self.start % turn, self.end % turn]))
+        middle = 0.5 * (borders[1:, None] + borders[:-1, None])
+        within = (middle - self.start) % turn < self.end - self.start
+        reach = np.where(within, self.range_m, self.inner_m).max(axis=1, initial=self.inner_m)
+        return float(0.5 * ((reach**2 - self.inner_m**2) * np.diff(borders)).sum())
+
+    def covers(self, xy: FloatArray) -> Mask:
+        """Return whether each of the points (…, 2) lies in a sector (…,)."""
+        x, y = np.asarray(xy)[..., 0] - self.apex_m[0], np.asarray(xy)[..., 1] - self.apex_m[1]
+        radius, angle = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
+        within = (angle - self.start) % (2 * np.pi) < self.end - self.start
+        covered: Mask = (within & (radius >= self.inner_m) & (radius < self.range_m)).any(axis=-1)
+        return covered
+
+
+def sectors_of_mask(
+    mask: Mask,
+    grid: BevGrid,
+    sectors: int,
+    *,
+    apex_m: tuple[float, float] = (0.0, 0.0),
+    whole_cells: bool = True,
+    range_step_m: float = 0.0,
+) -> Sectors:
+    """Return at most ``sectors`` sectors about ``apex_m``, whose union is the largest that stays in ``mask``.
+
+    With ``whole_cells`` they cover no part of another cell; without, no other cell's center. Ranges are rounded down
+    to ``range_step_m``. About a sensor that stands in a blind spot they begin beyond it (``inner_m``).
+
+    Raises:
+        ValueError: no sector is allowed, or the mask is not the grid's.
+    """
+    if not 1 <= sectors <= MAX_SECTORS:
+        raise ValueError(f"sectors must lie in [1, {MAX_SECTORS}], got {sectors}")
+    array, inner = checked_mask(mask, grid), 0.0
+    hole = blind_spot(array, grid) if apex_m == (0.0, 0.0) else None
+    if hole is not None and hole.any():
+        array, inner = array | hole, float(np.hypot(*np.abs(grid.centers[hole]).T).max() + grid.cell_m * 0.7072)
+    bins = SECTOR_BINS if sectors <= 64 else SECTOR_BINS // 2
+    ranges = free_ranges(array, grid, apex_m, bins, whole_cells=whole_cells)
+    if range_step_m > 0.0:
+        ranges = np.floor(ranges / range_step_m + 1e-9) * range_step_m * (1 - 1e-12)
+    first, end, reach = best_sectors(ranges, sectors, inner)
+    step = np.float64(2 * np.pi / bins)
+    return Sectors(apex_m, np.asarray(first * step), np.asarray(end * step), reach, inner)

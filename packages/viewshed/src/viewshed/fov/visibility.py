@@ -1,0 +1,157 @@
+"""The one definition of *visible*.
+
+A cell is visible to a sweep if a target standing there would have given at least ``min_returns`` returns.
+
+Beams are counted in (azimuth column, range bin), summed over the columns before; then the beams that a target in a cell
+spans are the difference of two sums, at the two ends of its window of azimuth.
+"""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed import _core
+from viewshed.arrays import F32
+from viewshed.fov.height_map import HeightMap
+from viewshed.grid import BevGrid, polar_of_cells
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What would have to be seen: an upright box on the local ground.
+
+    Attributes:
+        name: what it is.
+        length_m: longer side.
+        width_m: shorter side, the one that beams must fall on.
+        height_m: height above local ground.
+        min_returns: returns from which on it counts as seen.
+    """
+
+    name: str
+    length_m: float
+    width_m: float
+    height_m: float
+    min_returns: int
+
+    def __post_init__(self) -> None:
+        for key in ("length_m", "width_m", "height_m"):
+            value = getattr(self, key)
+            if not (np.isfinite(value) and 0 < value <= 100):
+                raise ValueError(f"{key} must lie in (0, 100], got {value}")
+        if not 1 <= self.min_returns <= 10_000:
+            raise ValueError(f"min_returns must lie in [1, 10000], got {self.min_returns}")
+
+
+CAR = Target("car", 4.2, 1.8, 1.5, 5)
+
+PEDESTRIAN = Target("pedestrian", 0.6, 0.6, 1.7, 3)
+
+TARGETS: dict[str, Target] = {target.name: target for target in (CAR, PEDESTRIAN)}
+"""The targets by name."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """Straight beams from the sensor, in the ``level`` frame: what the definition of visible counts.
+
+    Attributes:
+        azimuth: (B,) float32 radians in [-π, π).
+        slope: (B,) float32 rise over horizontal range.
+        depth_m: (B,) float32 horizontal range at which the beam ended; +inf where nothing stopped it.
+    """
+
+    azimuth: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if not (self.azimuth.shape == self.slope.shape == self.depth_m.shape) or self.azimuth.ndim != 1:
+            raise ValueError("azimuth, slope and depth_m must have one shape (B,)")
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Azimuth, slope and depth_m, as the core takes them."""
+        azimuth, slope, depth_m = (
+            np.ascontiguousarray(array, np.float32) for array in (self.azimuth, self.slope, self.depth_m)
+        )
+        return azimuth, slope, depth_m
+
+    def __add__(self, other: Beams) -> Beams:
+        """Return both together, the other's last."""
+        pairs = ((self.azimuth, other.azimuth), (self.slope, other.slope), (self.depth_m, other.depth_m))
+        return Beams(*map(np.concatenate, pairs))
+
+
+def expected_returns(
+    beams: Beams, sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return (cells, cells) expected returns of a target in each cell, and the beams that aim at it.
+
+    A beam counts for a cell at range r if its azimuth falls inside the target's width at r, its height at r lies
+    between the local ground and the target's top, and its depth reaches r less one cell. ``aimed`` leaves the
+    depth out: beams that would meet the target if nothing stood nearer. Counts are interpolated within an azimuth
+    column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
+    below ground, the tolerance of a measured ground.
+    """
+    returns, aimed = _count([beams], sensor_height_m, ground, grid, target)
+    return returns[0], aimed
+
+
+def returns_by_kind(
+    kinds: Sequence[Beams], sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
+) -> NDArray[np.float32]:
+    """Return (kinds, cells, cells) expected returns of a target by each of one to three sets of beams.
+
+    As :func:`expected_returns` counts them: over disjoint sets they add up to what it gives for all beams.
+    """
+    return _count(kinds, sensor_height_m, ground, grid, target)[0]
+
+
+def _count(
+    kinds: Sequence[Beams], sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
+) -> tuple[F32, F32]:
+    """Return (kinds, cells, cells) returns and the (cells, cells) beams that aim."""
+    return _core.returns_by_kind(
+        cell_windows(grid, target.width_m),
+        [beams.arrays for beams in kinds],
+        ground.heights_m,
+        ground.half_extent_m,
+        sensor_height_m,
+        target.height_m,
+    )
+
+
+def probability_of_visible(counts: NDArray[np.float32], min_returns: int) -> NDArray[np.float32]:
+    """Return P(N ≥ min_returns), N Poisson with mean ``counts``, float32 of the same shape.
+
+    Beam counts of a measured sweep are uncertain by the jitter of azimuths and ground. The median of a Poisson
+    variable of whole mean m is m, so that a threshold of 0.5 is the definition itself.
+
+    >>> probability_of_visible(np.array([0.0, 4.0, 5.0, 50.0], np.float32), 5).round(2).tolist()
+    [0.0, 0.3700000047683716, 0.5600000023841858, 1.0]
+    """
+    counts = np.ascontiguousarray(counts, np.float32)
+    return _core.probability_of_visible(counts.reshape(-1), poisson_table(min_returns)).reshape(counts.shape)
+
+
+@lru_cache(maxsize=8)
+def poisson_table(min_returns: int) -> NDArray[np.float32]:
+    """Return P(N ≥ min_returns) at means 0, 1/32, 2/32 and so on, as the core looks it up."""
+    return _core.poisson_table(min_returns)
+
+
+@lru_cache(maxsize=16)
+def cell_windows(grid: BevGrid, width_m: float) -> _core.CellWindows:
+    """Return the windows of azimuth of a target of a width that it turns to the sensor, in each cell of a grid."""
+    return _core.CellWindows(*polar_of_cells(grid), grid.cell_m, width_m)
+
+
+# Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
+atexit.register(cell_windows.cache_clear)

@@ -1,0 +1,132 @@
+"""Read and write sweeps.
+
+The format is known by content and name, see :data:`FORMATS`; points come out in the sensor's frame. A file that cannot
+be read is a ValueError or an OSError of one line that begins with its name.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+from collections.abc import Iterator
+
+from numpy.typing import ArrayLike
+
+from viewshed._files import write_atomic
+from viewshed.geometry import Rigid
+from viewshed.io._columns import FILE_FRAMES, Columns, Given, file_frame_named, sweep_of
+from viewshed.io._input import InputFile, open_input
+from viewshed.io.formats import FORMATS, Format, all_formats, format_named, format_of
+from viewshed.io.index import IndexEntry, read_index
+from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sweep import Sweep
+
+__all__ = [
+    "FILE_FRAMES", "FORMATS", "Columns", "Format", "IndexEntry",
+    "read_index", "read_indexed", "read_sweep", "read_sweeps", "write_sweep",
+]  # fmt: skip
+
+
+def read_sweep(
+    path: str | os.PathLike[str],
+    *,
+    format: str = "auto",  # noqa: A002
+    sensor: str | LidarModel | None = None,
+    file_frame: str | Rigid | None = None,
+    sensor_height_m: float | None = None,
+    attitude: ArrayLike | None = None,
+    world_from_sensor: Rigid | None = None,
+) -> Sweep:
+    """Return the sweep in a file, the first complete one where it holds several, in the sensor's frame.
+
+    Args:
+        path: the file, gzipped or not.
+        format: a name in :data:`FORMATS`, or "auto" to know it by content and name.
+        sensor: beam table or its name (see :func:`viewshed.lidar_model`).
+        file_frame: a name in :data:`FILE_FRAMES` or ``sensor_from_file``; None is the format's own.
+        sensor_height_m: mounting height above the ground, if it is known.
+        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, if it is known.
+        world_from_sensor: pose in the map, if it is known.
+
+    Raises:
+        OSError: the file cannot be opened.
+        ValueError: the file is not a sweep, or an argument is wrong.
+        ImportError: the format needs an extra that is not installed.
+    """
+    given = _given(sensor, file_frame, sensor_height_m, attitude, world_from_sensor)
+    with open_input(path) as source:
+        return next(_sweeps(source, format, given))
+
+
+def read_sweeps(
+    path: str | os.PathLike[str],
+    *,
+    format: str = "auto",  # noqa: A002
+    sensor: str | LidarModel | None = None,
+    file_frame: str | Rigid | None = None,
+    sensor_height_m: float | None = None,
+    attitude: ArrayLike | None = None,
+    world_from_sensor: Rigid | None = None,
+) -> Iterator[Sweep]:
+    """Yield every complete sweep in a file; arguments and errors are those of :func:`read_sweep`."""
+    given = _given(sensor, file_frame, sensor_height_m, attitude, world_from_sensor)
+    with open_input(path) as source:
+        yield from _sweeps(source, format, given)
+
+
+def _given(
+    sensor: str | LidarModel | None,
+    file_frame: str | Rigid | None,
+    sensor_height_m: float | None,
+    attitude: ArrayLike | None,
+    world_from_sensor: Rigid | None,
+) -> Given:
+    return Given(
+        lidar_model(sensor) if isinstance(sensor, str) else sensor,
+        None if file_frame is None else file_frame_named(file_frame),
+        sensor_height_m, attitude, world_from_sensor,
+    )  # fmt: skip
+
+
+def _sweeps(source: InputFile, name: str, given: Given) -> Iterator[Sweep]:
+    if name == "auto":
+        name = format_of(source)
+    elif name not in all_formats():
+        raise ValueError(f"format must be auto or one of {', '.join(all_formats())}, got {name!r}")
+    for columns in all_formats()[name].read(source, given.frame):
+        yield sweep_of(columns, source, given)
+
+
+def read_indexed(entry: IndexEntry) -> Sweep:
+    """Return the sweep of an entry of :func:`read_index`, with the frame, height, pose and time that the index gives.
+
+    Raises:
+        OSError: the file cannot be opened.
+        ValueError: the file is not a sweep.
+    """
+    sweep = read_sweep(
+        entry.file, file_frame=entry.sensor_from_file,
+        sensor_height_m=entry.sensor_height_m, world_from_sensor=entry.world_from_sensor,
+    )  # fmt: skip
+    if sweep.t_ns is not None or entry.t is None:
+        return sweep
+    return sweep.replace(t_ns=round(entry.t * 1e6) * 1000)
+
+
+def write_sweep(sweep: Sweep, path: str | os.PathLike[str], *, format: str = "auto") -> None:  # noqa: A002
+    """Write a sweep in the sensor's frame (nuScenes: in its own); a file that exists is replaced in one step.
+
+    Only NPZ keeps everything; see :data:`FORMATS`. A path that ends in ``.gz`` is gzipped.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: the format is not known or cannot hold the sweep.
+    """
+    where = os.fspath(path)
+    write = all_formats()[format_named(format, where)].write
+    if write is None:
+        raise ValueError(f"{where}: format {format!r} is only read")
+    content = write(sweep)
+    if where.lower().endswith(".gz"):
+        content = gzip.compress(content, compresslevel=6, mtime=0)
+    write_atomic(where, content)

@@ -1,0 +1,156 @@
+"""Estimates in other programs' formats: pure functions from :class:`FovEstimate` to dictionaries or bytes.
+
+``EXPORTERS`` names them; :func:`write_export` writes one to a file, whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from viewshed._files import write_atomic
+from viewshed.fov.estimate import FovEstimate
+from viewshed.io.export import cpm, geojson, geotiff, nav2, osi, ros
+from viewshed.io.export import npz as archive
+from viewshed.io.export.cpm import claimed_by_cpm, to_cpm
+from viewshed.io.export.crs import crs_of
+from viewshed.io.export.geojson import fov_from_geojson, to_geojson
+from viewshed.io.export.geotiff import to_geotiff
+from viewshed.io.export.npz import read_npz, to_npz, write_npz
+from viewshed.io.export.osi import polygons_of_osi, to_osi
+from viewshed.io.export.ros import (
+    fov_from_grid_map,
+    fov_from_occupancy_grid,
+    to_grid_map,
+    to_occupancy_grid,
+    to_occupancy_grids,
+)
+
+__all__ = [
+    "EXPORTERS", "Exporter", "claimed_by_cpm", "format_of_content", "format_of_path", "fov_from_geojson",
+    "fov_from_grid_map", "fov_from_occupancy_grid", "polygons_of_osi", "read_npz", "to_cpm", "to_geojson",
+    "to_geotiff", "to_grid_map", "to_npz", "to_occupancy_grid", "to_occupancy_grids", "to_osi", "write_export",
+    "write_npz",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Exporter:
+    """How one format is made.
+
+    Attributes:
+        function: estimate to a JSON-serializable dictionary, or to bytes.
+        suffix: usual end of a file's name.
+        mark: what the first bytes of its files hold, and those of no other format.
+        states: how the four cell states map.
+        in_crs: the same with the name of the reference system of the world frame; None where the format has none.
+        image: picture that lies beside a YAML file, which begins with its name; None where there is none.
+    """
+
+    function: Callable[[FovEstimate], dict[str, Any] | bytes]
+    suffix: str
+    mark: bytes
+    states: str
+    in_crs: Callable[[FovEstimate, str], dict[str, Any] | bytes] | None = None
+    image: Callable[[FovEstimate], bytes] | None = None
+
+    def check_crs(self, crs: str | None) -> None:
+        """Check that the format can lie in a reference system.
+
+        Raises:
+            ValueError: it has none, or the system is not known.
+        """
+        if crs is None:
+            return
+        if self.in_crs is None:
+            placed = [known for known, exporter in EXPORTERS.items() if exporter.in_crs is not None]
+            raise ValueError(f"crs goes with {' and '.join(placed)}, got {crs!r} for {self.suffix}; leave it out")
+        crs_of(crs)
+
+    def files(self, estimate: FovEstimate, name: str, crs: str | None = None) -> dict[str, bytes]:
+        """Return file name → content: what belongs beside the file ``name``, and last this file itself.
+
+        Raises:
+            ValueError: a reference system is named for a format without one, or the estimate has no pose in it.
+        """
+        self.check_crs(crs)
+        made = self.function(estimate) if crs is None or self.in_crs is None else self.in_crs(estimate, crs)
+        content = made if isinstance(made, bytes) else json.dumps(made, allow_nan=False).encode()
+        if self.image is None:
+            return {name: content}
+        picture = name.removesuffix(".yaml") + ".pgm"
+        return {picture: self.image(estimate), name: f"image: {json.dumps(picture)}\n".encode() + content}
+
+
+EXPORTERS: dict[str, Exporter] = {
+    "geojson": Exporter(
+        to_geojson,
+        ".geojson",
+        b'{"type": "FeatureCollection"',
+        geojson.STATES,
+        lambda estimate, crs: to_geojson(estimate, crs=crs),
+    ),
+    "geotiff": Exporter(to_geotiff, ".tif", b"II*\0", geotiff.STATES, to_geotiff),
+    "nav2_map": Exporter(nav2.map_yaml, ".nav2_map.yaml", b"mode: trinary", nav2.MAP_STATES, image=nav2.map_image),
+    "nav2_mask": Exporter(nav2.mask_yaml, ".nav2_mask.yaml", b"mode: raw", nav2.MASK_STATES, image=nav2.mask_image),
+    "occupancy_grid": Exporter(to_occupancy_grids, ".occupancy_grid.json", b'{"occupancy"', ros.OCCUPANCY_STATES),
+    "grid_map": Exporter(to_grid_map, ".grid_map.json", b'{"header"', ros.GRID_MAP_STATES),
+    "osi": Exporter(to_osi, ".osi.json", b'{"frame"', osi.STATES),
+    "cpm": Exporter(to_cpm, ".cpm.json", b'{"perceptionRegionContainer"', cpm.STATES),
+    "npz": Exporter(to_npz, ".npz", b"about.npy", archive.STATES),
+}
+"""The formats by name."""
+
+_HEAD_BYTES = 2048
+
+
+def format_of_content(path: str | Path) -> str:
+    """Return the name of the format in which a file was exported; empty where it is no export, or is not there.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if not Path(path).is_file():
+        return ""
+    with Path(path).open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    return next((name for name, exporter in EXPORTERS.items() if exporter.mark in head), "")
+
+
+def format_of_path(path: str | Path) -> str:
+    """Return the name of the format whose suffix a file's name has; ``.json`` alone is none.
+
+    >>> format_of_path("a/sweep.cpm.json"), format_of_path("fov.geojson")
+    ('cpm', 'geojson')
+
+    Raises:
+        ValueError: no format has it; the message lists those that exist.
+    """
+    for name, exporter in EXPORTERS.items():
+        if Path(path).name.endswith(exporter.suffix):
+            return name
+    suffixes = ", ".join(exporter.suffix for exporter in EXPORTERS.values())
+    raise ValueError(f"{path} must end in {suffixes}, or .png for a picture; the suffix chooses the format")
+
+
+def write_export(estimate: FovEstimate, name: str, path: str | Path, *, crs: str | None = None) -> None:
+    """Write the estimate in the format ``name`` to ``path``, at once or not at all; nav2's picture beside it.
+
+    Args:
+        estimate: what to write.
+        name: of :data:`EXPORTERS`.
+        path: the file.
+        crs: reference system of the world frame (``EPSG:25832``), for GeoJSON and GeoTIFF in a map.
+
+    Raises:
+        ValueError: no format has this name; the message lists those that exist.
+        OSError: the file cannot be written.
+    """
+    if name not in EXPORTERS:
+        raise ValueError(f"format must be one of {', '.join(EXPORTERS)}, got {name!r}")
+    place = Path(path)
+    for file, content in EXPORTERS[name].files(estimate, place.name, crs).items():
+        write_atomic(place.with_name(file), content)

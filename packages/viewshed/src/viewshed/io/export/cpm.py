@@ -1,0 +1,293 @@
+"""ETSI collective perception (TS 103 324): perception regions that never claim a cell which the estimate does not.
+
+Field names, units and limits are those of the ASN.1 modules CPM-PerceptionRegionContainer and ETSI-ITS-CDD
+(TS 102 894-2): at most 16 radial shapes or polygon nodes in a region and 256 regions, 0.1 m for ranges, 0.1° for
+angles, 0.01 m for coordinates. Larger requests are shared among several regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+
+from viewshed.arrays import Mask
+from viewshed.fov._star_polygons import free_ranges, star_vertices
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.polygons import (
+    BINS,
+    MAX_SECTORS,
+    Sectors,
+    blind_spot,
+    bounding_box,
+    deepest_point,
+    mask_of_polygon,
+    sectors_of_mask,
+    vertices_of,
+)
+from viewshed.geometry import FloatArray
+from viewshed.grid import BevGrid
+
+STATES = (
+    "claimed: visible cells by the threshold (FREE, SURFACE), as far as the shapes reach; "
+    "HIDDEN and UNKNOWN are never claimed and not told apart"
+)
+
+MAX_IN_REGION = 16
+
+_MAX_RANGE = 4095
+
+_MARGIN_M = 0.0075
+
+_PRICE_STEPS = 8
+
+_MAX_ISLANDS = 8
+
+
+def to_cpm(
+    estimate: FovEstimate,
+    sectors: int = 16,
+    shape: str = "sectors",
+    *,
+    threshold: float | None = None,
+    footprint_m: float = 0.0,
+    whole_cells: bool = True,
+) -> dict[str, Any]:
+    """Return the perception regions (dict) of a CPM: an inner approximation of the visible area.
+
+    Coordinates are those of ``level``; the sender's reference point is its origin. A radial shape begins at its
+    reference point, so where the sensor's own surroundings are not visible the shapes stand about points beside them.
+    Radial shapes may lie upon one another; the region is their union. ``viewshed:share_kept`` is the share of the
+    visible cells whose center is claimed. Nothing visible gives an empty list: then leave the container out.
+
+    Args:
+        estimate: what to export.
+        sectors: how many radial shapes or polygon nodes in all regions together.
+        shape: ``sectors`` (radialShapes) or ``polygon`` (polygonal).
+        threshold: probability from which a cell counts as visible; None is the estimate's own.
+        footprint_m: cells with their center nearer to the sensor than this count as visible (its own vehicle).
+        whole_cells: cover no part of a cell that is not visible; otherwise not its center, which keeps more area.
+
+    Raises:
+        ValueError: ``sectors`` outside 4…4096, another shape, or a grid beyond ±327 m.
+    """
+    threshold = estimate.threshold if threshold is None else threshold
+    if not 4 <= sectors <= 4096:
+        raise ValueError(f"sectors must lie in [4, 4096], got {sectors}")
+    if shape not in ("sectors", "polygon"):
+        raise ValueError(f"shape must be sectors or polygon, got {shape!r}")
+    grid = estimate.grid
+    if max(abs(value) for value in grid.offset_m) + grid.half_extent_m > 327.0:
+        raise ValueError(f"grid must lie within ±327 m, the limit of CartesianCoordinate, got {grid}")
+    mask = estimate.visible(threshold) | (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < footprint_m)
+    if shape == "sectors":
+        shapes = _radial_shapes(_fans(mask, grid, min(sectors, MAX_SECTORS), whole_cells))
+    else:
+        shapes = [_polygonal(polygon) for polygon in _polygons(mask, grid, sectors, whole_cells)]
+    message: dict[str, Any] = {"perceptionRegionContainer": [_region(each, threshold) for each in shapes]}
+    kept = claimed_by_cpm(message, grid.centers[mask]).sum() / max(1, mask.sum())
+    return message | {"viewshed:share_kept": float(kept)}
+
+
+def _region(shape: dict[str, Any], threshold: float) -> dict[str, Any]:
+    """Return a PerceptionRegion; shadows are already cut out of its shape."""
+    return {
+        "measurementDeltaTime": 0,
+        "perceptionRegionConfidence": int(np.clip(100 * threshold + 1e-6, 1, 100)),
+        "perceptionRegionShape": shape,
+        "shadowingApplies": False,
+    }
+
+
+def _fans(mask: Mask, grid: BevGrid, sectors: int, whole_cells: bool) -> list[Sectors]:
+    """Return fans of ``sectors`` sectors in all that reach their apex: about the sensor, or beside its blind spot."""
+    about = sectors_of_mask(mask, grid, sectors, whole_cells=whole_cells, range_step_m=0.1)
+    reaching = [about] if about.inner_m == 0.0 else []
+    if _area(reaching) > 0.5 * mask.sum() * grid.cell_area_m2:
+        return reaching
+    x, y = grid.centers[..., 0], grid.centers[..., 1]
+    splits = [[mask], [mask & (x > 0), mask & (x < 0)], [mask & (y > 0), mask & (y < 0)]]
+    reach = about.inner_m + grid.cell_m
+
+    def fans(parts: list[Mask], count: int) -> list[Sectors]:
+        return [_beside(part, grid, count // len(parts), reach, whole_cells) for part in parts]
+
+    best = max(splits, key=lambda parts: _area(fans(parts, min(sectors, MAX_IN_REGION))))
+    return max(reaching, fans(best, sectors), _scattered(mask, grid, sectors, whole_cells), key=_area)
+
+
+def _area(fans: list[Sectors]) -> float:
+    return sum(fan.area_m2 for fan in fans)
+
+
+def _scattered(mask: Mask, grid: BevGrid, sectors: int, whole_cells: bool) -> list[Sectors]:
+    """Return four fans, each about the deepest point of what the ones before it left, as near as the format reaches."""
+    near = (np.abs(grid.centers + 10.4) < 20.4).all(axis=-1)
+    left, fans = mask.copy(), list[Sectors]()
+    for _ in range(4):
+        if (left & near).any():
+            apex = _whole_cm(deepest_point(left & near, grid))
+            fan = sectors_of_mask(left, grid, sectors // 4, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
+            fans.append(fan)
+            left &= ~fan.covers(grid.centers)
+    return fans
+
+
+def _beside(part: Mask, grid: BevGrid, sectors: int, reach_m: float, whole_cells: bool) -> Sectors:
+    """Return the fan of most area about one of eight points around the sensor, or about the deepest point."""
+    turns = np.arange(8) * (np.pi / 4)
+    around = np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach_m
+    points = [_whole_cm(point) for point in (*around, deepest_point(part, grid)) if np.abs(point + 10.4).max() < 20.4]
+    areas = [(free_ranges(part, grid, point, BINS, whole_cells=whole_cells) ** 2).sum() for point in points]
+    apex = points[int(np.argmax(areas))]
+    return sectors_of_mask(part, grid, sectors, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
+
+
+def _whole_cm(point: FloatArray) -> tuple[float, float]:
+    x, y = np.round(np.asarray(point) * 100) / 100 + 0.0
+    return float(x), float(y)
+
+
+def _radial_shapes(fans: list[Sectors]) -> list[dict[str, Any]]:
+    shapes = []
+    for fan in fans:
+        details = _details(fan)
+        x, y = (round(100 * value) for value in fan.apex_m)
+        for k in range(0, len(details), MAX_IN_REGION):
+            radial = {"refPointId": 0, "xCoordinate": x, "yCoordinate": y}
+            shapes.append({"radialShapes": radial | {"radialShapesList": details[k : k + MAX_IN_REGION]}})
+    return shapes
+
+
+def _details(fan: Sectors) -> list[dict[str, int]]:
+    """Return RadialShapeDetails: range rounded down to 0.1 m, angles in whole 0.1°, counter-clockwise from x."""
+    details = []
+    for start, end, range_m in zip(fan.start, fan.end, fan.range_m, strict=True):
+        first, last = round(np.degrees(start) * 10), round(np.degrees(end) * 10)
+        if last - first >= 3600:
+            last -= 1
+        details.append(
+            {
+                "range": min(int(range_m * 10 + 1e-6), _MAX_RANGE),
+                "horizontalOpeningAngleStart": first % 3600,
+                "horizontalOpeningAngleEnd": last % 3600,
+            }
+        )
+    return details
+
+
+def _polygons(mask: Mask, grid: BevGrid, vertices: int, whole_cells: bool) -> list[Polygon]:
+    """Return polygons without holes of at most 16 vertices each and ``vertices`` in all, in whole centimeters."""
+    hole = blind_spot(mask, grid)
+    apex = (0.0, 0.0) if hole is not None else _whole_cm(deepest_point(mask, grid))
+    filled = mask if hole is None else mask | hole
+    ranges = free_ranges(filled, grid, apex, BINS, margin_m=_MARGIN_M, whole_cells=whole_cells)
+    blind = bounding_box(hole, grid).buffer(_MARGIN_M, join_style="mitre") if hole is not None and hole.any() else None
+    largest = max(float(mask.sum()), 1.0) * grid.cell_area_m2
+    star = _dearest(lambda price: _pieces(star_vertices(ranges, price), apex, blind), vertices, largest)
+    islands = _dearest(lambda price: _islands(mask, grid, price, whole_cells), vertices, largest)
+    return max(star, islands, key=_total_area)
+
+
+def _dearest(make: Callable[[float], list[Polygon]], vertices: int, largest_m2: float) -> list[Polygon]:
+    """Return the largest polygons of at most ``vertices`` vertices that bisection of the price a vertex (m²) finds."""
+    best, high = list[Polygon](), 4.0 * largest_m2 / vertices
+    low = high / 2000.0
+    for _ in range(_PRICE_STEPS):
+        price = float(np.sqrt(low * high))
+        pieces = make(price)
+        if sum(vertices_of(piece) for piece in pieces) > vertices:
+            low = price
+        else:
+            best, high = max(best, pieces, key=_total_area), price
+    return best
+
+
+def _total_area(pieces: list[Polygon]) -> float:
+    return sum(piece.area for piece in pieces)
+
+
+def _islands(mask: Mask, grid: BevGrid, price_m2: float, whole_cells: bool) -> list[Polygon]:
+    """Return star polygons, each about the deepest point of what the ones before it left, while they are worth it."""
+    left, pieces = mask.copy(), list[Polygon]()
+    for _ in range(_MAX_ISLANDS):
+        apex = _whole_cm(deepest_point(left, grid))
+        ranges = free_ranges(left, grid, apex, BINS // 4, margin_m=_MARGIN_M, whole_cells=whole_cells)
+        found = _pieces(star_vertices(ranges, price_m2), apex, None)
+        if sum(piece.area - price_m2 * vertices_of(piece) for piece in found) <= 0.0:
+            break
+        for piece in found:
+            pieces.append(piece)
+            left &= ~mask_of_polygon(piece, grid)
+    return pieces
+
+
+def _pieces(star: FloatArray, apex: tuple[float, float], blind: Polygon | None) -> list[Polygon]:
+    """Return a star polygon cut from its apex into pieces of at most 16 vertices, the blind spot taken out."""
+    corners = np.asarray(apex) + star[:, 1:] * np.stack([np.cos(star[:, 0]), np.sin(star[:, 0])], axis=1)
+    if len(corners) < 3:
+        return []
+    if blind is None and len(corners) <= MAX_IN_REGION:
+        return [_rounded(Polygon(corners))]
+    chain, angles = np.concatenate([corners, corners[:1]]), np.concatenate([star[:, 0], star[:1, 0]])
+    pieces, k = list[Polygon](), 0
+    while (k := k + int(angles[k] == angles[k + 1])) < len(chain) - 1:
+        end = min(k + MAX_IN_REGION - 1, len(chain))
+        found = _fan(chain[k : _edge_end(angles, end)], apex, blind)
+        while any(piece.interiors or vertices_of(piece) > MAX_IN_REGION for piece in found):
+            end -= 1
+            found = _fan(chain[k : _edge_end(angles, end)], apex, blind)
+        pieces, k = pieces + found, _edge_end(angles, end) - 1
+        if k == len(chain) - 1:
+            break
+    return pieces
+
+
+def _edge_end(angles: FloatArray, end: int) -> int:
+    """Return ``end``, less one where the chain ends with an edge along a ray, which the next piece begins with."""
+    return end - int(angles[end - 1] == angles[end - 2])
+
+
+def _fan(chain: FloatArray, apex: tuple[float, float], blind: Polygon | None) -> list[Polygon]:
+    fan = Polygon(np.concatenate([[apex], chain]))
+    cut = fan if blind is None else shapely.difference(fan, blind)
+    return [_rounded(part) for part in shapely.get_parts(cut) if part.area > 0.01]
+
+
+def _rounded(polygon: Polygon) -> Polygon:
+    """Return the polygon in whole centimeters; the margin kept from other cells is larger than what this moves."""
+    rings = [np.round(shapely.get_coordinates(ring), 2) + 0.0 for ring in (polygon.exterior, *polygon.interiors)]
+    return Polygon(rings[0], rings[1:])
+
+
+def _polygonal(polygon: Polygon) -> dict[str, Any]:
+    corners = np.rint(shapely.get_coordinates(polygon.exterior)[:-1] * 100).astype(int).tolist()
+    return {"polygonal": {"polygon": [{"xCoordinate": x, "yCoordinate": y} for x, y in corners]}}
+
+
+def claimed_by_cpm(message: dict[str, Any], xy: FloatArray) -> NDArray[np.bool_]:
+    """Return whether each of the points (…, 2), meters in ``level``, lies in a perception region (…,)."""
+    points = np.asarray(xy, np.float64)
+    claimed = np.zeros(points.shape[:-1], np.bool_)
+    for region in message["perceptionRegionContainer"]:
+        ((kind, shape),) = region["perceptionRegionShape"].items()
+        claimed |= _in_radial(shape, points) if kind == "radialShapes" else _in_polygon(shape, points)
+    return claimed
+
+
+def _in_radial(shape: dict[str, Any], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    keys = ("horizontalOpeningAngleStart", "horizontalOpeningAngleEnd", "range")
+    start, end, reach = np.array([[details[key] for key in keys] for details in shape["radialShapesList"]]).T
+    apex = (shape["xCoordinate"] / 100, shape["yCoordinate"] / 100)
+    width = (end - start - 1) % 3600 + 1
+    return Sectors(apex, np.radians(start / 10), np.radians((start + width) / 10), reach / 10).covers(points)
+
+
+def _in_polygon(shape: dict[str, Any], points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    polygon = Polygon([(node["xCoordinate"] / 100, node["yCoordinate"] / 100) for node in shape["polygon"]])
+    inside: NDArray[np.bool_] = shapely.contains_xy(polygon, points[..., 0], points[..., 1])
+    return inside

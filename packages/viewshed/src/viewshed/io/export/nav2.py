@@ -1,0 +1,113 @@
+"""nav2: the map that its map server loads, and a mask for its KeepoutFilter, each a YAML file and a PGM picture.
+
+Format: https://docs.nav2.org/configuration/packages/configuring-map-server.html and ``map_io.cpp`` there: rows of the
+picture run from the largest y to the smallest; ``origin`` is the lower left corner and, as costmaps ignore its yaw, the
+cells lie along the axes of the map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid, polar_of_cells
+
+MAP_STATES = "trinary: FREE is free, SURFACE occupied, HIDDEN and UNKNOWN unknown"
+
+MASK_STATES = (
+    "keep-out: 0 where visible by the threshold (FREE, SURFACE), 100 where HIDDEN or UNKNOWN, unknown beyond the reach"
+)
+
+NOTHING_KNOWN = -1
+"""Of a map or a mask: nothing is said of the cell."""
+
+_TRINARY = "mode: trinary\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.1\n"
+"""Thresholds of darkness: 0 of 255 is occupied, 254 free, and 205, the usual gray of unknown cells, in between."""
+
+_RAW = "mode: raw\nnegate: 0\noccupied_thresh: 1.0\nfree_thresh: 0.0\n"
+"""Pixels 0 to 100 are values, others unknown; nav2 asks for thresholds in every mode."""
+
+_TRINARY_PIXELS = np.array([205, 254, 0, 205], np.uint8)
+"""By :class:`CellState`."""
+
+_UNKNOWN_PIXEL = 255
+
+
+def map_yaml(estimate: FovEstimate) -> bytes:
+    """Return the YAML of a map, without the line that names its picture."""
+    return _yaml(_placed_grid(estimate), _TRINARY)
+
+
+def map_image(estimate: FovEstimate) -> bytes:
+    """Return the PGM of a map: 254 where FREE, 0 where SURFACE, 205 where HIDDEN or UNKNOWN."""
+    state = _placed(estimate, estimate.state.astype(np.int8))
+    return _pgm(_TRINARY_PIXELS[np.where(state == NOTHING_KNOWN, np.int8(CellState.UNKNOWN), state)])
+
+
+def mask_yaml(estimate: FovEstimate) -> bytes:
+    """Return the YAML of a mask, without the line that names its picture."""
+    return _yaml(_placed_grid(estimate), _RAW)
+
+
+def mask_image(estimate: FovEstimate) -> bytes:
+    """Return the PGM of a mask for the KeepoutFilter, by :func:`keepout_values`; 255 where nothing is said."""
+    values = _placed(estimate, keepout_values(estimate))
+    return _pgm(np.where(values == NOTHING_KNOWN, _UNKNOWN_PIXEL, values).astype(np.uint8))
+
+
+def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
+    """Return 100 (cells, cells) where nothing is seen, 0 where it is; beyond the sensor's reach nothing is said."""
+    values = np.where(estimate.visible(), np.int8(0), np.int8(100))
+    if estimate.basis is not None:
+        values[polar_of_cells(estimate.grid)[0] > estimate.basis.reach_m] = NOTHING_KNOWN
+    return values
+
+
+def in_the_map(
+    values: NDArray[np.int8], grid: BevGrid, world_from_level: Rigid
+) -> tuple[BevGrid, NDArray[np.int8]]:  # fmt: skip
+    """Return values on a grid along the map's axes (costmap filters know no rotation), whose cells lie on its raster.
+
+    Args:
+        values: (cells, cells) on ``grid``.
+        grid: in the ``level`` frame.
+        world_from_level: its pose.
+    """
+    map_grid = grid_in_the_map(grid, world_from_level)
+    # Each cell of the mask takes the value at its center; on the ground, so that a slope does not shift it.
+    x_m, y_m = map_grid.centers[..., 0], map_grid.centers[..., 1]
+    ground_m = (world_from_level @ np.array([*grid.offset_m, 0.0]))[2]
+    world = np.stack([x_m, y_m, np.full(grid.shape, ground_m)], axis=-1)
+    cells, inside = grid.index((world_from_level.inverse() @ world)[..., :2])
+    return map_grid, np.where(inside, values[cells[..., 0], cells[..., 1]], np.int8(NOTHING_KNOWN))
+
+
+def grid_in_the_map(grid: BevGrid, world_from_level: Rigid) -> BevGrid:
+    """Return the grid along the map's axes, on its raster, that lies where a grid in the ``level`` frame does."""
+    center = world_from_level @ np.array([*grid.offset_m, 0.0])
+    on_raster = (np.round(center[:2] / grid.cell_m) * grid.cell_m).tolist()
+    return BevGrid(grid.cells, grid.half_extent_m, (on_raster[0], on_raster[1]))
+
+
+def _placed(estimate: FovEstimate, values: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Return values (cells, cells) along the axes of the map where the estimate has a pose, else of ``level``."""
+    pose = estimate.world_from_level
+    return values if pose is None else in_the_map(values, estimate.grid, pose)[1]
+
+
+def _placed_grid(estimate: FovEstimate) -> BevGrid:
+    pose = estimate.world_from_level
+    return estimate.grid if pose is None else grid_in_the_map(estimate.grid, pose)
+
+
+def _yaml(grid: BevGrid, mode: str) -> bytes:
+    x_m, y_m = grid.origin_m
+    return f"resolution: {grid.cell_m:.9g}\norigin: [{x_m:.9g}, {y_m:.9g}, 0.0]\n{mode}".encode()
+
+
+def _pgm(pixels: NDArray[np.uint8]) -> bytes:
+    """Return the bytes of a picture of cells (x, y): x to the right, y upward."""
+    rows = np.ascontiguousarray(pixels.T[::-1])
+    return b"P5\n%d %d\n255\n" % (rows.shape[1], rows.shape[0]) + rows.tobytes()

@@ -1,0 +1,372 @@
+"""How well a probability of visible agrees with the truth: agreement, ranking and calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from viewshed.arrays import Mask
+
+
+@dataclass(frozen=True, slots=True)
+class ConfusionCounts:
+    """How many cells of two masks agree, over any number of samples.
+
+    Attributes:
+        both: cells that both call visible.
+        over: cells that only the estimate calls visible.
+        under: cells that only the truth calls visible.
+        neither: cells that none calls visible.
+        area_m2: of all of them together.
+        samples: how many samples.
+
+    >>> counts = ConfusionCounts(6, 2, 2, 10, area_m2=5.0)
+    >>> counts.precision, counts.recall, counts.f1, counts.iou, counts.over_m2
+    (0.75, 0.75, 0.75, 0.6, 0.5)
+    """
+
+    both: int = 0
+    over: int = 0
+    under: int = 0
+    neither: int = 0
+    area_m2: float = 0.0
+    samples: int = 1
+
+    @classmethod
+    def of(cls, claimed: Mask, true: Mask, mask: Mask, cell_area_m2: float) -> ConfusionCounts:
+        """Return the counts of two masks over the cells of a third one."""
+        cells, claims, trues = int(mask.sum()), int((claimed & mask).sum()), int((true & mask).sum())
+        both = int((claimed & true & mask).sum())
+        return cls(both, claims - both, trues - both, cells - claims - trues + both, cells * cell_area_m2)
+
+    def __add__(self, other: ConfusionCounts) -> ConfusionCounts:
+        """Return both together."""
+        return ConfusionCounts(
+            self.both + other.both, self.over + other.over, self.under + other.under, self.neither + other.neither,
+            self.area_m2 + other.area_m2, self.samples + other.samples,
+        )  # fmt: skip
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.both + self.over + self.under + self.neither
+
+    @property
+    def precision(self) -> float:
+        """Share of the claimed cells that are visible; NaN where none is claimed."""
+        return _rate(self.both, self.both + self.over)
+
+    @property
+    def recall(self) -> float:
+        """Share of the visible cells that are claimed; NaN where none is visible."""
+        return _rate(self.both, self.both + self.under)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of the cells on which both agree; NaN without cells."""
+        return _rate(self.both + self.neither, self.cells)
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall; NaN where nothing is claimed and nothing visible."""
+        return _rate(2 * self.both, 2 * self.both + self.over + self.under)
+
+    @property
+    def iou(self) -> float:
+        """Cells that both call visible over those that any does; NaN where none does."""
+        return _rate(self.both, self.both + self.over + self.under)
+
+    @property
+    def over_m2(self) -> float:
+        """Area of a sample, on average, that is claimed and not visible."""
+        return self.over * _rate(self.area_m2, self.cells) / self.samples
+
+    @property
+    def under_m2(self) -> float:
+        """Area of a sample, on average, that is visible and not claimed."""
+        return self.under * _rate(self.area_m2, self.cells) / self.samples
+
+
+def _rate(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")
+
+
+STEPS = 1000
+"""Probabilities are counted in steps of 0.001; thresholds are whole steps."""
+
+BINS = 15
+"""Bins of the calibration error, of equal width."""
+
+FORMAT_VERSION = 1
+
+_PROB_UNITS = 2**24
+
+_SQUARE_UNITS = 2**28
+
+_MOST_STD = 0.5
+
+_CHUNK = 2**24
+
+_EDGES = (np.arange(STEPS + 2) / STEPS).astype(np.float32)
+
+_EULER = 0.5772156649015329
+
+_SMALL = 64
+
+_HARMONIC = np.concatenate([[0.0], np.cumsum(1.0 / np.arange(1, _SMALL))])
+
+Counts = NDArray[np.int64]
+
+
+def _no_cells() -> Counts:
+    return np.zeros((STEPS + 1, 2), np.int64)
+
+
+def _no_bins() -> Counts:
+    return np.zeros((BINS, 3), np.int64)
+
+
+@dataclass(slots=True, eq=False)
+class Scores:
+    """All that is counted of probabilities against truth, cell by cell; it grows with ``add`` and adds up with ``+``.
+
+    Everything is kept as whole numbers, so that the order and grouping of sweeps do not change a bit of the result.
+    The caller hands in the cells whose truth is known, and no others.
+
+    Attributes:
+        steps: (1001, 2) int64 cells by step of probability (step k holds [k, k + 1) thousandths) that are not
+            visible, and that are.
+        bins: (15, 3) int64 by calibration bin: cells, visible cells, and the sum of their probabilities in 2⁻²⁴.
+        squares: sum of squared errors of the probabilities in 2⁻²⁸.
+        doubts: (1001, 2) int64 cells by standard deviation, in steps of 0.0005 up to 0.5, that a threshold of 0.5
+            calls right, and wrong; cells that came without a deviation are not in it.
+
+    >>> scores = Scores()
+    >>> scores.add([0.9, 0.8, 0.6, 0.1], [True, True, False, False])
+    >>> scores.precision(), scores.recall(), scores.f1(), scores.accuracy()
+    (0.6666666666666666, 1.0, 0.8, 0.75)
+    >>> round(scores.brier(), 6), scores.auprc()
+    (0.105, 1.0)
+    """
+
+    steps: Counts = field(default_factory=_no_cells)
+    bins: Counts = field(default_factory=_no_bins)
+    squares: int = 0
+    doubts: Counts = field(default_factory=_no_cells)
+
+    def add(self, prob: ArrayLike, visible: ArrayLike, std: ArrayLike | None = None) -> None:
+        """Count cells.
+
+        Args:
+            prob: (…) probability of visible in [0, 1].
+            visible: (…) bool, truth.
+            std: (…) standard deviation of the probability, or None.
+
+        Raises:
+            ValueError: shapes differ, or a value is out of range or NaN.
+        """
+        probs, truth = np.asarray(prob, np.float32), np.asarray(visible)
+        if truth.dtype != np.bool_ or truth.shape != probs.shape:
+            raise ValueError(f"visible must be bool {probs.shape} as prob is, got {truth.dtype} {truth.shape}")
+        if not ((probs >= 0) & (probs <= 1)).all():
+            raise ValueError("prob must lie in [0, 1] and not be NaN")
+        if std is not None:
+            self._count_std(probs, truth, np.asarray(std, np.float32))
+        flat, seen = probs.reshape(-1), truth.reshape(-1)
+        for start in range(0, flat.size, _CHUNK):
+            self._count(flat[start : start + _CHUNK], seen[start : start + _CHUNK])
+
+    def _count(self, prob: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
+        """Count at most 2²⁴ cells: sums of whole numbers that a double holds exactly."""
+        self.steps += _histogram(_step_of(prob), seen)
+        exact = prob.astype(np.float64)
+        bins = np.minimum((exact * BINS).astype(np.intp), BINS - 1)
+        units = np.bincount(bins, np.rint(exact * _PROB_UNITS), BINS)
+        self.bins += np.stack([np.bincount(bins, None, BINS), np.bincount(bins[seen], None, BINS), units], 1).astype(
+            int
+        )
+        self.squares += int(np.rint((exact - seen) ** 2 * _SQUARE_UNITS).sum())
+
+    def _count_std(self, prob: NDArray[np.float32], seen: NDArray[np.bool_], std: NDArray[np.float32]) -> None:
+        if std.shape != prob.shape or not (std >= 0).all():
+            raise ValueError(f"std must be {prob.shape} as prob is, not negative and not NaN, got {std.shape}")
+        level = np.rint(np.minimum(std, _MOST_STD) * (STEPS / _MOST_STD)).astype(np.intp)
+        self.doubts += _histogram(level.reshape(-1), ((prob >= _MOST_STD) != seen).reshape(-1))
+
+    def __add__(self, other: Scores) -> Scores:
+        """Return both together."""
+        return Scores(
+            self.steps + other.steps, self.bins + other.bins, self.squares + other.squares, self.doubts + other.doubts
+        )
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return int(self.steps.sum())
+
+    def counts(self, threshold: float = 0.5) -> tuple[int, int, int, int]:
+        """Return how many cells both call visible, only the estimate, only the truth, and none.
+
+        Raises:
+            ValueError: the threshold is not a whole step in (0, 1].
+        """
+        step = round(threshold * STEPS)
+        if not 0 < step <= STEPS or abs(threshold * STEPS - step) > 1e-6:
+            raise ValueError(f"threshold must be a multiple of 0.001 in (0, 1], got {threshold}")
+        (over, both), (neither, under) = self.steps[step:].sum(axis=0), self.steps[:step].sum(axis=0)
+        return int(both), int(over), int(under), int(neither)
+
+    def confusion(self, threshold: float = 0.5) -> ConfusionCounts:
+        """Return the counts at a threshold; they know no area."""
+        return ConfusionCounts(*self.counts(threshold))
+
+    def precision(self, threshold: float = 0.5) -> float:
+        """Return the share of the claimed cells that are visible; NaN where none is claimed."""
+        return self.confusion(threshold).precision
+
+    def recall(self, threshold: float = 0.5) -> float:
+        """Return the share of the visible cells that are claimed; NaN where none is visible."""
+        return self.confusion(threshold).recall
+
+    def accuracy(self, threshold: float = 0.5) -> float:
+        """Return the share of the cells on which estimate and truth agree; NaN without cells."""
+        return self.confusion(threshold).accuracy
+
+    def f1(self, threshold: float = 0.5) -> float:
+        """Return the harmonic mean of precision and recall; NaN where nothing is claimed and nothing visible."""
+        return self.confusion(threshold).f1
+
+    def iou(self, threshold: float = 0.5) -> float:
+        """Return the cells that both call visible over those that any does; NaN where none does."""
+        return self.confusion(threshold).iou
+
+    def auprc(self) -> float:
+        """Return average precision, Σ (Rₙ - Rₙ₋₁) Pₙ over thresholds in whole steps; NaN where no cell is visible.
+
+        The sum of scikit-learn's ``average_precision_score``: no interpolation between thresholds.
+        """
+        return _average_precision(self.steps)
+
+    def reliability(self) -> NDArray[np.float64]:
+        """Return (15, 3) by calibration bin: mean probability, share of visible cells, cells; NaN in empty bins."""
+        cells = self.bins[:, 0].astype(np.float64)
+        some = np.where(cells > 0, cells, np.nan)
+        return np.stack([self.bins[:, 2] / (_PROB_UNITS * some), self.bins[:, 1] / some, cells], axis=1)
+
+    def ece(self) -> float:
+        """Return the expected calibration error, Σ (n_b / n) |mean probability - share visible|; NaN without cells.
+
+        Over 15 bins of equal width (Naeini et al., AAAI 2015; Guo et al., ICML 2017), of the probability of visible.
+        """
+        gaps = np.abs(self.bins[:, 2] / _PROB_UNITS - self.bins[:, 1])
+        return _rate(float(gaps.sum()), self.cells)
+
+    def brier(self) -> float:
+        """Return the mean squared error of the probability (Brier, 1950); NaN without cells."""
+        return _rate(self.squares / _SQUARE_UNITS, self.cells)
+
+    def aurc(self) -> float:
+        """Return the area under the risk-coverage curve with doubt 1 - max(p, 1 - p); NaN without cells.
+
+        The risk at coverage k / n is the share of wrong cells (at threshold 0.5) among the k least doubtful; the area
+        is its mean over k (Geifman, Uziel and El-Yaniv, ICLR 2019). Cells of equal doubt come in random order: the
+        expected value.
+        """
+        half = STEPS // 2
+        low, high = self.steps[:half], self.steps[half:STEPS, ::-1][::-1].copy()
+        high[0] += self.steps[STEPS, ::-1]
+        return _area(low + high)
+
+    def aurc_std(self) -> float:
+        """Return the area under the risk-coverage curve with the deviation as doubt; NaN where none was given."""
+        return _area(self.doubts)
+
+    def summary(self, threshold: float = 0.5) -> dict[str, float]:
+        """Return every figure by name, those of a mask at the threshold."""
+        masks = {name: getattr(self, name)(threshold) for name in ("precision", "recall", "accuracy", "f1", "iou")}
+        areas = {name: getattr(self, name)() for name in ("auprc", "ece", "brier", "aurc", "aurc_std")}
+        return masks | areas
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all counts as plain values; rows of zeros are left out."""
+        return {
+            "version": FORMAT_VERSION, "steps": _rows(self.steps), "bins": _rows(self.bins),
+            "squares": self.squares, "doubts": _rows(self.doubts),
+        }  # fmt: skip
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Scores:
+        """Return the scores that ``to_json`` returned.
+
+        Raises:
+            ValueError: they are of another version or damaged.
+        """
+        if content.get("version") != FORMAT_VERSION:
+            raise ValueError(f"scores must be of version {FORMAT_VERSION}, got {content.get('version')}; score again")
+        try:
+            steps, doubts = (_table(content[name], STEPS + 1, 2) for name in ("steps", "doubts"))
+            return cls(steps, _table(content["bins"], BINS, 3), int(content["squares"]), doubts)
+        except (KeyError, TypeError, IndexError, OverflowError, ValueError) as error:
+            raise ValueError(f"scores must have steps, bins, squares and doubts, got damaged ones: {error}") from error
+
+
+def average_precision(prob: NDArray[np.float32], visible: Mask) -> float:
+    """Return :meth:`Scores.auprc` of K cells alone, without the other counts.
+
+    >>> average_precision(np.array([1, 1, 0, 0], np.float32), np.array([True, False, True, False]))
+    0.5
+    """
+    return _average_precision(_histogram(_step_of(prob), visible))
+
+
+def _average_precision(steps: Counts) -> float:
+    true, every = steps[::-1, 1].cumsum(), steps[::-1].sum(axis=1).cumsum()
+    rises = np.diff(true, prepend=0)
+    return _rate(float((rises * (true / np.maximum(every, 1))).sum()), int(true[-1]))
+
+
+def _step_of(prob: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return the last step whose edge is not above each probability, exactly as ``prob >= float32(k / 1000)``."""
+    step = (prob * np.float32(STEPS)).astype(np.intp)
+    step -= prob < _EDGES[step]
+    step += prob >= _EDGES[step + 1]
+    return np.minimum(step, STEPS)
+
+
+def _histogram(row: NDArray[np.intp], column: NDArray[np.bool_]) -> Counts:
+    counts: Counts = np.bincount(2 * row + column, minlength=2 * (STEPS + 1)).reshape(-1, 2)
+    return counts
+
+
+def _area(counts: Counts) -> float:
+    """Return the mean selective risk of cells in ascending doubt: (levels, 2) right and wrong."""
+    counts = counts[counts.any(axis=1)]
+    cells, wrong = counts.sum(axis=1), counts[:, 1]
+    before, wrong_before = cells.cumsum() - cells, wrong.cumsum() - wrong
+    harmonic = _harmonic(before + cells) - _harmonic(before)
+    areas = wrong + (wrong_before - wrong * (before / cells)) * harmonic
+    return _rate(float(areas.sum()), int(cells.sum()))
+
+
+def _harmonic(n: Counts) -> NDArray[np.float64]:
+    """Return 1 + 1/2 + … + 1/n; above 63 by the asymptotic series, to a relative 1e-15."""
+    large = np.maximum(n, _SMALL).astype(np.float64)
+    series = np.log(large) + _EULER + 1 / (2 * large) - 1 / (12 * large**2) + 1 / (120 * large**4)
+    return np.where(n < _SMALL, _HARMONIC[np.minimum(n, _SMALL - 1)], series)
+
+
+def _rows(counts: Counts) -> list[list[int]]:
+    return [[int(row), *map(int, counts[row])] for row in np.flatnonzero(counts.any(axis=1))]
+
+
+def _table(rows: list[list[int]], count: int, columns: int) -> Counts:
+    table = np.zeros((count, columns), np.int64)
+    for row, *values in rows:
+        if not 0 <= row < count or len(values) != columns or min(values) < 0:
+            raise ValueError(f"a row must be a number below {count} and {columns} counts, got {[row, *values]}")
+        table[row] = values
+    return table

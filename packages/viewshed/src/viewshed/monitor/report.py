@@ -1,0 +1,160 @@
+"""What a monitor says of one sweep: two verdicts, the sectors and cells it suspects, and why.
+
+Suspect cells as polygons, for others to draw.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import Mask
+from viewshed.fov.polygons import local_crs, polygon_of_mask
+from viewshed.grid import BevGrid, polar_of_cells
+from viewshed.monitor.evidence.base import SECTORS, sector_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntegrityReport:
+    """Doubt about one sweep. A monitor reports doubt; what is done about it is for others to say.
+
+    Attributes:
+        monitor: who says so.
+        score: how doubtful the sweep is; larger is worse.
+        threshold: the sweep counts as inconsistent above it.
+        p_value: share of benign sweeps, this one among them, that score as high at least; NaN where the monitor keeps
+            no benign scores.
+        degraded: the view is less or worse than it should be, whatever the cause.
+        degraded_p_value: the same share for that verdict; NaN where the monitor does not give it.
+        suspect: (SECTORS,) bool, the sectors of azimuth that raise the doubt.
+        grid: where the suspect cells are, or None where no grid was at hand.
+        suspect_cells: (cells, cells) bool on the grid; (0, 0) without one.
+        reasons: what speaks against the sweep, the strongest first; a sentence each.
+        notes: what the report could not rest on, and what was done instead; a sentence each.
+        evidence: (E, SECTORS) float32 that was scored, what is held over sweeps included; (0, SECTORS) where the
+            monitor looks at no evidence.
+        tail_p_value: ``p_value``, going on beyond the benign scores by an estimate of their tail: what alarms over time
+            are made of. NaN where the monitor does not give it.
+
+    Raises:
+        ValueError: score or threshold is not a number, a p-value lies outside (0, 1], or a mask does not fit.
+
+    >>> report = IntegrityReport("by hand", score=2.0, threshold=1.5)
+    >>> report.inconsistent, report.degraded, report.suspect.any()
+    (True, False, np.False_)
+    """
+
+    monitor: str
+    score: float
+    threshold: float
+    p_value: float = math.nan
+    degraded: bool = False
+    degraded_p_value: float = math.nan
+    suspect: Mask = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
+    grid: BevGrid | None = None
+    suspect_cells: Mask = field(default_factory=lambda: np.zeros((0, 0), np.bool_))
+    reasons: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    evidence: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, SECTORS), np.float32))
+    tail_p_value: float = math.nan
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.score) or math.isnan(self.threshold):
+            raise ValueError(f"score and threshold must be numbers, got {self.score} and {self.threshold}")
+        for name in ("p_value", "degraded_p_value", "tail_p_value"):
+            value = getattr(self, name)
+            if value <= 0.0 or value > 1.0:
+                raise ValueError(f"{name} must lie in (0, 1] or be NaN, got {value}")
+        shape = (0, 0) if self.grid is None else self.grid.shape
+        for name, expected in (("suspect", (SECTORS,)), ("suspect_cells", shape)):
+            mask = getattr(self, name)
+            if mask.dtype != np.bool_ or mask.shape != expected:
+                raise ValueError(f"{name} must be bool {expected}, got {mask.dtype} {mask.shape}")
+            mask = mask.view()
+            mask.setflags(write=False)
+            object.__setattr__(self, name, mask)
+
+    @property
+    def inconsistent(self) -> bool:
+        """Whether the sweep is impossible or contradicted by time: its score lies above the threshold."""
+        return self.score > self.threshold
+
+    @property
+    def alarm(self) -> bool:
+        """The same as ``inconsistent``: only that is an alarm, for a degraded view has honest causes."""
+        return self.inconsistent
+
+    @property
+    def suspect_m2(self) -> float:
+        """Area of the suspect cells in square meters; NaN without a grid."""
+        return math.nan if self.grid is None else float(self.suspect_cells.sum()) * self.grid.cell_area_m2
+
+
+def cells_of_sectors(sectors: Mask, grid: BevGrid) -> Mask:
+    """Return the mask (cells, cells) of the cells whose centers lie in one of the sectors (SECTORS,) bool.
+
+    >>> front_left = np.zeros(SECTORS, np.bool_)
+    >>> front_left[36:54] = True  # 0° to 90°
+    >>> cells_of_sectors(front_left, BevGrid(4, 2.0)).astype(int)
+    array([[0, 0, 0, 0],
+           [0, 0, 0, 0],
+           [0, 0, 1, 1],
+           [0, 0, 1, 1]])
+    """
+    mask: Mask = sectors[sector_of(polar_of_cells(grid)[1])]
+    return mask
+
+
+def sector_corners(sectors: Mask, reach_m: float) -> NDArray[np.float64]:
+    """Return the corners (3 K, 2) of a triangle from the sensor for each of K sectors (SECTORS,) bool."""
+    step = 2 * np.pi / SECTORS
+    start = np.flatnonzero(sectors) * step - np.pi
+    ends = [np.column_stack([np.cos(angle), np.sin(angle)]) * reach_m for angle in (start, start + step)]
+    return np.stack([np.zeros((len(start), 2)), *ends], axis=1).reshape(-1, 2)
+
+
+def sectors_of_cells(cells: Mask, grid: BevGrid) -> Mask:
+    """Return the mask (SECTORS,) of the sectors that hold the center of one of the cells (cells, cells) bool."""
+    counts = np.bincount(sector_of(polar_of_cells(grid)[1][cells]), minlength=SECTORS)
+    return counts > 0
+
+
+def suspects_geojson(report: IntegrityReport) -> bytes:
+    """Return a GeoJSON Feature in UTF-8: suspect cells as a MultiPolygon in ``level``, meters; score and alarm beside.
+
+    Coordinates are meters in the ``level`` frame (x forward, y left), not degrees, as in the other exports.
+
+    Raises:
+        ValueError: the report is on no grid.
+    """
+    from shapely.geometry import mapping
+
+    if report.grid is None:
+        raise ValueError("report must be on a grid, got none; check a sweep together with its estimate")
+    properties = {
+        "monitor": report.monitor,
+        "score": report.score,
+        "threshold": report.threshold,
+        "alarm": report.alarm,
+        "p_value": None if math.isnan(report.p_value) else report.p_value,
+        "degraded": report.degraded,
+        "reasons": list(report.reasons),
+    }
+    frame = {
+        "name": "level",
+        "coordinates": "meters in level frame, not WGS84",
+        "axes": "x forward, y left of the sensor",
+    }
+    shape = mapping(polygon_of_mask(report.suspect_cells, report.grid))
+    feature = {
+        "type": "Feature",
+        "crs": local_crs("level"),
+        "viewshed:frame": frame,
+        "properties": properties,
+        "geometry": shape,
+    }
+    return json.dumps(feature, allow_nan=False).encode()

@@ -1,0 +1,75 @@
+"""Which detection is of which track: the assignment of greatest total benefit (global nearest neighbor)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from viewshed._extras import needed_for
+from viewshed.arrays import F64
+from viewshed.objects.matching import corners_of
+
+Numbers = NDArray[np.int32]
+
+
+@lru_cache(maxsize=1)
+def assignment_solver() -> Callable[..., tuple[NDArray[Any], NDArray[Any]]]:
+    """Return scipy's solver of the linear assignment problem.
+
+    Raises:
+        ImportError: scipy is not installed.
+    """
+    with needed_for("tracking"):
+        from scipy.optimize import linear_sum_assignment
+    solver: Callable[..., tuple[NDArray[Any], NDArray[Any]]] = linear_sum_assignment
+    return solver
+
+
+def assign(benefit: F64) -> Numbers:
+    """Return the number (N,) of each track's detection, -1 for none, so that the total ``benefit`` (N, K) is greatest.
+
+    Pairs whose benefit is not positive are never made: it is the benefit over that of leaving both alone.
+
+    >>> assign(np.array([[5.0, 4.0, -1.0], [4.5, 0.0, -1.0]])).tolist()
+    [1, 0]
+    """
+    gained = np.where(benefit > 0.0, benefit, 0.0)
+    rows, columns = assignment_solver()(gained, maximize=True)
+    assigned = np.full(len(benefit), -1, np.int32)
+    is_gain = gained[rows, columns] > 0.0
+    assigned[rows[is_gain]] = columns[is_gain]
+    return assigned
+
+
+def volume_overlaps(first: F64, second: F64) -> F64:
+    """Return the intersection over union (N, K) of the volumes of boxes (N, 7) and (K, 7).
+
+    >>> box = np.array([[0.0, 0.0, 0.0, 4.0, 2.0, 2.0, 0.0]])
+    >>> volume_overlaps(box, box + np.array([1.0, 0, 0, 0, 0, 0, 0])).tolist()
+    [[0.6]]
+    """
+    shared = np.zeros((len(first), len(second)))
+    reach = np.hypot(first[:, None, 3], first[:, None, 4]) + np.hypot(second[None, :, 3], second[None, :, 4])
+    apart = np.hypot(first[:, None, 0] - second[None, :, 0], first[:, None, 1] - second[None, :, 1])
+    rows, columns = np.nonzero(2.0 * apart < reach)
+    footprints = np.asarray(shapely.polygons(corners_of(first))), np.asarray(shapely.polygons(corners_of(second)))
+    areas = shapely.area(shapely.intersection(footprints[0][rows], footprints[1][columns]))
+    low = np.maximum((first[:, 2] - first[:, 5] / 2)[rows], (second[:, 2] - second[:, 5] / 2)[columns])
+    high = np.minimum((first[:, 2] + first[:, 5] / 2)[rows], (second[:, 2] + second[:, 5] / 2)[columns])
+    shared[rows, columns] = areas * np.maximum(high - low, 0.0)
+    volumes = first[:, 3:6].prod(axis=1)[:, None] + second[:, 3:6].prod(axis=1)[None, :]
+    return np.asarray(shared / (volumes - shared))
+
+
+def inside(points: F64, boxes: F64) -> NDArray[np.bool_]:
+    """Return which points (K, 2+) lie inside the footprints of which boxes (N, 7): (N, K)."""
+    dx = points[None, :, 0] - boxes[:, 0, None]
+    dy = points[None, :, 1] - boxes[:, 1, None]
+    cos, sin = np.cos(boxes[:, 6])[:, None], np.sin(boxes[:, 6])[:, None]
+    is_along = np.abs(cos * dx + sin * dy) <= boxes[:, 3, None] / 2
+    return np.asarray(is_along & (np.abs(cos * dy - sin * dx) <= boxes[:, 4, None] / 2))

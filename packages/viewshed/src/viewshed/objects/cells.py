@@ -1,0 +1,167 @@
+"""What the cells of a field of view say of boxes: obstacle surfaces in them, beams through them, or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import FloatArray, Rigid
+from viewshed.grid import BevGrid
+
+FINE, COARSE = (17, 9), (9, 5)
+"""Points along and across a box on which it is looked at: to know what it holds, and to move it."""
+
+MARGIN_M = 0.25
+"""Boxes are looked at a little larger than they are: half a cell of a grid for roads."""
+
+REACH_M, STEP_M = 2.0, 0.5
+"""How far, and in what steps, a box is moved to find where its surface stands."""
+
+_RING_M = 1.0
+
+_NO_SURFACE_M = 10.0
+
+_WEIGHTS = np.array([0.0, -1.0, 1.0, 0.0], np.float32)
+"""What a point of a box is worth by its cell's state (unknown, free, surface, hidden) when the box is moved."""
+
+_SHARPNESS = 8.0
+"""How much the best places outweigh others; shares of points times this are log weights."""
+
+_NEAR_FIRST_PER_M2 = 0.12
+"""Worth lost with the square of the distance: of equal places the nearest wins."""
+
+
+class BoxCells(NamedTuple):
+    """What the cells in and about K boxes are, (K,) each; shares lie in [0, 1].
+
+    Attributes:
+        surface: share of the footprint in cells with an obstacle return.
+        free: share in cells that beams pass.
+        hidden: share in cells that something nearer blocks; what is left is unknown or outside the grid.
+        ring: share of the meter around the box with an obstacle return.
+        ring_free: share of that meter that beams pass.
+        near_free: share of the side toward the sensor that beams pass.
+        first_m: meters from the side toward the sensor to the first surface in the box, 10 for none.
+        range_m: meters from the sensor.
+    """
+
+    surface: F64
+    free: F64
+    hidden: F64
+    ring: F64
+    ring_free: F64
+    near_free: F64
+    first_m: F64
+    range_m: F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenCells:
+    """The states of a field of view, to be asked in the frame of the tracks.
+
+    Attributes:
+        grid: where the cells are.
+        state: (cells, cells) uint8 of ``CellState``.
+        frame_from_level: pose of the ``level`` frame of the sweep in the tracks' frame.
+    """
+
+    grid: BevGrid
+    state: NDArray[np.uint8]
+    frame_from_level: Rigid
+
+    @classmethod
+    def of(cls, estimate: FovEstimate) -> SeenCells:
+        """Return the cells of an estimate, in the world if it has a pose, else in its own ``level`` frame."""
+        return cls(estimate.grid, estimate.state, estimate.world_from_level or Rigid.identity())
+
+    def states_at(self, xy: FloatArray) -> NDArray[np.uint8]:
+        """Return the states (…,) at points (…, 2) of the tracks' frame; UNKNOWN outside the grid."""
+        cells = np.floor(self._places(np.asarray(xy, np.float64)))
+        return self._states(cells)
+
+    def _places(self, xy: F64) -> F64:
+        """Return where points (…, 2) lie in cells (2, …): whole numbers are their lower corners."""
+        x, y = xy[..., 0] - self.frame_from_level.translation[0], xy[..., 1] - self.frame_from_level.translation[1]
+        yaw, (left, low), cell_m = self.frame_from_level.yaw, self.grid.origin_m, self.grid.cell_m
+        cos, sin = np.cos(yaw) / cell_m, np.sin(yaw) / cell_m
+        return np.stack([cos * x + sin * y - left / cell_m, cos * y - sin * x - low / cell_m])
+
+    def _states(self, cells: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return the states (…,) of cells (2, …) by whole numbers; UNKNOWN outside the grid."""
+        most = self.grid.cells
+        inside = ((cells >= 0) & (cells < most)).all(axis=0)
+        flat = np.where(inside, cells[0] * most + cells[1], 0).astype(np.int32)
+        return np.where(inside, self.state.reshape(-1)[flat], np.uint8(CellState.UNKNOWN))
+
+    def look(self, boxes: F64, place: F64, counts: tuple[int, int] = FINE) -> BoxCells:
+        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,), at so many points."""
+        points, around = footprint_points(boxes, counts), footprint_points(boxes, counts, _RING_M)
+        states, about = np.split(self.states_at(np.concatenate([points, around], axis=1)), 2, axis=1)
+        is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE
+        # How deep each point lies in the box, along the line of sight to its center.
+        away = boxes[:, :2] - place
+        range_m = np.hypot(*away.T)
+        depth_m = ((points - boxes[:, None, :2]) * (away / np.maximum(range_m, 1e-6)[:, None])[:, None]).sum(axis=-1)
+        depth_m -= depth_m.min(axis=1, keepdims=True)
+        near = depth_m <= np.maximum(0.4 * depth_m.max(axis=1, keepdims=True), 0.8)
+        # The points of a box a meter larger that do not lie in the box itself.
+        along, across = np.abs(_lattice(*counts))
+        half, ring = boxes[:, 3:5] / 2 + MARGIN_M, boxes[:, 3:5] + 2 * _RING_M
+        outside = (along * ring[:, :1] > half[:, :1]) | (across * ring[:, 1:] > half[:, 1:])
+        # Counts of points are products with ones, which numpy does faster than means of a few numbers each.
+        one, count = np.ones(points.shape[1]), points.shape[1]
+        outer = np.maximum(outside @ one, 1.0)
+        return BoxCells(
+            is_surface @ one / count,
+            is_free @ one / count,
+            (states == CellState.HIDDEN) @ one / count,
+            ((about == CellState.SURFACE) & outside) @ one / outer,
+            ((about == CellState.FREE) & outside) @ one / outer,
+            (is_free & near) @ one / (near @ one),
+            np.where(is_surface, depth_m, _NO_SURFACE_M).min(axis=1),
+            range_m,
+        )
+
+    def shifts(self, boxes: F64) -> F64:
+        """Return the vector (K, 2) in meters from each box to where its surface stands, 0 where none is near.
+
+        The box is moved within :data:`REACH_M`; surface in it speaks for a place, free cells in it against. The answer
+        is the mean over all places, weighted by what speaks for them, so that it is finer than a cell.
+        """
+        # Moves are whole cells along the axes of the grid, so that each point of a box is placed once.
+        cell_m = self.grid.cell_m
+        stride = max(round(STEP_M / cell_m), 1)
+        steps = stride * np.arange(-round(REACH_M / (stride * cell_m)), round(REACH_M / (stride * cell_m)) + 1)
+        moves = np.stack(np.meshgrid(steps, steps, indexing="ij")).reshape(2, -1).astype(np.int32)
+        points = np.floor(self._places(footprint_points(boxes, COARSE))).astype(np.int32)
+        states = self._states(points[:, :, None] + moves[:, None, :, None])
+        moves_m = cell_m * moves.T
+        worth = _WEIGHTS[states].mean(axis=2) - _NEAR_FIRST_PER_M2 * (moves_m**2).sum(axis=1)
+        weight = np.exp(_SHARPNESS * (worth - worth.max(axis=1, keepdims=True, initial=-np.inf)))
+        mean = weight @ moves_m / weight.sum(axis=1, keepdims=True)
+        has_surface = (states == CellState.SURFACE).any(axis=(1, 2))
+        cos, sin = np.cos(self.frame_from_level.yaw), np.sin(self.frame_from_level.yaw)
+        return np.asarray(np.where(has_surface[:, None], mean @ np.array([[cos, sin], [-sin, cos]]), 0.0))
+
+
+def footprint_points(boxes: F64, counts: tuple[int, int] = FINE, margin_m: float = MARGIN_M) -> NDArray[Any]:
+    """Return points (K, P, 2) spread over the footprints of boxes (K, 7), which are taken larger by a margin."""
+    along, across = _lattice(*counts)
+    forward = along * (boxes[:, 3:4] + 2 * margin_m)
+    left = across * (boxes[:, 4:5] + 2 * margin_m)
+    cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
+    points = np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=-1)
+    return np.asarray(boxes[:, None, :2] + points)
+
+
+@lru_cache(maxsize=8)
+def _lattice(lengthwise: int, crosswise: int) -> NDArray[Any]:
+    """Return where points lie along and across a box, (2, lengthwise x crosswise) in parts of its sides."""
+    sides = (np.linspace(-0.5, 0.5, count) for count in (lengthwise, crosswise))
+    return np.stack(np.meshgrid(*sides, indexing="ij")).reshape(2, -1)

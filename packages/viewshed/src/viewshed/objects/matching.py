@@ -1,0 +1,53 @@
+"""Detections against true boxes: matched by their centers, with the overlap seen from above beside it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+
+Numbers = NDArray[np.intp]
+
+WITHIN_M = 2.0
+"""Centers so near are those of one object."""
+
+
+def match_boxes(
+    found: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]], within_m: float = WITHIN_M
+) -> Numbers:
+    """Return for each of K found boxes the true one that it is, or -1 (K,): nearest centers first, each once.
+
+    >>> true = np.array([[5.0, 0, 1, 4, 2, 2, 0], [9.0, 0, 1, 4, 2, 2, 0]])
+    >>> match_boxes(np.array([[6.5, 0, 1, 4, 2, 2, 0], [20.0, 0, 1, 4, 2, 2, 0]]), true).tolist()
+    [0, -1]
+    """
+    matched = np.full(len(found), -1, np.intp)
+    away_m = np.hypot(found[:, None, 0] - true[None, :, 0], found[:, None, 1] - true[None, :, 1])
+    near = np.argwhere(away_m <= within_m)
+    taken = np.zeros(len(true), np.bool_)
+    for k, t in near[np.argsort(away_m[tuple(near.T)], kind="stable")]:
+        if matched[k] < 0 and not taken[t]:
+            matched[k], taken[t] = t, True
+    return matched
+
+
+def overlaps(boxes: NDArray[np.floating[Any]], others: NDArray[np.floating[Any]]) -> F64:
+    """Return intersection over union (K,), seen from above, of boxes (K, 7) and others (K, 7), pair by pair."""
+    one, other = shapely.polygons(corners_of(boxes)), shapely.polygons(corners_of(others))
+    common = np.asarray(shapely.area(shapely.intersection(one, other)), np.float64)
+    return common / (shapely.area(one) + shapely.area(other) - common)
+
+
+def corners_of(boxes: NDArray[np.floating[Any]]) -> F64:
+    """Return the corners (K, 4, 2) of boxes (K, 7) seen from above, counter-clockwise, in meters."""
+    ahead = np.stack([np.cos(boxes[:, 6]), np.sin(boxes[:, 6])], axis=-1) * boxes[:, 3:4] / 2
+    left = np.stack([-np.sin(boxes[:, 6]), np.cos(boxes[:, 6])], axis=-1) * boxes[:, 4:5] / 2
+    middle = boxes[:, :2]
+    corners: F64 = np.stack(
+        [middle + ahead + left, middle - ahead + left, middle - ahead - left, middle + ahead - left], axis=1
+    )
+    return corners

@@ -1,0 +1,190 @@
+"""How well tracks agree with the objects that there are: OSPA, GOSPA, calibration of existence, id switches.
+
+:mod:`viewshed.metrics` compares cells; this compares points. Distances are those of centers, x and y in meters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._extras import needed_for
+from viewshed.arrays import F64
+
+Points = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Gospa:
+    """Generalized OSPA with α = 2 (Rahmathullah, García-Fernández and Svensson, 2017), and what it is made of.
+
+    Its parts are costs: meters to the power p, so that the distance is the p-th root of their sum.
+
+    Attributes:
+        localization: of the pairs that are nearer than the cutoff.
+        missed: of objects without a track, half the cutoff to the power p each.
+        false: of tracks without an object, as much each.
+        order: p.
+
+    >>> Gospa(localization=1.0, missed=8.0, false=0.0, order=2.0).distance_m
+    3.0
+    """
+
+    localization: float
+    missed: float
+    false: float
+    order: float
+
+    @property
+    def distance_m(self) -> float:
+        """The distance in meters."""
+        return float((self.localization + self.missed + self.false) ** (1.0 / self.order))
+
+
+def gospa(tracks: Points, truths: Points, *, cutoff_m: float = 4.0, order: float = 2.0) -> Gospa:
+    """Return GOSPA of tracks (N, 2+) against truths (M, 2+).
+
+    Args:
+        tracks: where the tracks are; x and y count.
+        truths: where the objects are.
+        cutoff_m: from this distance on a track is not of an object.
+        order: p, how much more a large distance counts than two of half of it.
+
+    Raises:
+        ValueError: a number is not finite, or the cutoff or the order is out of range.
+        ImportError: scipy is not installed.
+    """
+    apart = _distances(tracks, truths, cutoff_m, order)
+    costs = np.minimum(apart, cutoff_m) ** order
+    rows, columns = _pairs(costs)
+    is_pair = apart[rows, columns] < cutoff_m
+    pairs, each = int(is_pair.sum()), cutoff_m**order / 2.0
+    localization = float(costs[rows, columns][is_pair].sum())
+    return Gospa(localization, each * (len(truths) - pairs), each * (len(tracks) - pairs), order)
+
+
+def ospa_m(tracks: Points, truths: Points, *, cutoff_m: float = 1.0, order: float = 1.0) -> float:
+    """Return OSPA in meters (Schuhmacher, Vo and Vo, 2008) of tracks (N, 2+) against truths (M, 2+).
+
+    The mean distance over as many pairs as the larger set has points, where those without a partner count ``cutoff_m``.
+
+    >>> ospa_m(np.array([[0.0, 0.2], [9.0, 9.0]]), np.array([[0.0, 0.0]]))
+    0.6
+    """
+    costs = np.minimum(_distances(tracks, truths, cutoff_m, order), cutoff_m) ** order
+    more = max(costs.shape)
+    if more == 0:
+        return 0.0
+    total = costs[_pairs(costs)].sum() + cutoff_m**order * (more - min(costs.shape))
+    return float((total / more) ** (1.0 / order))
+
+
+def published_ospa(tracks: Points, truths: Points) -> float:
+    """Return what the published evaluation calls OSPA, as its code computes it from x, y and z; it is not OSPA.
+
+    With cutoff and order 1: the mean over the larger set, plus the *difference of the numbers* outside of the mean. So
+    each false track adds more than one whole unit, and five among ten score 5.45 where OSPA is at most 1.
+    """
+    apart = _distances(tracks, truths, 1.0, 1.0, columns=3)
+    more, fewer = max(apart.shape), min(apart.shape)
+    if more == 0:
+        return 0.0
+    rows, columns = _pairs(np.where(apart < 1.0, apart, 1e8))
+    is_pair = apart[rows, columns] < 1.0
+    alone = more - int(is_pair.sum())
+    return float((apart[rows, columns][is_pair].sum() + alone) / more + (more - fewer))
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedObjects:
+    """Tracks and truths of one time, matched within a distance so that their sum is least.
+
+    Attributes:
+        track_ids: (N,) int64 of all tracks.
+        truth_ids: (M,) int64 of all truths.
+        truth_of_track: (N,) int number of each track's truth, -1 for none.
+    """
+
+    track_ids: NDArray[np.int64]
+    truth_ids: NDArray[np.int64]
+    truth_of_track: NDArray[np.int64]
+
+
+def match_objects(
+    tracks: Points, track_ids: NDArray[np.int64], truths: Points, truth_ids: NDArray[np.int64], within_m: float = 2.0
+) -> MatchedObjects:
+    """Return which tracks (N, 2+) are of which truths (M, 2+): at most ``within_m`` apart, as many as can be."""
+    apart = _distances(tracks, truths, within_m, 1.0)
+    # More pairs come first, a smaller sum of distances second.
+    rows, columns = _pairs(np.where(apart <= within_m, apart - within_m * (1 + max(apart.shape, default=0)), 0.0))
+    truth_of_track = np.full(len(track_ids), -1, np.int64)
+    is_pair = apart[rows, columns] <= within_m
+    truth_of_track[rows[is_pair]] = columns[is_pair]
+    return MatchedObjects(np.asarray(track_ids, np.int64), np.asarray(truth_ids, np.int64), truth_of_track)
+
+
+@dataclass(slots=True)
+class IdSwitches:
+    """Counts how often an object had another track than the last one it had, over the times of a recording in order.
+
+    An object that is lost and found again by a new track counts: that is the switch that a lost car causes.
+
+    Attributes:
+        count: of them so far.
+    """
+
+    count: int = 0
+    _last: dict[int, int] = field(default_factory=dict, repr=False)
+
+    def add(self, *times: MatchedObjects) -> int:
+        """Take the next times and return the count."""
+        for now in times:
+            for track_id, truth in zip(now.track_ids.tolist(), now.truth_of_track.tolist(), strict=True):
+                if truth >= 0:
+                    object_id = int(now.truth_ids[truth])
+                    self.count += self._last.get(object_id, track_id) != track_id
+                    self._last[object_id] = track_id
+        return self.count
+
+
+def existence_error(existence: Sequence[float] | F64, is_object: Sequence[bool] | NDArray[np.bool_]) -> float:
+    """Return the expected calibration error of existence (T,), over ten bins of equal width, weighed by their tracks.
+
+    NaN without tracks.
+    """
+    prob, true = np.asarray(existence, np.float64), np.asarray(is_object, np.float64)
+    if prob.shape != true.shape or prob.ndim != 1:
+        raise ValueError(f"existence and is_object must have one shape (T,), got {prob.shape} and {true.shape}")
+    if not len(prob):
+        return float("nan")
+    bins = np.minimum((10 * prob).astype(np.intp), 9)
+    gap = np.bincount(bins, prob, 10) - np.bincount(bins, true, 10)
+    return float(np.abs(gap).sum() / len(prob))
+
+
+def _distances(tracks: Points, truths: Points, cutoff_m: float, order: float, columns: int = 2) -> F64:
+    """Return the distances (N, M) of points by their first columns, or raise ValueError."""
+    if not 0.0 < cutoff_m < np.inf:
+        raise ValueError(f"cutoff_m must be positive and finite, got {cutoff_m}")
+    if not 1.0 <= order < np.inf:
+        raise ValueError(f"order must be at least 1 and finite, got {order}")
+    first, second = (np.asarray(points, np.float64)[..., :columns] for points in (tracks, truths))
+    if first.ndim != 2 or second.ndim != 2:
+        raise ValueError(f"points must have shape (N, 2) or more columns, got {first.shape} and {second.shape}")
+    if not (np.isfinite(first).all() and np.isfinite(second).all()):
+        raise ValueError("points must be finite; leave out those that are not")
+    if not len(first) or not len(second):
+        return np.zeros((len(first), len(second)))
+    return np.asarray(np.linalg.norm(first[:, None] - second[None], axis=-1))
+
+
+def _pairs(costs: F64) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns of the assignment of least total cost."""
+    with needed_for("comparing tracks with objects"):
+        from scipy.optimize import linear_sum_assignment
+    rows, columns = linear_sum_assignment(costs)
+    return rows, columns

@@ -1,0 +1,643 @@
+"""Detections and views, sweep by sweep, to tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+from viewshed.detections import Detections, ObjectKind
+from viewshed.objects.association import assign, assignment_solver, inside
+from viewshed.objects.existence import (
+    LEVELS,
+    after_detection,
+    after_miss,
+    forget,
+    found_probability,
+    levels_after,
+    shares_found,
+)
+from viewshed.objects.kalman import (
+    Motion,
+    center_log_density,
+    inverse,
+    predict,
+    quarter_turned,
+    settle,
+    squared_distances,
+    standing_probability,
+    update,
+    update_boxes,
+    wrapped,
+)
+from viewshed.objects.tracks import Tracks
+from viewshed.objects.views import View
+
+Numbers = NDArray[np.int32]
+
+_SAME_TIME_S = 0.02
+"""A view further than this from the time of the detections is of another sweep."""
+
+MOTION = Motion(standing_share=0.5, outlier_share=0.2)
+"""How road users move, and how well boxes about clusters of returns measure them."""
+
+SPREAD_FROM_M = 0.5
+"""The view is asked at several places of a track from this standard deviation of its place on."""
+
+_EXTENT = [2, 3, 4, 5, 6]
+"""Columns of a box that are filtered beside the state: z, length, width, height, yaw."""
+
+_KIND_KEPT = 0.9
+"""Part of the votes for a track's kind that a further vote leaves."""
+
+_SPEEDS_MPS = {
+    ObjectKind.OTHER: 15.0, ObjectKind.PEDESTRIAN: 4.0, ObjectKind.CYCLIST: 15.0,
+    ObjectKind.CAR: 40.0, ObjectKind.TRUCK: 30.0,
+}  # fmt: skip
+"""The fastest that an object of a kind comes out of where nothing is seen."""
+
+
+@dataclass(slots=True)
+class TrackTable:
+    """What a tracker holds of N tracks; the first arrays are those of :class:`Tracks`.
+
+    Attributes:
+        votes: (N, kinds) of the detections for each kind.
+        levels: (N, LEVELS) what is known of the number that decides what can be found; see ``existence``.
+        updates: (N,) int32 detections so far.
+        misses: (N,) int32 sweeps without a detection since the last one, of those that count.
+        lasting: (N,) probability that it is something lasting that only looks like an object.
+        standing: (N,) probability that it has stood since its last detection, 0 while it is detected.
+    """
+
+    ids: NDArray[np.int64]
+    states: F64
+    covariances: F64
+    boxes: F64
+    box_variances: F64
+    existence: F64
+    confirmed: NDArray[np.bool_]
+    detection: Numbers
+    visible: F64
+    detectable: F64
+    born_s: F64
+    seen_s: F64
+    born_hidden: F64
+    votes: F64
+    levels: F64
+    updates: Numbers
+    misses: Numbers
+    lasting: F64
+    standing: F64
+
+    @classmethod
+    def begun(cls, t_s: float, boxes: F64, kinds: NDArray[np.uint8], noise: F64, motion: Motion) -> Self:
+        """Return tracks that begin at detections (K, 7) with center covariances (K, 2, 2); without ids."""
+        count = len(boxes)
+        states = np.zeros((count, 4))
+        states[:, :2] = boxes[:, :2]
+        std = motion.box_std if motion.new_box_std is None else motion.new_box_std
+        votes = np.zeros((count, len(ObjectKind)))
+        votes[np.arange(count), kinds] = 1.0
+        return cls(
+            ids=np.full(count, -1, np.int64),
+            states=states,
+            covariances=motion.new_covariances(noise),
+            boxes=np.array(boxes, np.float64),
+            box_variances=np.tile(np.square(std), (count, 1)),
+            existence=np.ones(count),
+            confirmed=np.zeros(count, np.bool_),
+            detection=np.full(count, -1, np.int32),
+            visible=np.ones(count),
+            detectable=np.ones(count),
+            born_s=np.full(count, t_s),
+            seen_s=np.full(count, t_s),
+            born_hidden=np.ones(count),
+            votes=votes,
+            levels=np.full((count, LEVELS), 1.0 / LEVELS),
+            updates=np.ones(count, np.int32),
+            misses=np.zeros(count, np.int32),
+            lasting=np.zeros(count),
+            standing=np.zeros(count),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(self.ids)
+
+    @property
+    def kinds(self) -> NDArray[np.uint8]:
+        """(N,) the kind with most votes."""
+        return np.asarray(self.votes.argmax(axis=1), np.uint8)
+
+    def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """Return some of the tracks, as a copy."""
+        return type(self)(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+    def joined(self, others: Self) -> Self:
+        """Return these tracks and others after them."""
+        arrays = ((getattr(self, name), getattr(others, name)) for name in self.__slots__)
+        return type(self)(*(np.concatenate(pair) for pair in arrays))
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The K detections of one sweep, as rules see them.
+
+    Attributes:
+        boxes: (K, 7).
+        kinds: (K,) uint8.
+        noise: (K, 2, 2) covariances of their centers, square meters.
+        false_odds: (K,) false detections like each, for one like it of an object.
+    """
+
+    boxes: F64
+    kinds: NDArray[np.uint8]
+    noise: F64
+    false_odds: F64
+
+    def __len__(self) -> int:
+        """Return the number of detections."""
+        return len(self.boxes)
+
+    def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | Numbers) -> Self:
+        """Return some of them."""
+        return type(self)(self.boxes[chosen], self.kinds[chosen], self.noise[chosen], self.false_odds[chosen])
+
+
+class Rules(Protocol):
+    """What a tracker does with what it has predicted: which detection is whose, which tracks begin, and which end."""
+
+    @property
+    def motion(self) -> Motion:
+        """How objects move and are measured."""
+        ...
+
+    @property
+    def false_odds(self) -> float:
+        """False detections for one of an object."""
+        ...
+
+    @property
+    def most_tracks(self) -> int:
+        """The most tracks that are held."""
+        ...
+
+    @property
+    def most_detections(self) -> int:
+        """The most detections of one sweep."""
+        ...
+
+    @property
+    def longest_m(self) -> float:
+        """The longest box that is taken for an object."""
+        ...
+
+    @property
+    def late_s(self) -> float:
+        """Detections late by up to this are left out; those from still longer ago begin a new recording."""
+        ...
+
+    def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
+        """Write what the view says of each track, and what ``dt_s`` seconds change."""
+        ...
+
+    def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
+        """Return the number (N,) of the detection of each track, -1 for none."""
+        ...
+
+    def judge(self, tracks: TrackTable, measured: Measured, matched: Numbers) -> None:
+        """Write what hits and misses say of each track; states are those before the detections."""
+        ...
+
+    def begin(
+        self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
+    ) -> TrackTable:
+        """Return those new tracks that begin, with what is known of them; each has its detection."""
+        ...
+
+    def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
+        """Write which tracks are confirmed, and return those (N,) that are kept."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ExistenceRules:
+    """A track is kept by the probability that it exists, and what was not seen is asked of the field of view.
+
+    Attributes:
+        motion: how objects move and are measured.
+        gate: squared Mahalanobis distance beyond which no detection is of a track; 13.8 leaves out one in a thousand.
+        objects_per_m2: detected objects per square meter.
+        false_odds: false detections for one of an object, where nothing better is known of a detection.
+        lasting_share: false detections of something new that will come back where it is, for one that will not.
+        unseen_share: part of the detected objects that are not tracked yet, where they could not be seen.
+        seen_share: part of these where they would have been seen.
+        recurrence: how often something lasting is falsely detected, against how often an object is.
+        most_found: probability that a detector finds what it can find, at most.
+        doubt_s: seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence.
+        lifetime_s: mean time that an object exists.
+        surest: existence is never above this.
+        confirm_from: a track is confirmed when its existence reaches this.
+        drop_below: a track ends when its existence is lower.
+        vague_m: a track is not confirmed while the standard deviation of its place is larger.
+        lost_m: a track ends when the standard deviation of its place is larger.
+        spreads: ask the view at five places of a track's distribution where its mean is not enough.
+        most_tracks: the most tracks that are held; further detections begin none, and a note says so.
+        most_detections: more of them in one sweep are refused.
+        longest_m: longer boxes are left out, and a note says so.
+        late_s: detections late by up to this are left out; those from still longer ago begin a new recording.
+    """
+
+    motion: Motion = MOTION
+    gate: float = 13.8
+    objects_per_m2: float = 1e-3
+    false_odds: float = 0.1
+    lasting_share: float = 0.6
+    unseen_share: float = 0.2
+    seen_share: float = 0.1
+    recurrence: float = 0.8
+    most_found: float = 0.98
+    doubt_s: float = 0.1
+    lifetime_s: float = 60.0
+    surest: float = 0.99
+    confirm_from: float = 0.75
+    drop_below: float = 0.05
+    vague_m: float = 2.5
+    lost_m: float = 6.0
+    spreads: bool = True
+    most_tracks: int = 500
+    most_detections: int = 1000
+    longest_m: float = 30.0
+    late_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("unseen_share", "seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
+        for name in ("gate", "objects_per_m2", "false_odds", "lifetime_s", "vague_m", "lost_m", "longest_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+    def look(self, tracks: TrackTable, view: View, dt_s: float) -> None:
+        """Ask the view of each track, let existence decay, and let what is known of its doubt fade."""
+        tracks.visible = _spread_visible(tracks, view) if self.spreads else view.visible(tracks.boxes)
+        tracks.detectable = view.detectable(tracks.boxes, tracks.kinds)
+        kept = np.exp(-dt_s / self.lifetime_s)
+        tracks.existence, tracks.lasting = kept * tracks.existence, kept * tracks.lasting
+        tracks.levels = forget(tracks.levels, float(np.exp(-dt_s / self.doubt_s)) if self.doubt_s > 0.0 else 0.0)
+
+    def match(self, tracks: TrackTable, measured: Measured) -> Numbers:
+        """Return the assignment that is most likely: log-likelihood ratios of (track's, false) are added up."""
+        motion, centers, noise = self.motion, measured.boxes[:, :2], measured.noise
+        squared, determinants = squared_distances(tracks.states, tracks.covariances, centers, noise)
+        log_density = center_log_density(squared, determinants)
+        if motion.outlier_share:
+            wide = motion.outlier_noise(noise)
+            squared, determinants = squared_distances(tracks.states, tracks.covariances, centers, wide)
+            log_density = np.logaddexp(
+                np.log1p(-motion.outlier_share) + log_density,
+                np.log(motion.outlier_share) + center_log_density(squared, determinants),
+            )
+        # A track that could not be seen may be found all the same: the view may be wrong.
+        found = np.clip(self._found(tracks), 1.0 - self.most_found, self.most_found)
+        real = tracks.existence * found
+        benefit = log_density + np.log(real / (1.0 - real))[:, None] - np.log(self._clutter_per_m2(measured))
+        return assign(np.where(squared <= self.gate, benefit, 0.0))
+
+    def judge(self, tracks: TrackTable, measured: Measured, matched: Numbers) -> None:
+        """Write existence and doubt after hits and misses."""
+        is_hit = matched >= 0
+        shares = shares_found(tracks.visible * tracks.detectable, self.most_found)
+        found = found_probability(tracks.levels, shares)
+        density, clutter = np.zeros(len(tracks)), np.ones(len(tracks))
+        mine = measured.take(matched[is_hit])
+        density[is_hit] = _densities(tracks.states[is_hit], tracks.covariances[is_hit], mine, self.motion).sum(axis=0)
+        clutter[is_hit] = self._clutter_per_m2(mine)
+        both = tracks.existence, tracks.lasting, found
+        hit = after_detection(*both, density, clutter, self.recurrence)
+        miss = after_miss(*both, self.recurrence)
+        existence, tracks.lasting = (np.where(is_hit, *pair) for pair in zip(hit, miss, strict=True))
+        tracks.existence = np.minimum(existence, self.surest)
+        hit_levels = (1.0 - shares) * clutter[:, None] + shares * density[:, None]
+        tracks.levels = levels_after(tracks.levels, np.where(is_hit[:, None], hit_levels, 1.0 - shares))
+
+    def begin(
+        self, born: TrackTable, measured: Measured, tracks: TrackTable, view: View, before: View | None
+    ) -> TrackTable:
+        """Return new tracks with how plausible it is that they are objects: could they have come unseen?
+
+        What lies in the box of a track that was found in this sweep, or of a new one, is a part of it and begins none.
+        """
+        is_part = inside(born.boxes, tracks.boxes[tracks.detection >= 0]).any(axis=0)
+        begins = ~is_part & _first_of_doubles(born.boxes)
+        born, clutter = born.take(begins), self._clutter_per_m2(measured.take(begins))
+        born.visible, born.detectable = view.visible(born.boxes), view.detectable(born.boxes, born.kinds)
+        unseen = np.ones(len(born))
+        if before is not None:
+            speeds = np.array([_SPEEDS_MPS[kind] for kind in ObjectKind])[born.kinds]
+            within_m = speeds * abs(view.t_s - before.t_s) + self.motion.center_std_m
+            born.born_hidden = before.hides_near(born.boxes, within_m)
+            # It may also have been there, in view, and not found.
+            unseen = 1.0 - (1.0 - born.born_hidden) * before.detectable(born.boxes, born.kinds)
+        new_per_m2 = self.objects_per_m2 * self.unseen_share
+        expected = new_per_m2 * (self.seen_share + (1.0 - self.seen_share) * unseen)
+        total = expected + (1.0 + self.lasting_share) * clutter
+        born.existence = np.minimum(expected / total, self.surest)
+        born.lasting = self.lasting_share * clutter / total
+        shares = shares_found(born.visible * born.detectable, self.most_found)
+        born.levels = levels_after(born.levels, shares)
+        return born
+
+    def keep(self, tracks: TrackTable, t_s: float) -> NDArray[np.bool_]:
+        """Keep what is likely enough and whose place is known."""
+        variance = np.maximum(tracks.covariances[:, 0, 0], tracks.covariances[:, 1, 1])
+        tracks.confirmed = tracks.confirmed | (tracks.existence >= self.confirm_from)
+        tracks.confirmed &= variance <= self.vague_m**2
+        return np.asarray((tracks.existence >= self.drop_below) & (variance <= self.lost_m**2))
+
+    def _clutter_per_m2(self, measured: Measured) -> F64:
+        """Return how many false detections like each (K,) do not come back, for each square meter."""
+        return self.objects_per_m2 * measured.false_odds
+
+    def _found(self, tracks: TrackTable) -> F64:
+        return found_probability(tracks.levels, shares_found(tracks.visible * tracks.detectable, self.most_found))
+
+
+class Tracker:
+    """Tracks of one sensor's detections over time, in the world or, without poses, in the sensor's ``level`` frame.
+
+    >>> from viewshed.objects.views import SeesAll
+    >>> car = np.array([[10.0, 0.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
+    >>> tracker = Tracker()
+    >>> for k in range(20):
+    ...     found = Detections(car + [k, 0, 0, 0, 0, 0, 0], np.array([ObjectKind.CAR]), np.array([50]))
+    ...     tracks = tracker.step(0.1 * k, found, SeesAll(0.1 * k))
+    >>> tracks.ids.tolist(), tracks.confirmed.tolist(), tracks.states[0].round().tolist()
+    ([0], [True], [29.0, 0.0, 10.0, 0.0])
+    """
+
+    def __init__(self, rules: Rules | None = None) -> None:
+        """Make a tracker without tracks.
+
+        Args:
+            rules: what it does with detections; None is :class:`ExistenceRules`.
+
+        Raises:
+            ImportError: scipy is not installed.
+        """
+        assignment_solver()
+        self.rules: Rules = ExistenceRules() if rules is None else rules
+        self._next_id = 0
+        self._table = _no_tracks(self.rules.motion)
+        self._last: Tracks | None = None
+        self._view: View | None = None
+
+    def reset(self) -> None:
+        """Forget all tracks and times; ids go on where they were."""
+        self._table, self._last, self._view = _no_tracks(self.rules.motion), None, None
+
+    def step(
+        self,
+        t_s: float,
+        detections: Detections,
+        view: View,
+        noise: F64 | None = None,
+        false_odds: F64 | None = None,
+    ) -> Tracks:
+        """Return all tracks after the detections of one sweep.
+
+        Args:
+            t_s: time of the sweep.
+            detections: in the frame of the view: the world, or ``level`` where there is no pose.
+            view: what could be seen in this sweep.
+            noise: (K, 2, 2) covariance of each detection's center in square meters; None is the rules' own.
+            false_odds: (K,) how many false detections there are like each, for one of an object
+                (:meth:`viewshed.objects.detection_table.DetectionTable.false_odds`); None is the rules' own.
+
+        Raises:
+            ValueError: there are too many detections, a covariance is not positive definite, odds are not positive, or
+                the view is of another time. The tracks are as before, and the next sweep can follow.
+        """
+        rules, notes = self.rules, list[str]()
+        measured = self._checked(t_s, detections, view, noise, false_odds)
+        late = self._time_note(t_s, view, notes)
+        if late is not None:
+            return late
+        numbers = np.flatnonzero(detections.boxes[:, 3:6].max(axis=1, initial=0.0) <= rules.longest_m)
+        if len(numbers) < len(detections):
+            refused = len(detections) - len(numbers)
+            notes.append(f"{refused} of {len(detections)} boxes left out: longer than {rules.longest_m:g} m")
+        measured = measured.take(numbers)
+
+        # Predict, ask the view, and find which detection is whose.
+        tracks, motion = self._table.take(np.arange(len(self._table))), rules.motion  # a copy: a view may raise
+        dt_s = 0.0 if self._last is None else t_s - self._last.t_s
+        _predict(tracks, dt_s, motion)
+        rules.look(tracks, view, dt_s)
+        matched = rules.match(tracks, measured)
+        rules.judge(tracks, measured, matched)
+        _update(tracks, t_s, measured, matched, motion)
+
+        # What is left over begins tracks, as far as there is room.
+        boxes, is_left = measured.boxes, np.ones(len(measured), np.bool_)
+        is_left[matched[matched >= 0]] = False
+        left = np.flatnonzero(is_left)
+        left = left[np.lexsort((boxes[left, 1], boxes[left, 0], -detections.returns[numbers[left]]))]
+        new = measured.take(left)
+        born = TrackTable.begun(t_s, new.boxes, new.kinds, new.noise, motion)
+        born.detection = left.astype(np.int32)
+        if len(born):
+            born = rules.begin(born, new, tracks, view, self._view)
+        tracks = _kept(tracks, rules.keep(tracks, t_s))
+        room = max(rules.most_tracks - len(tracks), 0)
+        if len(born) > room:
+            notes.append(f"{len(born) - room} new tracks refused: {rules.most_tracks} are held")
+            born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:room]))
+        born.ids = np.arange(self._next_id, self._next_id + len(born))
+        self._next_id += len(born)
+        if len(born):
+            tracks = tracks.joined(born)
+            tracks = _kept(tracks, rules.keep(tracks, t_s))
+
+        self._table, self._view = tracks, view
+        self._last = _shown(tracks, t_s, numbers, view.in_world, tuple(notes))
+        return self._last
+
+    def _checked(
+        self, t_s: float, detections: Detections, view: View, noise: F64 | None, false_odds: F64 | None
+    ) -> Measured:
+        """Return the detections with all that is known of them, or raise ValueError."""
+        count, most = len(detections), self.rules.most_detections
+        if not np.isfinite(t_s):
+            raise ValueError(f"t_s must be finite, got {t_s}")
+        if count > most:
+            raise ValueError(f"detections must be at most {most}, got {count}; this sweep is refused")
+        if not abs(view.t_s - t_s) <= _SAME_TIME_S:
+            raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
+        odds = np.full(count, self.rules.false_odds) if false_odds is None else np.asarray(false_odds, np.float64)
+        if odds.shape != (count,) or not (np.isfinite(odds) & (odds > 0.0)).all():
+            raise ValueError(f"false_odds must be {count} positive numbers, got shape {odds.shape} or other numbers")
+        spread = self.rules.motion.center_noise(count) if noise is None else np.asarray(noise, np.float64)
+        if spread.shape != (count, 2, 2):
+            raise ValueError(f"noise must have shape ({count}, 2, 2), got {spread.shape}")
+        determinants = spread[:, 0, 0] * spread[:, 1, 1] - spread[:, 0, 1] * spread[:, 1, 0]
+        is_good = (determinants > 0.0) & (spread[:, 0, 0] > 0.0) & np.isfinite(spread).all(axis=(1, 2))
+        is_good &= np.isclose(spread[:, 0, 1], spread[:, 1, 0])
+        if not is_good.all():
+            first = int(np.flatnonzero(~is_good)[0])
+            raise ValueError(
+                f"noise must be symmetric and positive definite, got {spread[first].tolist()} for detection {first}"
+            )
+        return Measured(detections.boxes, detections.kinds, spread, odds)
+
+    def _time_note(self, t_s: float, view: View, notes: list[str]) -> Tracks | None:
+        """Return the last tracks where a sweep is late or doubled; begin anew where the recording did."""
+        last = self._last
+        if last is None:
+            return None
+        back_s = last.t_s - t_s
+        if 0.0 <= back_s <= self.rules.late_s:
+            what = "again" if back_s == 0.0 else f"{back_s:.3f} s late"
+            return replace(
+                last, detection=np.full(len(last), -1, np.int32), notes=(f"a sweep {what}: its detections left out",)
+            )
+        if back_s > 0.0:
+            notes.append(f"time went back by {back_s:.3f} s: all tracks dropped")
+            self.reset()
+        elif last.in_world != view.in_world:
+            frame = "the world" if view.in_world else "the sensor's level frame, for want of poses"
+            notes.append(f"tracks are in {frame} from now on: all tracks dropped")
+            self.reset()
+        return None
+
+
+def _kept(tracks: TrackTable, is_kept: NDArray[np.bool_]) -> TrackTable:
+    return tracks if is_kept.all() else tracks.take(is_kept)
+
+
+def _no_tracks(motion: Motion) -> TrackTable:
+    return TrackTable.begun(0.0, np.zeros((0, 7)), np.zeros(0, np.uint8), np.zeros((0, 2, 2)), motion)
+
+
+def _predict(tracks: TrackTable, dt_s: float, motion: Motion) -> None:
+    """Move tracks ``dt_s`` seconds on; those that are missed and stand stay, and do not begin to move either."""
+    noise = motion.process_noise(dt_s)
+    if motion.standing_share:
+        lost = np.flatnonzero((tracks.detection < 0) & (tracks.standing == 0.0))
+        if len(lost):
+            states, covariances = tracks.states[lost], tracks.covariances[lost]
+            tracks.standing[lost] = standing_probability(states, covariances, motion)
+            tracks.states[lost], tracks.covariances[lost] = settle(states, covariances, tracks.standing[lost])
+        noise = noise * (1.0 - tracks.standing)[:, None, None]
+    tracks.states, tracks.covariances = predict(tracks.states, tracks.covariances, dt_s, noise)
+    tracks.boxes[:, :2] = tracks.states[:, :2]
+    tracks.box_variances = tracks.box_variances + np.square(motion.box_drift) * dt_s
+
+
+def _update(tracks: TrackTable, t_s: float, measured: Measured, matched: Numbers, motion: Motion) -> None:
+    """Write states, boxes and kinds of the tracks that were matched with a detection."""
+    hit = np.flatnonzero(matched >= 0)
+    mine = measured.take(matched[hit])
+    tracks.detection = matched
+    states, covariances, noise = tracks.states[hit], tracks.covariances[hit], mine.noise
+    if motion.outlier_share and len(hit):
+        # An outlier weighs less, by the probability that it is one.
+        usual, outlier = _densities(states, covariances, mine, motion)
+        share = outlier / np.maximum(usual + outlier, 1e-300)
+        noise = noise + share[:, None, None] * (motion.outlier_noise(noise) - noise)
+    tracks.states[hit], tracks.covariances[hit] = update(states, covariances, mine.boxes[:, :2], noise)
+    extents, variances = tracks.boxes[hit][:, _EXTENT], tracks.box_variances[hit]
+    extents, tracks.box_variances[hit] = update_boxes(
+        extents, variances, mine.boxes[:, _EXTENT], np.array(motion.box_std)
+    )
+    vx, vy = tracks.states[hit, 2], tracks.states[hit, 3]
+    turns = np.round(wrapped(np.arctan2(vy, vx) - extents[:, 4]) / (np.pi / 2))
+    turns[np.hypot(vx, vy) < motion.heading_from_mps] = 0.0
+    extents = quarter_turned(extents, turns)
+    extents[:, 4] = wrapped(extents[:, 4])
+    odd = hit[turns % 2 == 1]
+    tracks.box_variances[odd] = tracks.box_variances[odd][:, [0, 2, 1, 3, 4]]
+    tracks.boxes[hit[:, None], _EXTENT] = extents
+    tracks.boxes[:, :2] = tracks.states[:, :2]
+    tracks.votes[hit] *= _KIND_KEPT
+    tracks.votes[hit, mine.kinds] += 1.0
+    tracks.seen_s[hit] = t_s
+    tracks.updates[hit] += 1
+    tracks.misses[hit], tracks.standing[hit] = 0, 0.0
+
+
+def _spread_visible(tracks: TrackTable, view: View) -> F64:
+    """Return the probability (N,) that each track could be seen, over where it may be.
+
+    The unscented mean (Julier and Uhlmann, 1997) over five places: the mean weighs 1/3, the others, √3 standard
+    deviations along both axes of the covariance, 1/6 each. A track whose place is known is asked for at that place.
+    """
+    covariances = tracks.covariances[:, :2, :2]
+    wide = np.flatnonzero(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > SPREAD_FROM_M**2)
+    if not len(wide):
+        return view.visible(tracks.boxes)
+    values, axes = np.linalg.eigh(covariances[wide])
+    steps = (np.sqrt(3.0 * np.maximum(values, 0.0))[:, None, :] * axes).transpose(0, 2, 1)  # (wide, axis, xy)
+    places = np.repeat(tracks.boxes[wide, None], 4, axis=1)
+    places[:, :2, :2] += steps
+    places[:, 2:, :2] -= steps
+    visible = view.visible(np.concatenate([tracks.boxes, places.reshape(-1, 7)]))
+    seen, around = visible[: len(tracks)].copy(), visible[len(tracks) :].reshape(-1, 4)
+    seen[wide] = seen[wide] / 3.0 + around.sum(axis=1) / 6.0
+    return seen
+
+
+def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion) -> F64:
+    """Return the densities (2, M) per square meter of each track's detection, as a usual one and as an outlier."""
+    off, noise = measured.boxes[:, :2] - states[:, :2], measured.noise
+    densities = []
+    for share, spread in (
+        (1.0 - motion.outlier_share, noise),
+        (motion.outlier_share, motion.outlier_noise(noise)),
+    ):
+        inverses, determinants = inverse(covariances[:, :2, :2] + spread)
+        squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
+        densities.append(share * np.exp(center_log_density(squared, determinants)))
+    return np.stack(densities)
+
+
+def _first_of_doubles(boxes: F64) -> NDArray[np.bool_]:
+    """Return the boxes (K,) whose center lies in none of those that are returned before them."""
+    is_double = np.triu(inside(boxes, boxes), k=1)
+    first = np.ones(len(boxes), np.bool_)
+    for k in np.flatnonzero(is_double.any(axis=0)):
+        first[k] = not (is_double[:k, k] & first[:k]).any()
+    return first
+
+
+def _shown(tracks: TrackTable, t_s: float, numbers: NDArray[np.intp], in_world: bool, notes: tuple[str, ...]) -> Tracks:
+    """Return a copy of the tracks for others; their detections by the numbers that these came with."""
+    numbers = np.append(numbers, -1)
+    shown = Tracks(
+        t_s=t_s,
+        ids=tracks.ids.copy(),
+        states=tracks.states.copy(),
+        covariances=tracks.covariances.copy(),
+        boxes=tracks.boxes.copy(),
+        box_variances=tracks.box_variances.copy(),
+        kinds=tracks.kinds,
+        existence=tracks.existence.copy(),
+        confirmed=tracks.confirmed.copy(),
+        detection=numbers[tracks.detection].astype(np.int32),
+        visible=tracks.visible.copy(),
+        detectable=tracks.detectable.copy(),
+        born_s=tracks.born_s.copy(),
+        seen_s=tracks.seen_s.copy(),
+        born_hidden=tracks.born_hidden.copy(),
+        in_world=in_world,
+        notes=notes,
+    )
+    for each in fields(shown):
+        value = getattr(shown, each.name)
+        if each.name not in ("t_s", "in_world", "notes"):
+            value.setflags(write=False)
+    return shown

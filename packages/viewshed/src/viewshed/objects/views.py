@@ -1,0 +1,292 @@
+"""What a tracker asks a field of view: could this be seen, would it be found, and could it have come unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from viewshed.arrays import F64
+from viewshed.detections import moved_boxes
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.visibility import CAR, probability_of_visible
+from viewshed.geometry import Rigid
+from viewshed.objects.matching import corners_of
+from viewshed.preprocess.evidence import expected_returns
+from viewshed.preprocess.leveling import LeveledSweep
+
+Kinds = NDArray[np.uint8]
+
+DetectionProb = Callable[[F64, F64, Kinds], F64]
+"""Probability (K,) that a detector finds objects, by expected returns (K,), range (K,) in meters and kind (K,)."""
+
+ALWAYS_FOUND = 0.9
+"""Probability that a detector finds what is seen, where nothing better is known of it."""
+
+_STEP_M = 1.5
+"""Distance between places of which ``hides_near`` asks, ..."""
+
+_MOST_RINGS = 8
+"""... and the most rings of them, whatever the radius."""
+
+_MOST_PLACES = 10_000
+"""The most places in one question, whoever sends how many boxes; then rings are fewer, at least one."""
+
+_SIGHTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+"""Lines of sight to a box that are looked at: parts of its width as the sensor sees it."""
+
+
+class View(Protocol):
+    """What one sensor could see at the time of one sweep; boxes (K, 7) are in the tracks' frame."""
+
+    @property
+    def t_s(self) -> float:
+        """Time of the sweep."""
+        ...
+
+    @property
+    def in_world(self) -> bool:
+        """True where the tracks' frame is the world; False where the sweep has no pose and it is ``level``."""
+        ...
+
+    def visible(self, boxes: F64) -> F64:
+        """Return the probability (K,) that an object in each box could be seen."""
+        ...
+
+    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
+        """Return the probability (K,) that the detector finds an object in each box where it can be seen."""
+        ...
+
+    def hides_near(self, boxes: F64, within_m: F64) -> F64:
+        """Return the probability (K,) that some place within (K,) meters of each box could not be seen.
+
+        An object may appear at the box if it came from there; the border of the grid counts as such a place.
+        """
+        ...
+
+
+class SeesAll:
+    """No field of view: all is visible, and yet whatever appears may have come unseen."""
+
+    def __init__(self, t_s: float, *, detectable: float = ALWAYS_FOUND, in_world: bool = True) -> None:
+        """Make the view of a sweep at ``t_s``."""
+        self.t_s, self.in_world, self._detectable = t_s, in_world, detectable
+
+    def visible(self, boxes: F64) -> F64:
+        """Return ones (K,)."""
+        return np.ones(len(boxes))
+
+    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
+
+    def hides_near(self, boxes: F64, within_m: F64) -> F64:
+        """Return ones (K,)."""
+        return np.ones(len(boxes))
+
+
+class PolygonView:
+    """The published question: does the polygon cover the center?"""
+
+    def __init__(
+        self, polygon: BaseGeometry, world_from_level: Rigid | None, t_s: float, detectable: float = ALWAYS_FOUND
+    ) -> None:
+        """Make the view of a sweep from a polygon in its ``level`` frame.
+
+        Args:
+            polygon: what is visible.
+            world_from_level: pose of the sweep; None leaves the tracks in ``level``.
+            t_s: time of the sweep.
+            detectable: probability that an object in view is found.
+        """
+        self.t_s, self.in_world = t_s, world_from_level is not None
+        self._level_from_tracks = _level_from_tracks(world_from_level)
+        self._polygon, self._detectable = polygon, detectable
+        shapely.prepare(polygon)
+
+    @classmethod
+    def of(cls, estimate: FovEstimate, t_s: float, detectable: float = ALWAYS_FOUND) -> PolygonView:
+        """Return the view of an estimate's polygon: exactly its visible cells."""
+        return cls(estimate.polygon(), estimate.world_from_level, t_s, detectable)
+
+    def visible(self, boxes: F64) -> F64:
+        """Return 1 (K,) where the polygon covers the center, else 0."""
+        level = moved_boxes(boxes, self._level_from_tracks)
+        return np.asarray(shapely.contains_xy(self._polygon, level[:, 0], level[:, 1]), np.float64)
+
+    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
+
+    def hides_near(self, boxes: F64, within_m: F64) -> F64:
+        """Return 1 (K,) where the polygon ends within (K,) meters, else 0."""
+        return hidden_within(self, boxes, within_m)
+
+
+class GridView:
+    """An estimate of the field of view, asked in front of an object: what stands in a cell hides that cell.
+
+    Five lines of sight across the box are followed to its near side, and one cell back; the object is as visible as the
+    mean of these cells.
+    """
+
+    def __init__(
+        self, estimate: FovEstimate, t_s: float, *, hard: bool = False, detectable: float = ALWAYS_FOUND
+    ) -> None:
+        """Make the view of an estimate; where it has no pose, tracks are in its ``level`` frame.
+
+        Args:
+            estimate: of the sweep's field of view.
+            t_s: time of the sweep.
+            hard: take cells as visible or not by the estimate's threshold, instead of their probability.
+            detectable: probability that an object in view is found.
+        """
+        self.t_s, self.in_world = t_s, estimate.world_from_level is not None
+        self._level_from_tracks = _level_from_tracks(estimate.world_from_level)
+        self._estimate, self._detectable = estimate, detectable
+        self._prob = estimate.visible() if hard else estimate.visible_prob
+
+    def visible(self, boxes: F64) -> F64:
+        """Return the probability (K,) of the cells before each box; 0 outside the grid."""
+        return self.visible_at(points_before(self.in_level(boxes), self._estimate.grid.cell_m))
+
+    def in_level(self, boxes: F64) -> F64:
+        """Return boxes (K, 7) in the ``level`` frame of the estimate."""
+        return moved_boxes(boxes, self._level_from_tracks)
+
+    def visible_at(self, points: F64) -> F64:
+        """Return the mean probability (K,) of the cells at points (K, P, 2) of ``level``; 0 outside the grid."""
+        cells, is_inside = self._estimate.grid.index(points)
+        prob = np.where(is_inside, self._prob[cells[..., 0], cells[..., 1]], 0.0)
+        return np.asarray(prob.mean(axis=1))
+
+    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
+        """Return the same probability (K,) for each box."""
+        return np.full(len(boxes), self._detectable)
+
+    def hides_near(self, boxes: F64, within_m: F64) -> F64:
+        """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
+        return hidden_within(self, boxes, within_m)
+
+
+class BeamView:
+    """The beams of the sweep, asked how many would meet a box if its own returns were not there."""
+
+    def __init__(
+        self,
+        leveled: LeveledSweep,
+        t_s: float,
+        *,
+        found: DetectionProb | None = None,
+        min_returns: int = CAR.min_returns,
+    ) -> None:
+        """Make the view of a leveled sweep; where it has no pose, tracks are in its ``level`` frame.
+
+        Args:
+            leveled: the sweep.
+            t_s: its time.
+            found: probability that the detector finds an object, from expected returns, range and kind; None is
+                :data:`ALWAYS_FOUND` of what is visible.
+            min_returns: returns from which on an object counts as seen.
+        """
+        world_from_level = leveled.world_from_level
+        self.t_s, self.in_world = t_s, world_from_level is not None
+        self._leveled, self._found, self._min_returns = leveled, found, min_returns
+        self._level_from_tracks = _level_from_tracks(world_from_level)
+        self._asked = np.zeros((0, 7)), np.zeros(0)
+
+    def visible(self, boxes: F64) -> F64:
+        """Return the probability (K,) that at least so many beams meet each box."""
+        return self._visible(self._counts(moved_boxes(boxes, self._level_from_tracks)))
+
+    def detectable(self, boxes: F64, kinds: Kinds) -> F64:
+        """Return the probability (K,) that the detector finds an object, given that it can be seen.
+
+        The detector's own table counts few returns already: times :meth:`visible` it is that table, or less.
+        """
+        if self._found is None:
+            return np.full(len(boxes), ALWAYS_FOUND)
+        level = moved_boxes(boxes, self._level_from_tracks)
+        counts = self._counts(level)
+        found = self._found(counts, np.hypot(level[:, 0], level[:, 1]), kinds)
+        return np.clip(found / np.maximum(self._visible(counts), 1e-6), 0.0, 1.0)
+
+    def hides_near(self, boxes: F64, within_m: F64) -> F64:
+        """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""
+        return hidden_within(self, boxes, within_m)
+
+    def _counts(self, level: F64) -> F64:
+        """Return the expected returns (K,); a tracker asks of the same boxes twice, whether seen and whether found."""
+        boxes, counts = self._asked
+        if not np.array_equal(boxes[: len(level)], level):
+            counts = expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
+            self._asked = level, counts
+        return counts[: len(level)]
+
+    def _visible(self, counts: F64) -> F64:
+        return probability_of_visible(counts.astype(np.float32), self._min_returns).astype(np.float64)
+
+
+def hidden_within(view: View, boxes: F64, within_m: F64) -> F64:
+    """Return the greatest probability (K,) of not being seen at any place within (K,) meters of each box.
+
+    Places lie on rings about the center, the box moved there; up to eight rings, 1.5 m apart where these suffice.
+    """
+    if not len(boxes):
+        return np.zeros(0)
+    rings = int(np.clip(np.ceil(within_m.max() / _STEP_M), 1, _MOST_RINGS))
+    while rings > 1 and len(boxes) * len(_places(rings)) > _MOST_PLACES:
+        rings -= 1
+    unit = _places(rings)
+    places = np.repeat(boxes[:, None], len(unit), axis=1)
+    places[..., :2] += within_m[:, None, None] * unit
+    visible = view.visible(places.reshape(-1, 7)).reshape(len(boxes), len(unit))
+    return np.asarray(1.0 - visible.min(axis=1))
+
+
+def points_before(boxes: F64, step_m: float) -> F64:
+    """Return points (K, 5, 2) in front of boxes (K, 7) in ``level``: where lines of sight meet them, ``step_m`` nearer.
+
+    Where the sensor stands in the box, its own place.
+    """
+    at_corners = corners_of(boxes)
+    middle = np.arctan2(boxes[:, 1], boxes[:, 0])
+    off = np.arctan2(at_corners[..., 1], at_corners[..., 0]) - middle[:, None]
+    off = (off + np.pi) % (2 * np.pi) - np.pi
+    low, high = off.min(axis=1, keepdims=True), off.max(axis=1, keepdims=True)
+    azimuth = middle[:, None] + low + (high - low) * _SIGHTS
+
+    # The range at which each line enters the box: the later of its entries between front and back, and between sides.
+    cos, sin = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
+    ahead, left = cos * boxes[:, 0] + sin * boxes[:, 1], cos * boxes[:, 1] - sin * boxes[:, 0]  # of its center
+    turned = azimuth - boxes[:, 6, None]
+    entry_m = np.maximum(
+        _entry_m(np.cos(turned), ahead, boxes[:, 3] / 2), _entry_m(np.sin(turned), left, boxes[:, 4] / 2)
+    )
+    range_m = np.maximum(entry_m - step_m, 0.0)
+    return np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth)], axis=-1)
+
+
+def _entry_m(slope: F64, middle_m: F64, half_m: F64) -> F64:
+    """Return where lines (K, 5) that gain ``slope`` a meter come within ``half_m`` (K,) of ``middle_m`` (K,)."""
+    slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
+    return np.asarray(middle_m[:, None] / slope - half_m[:, None] / np.abs(slope))
+
+
+@lru_cache(maxsize=_MOST_RINGS)
+def _places(rings: int) -> F64:
+    """Return the center of the unit circle and ``rings`` rings about it, of 6, 12, ... places: (places, 2)."""
+    numbers = np.arange(1, rings + 1)
+    radii = np.repeat(numbers / rings, 6 * numbers)
+    angles = np.concatenate([2 * np.pi * np.arange(6 * k) / (6 * k) for k in numbers])
+    around = radii[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([np.zeros((1, 2)), around])
+
+
+def _level_from_tracks(world_from_level: Rigid | None) -> Rigid:
+    return Rigid.identity() if world_from_level is None else world_from_level.inverse()

@@ -1,0 +1,131 @@
+"""What a stream holds: ground that earlier sweeps saw, the sensor's height, and how far it sees.
+
+Ground does not move. Where a sweep sees none, it takes the height that an earlier one of its stream saw there, with a
+deviation that has grown with time and distance, while both agree nearby on ground that both see; heights in between are
+filled from both. Where they disagree the present sweep is believed, and what was held there is dropped. The height of
+the sensor is that of the last sweeps where a single one differs, unless its returns speak for its own.
+
+Each sweep hands on what it holds; none refers to the sweeps before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from viewshed import _core
+from viewshed.fov.height_map import HeightMap
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed.preprocess.leveling import Held, LeveledSweep, level
+from viewshed.preprocess.reach import reach_of_sweep
+
+HEIGHTS = 7
+"""The sensor's height is the median of those of the last so many sweeps, the present one among them, ..."""
+
+FEWEST_HEIGHTS = 3
+"""... if they are at least so many, ..."""
+
+HEIGHT_OFF_M = 0.15
+"""... and the present one is off by more than this."""
+
+SUPPORT_KEPT = 0.8
+"""At the held height at least this part of the present support must be left, or the carrier did change its height."""
+
+STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
+"""Deviation in meters by which held ground grows: with the root of seconds, and with the root of meters driven."""
+
+_APART_S = 1.0
+"""Time between two sweeps that do not say theirs."""
+
+
+def hold_over(sweeps: Sequence[LeveledSweep]) -> list[LeveledSweep]:
+    """Return the sweeps of a stream, the oldest first, each with what those before it hold.
+
+    Those that hold something already are taken as they are.
+
+    Raises:
+        ValueError: one of them has no pose.
+    """
+    held = list(sweeps[:1])
+    for sweep in sweeps[1:]:
+        held.append(sweep if sweep.held is not None else hold(sweep, held[-1]))
+    return held
+
+
+def hold(leveled: LeveledSweep, before: LeveledSweep) -> LeveledSweep:
+    """Return a sweep with what an earlier one of its stream holds: the sensor's height, ground, and reach.
+
+    Raises:
+        ValueError: one of them has no pose.
+    """
+    at_height, held = _at_held_height(leveled, before)
+    if leveled.sweep.planar is not None:  # sees no ground
+        return replace(leveled, held=held)
+    ground = _held_ground(at_height, before)
+    heights_m = at_height.points[:, 2] - ground.at(at_height.points)
+    heights_m.setflags(write=False)
+    return replace(at_height, ground=ground, height_m=heights_m, held=held)
+
+
+def pose_of(leveled: LeveledSweep) -> Rigid:
+    """Return the pose of a sweep's ``level`` frame in the map.
+
+    Raises:
+        ValueError: it has none.
+    """
+    pose = leveled.world_from_level
+    if pose is None:
+        raise ValueError("sweeps must have poses to be seen together, got one without; give world_from_sensor")
+    return pose
+
+
+def _seconds(leveled: LeveledSweep, before: LeveledSweep) -> float:
+    now_ns, before_ns = leveled.sweep.t_ns, before.sweep.t_ns
+    return _APART_S if now_ns is None or before_ns is None else abs(now_ns - before_ns) / 1e9
+
+
+def _at_held_height(leveled: LeveledSweep, before: LeveledSweep) -> tuple[LeveledSweep, Held]:
+    """Return a sweep leveled at the height that the stream holds where its own is off, and what it hands on."""
+    own_m, reach_m = _estimated_heights(leveled), reach_of_sweep(leveled)
+    earlier_m = _estimated_heights(before) if before.held is None else before.held.heights_m
+    model = leveled.sensor_id.model
+    if model is None or model.reach_m is None:
+        reach_m = max(reach_m, reach_of_sweep(before))
+    held = Held((*earlier_m, *own_m)[-HEIGHTS:], reach_m)
+    if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < FEWEST_HEIGHTS:
+        return leveled, held
+    usual_m = float(np.median(held.heights_m))
+    if abs(usual_m - leveled.sensor_height_m) <= HEIGHT_OFF_M:
+        return leveled, held
+    # Level again as if the height were known. The sweep itself goes on not to say it.
+    again = level(leveled.sweep.replace(sensor_height_m=usual_m), BevGrid(1, leveled.ground.half_extent_m))
+    if again.ground.support < SUPPORT_KEPT * leveled.ground.support:
+        return leveled, held
+    return replace(again, sweep=leveled.sweep), replace(held, is_height_held=True)
+
+
+def _estimated_heights(leveled: LeveledSweep) -> tuple[float, ...]:
+    """Return the height that a sweep's returns give; none where it was given or assumed."""
+    is_estimated = leveled.sweep.sensor_height_m is None and leveled.ground.support > 0
+    return (leveled.sensor_height_m,) if is_estimated else ()
+
+
+def _held_ground(leveled: LeveledSweep, before: LeveledSweep) -> HeightMap:
+    """Return the ground of a sweep with that of an earlier one where only that saw it and both agree around it."""
+    now_from_before = pose_of(leveled).inverse() @ pose_of(before)
+    now, earlier = leveled.ground, before.ground
+    driven_m = float(np.hypot(*now_from_before.translation[:2]))
+    variance_m2 = STD_PER_ROOT_S**2 * _seconds(leveled, before) + STD_PER_ROOT_M**2 * driven_m
+    found = _core.held_ground(
+        now.heights_m, now.std_m, now.seen, now.half_extent_m,
+        earlier.heights_m, earlier.std_m, earlier.seen, earlier.half_extent_m,
+        now_from_before.inverse().as_matrix()[:2].astype(np.float32), now_from_before.as_matrix()[2].astype(np.float32),
+        variance_m2, now.plane, leveled.sensor_height_m,
+    )  # fmt: skip
+    if found is None:
+        return now
+    heights_m, std_m, seen = found
+    return replace(now, heights_m=heights_m, std_m=std_m, seen=seen)

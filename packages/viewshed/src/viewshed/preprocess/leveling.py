@@ -1,0 +1,277 @@
+"""Level a sweep: identify its sensor, find isolated returns, estimate attitude and ground, turn its points level."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed import _core
+from viewshed.arrays import F32, Mask
+from viewshed.fov.height_map import HeightMap
+from viewshed.fov.visibility import Beams
+from viewshed.geometry import Rigid, rotation_from_quaternion
+from viewshed.grid import BevGrid
+from viewshed.preprocess.ego_vehicle import vehicle_heading
+from viewshed.preprocess.ground import estimate_ground
+from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
+from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
+
+OBSTACLE_HEIGHTS_M = (0.3, 3.0)
+"""Returns between these heights above local ground are obstacles."""
+
+NULL_RANGE_M = 0.5
+"""Returns nearer than this are null returns or the sensor's own housing, whatever the sensor."""
+
+MAX_RANGE_M = 250.0
+"""Returns farther than this are not used where the sensor is not known."""
+
+TILT_SUPPORT = 0.35
+"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt, ..."""
+
+TILT_RETURNS = 0.5
+"""... or this share of the returns: far walls outweigh the ground below a sensor that looks down beside them."""
+
+_ON_PLANE_M = 0.2
+
+LEVEL_TILT = np.deg2rad(6.0)
+"""A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
+
+LEAST_HEIGHT_M = 0.05
+"""Least height of a sensor above the ground that was estimated."""
+
+PLANE_HEIGHT_M = 0.3
+"""Height of a scan in one plane where it is not known: within every target."""
+
+_OBSTACLE_M = 0.5
+"""Returns of a scan in one plane count as at least so high above the ground: clearly obstacles."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What a sweep takes from earlier ones of its stream beside their ground; numbers alone, no sweep.
+
+    Attributes:
+        heights_m: the sensor's heights above the ground that the last sweeps estimated, this one's last.
+        reach_m: the greatest reach that a sweep of the stream showed.
+        is_height_held: whether this sweep's own height was set aside for the median of ``heights_m``.
+    """
+
+    heights_m: tuple[float, ...]
+    reach_m: float
+    is_height_held: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class LeveledSweep:
+    """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows, in the sweep's order.
+
+    Attributes:
+        sweep: the sweep that it came from.
+        points: (M, 3) float32 meters in ``level`` (the sensor is at (0, 0, sensor_height_m)).
+        range_m: (M,) float32 horizontal range from the sensor.
+        azimuth: (M,) float32 radians in [-π, π), counter-clockwise from forward.
+        height_m: (M,) float32 height above local ground.
+        rows: (M,) int32 row of each point in the sweep.
+        level_from_sensor: the transform used.
+        ground: the local ground.
+        sensor_id: the rings and the sensor, the sweep's own or identified by its points.
+        range_image: the sweep's N returns on its range image, or None where the rings are not known.
+        held: what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a
+            sweep by itself.
+        derived: what was computed of it once and is asked for again; the first item of a key names who computes it.
+    """
+
+    sweep: Sweep
+    points: NDArray[np.float32]
+    range_m: NDArray[np.float32]
+    azimuth: NDArray[np.float32]
+    height_m: NDArray[np.float32]
+    rows: NDArray[np.int32]
+    level_from_sensor: Rigid
+    ground: HeightMap
+    sensor_id: SensorId = UNIDENTIFIED
+    range_image: RangeImage | None = None
+    held: Held | None = None
+    derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def sensor_height_m(self) -> float:
+        """Height of the sensor above the ground below it, in meters."""
+        return float(self.level_from_sensor.translation[2])
+
+    @property
+    def world_from_level(self) -> Rigid | None:
+        """Pose of the ``level`` frame in the map, or None where the sweep has none."""
+        pose = self.sweep.world_from_sensor
+        return None if pose is None else pose @ self.level_from_sensor.inverse()
+
+    def beams(self, left_out: Mask | None = None) -> Beams:
+        """Return the beams that returned: straight lines from the sensor to each point.
+
+        Those of rows of the sweep in ``left_out`` (N,) point straight up and meet nothing: removing them costs copies.
+        """
+        slope = _core.beam_slopes(self.points, self.range_m, self.sensor_height_m, left_out, self.rows)
+        return Beams(self.azimuth, slope, self.range_m)
+
+    def obstacle_cells(self, grid: BevGrid) -> NDArray[np.bool_]:
+        """Return the mask (cells, cells) of cells that hold an obstacle return, 0.3 to 3 m above local ground."""
+        return _core.obstacle_cells(
+            self.points, self.height_m, *grid.origin_m, 1.0 / grid.cell_m, *OBSTACLE_HEIGHTS_M, grid.cells
+        )
+
+
+def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
+    """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
+
+    The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
+    ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
+    the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
+    a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
+    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. A sensor that is
+    ``expected``, that of the sweep before, is only looked at first: the result is the same without.
+
+    A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
+    and each of its returns is an obstacle.
+    """
+    if sweep.planar is not None:
+        return _level_planar(sweep, grid)
+    # 1. Identify the sensor: its beam table, and the ring of each return.
+    sensor_id = identify_sensor(sweep, expected)
+    # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
+    image = range_image_by_sensor(sweep.points, sensor_id, range_limits(sweep))
+    isolated = np.zeros(len(sweep), np.bool_) if image is None else image.isolated
+    isolated.setflags(write=False)
+    # 3. Attitude and ground, in the sensor's frame; then raise both until the ground below the sensor is at z = 0.
+    rotation, heading, ground = _attitude_and_ground(sweep, grid, isolated)
+    height_m = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), LEAST_HEIGHT_M)
+    ground = ground.raised(height_m)
+    level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, height_m]))
+    # 4. Level points, with their range, azimuth and height above the ground.
+    clutter = None if image is None else image.clutter
+    points, range_m, azimuth, heights_m, rows = _level_points(sweep, clutter, level_from_sensor, heading, ground)
+    return LeveledSweep(
+        sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground, sensor_id, image
+    )  # fmt: skip
+
+
+def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
+    """Return a scan in one plane leveled over flat ground."""
+    attitude = sweep.known_attitude
+    rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
+    level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, sweep.sensor_height_m or PLANE_HEIGHT_M]))
+    ground, heading = HeightMap.flat(_half_extent_m(grid)), sweep.vehicle_yaw or 0.0
+    points, range_m, azimuth, heights_m, rows = _level_points(sweep, None, level_from_sensor, heading, ground)
+    # Whatever a beam of the plane meets is an obstacle, however low the plane is.
+    heights_m = np.maximum(heights_m, np.float32(_OBSTACLE_M))
+    heights_m.setflags(write=False)
+    return LeveledSweep(sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground)
+
+
+def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
+    """Return ``sweep`` leveled for ``grid``, see :func:`level`; one that is leveled already is taken as it is.
+
+    Raises:
+        TypeError: ``sweep`` is neither.
+        ValueError: it was leveled for a smaller grid.
+    """
+    if isinstance(sweep, Sweep):
+        return level(sweep, grid, expected)
+    if not isinstance(sweep, LeveledSweep):
+        raise TypeError(
+            f"sweep must be a Sweep or a LeveledSweep, got {type(sweep).__name__}; make one with viewshed.Sweep(points)"
+        )
+    extent_m = _half_extent_m(grid)
+    if sweep.ground.half_extent_m < extent_m:
+        raise ValueError(
+            f"a leveled sweep must have ground out to {extent_m:g} m for this grid, got"
+            f" {sweep.ground.half_extent_m:g} m; level it on the estimator's grid"
+        )
+    return sweep
+
+
+def range_limits(sweep: Sweep) -> tuple[float, float]:
+    """Return the nearest and the farthest range in meters at which returns of the sweep are used."""
+    if sweep.planar is not None:
+        return 0.0, MAX_RANGE_M
+    if sweep.model is None:
+        return NULL_RANGE_M, MAX_RANGE_M
+    return max(NULL_RANGE_M, sweep.model.min_range_m), sweep.model.max_range_m
+
+
+def _half_extent_m(grid: BevGrid) -> float:
+    """Return half the side in meters of the ground that a grid needs."""
+    return grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
+
+
+def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], float, HeightMap]:
+    """Return the rotation (3, 3) from sensor to level, the vehicle's heading, and ground with the sensor at z = 0."""
+    attitude = sweep.known_attitude
+    rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
+    heading, ground = _heading_and_ground(sweep, grid, rotation, isolated)
+    # Where nothing says how the sensor is tilted, a steep ground plane does. The ground is then found again, upright.
+    normal = _tilted_normal(sweep, ground) if attitude is None else None
+    if normal is not None:
+        rotation = _upright(normal)
+        heading, ground = _heading_and_ground(sweep, grid, rotation, isolated)
+    return rotation, heading, ground
+
+
+def _heading_and_ground(
+    sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask
+) -> tuple[float, HeightMap]:
+    """Return the vehicle's heading, and the ground over the extent of ``grid``, after a rotation (3, 3)."""
+    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
+    limits_m, height_m = range_limits(sweep), sweep.sensor_height_m
+    return heading, estimate_ground(sweep.points, isolated, rotation, limits_m, heading, _half_extent_m(grid), height_m)
+
+
+def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:
+    """Return the ground's normal (3,) in the sensor frame where the sensor is clearly tilted, else None."""
+    normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
+    if ground.support < TILT_SUPPORT:
+        # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
+        returns = np.ascontiguousarray(sweep.points[:: max(len(sweep) // 2500, 1)])
+        steep, support = _core.free_plane(returns)
+        if support < TILT_SUPPORT and _share_at_one_height(returns @ steep) < TILT_RETURNS:
+            return None
+        normal = steep.astype(np.float64)
+    normal /= np.linalg.norm(normal)
+    return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
+
+
+def _share_at_one_height(height_m: NDArray[np.float32]) -> float:
+    """Return the share of heights (n,) below the sensor that lie within ``_ON_PLANE_M`` of each other."""
+    low = np.sort(height_m[height_m < -LEAST_HEIGHT_M])
+    together = np.searchsorted(low, low + np.float32(_ON_PLANE_M)) - np.arange(len(low))
+    return float(together.max(initial=0)) / max(len(height_m), 1)
+
+
+def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) that takes ``normal`` to z and keeps the heading of x."""
+    forward = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    forward /= np.linalg.norm(forward)
+    return np.stack([forward, np.cross(normal, forward), normal])
+
+
+def _level_points(
+    sweep: Sweep, clutter: Mask | None, level_from_sensor: Rigid, heading: float, ground: HeightMap
+) -> tuple[F32, F32, F32, F32, NDArray[np.int32]]:
+    """Return points (M, 3), range, azimuth, height above the ground and row in the sweep (M,) of returns that count."""
+    columns = _core.level_points(
+        sweep.points,
+        clutter,
+        level_from_sensor.as_matrix()[:3].astype(np.float32),
+        *range_limits(sweep),
+        heading,
+        ground.heights_m,
+        ground.half_extent_m,
+    )
+    for column in columns:
+        column.setflags(write=False)
+    return columns

@@ -1,0 +1,1 @@
+"""Recordings: those of others are read, our own are written."""

@@ -1,0 +1,62 @@
+"""SOURCES: the recordings that can be read; :func:`open_source` knows which one a folder is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from viewshed.io._input import errors_named
+from viewshed.recordings.read import bag_files, carla, kitti, nuscenes, opv2v, rosbag
+from viewshed.recordings.read.source import RecordingSource, SourceKind, SweepSource
+
+SOURCES: dict[str, SourceKind] = {
+    "nuscenes": SourceKind("nuScenes' tables in v1.0-*/", nuscenes.versions_in, nuscenes.Nuscenes.open),
+    "kitti_raw": SourceKind("KITTI's drives with velodyne_points/data/", kitti.drives_in, kitti.KittiRaw),
+    "kitti_odometry": SourceKind("KITTI's sequences/*/velodyne/", kitti.sequences_in, kitti.KittiOdometry),
+    "kitti_object": SourceKind("KITTI's training/velodyne/ or testing/velodyne/", kitti.parts_in, kitti.KittiObject),
+    "carla": SourceKind(
+        "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)",
+        carla.recordings_in, carla.CarlaRecording.open,
+    ),
+    "opv2v": SourceKind(
+        "folders SCENARIO/AGENT/000068.pcd with 000068.yaml", opv2v.scenarios_in, opv2v.Opv2v.open
+    ),
+    "bag": SourceKind(
+        "a .bag or .mcap file, a folder with metadata.yaml, or a folder of these",
+        bag_files.bags_in, rosbag.BagRecording.open,
+    ),
+}  # fmt: skip
+"""Name → how to recognize and open it; the first that fits is taken."""
+
+
+def open_source(place: str | os.PathLike[str], kind: str = "auto", *, topic: str | None = None) -> SweepSource:
+    """Return the recording at a place on disk; whatever its readers raise is one line that names a file of it.
+
+    Args:
+        place: the folder (or file) as the recording's makers hand it out.
+        kind: a name in :data:`SOURCES`, or "auto" to know it by its layout.
+        topic: of a bag, whose messages are read; None is all of the preferred type.
+
+    Raises:
+        ValueError: there is no such kind, the layout is not known, or the recording is damaged.
+        OSError: it cannot be read.
+    """
+    path = Path(place).absolute()  # its folder's name counts too, also that of "."
+    if kind != "auto" and kind not in SOURCES:
+        raise ValueError(f"kind must be auto or one of {', '.join(SOURCES)}, got {kind!r}")
+    if not path.exists():
+        problem = "its links lead in a circle" if path.is_symlink() else "no such file or folder"
+        raise FileNotFoundError(f"{path}: {problem}")
+    with errors_named(path, path.parent):
+        if topic is not None:
+            if not SOURCES["bag"].fits(path):
+                raise ValueError(f"{path}: topic goes with a bag, got {topic!r}; leave it out")
+            return RecordingSource(path, rosbag.BagRecording.open(path, topic))
+        for known in SOURCES.values() if kind == "auto" else (SOURCES[kind],):
+            if kind != "auto" or known.fits(path):
+                reader = known.open(path)
+                if not reader.scenes:
+                    raise ValueError(f"{path}: must hold {known.layout}, got none")
+                return RecordingSource(path, reader)
+    layouts = "; ".join(f"{known.layout} ({name})" for name, known in SOURCES.items())
+    raise ValueError(f"{path}: no recording found here; looked for {layouts}")

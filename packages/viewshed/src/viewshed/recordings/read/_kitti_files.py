@@ -1,0 +1,228 @@
+"""The text files of KITTI's three layouts: times, calibration and poses, looked up by the numbers of the sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io._input import inside, one_line, open_input
+from viewshed.recordings.read.source import note_damage, numbers_in
+
+EARTH_RADIUS_M = 6378137.0
+"""Radius that KITTI's development kit uses."""
+
+_TEXT_BYTES_MAX = 64_000_000
+_CALIBRATION_BYTES_MAX = 1_000_000
+_OXTS_COLUMNS = 6
+
+
+def text_lines(root: Path, path: Path, limit_bytes: int = _TEXT_BYTES_MAX) -> list[str]:
+    """Return the lines of a text file of a recording, which links must not leave."""
+    with open_input(inside(root, path)) as source:
+        return source.content(limit_bytes).decode("utf-8").splitlines()
+
+
+def numbers_of(text: str, count: int, where: str) -> NDArray[np.float64]:
+    """Return the first ``count`` numbers of a line, (count,) float64."""
+    return np.array(numbers_in(text.split(None, count)[:count], count, f"{where}:"))
+
+
+def named_texts(root: Path, path: Path) -> dict[str, str]:
+    """Return name → what follows it, of lines ``name: …`` of a calibration file."""
+    parts = (line.partition(":") for line in text_lines(root, path, _CALIBRATION_BYTES_MAX))
+    return {name.strip(): rest for name, colon, rest in parts if colon}
+
+
+def rigid_of(rotation: NDArray[np.float64], translation: NDArray[np.float64], where: str) -> Rigid:
+    """Return the transform of a rotation (3, 3) and a translation (3,)."""
+    try:
+        return Rigid(rotation, translation)
+    except ValueError as error:
+        raise ValueError(one_line(f"{where}: {error}")) from error
+
+
+def rigid_of_line(text: str, where: str) -> Rigid:
+    """Return the transform of a line of 12 numbers, the first three rows of its matrix."""
+    matrix = numbers_of(text, 12, where).reshape(3, 4)
+    return rigid_of(matrix[:, :3], matrix[:, 3], where)
+
+
+def rigid_named(root: Path, path: Path, name: str) -> Rigid:
+    """Return the transform of the line ``name: 12 numbers`` of a calibration file."""
+    texts = named_texts(root, path)
+    if name not in texts:
+        raise ValueError(f"{path}: must have a line {name}: …, got {', '.join(texts)[:80] or 'none'}")
+    return rigid_of_line(texts[name], f"{path}, {name}")
+
+
+def times_of(root: Path, place: Path, files: Sequence[Path], damage: list[str], *, seconds: bool) -> list[int | None]:
+    """Return the time of each file, nanoseconds: the line of its number, or its own where there is one a file.
+
+    Args:
+        root: the recording, which links must not leave.
+        place: the text file; what is missing or wrong in it is named in ``damage``, and that time is None.
+        files: the sweeps.
+        damage: lines are added to it.
+        seconds: whether the lines are seconds; else they are dates, taken as UTC.
+    """
+    try:
+        lines = text_lines(root, place)
+    except (ValueError, OSError) as error:
+        note_damage(damage, f"{error}; the sweeps have no times")
+        return [None] * len(files)
+    numbers = [int(file.stem) for file in files]
+    if numbers and numbers[-1] >= len(lines) == len(files):
+        numbers = list(range(len(files)))
+    times: list[int | None] = []
+    for number in numbers:
+        try:
+            text, where = _line_of(lines, number, place), f"{place}, line {number + 1}"
+            times.append(round(float(numbers_of(text, 1, where)[0]) * 1e9) if seconds else _date_ns(text, place))
+        except ValueError as error:
+            note_damage(damage, f"{error}; that sweep has no time")
+            times.append(None)
+    known = [t_ns for t_ns in times if t_ns is not None]
+    back = next((late for late, early in zip(known[1:], known, strict=False) if late <= early), None)
+    if back is not None:
+        problem = f"times must ascend, {back} ns is not after the one before; sweeps are sorted by time"
+        note_damage(damage, f"{place}: {problem}")
+    return times
+
+
+def _line_of(lines: Sequence[str], number: int, place: Path) -> str:
+    if number >= len(lines):
+        raise ValueError(f"{place}: has {len(lines)} lines, none for sweep {number}")
+    return lines[number]
+
+
+def _date_ns(text: str, place: Path) -> int:
+    """Return nanoseconds since 1970 of ``2011-09-26 13:02:25.964389445``."""
+    date, _, fraction = text.strip().partition(".")
+    try:
+        seconds = int(datetime.fromisoformat(date).replace(tzinfo=UTC).timestamp())
+        return seconds * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))
+    except ValueError as error:
+        raise ValueError(f"{place}: must be dates and times, got {text[:40]!r}") from error
+
+
+class PoseTrack(Protocol):
+    """The poses of one drive or sequence."""
+
+    def world_from_velodyne(self, key: str) -> Rigid:
+        """Return the pose of the sweep with this number; an error where it has none, or a damaged one."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraTrack:
+    """Poses of one sequence of KITTI odometry, in the LiDAR's frame at the first sweep.
+
+    Attributes:
+        place: the file of poses.
+        lines: its lines, each the pose of the left camera in the camera's frame at the first sweep.
+        camera_from_velodyne: calibration.
+    """
+
+    place: Path
+    lines: Sequence[str]
+    camera_from_velodyne: Rigid
+
+    @classmethod
+    def read(cls, root: Path, place: Path, calibration: Path) -> CameraTrack:
+        """Return the track in a file of poses."""
+        return cls(place, text_lines(root, place), rigid_named(root, calibration, "Tr"))
+
+    def world_from_velodyne(self, key: str) -> Rigid:
+        """Return the pose of the sweep with this number."""
+        text = _line_of(self.lines, int(key), self.place)
+        first_from_camera = rigid_of_line(text, f"{self.place}, line {int(key) + 1}")
+        return self.camera_from_velodyne.inverse() @ first_from_camera @ self.camera_from_velodyne
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialTrack:
+    """Poses of one drive of KITTI raw.
+
+    Attributes:
+        root: the recording.
+        folder: the records, named by the numbers of the sweeps.
+        first: the record (6,) where the world has its origin: the first that can be read.
+        imu_from_velodyne: calibration.
+    """
+
+    root: Path
+    folder: Path
+    first: NDArray[np.float64]
+    imu_from_velodyne: Rigid
+
+    @classmethod
+    def read(cls, root: Path, drive: Path) -> InertialTrack:
+        """Return the track of a drive."""
+        calibration = drive.parent / "calib_imu_to_velo.txt"
+        texts = named_texts(root, calibration)
+        rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
+        translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
+        folder = drive / "oxts" / "data"
+        first = _first_readable(root, folder)
+        return cls(root, folder, first, rigid_of(rotation, translation, str(calibration)).inverse())
+
+    def world_from_velodyne(self, key: str) -> Rigid:
+        """Return the pose of the sweep with this number."""
+        return world_from_imu(_read_oxts(self.root, self.folder / f"{key}.txt"), self.first) @ self.imu_from_velodyne
+
+
+def _first_readable(root: Path, folder: Path) -> NDArray[np.float64]:
+    problem: Exception = FileNotFoundError(f"{folder}: must hold the records of the inertial unit, got none")
+    for file in sorted(folder.glob("*.txt")):
+        try:
+            return _read_oxts(root, file)
+        except (ValueError, OSError) as error:
+            problem = error
+    raise problem
+
+
+def _read_oxts(root: Path, place: Path) -> NDArray[np.float64]:
+    """Return latitude and longitude in degrees, altitude in meters, roll, pitch and yaw in radians, (6,) float64."""
+    record = numbers_of(text_lines(root, place)[0], _OXTS_COLUMNS, str(place))
+    if abs(record[0]) >= 89.0:
+        raise ValueError(f"{place}: latitude must lie in (-89, 89) degrees, got {record[0]}")
+    return record
+
+
+def world_from_imu(record: NDArray[np.float64], first: NDArray[np.float64]) -> Rigid:
+    """Return the pose of a record (6,) in the map: x east, y north, z up, meters from where ``first`` (6,) was taken.
+
+    Mercator projection with the scale at the first latitude, and rotation Rz(yaw) Ry(pitch) Rx(roll), as in
+    ``convertOxtsToPose.m`` of KITTI's development kit; unlike there the first pose keeps its rotation, so z is up.
+
+    >>> record = np.array([49.0, 8.4, 110.0, 0.0, 0.0, np.pi / 2])
+    >>> pose = world_from_imu(record + [0.0, 0.001, 2.0, 0.0, 0.0, 0.0], record)
+    >>> pose.translation.round(2).tolist(), (pose.rotation @ [1.0, 0.0, 0.0]).round(6).tolist()
+    ([73.03, 0.0, 2.0], [0.0, 1.0, 0.0])
+    """
+    scale = np.cos(np.deg2rad(first[0]))
+    translation = _mercator(record, scale) - _mercator(first, scale)
+    roll, pitch, yaw = record[3:6]
+    return Rigid(_about(2, yaw) @ _about(1, pitch) @ _about(0, roll), translation)
+
+
+def _mercator(record: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    latitude, longitude = np.deg2rad(record[:2])
+    north = EARTH_RADIUS_M * np.log(np.tan(np.pi / 4 + latitude / 2))
+    return np.array([scale * EARTH_RADIUS_M * longitude, scale * north, record[2]])
+
+
+def _about(axis: int, angle: float) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation about one axis."""
+    rotation = np.eye(3)
+    one, other = (axis + 1) % 3, (axis + 2) % 3
+    rotation[[one, other], [one, other]] = np.cos(angle)
+    rotation[one, other], rotation[other, one] = -np.sin(angle), np.sin(angle)
+    return rotation

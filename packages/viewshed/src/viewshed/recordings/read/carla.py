@@ -1,0 +1,435 @@
+"""Recordings made in CARLA: each agent a folder with PLY or NPY sweeps and a table of poses.
+
+- ``recording.json`` (optional): ``axes`` are ``carla`` (the default), ``carla_0.9.9`` (0.9.9 and older: x right,
+  y backward, z down) or ``sensor`` (x forward, y left, z up); ``agents`` has for each folder ``sensor_height_m`` and
+  ``lidar`` with ``channels``, ``upper_fov_deg``, ``lower_fov_deg``, ``range_m``, ``points_per_second`` and
+  ``rotation_hz``.
+- ``actors.jsonl`` (optional), a line a tick: ``frame``, ``t_ns`` and ``actors``, each with ``id``, ``type``, the center
+  ``x``, ``y``, ``z`` of its box, ``roll``, ``pitch``, ``yaw``, ``extent`` (half sizes) and, where it carries a sensor,
+  ``agent``. An agent's own vehicle is not among its boxes.
+- ``AGENT/poses.csv`` (or ``poses.jsonl`` with the same keys): ``frame,t_ns,x,y,z,roll,pitch,yaw``, the number in the
+  file's name, nanoseconds, meters and degrees of the sensor's ``carla.Transform``.
+- ``AGENT/000123.ply``: what ``measurement.save_to_disk`` writes, or an NPY array (N, 3) or (N, 4) of the same. A sweep
+  without a row in the table is read without pose and time.
+
+Poses and actors stand in the tables as CARLA says them, in left-handed frames (x forward, y right, z up; degrees).
+Mirroring y, S = diag(1, -1, 1), turns these into our right-handed ones: a pose (R, t) becomes (S R S, S t).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io import read_sweep
+from viewshed.io._input import inside, one_line, open_input
+from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.sensors import MAX_RINGS, LidarModel
+from viewshed.sweep import Sweep
+
+MIRROR = np.array([1.0, -1.0, 1.0])
+"""What turns a vector of CARLA into one of ours, and back."""
+
+
+def rotation_of_carla(roll_deg: float, pitch_deg: float, yaw_deg: float) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation that CARLA's ``Transform.get_matrix`` has, still in CARLA's left-handed axes.
+
+    Source: ``carla/geom/Transform.h``. Yaw turns x towards y (right), pitch lifts x, roll lowers the right side (y).
+
+    >>> rotation_of_carla(0.0, 0.0, 90.0).round(6).tolist()[1]
+    [1.0, 0.0, 0.0]
+    """
+    (cr, cp, cy), (sr, sp, sy) = (f(np.deg2rad([roll_deg, pitch_deg, yaw_deg])) for f in (np.cos, np.sin))
+    return np.array(
+        [
+            [cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr],
+            [cp * sy, sy * sp * sr + cy * cr, -sy * sp * cr + cy * sr],
+            [sp, -cp * sr, cp * cr],
+        ]
+    )
+
+
+def rigid_of_carla(location_m: Sequence[float], roll_deg: float, pitch_deg: float, yaw_deg: float) -> Rigid:
+    """Return the right-handed pose of a CARLA transform: (x, y, z) in meters, angles in degrees.
+
+    >>> rigid_of_carla((10.0, 2.0, 1.0), 0.0, 0.0, 90.0).translation.tolist()
+    [10.0, -2.0, 1.0]
+    """
+    rotation = rotation_of_carla(roll_deg, pitch_deg, yaw_deg)
+    return Rigid(MIRROR[:, None] * rotation * MIRROR, MIRROR * np.asarray(location_m, np.float64))
+
+
+def mirrored(sweep: Sweep) -> Sweep:
+    """Return a sweep read from points in CARLA's axes, in the sensor's frame: y and azimuth change their sign."""
+    azimuth = None if sweep.azimuth is None else -sweep.azimuth
+    return sweep.replace(points=sweep.points * MIRROR.astype(np.float32), azimuth=azimuth)
+
+
+def box_of_carla(world_from_box: Rigid, extent_m: Sequence[float], category: str, track: str | None) -> ObjectBox:
+    """Return the box with CARLA's extent: half of its length, width and height, meters."""
+    length, width, height = (2.0 * half for half in extent_m)
+    return ObjectBox(world_from_box, (length, width, height), category, track)
+
+
+def lidar_of_carla(
+    channels: float,
+    upper_fov_deg: float,
+    lower_fov_deg: float,
+    range_m: float,
+    points_per_second: float,
+    rotation_hz: float,
+) -> LidarModel:
+    """Return the beams of ``sensor.lidar.ray_cast`` with these attributes: channels evenly spaced, the lowest first.
+
+    Source: ``RayCastSemanticLidar.cpp``, CreateLasers and SimulateLidar.
+
+    Raises:
+        ValueError: an attribute is out of range.
+
+    >>> lidar_of_carla(64, 2.0, -25.0, 120.0, 1_300_000, 20.0).azimuth_columns
+    1016
+    """
+    if not (1 <= channels <= MAX_RINGS and channels == int(channels)):
+        raise ValueError(f"channels must be a whole number in [1, {MAX_RINGS}], got {channels}")
+    if not 1e-3 <= rotation_hz <= 1e6:
+        raise ValueError(f"rotation_frequency must lie in [0.001, 1000000], got {rotation_hz}")
+    columns = round(points_per_second / (channels * rotation_hz))
+    elevation = np.deg2rad(np.linspace(lower_fov_deg, upper_fov_deg, int(channels)))
+    source = f"CARLA sensor.lidar.ray_cast, {channels:g} channels, {lower_fov_deg:g} to {upper_fov_deg:g} degrees"
+    return LidarModel(f"CARLA {channels:g}", elevation, columns, min_range_m=0.3, max_range_m=range_m, source=source)
+
+
+def lidar_described(beams: Any, names: Sequence[str]) -> LidarModel:
+    """Return the beams that a table (or a list) describes, its names in the order of :func:`lidar_of_carla`."""
+    values = [beams.get(name) for name in names] if isinstance(beams, dict) else beams
+    return lidar_of_carla(*numbers_in(values, len(names), ", ".join(names)))
+
+
+_ROWS_MAX = 200_000  # 5 hours at 10 Hz
+_POSES_BYTES_MAX = 100_000_000
+_LINE_BYTES_MAX = 4_000_000
+
+POSE_COLUMNS = ("frame", "t_ns", "x", "y", "z", "roll", "pitch", "yaw")
+"""``frame`` is the number in the file's name; meters and degrees, left-handed, as ``carla.Transform`` gives them."""
+
+_POSE_NUMBERS = POSE_COLUMNS[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class AgentPose:
+    """Where a sensor was when it measured a frame.
+
+    Attributes:
+        t_ns: time in nanoseconds.
+        numbers: x, y, z in meters, roll, pitch, yaw in degrees, in CARLA's left-handed world.
+    """
+
+    t_ns: int
+    numbers: tuple[float, ...]
+
+    @property
+    def world_from_sensor(self) -> Rigid:
+        """The pose in our right-handed frames."""
+        return rigid_of_carla(self.numbers[:3], *self.numbers[3:])
+
+
+@dataclass(frozen=True, slots=True)
+class Actors:
+    """Where the actors of each tick stand in a file.
+
+    Attributes:
+        path: the file, JSON, one line a tick.
+        places: frame → (first byte, number of bytes).
+    """
+
+    path: Path
+    places: Mapping[int, tuple[int, int]]
+
+    def boxes(self, frame: int, agent: str) -> tuple[ObjectBox, ...] | None:
+        """Return the boxes of a tick in the world, without the actor that carries ``agent``; None without a tick."""
+        if frame not in self.places:
+            return None
+        start, length = self.places[frame]
+        with self.path.open("rb") as file:
+            file.seek(start)
+            line = file.read(length)
+        try:
+            rows = _json_object(line).get("actors")
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                raise ValueError("actors must be a list of objects")
+            return tuple(_box(row) for row in rows if row.get("agent") != agent)
+        except ValueError as error:
+            raise ValueError(one_line(f"{self.path}: frame {frame} has a damaged actor: {error}")) from error
+
+
+def _box(row: Mapping[str, Any]) -> ObjectBox:
+    what = f"{', '.join(_POSE_NUMBERS)} of an actor"
+    x, y, z, *angles = numbers_in([row.get(name) for name in _POSE_NUMBERS], len(_POSE_NUMBERS), what)
+    extent = numbers_in(row.get("extent"), 3, "extent of an actor")
+    category, number = row.get("type"), row.get("id")
+    if not isinstance(category, str) or not isinstance(number, int):
+        raise ValueError("an actor must have text as type and a whole number as id")
+    return box_of_carla(rigid_of_carla((x, y, z), *angles), extent, category, str(number))
+
+
+def _json_object(line: bytes | str) -> Mapping[str, Any]:
+    """Return the object on a line of JSON; a ValueError where it is something else."""
+    try:
+        row = json.loads(line)
+    except RecursionError as error:
+        raise ValueError("is too deep") from error
+    if not isinstance(row, dict):
+        raise ValueError(f"must be an object, got {type(row).__name__}")
+    return row
+
+
+def read_actors(root: Path, path: Path, damage: list[str]) -> Actors | None:
+    """Return the actors in a file, or None where there is no such file; lines that are damaged are added to a list."""
+    if not path.is_file():
+        return None
+    places: dict[int, tuple[int, int]] = {}
+    start = 0
+    with inside(root, path).open("rb") as file:
+        for number in range(1, _ROWS_MAX + 1):
+            line = file.readline(_LINE_BYTES_MAX + 1)
+            if not line:
+                return Actors(path, places)
+            if len(line) > _LINE_BYTES_MAX:
+                note_damage(
+                    damage, f"{path}: line {number} must be at most {_LINE_BYTES_MAX} bytes; the rest is left out"
+                )
+                return Actors(path, places)
+            try:
+                if line.strip():
+                    places[_whole(_json_object(line).get("frame"), "frame")] = (start, len(line))
+            except ValueError as error:
+                note_damage(damage, f"{path}: line {number} must be an object with a frame: {error}")
+            start += len(line)
+    note_damage(damage, f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
+    return Actors(path, places)
+
+
+def read_poses(root: Path, folder: Path, damage: list[str]) -> dict[int, AgentPose]:
+    """Return the poses of an agent by frame; what is wrong with them is added to a list, the other rows are kept."""
+    path = next((folder / name for name in _POSES if (folder / name).is_file()), None)
+    if path is None:
+        note_damage(damage, f"{folder}: has no poses.csv or poses.jsonl; its sweeps have no pose and no time")
+        return {}
+    poses: dict[int, AgentPose] = {}
+    try:
+        with open_input(inside(root, path)) as source:
+            text = source.content(_POSES_BYTES_MAX).decode("utf-8", "replace")
+        for number, row in _rows(path, text):
+            if number > _ROWS_MAX:
+                raise ValueError(f"{path}: must have at most {_ROWS_MAX} lines; the rest is left out")
+            try:
+                _add_pose(poses, row if isinstance(row, dict) else _json_object(row))
+            except ValueError as error:
+                note_damage(damage, f"{path}: line {number}: {error}")
+    except csv.Error as error:
+        note_damage(damage, f"{path}: {error}")
+    except (OSError, ValueError) as error:
+        note_damage(damage, str(error))
+    times = [poses[frame].t_ns for frame in sorted(poses)]
+    if any(late <= early for early, late in pairwise(times)):
+        note_damage(damage, f"{path}: t_ns does not ascend with frame; the sweeps are taken in the order of t_ns")
+    return poses
+
+
+def _add_pose(poses: dict[int, AgentPose], row: Mapping[str, Any]) -> None:
+    frame, t_ns = _whole(row.get("frame"), "frame"), _whole(row.get("t_ns"), "t_ns")
+    what = f"a pose ({', '.join(_POSE_NUMBERS)})"
+    numbers = numbers_in([row.get(name) for name in _POSE_NUMBERS], len(_POSE_NUMBERS), what)
+    if frame in poses:
+        raise ValueError(f"frame {frame} appears twice; the first is kept")
+    poses[frame] = AgentPose(t_ns, numbers)
+
+
+def _whole(value: object, what: str) -> int:
+    """Return a whole number of JSON or CSV that fits int64."""
+    text = str(value).strip() if isinstance(value, str) or type(value) is int else ""
+    if re.fullmatch(r"-?[0-9]{1,18}|-?[1-8][0-9]{18}", text) is None:
+        raise ValueError(f"{what} must be a whole number, got {one_line(value, 40)}")
+    return int(text)
+
+
+def _rows(path: Path, text: str) -> Iterator[tuple[int, Any]]:
+    """Yield number and content of each line: the fields of CSV by name, or a line of JSON that is still text."""
+    if path.suffix == ".csv":
+        yield from enumerate(csv.DictReader(io.StringIO(text)), 2)
+        return
+    for number, line in enumerate(io.StringIO(text), 1):
+        if line.strip():
+            yield number, line
+
+
+AXES = ("carla", "carla_0.9.9", "sensor")
+"""Axes of the points in the files: carla is x forward, y right, z up (what CARLA 0.9.10 and newer give);
+carla_0.9.9 is x right, y backward, z down (0.9.9 and older); sensor is x forward, y left, z up (our own)."""
+
+BEAMS = ("channels", "upper_fov_deg", "lower_fov_deg", "range_m", "points_per_second", "rotation_hz")
+"""What ``recording.json`` says about a sensor's beams: arguments of :func:`lidar_of_carla`, in this order."""
+
+_SWEEPS = (".ply", ".npy", ".ply.gz", ".npy.gz")
+_POSES = ("poses.jsonl", "poses.csv")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Agent:
+    """One folder of sweeps: frame → file, frame → pose, and what ``recording.json`` says about the sensor."""
+
+    files: Mapping[int, Path]
+    poses: Mapping[int, AgentPose]
+    model: LidarModel | None
+    sensor_height_m: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    root: Path
+    axes: str
+    agents: Mapping[str, _Agent]
+    actors: Actors | None
+
+
+class CarlaRecording:
+    """A recording, or a folder of recordings; each is a scene."""
+
+    def __init__(self, scenes: Mapping[str, _Scene], problems: Sequence[str]) -> None:
+        self._scenes = scenes
+        self.problems = problems
+        self.notes = ()
+        self.scenes = {name: _refs_of(name, scene) for name, scene in scenes.items()}
+
+    @classmethod
+    def open(cls, place: Path) -> CarlaRecording:
+        """Return the recordings at a place."""
+        damage: list[str] = []
+        return cls({folder.name: _open_scene(place, folder, damage) for folder in recordings_in(place)}, damage)
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep in the sensor's frame, with pose and time where the table of poses has its frame."""
+        scene = self._scenes[ref.scene]
+        agent = scene.agents[ref.agent]
+        file_frame = "carla" if scene.axes == "carla_0.9.9" else None
+        sweep = read_sweep(inside(scene.root, ref.file), file_frame=file_frame)
+        sweep = mirrored(sweep) if scene.axes == "carla" else sweep
+        pose = agent.poses.get(int(ref.key))
+        fits = agent.model is not None and (sweep.ring is None or sweep.ring.max(initial=0) < agent.model.rings)
+        return sweep.replace(
+            agent=ref.agent, t_ns=ref.t_ns, model=agent.model if fits else None,
+            world_from_sensor=None if pose is None else pose.world_from_sensor,
+            sensor_height_m=agent.sensor_height_m,
+        )  # fmt: skip
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the actors of the sweep's tick, without the one that carries the sensor; None where there are none."""
+        actors = self._scenes[ref.scene].actors
+        return None if actors is None else actors.boxes(int(ref.key), ref.agent)
+
+
+def _refs_of(name: str, scene: _Scene) -> list[SweepRef]:
+    """Return the sweeps of a recording by time, then agent; those without a pose come last."""
+    in_order = sorted(
+        (float("inf") if pose is None else pose.t_ns, agent, frame, str(file))
+        for agent, folder in scene.agents.items()
+        for frame, file in folder.files.items()
+        for pose in (folder.poses.get(frame),)
+    )
+    return [
+        SweepRef(name, index, file, None if t_ns == float("inf") else int(t_ns), agent, key=str(frame))
+        for index, (t_ns, agent, frame, file) in enumerate(in_order)
+    ]
+
+
+def recordings_in(place: Path) -> list[Path]:
+    """Return the folders at ``place`` that are recordings: itself, or those in it."""
+    if not place.is_dir():
+        return []
+    if _is_recording(place):
+        return [place]
+    return sorted(folder for folder in place.iterdir() if folder.is_dir() and _is_recording(folder))
+
+
+def _is_recording(folder: Path) -> bool:
+    """Return whether the folder has agents, by names alone; without any poses ``recording.json`` makes it one."""
+    if (folder / "recording.json").is_file():
+        return True
+    return any((agent / name).is_file() for agent in folder.iterdir() if agent.is_dir() for name in _POSES)
+
+
+def _open_scene(root: Path, folder: Path, damage: list[str]) -> _Scene:
+    about = read_optional(folder / "recording.json", partial(_read_about, root), damage) or {}
+    sensors = about.get("agents")
+    sensors = sensors if isinstance(sensors, dict) else {}
+    agents = {
+        path.name: _open_agent(root, path, sensors.get(path.name), damage)
+        for path in sorted(folder.iterdir())
+        if path.is_dir() and any(file.name.lower().endswith(_SWEEPS) for file in path.iterdir())
+    }
+    if not agents:
+        note_damage(damage, f"{folder}: no agent has a sweep ({', '.join(_SWEEPS)})")
+    return _Scene(root, _axes(about, folder, damage), agents, read_actors(root, folder / "actors.jsonl", damage))
+
+
+def _read_about(root: Path, path: Path) -> Mapping[str, Any]:
+    with open_input(inside(root, path)) as source:
+        return _json_object(source.content(_LINE_BYTES_MAX))
+
+
+def _axes(about: Mapping[str, Any], folder: Path, damage: list[str]) -> str:
+    axes = about.get("axes", "carla")
+    if axes not in AXES:
+        problem = f"axes must be one of {', '.join(AXES)}, got {one_line(axes, 40)}; took carla"
+        note_damage(damage, f"{folder / 'recording.json'}: {problem}")
+        return "carla"
+    return str(axes)
+
+
+def _open_agent(root: Path, folder: Path, sensor: Any, damage: list[str]) -> _Agent:
+    files: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.name.lower().endswith(_SWEEPS):
+            _add_file(files, path, damage)
+    poses = read_poses(root, folder, damage)
+    missing = [frame for frame in files if frame not in poses]
+    if poses and missing:
+        problem = f"{len(missing)} of {len(files)} sweeps have no pose, the first is {missing[0]:06d}"
+        note_damage(damage, f"{folder}: {problem}")
+    model, height_m = _sensor(sensor, folder, damage)
+    return _Agent(files, poses, model, height_m)
+
+
+def _add_file(files: dict[int, Path], path: Path, damage: list[str]) -> None:
+    stem = path.name.split(".")[0]
+    if not (stem.isascii() and stem.isdigit() and len(stem) <= 18):
+        note_damage(damage, f"{path}: a sweep must be named after its frame, like 000123{path.suffix}; left out")
+    elif int(stem) in files:
+        note_damage(damage, f"{path}: frame {int(stem)} is there twice; left out")
+    else:
+        files[int(stem)] = path
+
+
+def _sensor(sensor: Any, folder: Path, damage: list[str]) -> tuple[LidarModel | None, float | None]:
+    """Return beams and height of a sensor as ``recording.json`` describes it."""
+    if not isinstance(sensor, dict):
+        return None, None
+    try:
+        beams, height = sensor.get("lidar"), sensor.get("sensor_height_m")
+        model = None if beams is None else lidar_described(beams, BEAMS)
+        return model, None if height is None else numbers_in([height], 1, "sensor_height_m")[0]
+    except ValueError as error:
+        note_damage(damage, f"{folder}: recording.json describes its sensor wrongly: {error}")
+        return None, None

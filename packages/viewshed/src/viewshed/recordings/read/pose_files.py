@@ -1,0 +1,234 @@
+"""Poses of sweeps in a text file of its own: twelve numbers a line as KITTI writes them, or eight as TUM does."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.io._input import open_input
+from viewshed.recordings.read._kitti_files import rigid_named, rigid_of
+from viewshed.recordings.read.tf_tree import TransformBuffer
+from viewshed.sweep import Sweep
+
+_KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
+
+_BYTES_MAX = 64_000_000
+
+_NEAR_NS = 50_000_000
+"""A sweep may lie so long before the first pose or after the last one."""
+
+_GAP_NS = 2_000_000_000
+"""Between poses farther apart than this nothing is interpolated."""
+
+_USUAL_PERIOD_NS = 100_000_000
+
+_UNIT_NS = {10: 1_000_000_000, 13: 1_000_000, 16: 1000, 19: 1}
+"""Nanoseconds of the unit of a time since 1970 in a file's name, by the number of its digits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseFile:
+    """The poses ``world_from_sensor`` in a file.
+
+    Attributes:
+        place: the file.
+        poses: in its order.
+        times_ns: (N,) int64 time of each, ascending; None where neither the file nor a ``times.txt`` beside it has any.
+        by_time: whether sweeps are found by their time (TUM), else by number.
+        notes: what was assumed, a line each.
+    """
+
+    place: Path
+    poses: tuple[Rigid, ...]
+    times_ns: NDArray[np.int64] | None
+    by_time: bool
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def read(cls, place: str | os.PathLike[str]) -> PoseFile:
+        """Return the poses in a file.
+
+        Lines of 12 numbers are the first three rows of a pose (KITTI). They are those of the left camera where
+        ``calib.txt`` with its ``Tr`` lies beside the file, as KITTI has it, and else those of the sensor. Lines of 8
+        numbers are time in seconds, place, and quaternion x, y, z, w (TUM). Lines that begin with # are left out.
+
+        Raises:
+            ValueError: a line is neither, its numbers are no pose, or times do not ascend; the message names the line.
+            OSError: it cannot be read.
+        """
+        path = Path(place)
+        with open_input(path) as source:
+            rows, lines = _numbers(source.content(_BYTES_MAX))
+            if len(rows[0]) == _TUM_NUMBERS:
+                times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
+                late = np.flatnonzero(np.diff(times_ns) <= 0)
+                if late.size:
+                    raise ValueError(f"line {lines[late[0] + 1]}: times must ascend, got {rows[late[0] + 1, 0]:f} s")
+                poses = tuple(_tum_pose(row, f"line {line}") for row, line in zip(rows, lines, strict=True))
+                return cls(path, poses, times_ns, by_time=True)
+            poses = tuple(
+                rigid_of(matrix[:, :3], matrix[:, 3], f"line {line}")
+                for matrix, line in zip(rows.reshape(-1, 3, 4), lines, strict=True)
+            )
+        return cls._of_kitti(path, poses)
+
+    @classmethod
+    def _of_kitti(cls, path: Path, poses: tuple[Rigid, ...]) -> PoseFile:
+        notes = []
+        calibration = path.with_name("calib.txt")
+        if calibration.is_file():
+            camera_from_sensor = rigid_named(path.parent, calibration, "Tr")
+            poses = tuple(camera_from_sensor.inverse() @ pose @ camera_from_sensor for pose in poses)
+            notes.append(f"poses are those of KITTI's camera, moved to the sensor by {calibration.name} beside them")
+        else:
+            notes.append("poses are taken as those of the sensor, since no calib.txt of KITTI lies beside them")
+        times = path.with_name("times.txt")
+        times_ns = None
+        if times.is_file():
+            with open_input(times) as source:
+                seconds = np.array(source.content(_BYTES_MAX).split(), np.float64)
+                if len(seconds) != len(poses) or not np.isfinite(seconds).all() or (np.diff(seconds) <= 0).any():
+                    raise ValueError(
+                        f"must have one time for each of {len(poses)} poses, ascending, got {len(seconds)}"
+                    )
+                times_ns = np.round(seconds * 1e9).astype(np.int64)
+        else:
+            notes.append("sweeps without a time are taken to be 0.1 s apart, since no times.txt lies beside the poses")
+        return cls(path, poses, times_ns, by_time=False, notes=tuple(notes))
+
+    def place_sweep(self, sweep: Sweep, file: Path, number: int, files: Sequence[Path]) -> Sweep:
+        """Return a sweep with its pose, and with the time of the pose where it has none of its own.
+
+        By time: that of the sweep, else the one in its file's name, between the poses before and after it. Else by
+        number: where all files are named by numbers that the file has a line for, by these; else by their order.
+
+        Args:
+            sweep: what was measured.
+            file: where it was read.
+            number: how many sweeps came before it.
+            files: all files that are read.
+
+        Raises:
+            ValueError: the file has no pose for it.
+        """
+        if self.by_time and self.times_ns is not None:
+            t_ns = sweep.t_ns if sweep.t_ns is not None else time_in_name(file.name)
+            pose = self._at(t_ns, file, self.times_ns)
+        else:
+            row = self._row(file, number, files)
+            pose = self.poses[row]
+            period_ns = row * _USUAL_PERIOD_NS if self.times_ns is None else int(self.times_ns[row])
+            t_ns = sweep.t_ns if sweep.t_ns is not None else period_ns
+        return sweep.replace(world_from_sensor=pose, t_ns=t_ns)
+
+    def check(self, files: Sequence[Path]) -> None:
+        """Check that files have a pose each, as far as that is known before they are read.
+
+        Raises:
+            ValueError: there are several, and they are neither as many as the poses nor named by their numbers.
+        """
+        if not self.by_time and len(files) > 1 and len(files) != len(self.poses) and not self._numbers_of(files):
+            raise ValueError(
+                f"{self.place}: must have one pose for each of {len(files)} files, got {len(self.poses)} lines; or name"
+                " the files by the numbers of their lines, from 0"
+            )
+
+    def _numbers_of(self, files: Sequence[Path]) -> list[int]:
+        """Return the numbers by which all of several files are named; none where not all lie within the poses."""
+        names = [re.match(r"\d+(?=\.)", each.name) for each in files]
+        numbers = [int(name[0]) for name in names if name is not None]
+        return numbers if len(numbers) == len(files) > 1 and max(numbers) < len(self.poses) else []
+
+    def _row(self, file: Path, number: int, files: Sequence[Path]) -> int:
+        numbers = self._numbers_of(files)
+        if numbers:
+            number = numbers[list(files).index(file)]
+        if number >= len(self.poses):
+            raise ValueError(f"{self.place}: has {len(self.poses)} lines, none for sweep {number}")
+        return number
+
+    def _at(self, t_ns: int | None, file: Path, times_ns: NDArray[np.int64]) -> Rigid:
+        if t_ns is None:
+            raise ValueError(
+                f"{file.name} has no time by which its pose could be found in {self.place.name}; name the file by its"
+                " time since 1970, or give one pose a sweep in KITTI's format"
+            )
+        first_ns, last_ns = int(times_ns[0]), int(times_ns[-1])
+        if not first_ns - _NEAR_NS <= t_ns <= last_ns + _NEAR_NS:
+            raise ValueError(
+                f"the sweep at {t_ns / 1e9:.3f} s has no pose: {self.place.name} reaches from {first_ns / 1e9:.3f} to"
+                f" {last_ns / 1e9:.3f} s"
+            )
+        within_ns = min(max(t_ns, first_ns), last_ns)
+        after = int(np.searchsorted(times_ns, within_ns))
+        if times_ns[after] == within_ns:
+            return self.poses[after]
+        if times_ns[after] - times_ns[after - 1] > _GAP_NS:
+            gap_s = (times_ns[after] - times_ns[after - 1]) / 1e9
+            raise ValueError(f"the sweep at {t_ns / 1e9:.3f} s lies in a gap of {gap_s:.1f} s of {self.place.name}")
+        return self._between(after, within_ns, times_ns)
+
+    def _between(self, after: int, t_ns: int, times_ns: NDArray[np.int64]) -> Rigid:
+        """Return the pose at a time between a pose and the one before it."""
+        buffer = TransformBuffer()
+        for row in (after - 1, after):
+            pose = self.poses[row]
+            turn = quaternion_from_rotation(pose.rotation)
+            buffer.add("world", "sensor", int(times_ns[row]), pose.translation, turn)
+        found = buffer.lookup("world", "sensor", t_ns)
+        return self.poses[after] if found is None else found
+
+
+def time_in_name(name: str) -> int | None:
+    """Return the time since 1970 in nanoseconds that a file is named by, or None.
+
+    >>> time_in_name("n015__LIDAR_TOP__1532402927647951.pcd.bin"), time_in_name("1700000000.250000000.pcd")
+    (1532402927647951000, 1700000000250000000)
+    >>> time_in_name("000123.bin")
+    """
+    parts = re.findall(r"(?<!\d)(\d{10})[._-](\d{1,9})(?!\d)", name)
+    if parts:
+        seconds, fraction = parts[-1]
+        return int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0"))
+    numbers = [number for number in re.findall(r"\d+", name) if len(number) in _UNIT_NS]
+    return int(numbers[-1]) * _UNIT_NS[len(numbers[-1])] if numbers else None
+
+
+def _numbers(content: bytes) -> tuple[NDArray[np.float64], list[int]]:
+    """Return the numbers (N, 12 or 8) of the lines, and the number of each line, from 1."""
+    rows, lines = list[list[float]](), list[int]()
+    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), start=1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            row = [float(word) for word in words]
+        except ValueError as error:
+            raise ValueError(f"line {number} must be numbers, got {line[:60]!r}") from error
+        wanted = len(rows[0]) if rows else len(row)
+        if len(row) not in (_KITTI_NUMBERS, _TUM_NUMBERS) or len(row) != wanted:
+            raise ValueError(
+                f"line {number} must have 12 numbers (KITTI) or 8 (TUM: time, x, y, z, qx, qy, qz, qw), got {len(row)}"
+            )
+        if not np.isfinite(row).all():
+            raise ValueError(f"line {number} must be finite numbers, got {line[:60]!r}")
+        rows.append(row)
+        lines.append(number)
+    if not rows:
+        raise ValueError("must have poses, got no line with numbers")
+    return np.array(rows), lines
+
+
+def _tum_pose(row: NDArray[np.float64], where: str) -> Rigid:
+    x, y, z, w = row[4:].tolist()
+    length = float(np.linalg.norm(row[4:]))
+    if not 0.99 < length < 1.01:
+        raise ValueError(f"{where}: the quaternion must have norm 1, got norm {length:g}")
+    return Rigid.from_quaternion(np.array([w, x, y, z]) / length, row[1:4])

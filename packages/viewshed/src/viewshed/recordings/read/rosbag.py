@@ -1,0 +1,442 @@
+"""ROS 1 bags, ROS 2 bags and MCAP files: clouds, packets and laser scans as sweeps, poses from tf and odometry."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from viewshed._extras import needed_for
+from viewshed.geometry import Rigid
+from viewshed.io._input import one_line
+from viewshed.io.messages.laserscan import sweep_of_scan
+from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velodyne
+from viewshed.io.messages.pointcloud2 import sweep_of_cloud
+from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
+from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
+from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage
+from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer
+from viewshed.sweep import Sweep
+
+CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
+TF = "tf2_msgs/msg/TFMessage"
+TRANSFORMS = (TF, "tf/msg/tfMessage")
+
+VELODYNE, SCAN, STRING = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
+OUSTER = ("ouster_sensor_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg")
+
+RETURNS = ((CLOUD,), (VELODYNE, *OUSTER), (SCAN,))
+"""Types of messages that hold a LiDAR's returns, the preferred ones first: what one sensor tells twice is read once."""
+
+OUSTER_FRAME = "os_sensor"
+"""The frame of the returns that Ouster's packets hold: their messages have no header."""
+
+FOOTPRINT = "base_footprint"
+"""The frame on the ground below a robot (ROS enhancement proposal 120); it tells the height of the sensor.
+
+That of one robot of several has its name before it, as the frame of its sensor has: ``car_0/base_footprint``."""
+
+_ODOMETRY_CHILD = "base_link"
+
+
+@lru_cache(maxsize=2)
+def decoder(encoding: str) -> Callable[[bytes, str], Any]:
+    """Return what turns the bytes of a message and the name of its type into an object."""
+    with needed_for("reading a bag"):
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    if encoding == "ros1":
+        store = get_typestore(Stores.ROS1_NOETIC)
+        if TF not in store.types:
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    else:
+        store = get_typestore(Stores.ROS2_FOXY)
+    for kind, definition in _DEFINITIONS.items():
+        store.register(get_types_from_msg(definition, kind))
+    return store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
+
+
+_DEFINITIONS = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+    VELODYNE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    **dict.fromkeys(OUSTER, "uint8[] buf"),
+}
+"""Of messages that rosbags does not bring."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Cloud:
+    """One sweep as listed: topic and type of its message, its header, and where it is.
+
+    That of a revolution in several messages names all their places, with blanks between.
+    """
+
+    topic: str
+    kind: str
+    t_ns: int
+    frame: str
+    where: str
+
+
+@dataclass(slots=True, eq=False)
+class _Contents:
+    """What one pass over a bag gives."""
+
+    clouds: list[_Cloud] = field(default_factory=list)
+    transforms: TransformBuffer = field(default_factory=TransformBuffer)
+    odometry: dict[str, list[Any]] = field(default_factory=dict)
+    worlds: list[str] = field(default_factory=lambda: list(WORLDS))
+    metadata: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bag:
+    """One bag as listed.
+
+    Attributes:
+        root: the recording that it belongs to.
+        path: where it lies.
+        refs: its clouds, in the order of time.
+        poses: ``world_from_sensor`` of each, or None.
+        heights_m: height of the sensor above the ground at each, or None.
+        encoding: how its messages are written, ``cdr`` or ``ros1``.
+        kinds: type of the messages of each topic with sweeps.
+        metadata: of each topic with Ouster packets.
+        notes: what it lacks, and which topics are not read.
+    """
+
+    root: Path
+    path: Path
+    refs: tuple[SweepRef, ...]
+    poses: tuple[Rigid | None, ...]
+    heights_m: tuple[float | None, ...]
+    encoding: str
+    kinds: Mapping[str, str]
+    metadata: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+
+def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str | None = None) -> Bag | None:
+    """Return what a bag holds, or None where it has no clouds; what is wrong is added to ``damage``.
+
+    Args:
+        root: the recording that it belongs to.
+        scene: its name there.
+        path: where it lies.
+        damage: lines are added to it.
+        topic: whose messages are read; None is all of the preferred type.
+    """
+    try:
+        file = open_bag(root, path)
+    except (ValueError, OSError) as error:
+        note_damage(damage, str(error))
+        return None
+    contents, encoding = _Contents(), "cdr"
+    try:
+        for message in file.messages((CLOUD, VELODYNE, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
+            encoding = message.encoding
+            _add_message(contents, message, damage)
+        if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
+            encoding = _add_ouster(contents, file, path, damage)
+    except (ValueError, OSError) as error:
+        note_damage(damage, f"{one_line(error)}; {len(contents.clouds)} clouds before that are kept")
+        if not contents.clouds:
+            return None
+    finally:
+        types = file.types
+        file.close()
+    _note_topics(types, contents, damage, topic)
+    return _bag_of(root, scene, path, contents, encoding, damage) if contents.clouds else None
+
+
+def _add_message(contents: _Contents, message: Message, damage: list[str]) -> None:
+    try:
+        if message.encoding not in ("cdr", "ros1"):
+            raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
+        if message.kind in (CLOUD, VELODYNE, SCAN):
+            t_ns, frame = _header(message)
+            contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
+            return
+        if message.kind == STRING:
+            if message.topic.endswith(_METADATA):
+                contents.metadata[message.topic] = decoder(message.encoding)(message.raw, STRING).data
+            return
+        decoded = decoder(message.encoding)(message.raw, TF if message.kind in TRANSFORMS else message.kind)
+        if message.kind == ODOMETRY:
+            contents.odometry.setdefault(message.topic, []).append(decoded)
+        else:
+            _add_transforms(contents, decoded, message.topic.endswith("static"), damage)
+    except Exception as error:  # the decoder of rosbags raises a dozen types on damaged messages
+        note_damage(damage, f"{message.topic}: a message is damaged and left out: {one_line(error)}")
+
+
+def _header(message: Message) -> tuple[int, str]:
+    """Return stamp (ns) and frame of a message that begins with a header; the time of recording where it has no stamp.
+
+    The clouds are not decoded for that: a bag is listed as fast as it is read.
+    """
+    raw = message.raw
+    little = message.encoding == "ros1" or raw[1:2] in (b"\x01", b"\x03")
+    seconds, nanoseconds, length = struct.unpack_from("<III" if little else ">III", raw, 4)
+    if length > len(raw) - 16:
+        raise ValueError("its header is cut off")
+    name = raw[16 : 16 + length].rstrip(b"\x00").decode("utf-8", "replace")
+    return seconds * 1_000_000_000 + nanoseconds or message.t_ns, name.lstrip("/")
+
+
+def _add_transforms(contents: _Contents, decoded: Any, static: bool, damage: list[str]) -> None:
+    for transform in decoded.transforms:
+        try:
+            _add(contents.transforms, transform.header, transform.child_frame_id, transform.transform.translation,
+                 transform.transform.rotation, static=static)  # fmt: skip
+        except ValueError as error:
+            note_damage(damage, f"tf: {one_line(error)}; left out")
+
+
+def _add(buffer: TransformBuffer, header: Any, child: str, where: Any, turn: Any, *, static: bool = False) -> None:
+    t_ns = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    buffer.add(
+        header.frame_id, child, t_ns, (where.x, where.y, where.z), (turn.w, turn.x, turn.y, turn.z), static=static
+    )
+
+
+_METADATA = "/metadata"
+"""End of the topic on which Ouster's drivers publish the metadata of the packets beside it."""
+
+
+def _add_ouster(contents: _Contents, file: BagFile, path: Path, damage: list[str]) -> str:
+    """Add the revolutions of Ouster packets, and return how their messages are written.
+
+    A revolution that is cut off by the beginning or the end of the bag is left out where there is another.
+    """
+    encoding = "cdr"
+    decoders: dict[str, OusterDecoder | None] = {}
+    turns: dict[str, list[list[_Cloud]]] = {}
+    numbers: dict[str, int] = {}
+    for message in file.messages(OUSTER):
+        topic, encoding = message.topic, message.encoding
+        if topic not in decoders:
+            decoders[topic] = _ouster_decoder(contents, topic, path, damage)
+        decode = decoders[topic]
+        number = None if decode is None else decode.frame_number(_packet_of(message.raw, encoding))
+        if number is None:
+            continue
+        packet = _Cloud(topic, message.kind, message.t_ns, OUSTER_FRAME, message.where)
+        if numbers.get(topic) != number:
+            turns.setdefault(topic, []).append([])
+            numbers[topic] = number
+        turns[topic][-1].append(packet)
+    for of_topic in turns.values():
+        most = max(map(len, of_topic))
+        for place, turn in enumerate(of_topic):
+            if len(turn) == most or place not in (0, len(of_topic) - 1):
+                contents.clouds.append(replace(turn[0], where=" ".join(packet.where for packet in turn)))
+    return encoding
+
+
+def _ouster_decoder(contents: _Contents, topic: str, path: Path, damage: list[str]) -> OusterDecoder | None:
+    """Return what decodes the packets of a topic, by the metadata of the bag or by those beside it."""
+    try:
+        own = contents.metadata.get(topic.rpartition("/")[0] + _METADATA)
+        if own is None:
+            beside = path.with_suffix(".json")
+            if not beside.is_file():
+                raise ValueError(f"its metadata must be in the bag or beside it as {beside.name}")
+            own = beside.read_text(encoding="utf-8")
+        found = OusterDecoder(OusterMetadata.parse(own))
+    except ValueError as error:
+        note_damage(damage, f"topic {topic} has Ouster packets that cannot be read: {one_line(error)}")
+        return None
+    contents.metadata[topic] = own
+    return found
+
+
+def _packet_of(raw: bytes, encoding: str) -> bytes:
+    """Return the packet in the bytes of a PacketMsg, which is one array."""
+    start = 4 if encoding == "ros1" else 8
+    order: Literal["little", "big"] = "little" if encoding == "ros1" or raw[1:2] in (b"\x01", b"\x03") else "big"
+    return raw[start : start + int.from_bytes(raw[start - 4 : start], order)]
+
+
+def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], wanted: str | None) -> None:
+    """Keep the messages of the topic that is wanted, else the preferred ones, and say which topics are not read."""
+    if wanted is not None:
+        _keep_topic(contents, wanted, damage)
+        return
+    held = {cloud.kind for cloud in contents.clouds}
+    preferred = next((kinds for kinds in RETURNS if held & set(kinds)), ())
+    contents.clouds = [cloud for cloud in contents.clouds if cloud.kind in preferred]
+    with_clouds = {cloud.topic for cloud in contents.clouds}
+    for topic, kind in sorted(types.items()):
+        if kind in UNREAD:
+            line = f"topic {topic} has {UNREAD[kind]} ({kind}), which are not read; record PointCloud2"
+            note_damage(contents.notes if with_clouds else damage, line)
+        elif kind == CLOUD and topic not in with_clouds:
+            note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
+        elif preferred and kind in (VELODYNE, SCAN) and topic not in with_clouds:
+            line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
+            note_damage(contents.notes, line)
+    if not with_clouds and CLOUD not in types.values():
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
+        wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, Velodyne or Ouster packets"
+        note_damage(damage, f"no topic has {wanted}; topics that exist: {topics}")
+
+
+def _keep_topic(contents: _Contents, wanted: str, damage: list[str]) -> None:
+    topics = Counter(cloud.topic for cloud in contents.clouds)
+    contents.clouds = [cloud for cloud in contents.clouds if cloud.topic.strip("/") == wanted.strip("/")]
+    if not contents.clouds:
+        known = ", ".join(f"{topic} ({count} sweeps)" for topic, count in sorted(topics.items())) or "none"
+        note_damage(damage, f"topic must be one with sweeps, {known}, got {wanted!r}")
+
+
+def _add_odometry(contents: _Contents, damage: list[str]) -> None:
+    """Add odometry as a transform, where tf does not already place its child frame."""
+    placed: dict[str, str] = {}
+    for topic, messages in sorted(contents.odometry.items()):
+        for odometry in messages:
+            child = (odometry.child_frame_id or _ODOMETRY_CHILD).lstrip("/")
+            if contents.transforms.has_parent(child) and placed.get(child) != topic:
+                continue
+            placed[child] = topic
+            pose = odometry.pose.pose
+            try:
+                _add(contents.transforms, odometry.header, child, pose.position, pose.orientation)
+                contents.worlds.append(odometry.header.frame_id.lstrip("/"))
+            except ValueError as error:
+                note_damage(damage, f"{topic}: {one_line(error)}; left out")
+    contents.worlds = list(dict.fromkeys(contents.worlds))
+
+
+def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: str, damage: list[str]) -> Bag:
+    _add_odometry(contents, damage)
+    clouds = sorted(contents.clouds, key=lambda cloud: (cloud.t_ns, cloud.topic))
+    topics = dict.fromkeys(cloud.topic for cloud in clouds)
+    refs = tuple(
+        SweepRef(scene, index, str(path), cloud.t_ns, cloud.topic.strip("/") if len(topics) > 1 else "ego",
+                 cloud.topic, key=cloud.where)
+        for index, cloud in enumerate(clouds)
+    )  # fmt: skip
+    worlds = {frame: _world(contents, frame) for frame in dict.fromkeys(cloud.frame for cloud in clouds)}
+    poses = tuple(
+        None if (world := worlds[cloud.frame]) is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
+        for cloud in clouds
+    )
+    for topic in topics:
+        at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
+        if at.count(None):
+            problem = "lie outside the times of the transforms and have no pose"
+            note_damage(contents.notes, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
+    heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
+    kinds = {cloud.topic: cloud.kind for cloud in clouds}
+    metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
+    return Bag(root, path, refs, poses, heights_m, encoding, kinds, metadata, tuple(contents.notes))
+
+
+def _world(contents: _Contents, frame: str) -> str | None:
+    try:
+        return contents.transforms.world_of(frame, contents.worlds)
+    except ValueError as error:
+        note_damage(contents.notes, f"clouds have no pose: {error}")
+        return None
+
+
+def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
+    known = contents.transforms.frames()
+    own = f"{cloud.frame.rpartition('/')[0]}/{FOOTPRINT}"
+    footprint = own if own in known else FOOTPRINT
+    if footprint not in known:
+        return None
+    try:
+        pose = contents.transforms.lookup(footprint, cloud.frame, cloud.t_ns)
+    except ValueError:
+        return None
+    return None if pose is None or pose.translation[2] <= 0 else float(pose.translation[2])
+
+
+_SWEEP_OF: dict[str, Callable[[Any], Sweep]] = {
+    CLOUD: sweep_of_cloud, VELODYNE: sweep_of_velodyne, SCAN: sweep_of_scan,
+}  # fmt: skip
+"""From a message to its sweep, by type."""
+
+
+@lru_cache(maxsize=4)
+def _cached_decoder(metadata: str) -> OusterDecoder:
+    return OusterDecoder(OusterMetadata.parse(metadata))
+
+
+class BagRecording:
+    """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
+
+    One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
+    """
+
+    def __init__(self, bags: Mapping[str, Bag], problems: Sequence[str]) -> None:
+        self._bags = bags
+        self.problems = problems
+        self.scenes = {name: bag.refs for name, bag in bags.items()}
+        self.notes = tuple(dict.fromkeys(f"{bag.path}: {line}" for bag in bags.values() for line in bag.notes))
+        self._open: dict[str, BagFile] = {}
+        self._process = os.getpid()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BagRecording, (self._bags, self.problems)
+
+    @classmethod
+    def open(cls, place: Path, topic: str | None = None) -> BagRecording:
+        """Return the bags at a place; where none has a cloud (of the topic), an error of one line that says why."""
+        decoder("cdr")
+        root = place if place.is_dir() else place.parent
+        damage: dict[str, None] = {}
+        bags: dict[str, Bag] = {}
+        for path in bags_in(place) or [place]:
+            problems: list[str] = []
+            scene = path.stem if path.stem not in bags else path.name
+            bag = scan_bag(root, scene, path, problems, topic)
+            damage |= dict.fromkeys(f"{path}: {line}" for line in problems)
+            if bag is not None:
+                bags[scene] = bag
+        if not bags:
+            raise ValueError("; ".join(damage))
+        return cls(bags, tuple(damage))
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep in the frame of its header, with its pose where transforms lead to it."""
+        bag = self._bags[ref.scene]
+        try:
+            sweep = self._sweep(bag, ref)
+        except (OSError, ImportError):
+            raise
+        except Exception as error:  # the decoder of rosbags raises a dozen types on damaged messages
+            raise ValueError(f"{ref.file}: {ref.sensor} at {ref.t_ns} ns: {one_line(error)}") from error
+        return sweep.replace(
+            agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=bag.poses[ref.index],
+            sensor_height_m=bag.heights_m[ref.index],
+        )  # fmt: skip
+
+    def _sweep(self, bag: Bag, ref: SweepRef) -> Sweep:
+        kind, decode = bag.kinds[ref.sensor], decoder(bag.encoding)
+        messages = [decode(self._file(bag).message(where), kind) for where in ref.key.split(" ")]
+        if kind in OUSTER:
+            return sweep_of_ouster(messages, _cached_decoder(bag.metadata[ref.sensor]))
+        return _SWEEP_OF[kind](messages[0])
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return None: bags hold no annotations that are read."""
+        return None
+
+    def _file(self, bag: Bag) -> BagFile:
+        """Return the opened bag; only one is kept open, and none that another process opened."""
+        if self._process != os.getpid():
+            self._open, self._process = {}, os.getpid()
+        name = str(bag.path)
+        if name not in self._open:
+            for file in self._open.values():
+                file.close()
+            self._open = {name: open_bag(bag.root, bag.path)}
+        return self._open[name]

@@ -1,0 +1,282 @@
+"""Files of bags: MCAP, ROS 1, and the folder with SQLite of ROS 2. Equal messages give equal bytes."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from viewshed._extras import needed_for
+from viewshed._files import draft_folder, require_parent
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """Type of a topic's messages.
+
+    Attributes:
+        name: of the type.
+        encoding: how ``definition`` is written: ``ros2msg`` or ``protobuf``.
+        message_encoding: how messages are written: ``cdr``, ``ros1`` or ``protobuf``.
+        definition: the type's definition.
+    """
+
+    name: str
+    encoding: str
+    message_encoding: str
+    definition: bytes
+
+
+class BagWriter(Protocol):
+    """One bag being written; messages come in the order of time."""
+
+    def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
+        """Add a message."""
+        ...
+
+    def close(self) -> None:
+        """Write what belongs at the end."""
+        ...
+
+
+_LATCHED_QOS = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 2147483647
+    nsec: 4294967295
+  lifespan:
+    sec: 2147483647
+    nsec: 4294967295
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 2147483647
+    nsec: 4294967295
+  avoid_ros_namespace_conventions: false
+"""
+"""Reliable and transient local, the last one kept: for whoever comes later."""
+
+
+def _qos(latched: bool) -> str:
+    return _LATCHED_QOS if latched else ""
+
+
+class McapWriter:
+    """An MCAP file in chunks packed by lz4."""
+
+    def __init__(self, path: Path, profile: str) -> None:
+        with needed_for("writing MCAP"):
+            import lz4.frame  # noqa: F401 (the package would name itself in other words)
+            from mcap.writer import CompressionType, Writer
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, compression=CompressionType.LZ4)
+        self._writer.start(profile, "viewshed")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._counts: Counter[str] = Counter()
+
+    def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
+        """Add a message."""
+        if topic not in self._channels:
+            if schema.name not in self._schemas:
+                self._schemas[schema.name] = self._writer.register_schema(
+                    schema.name, schema.encoding, schema.definition
+                )
+            about = {"offered_qos_profiles": _qos(latched)} if schema.encoding == "ros2msg" else {}
+            number = self._schemas[schema.name]
+            self._channels[topic] = self._writer.register_channel(topic, schema.message_encoding, number, about)
+        self._writer.add_message(self._channels[topic], t_ns, raw, t_ns, self._counts[topic])
+        self._counts[topic] += 1
+
+    def close(self) -> None:
+        """Write index and statistics."""
+        self._writer.finish()
+        self._stream.close()
+
+
+class Ros1Writer:
+    """A ROS 1 bag."""
+
+    def __init__(self, path: Path) -> None:
+        with needed_for("writing a bag"):
+            from rosbags.rosbag1 import Writer
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        self._writer = Writer(path)
+        self._writer.open()
+        self._connections: dict[str, Any] = {}
+        self._store = get_typestore(Stores.ROS1_NOETIC)
+        self._store.register(
+            get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+        )
+
+    def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
+        """Add a message."""
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic, schema.name, typestore=self._store, callerid="/viewshed", latching=int(latched)
+            )
+        self._writer.write(self._connections[topic], t_ns, raw)
+
+    def close(self) -> None:
+        """Write the index."""
+        self._writer.close()
+
+
+class SqliteWriter:
+    """A ROS 2 bag: a folder with ``metadata.yaml`` and one SQLite file, in the version of Humble, which all later read.
+
+    The writer of rosbags keeps to the thread that opened it; answers are published in a thread of their own.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        self._folder, self._name = folder, f"{folder.name}_0.db3"
+        self._file = sqlite3.connect(folder / self._name, check_same_thread=False)
+        self._file.executescript(
+            "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
+            "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);"
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+            " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
+            " data BLOB NOT NULL);"
+            "CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
+            "INSERT INTO schema VALUES (3, 'humble');"
+        )
+        self._topics: dict[str, tuple[int, str, bool]] = {}
+        self._counts: dict[str, int] = {}
+
+    def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
+        """Add a message."""
+        if topic not in self._topics:
+            number = len(self._topics) + 1
+            self._topics[topic], self._counts[topic] = (number, schema.name, latched), 0
+            self._file.execute(
+                "INSERT INTO topics VALUES (?, ?, ?, ?, ?)", (number, topic, schema.name, "cdr", _qos(latched))
+            )
+        self._counts[topic] += 1
+        number = self._topics[topic][0]
+        self._file.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", (number, t_ns, raw))
+
+    def close(self) -> None:
+        """Write the metadata."""
+        first_ns, last_ns = self._file.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+        self._file.commit()
+        self._file.close()
+        start, duration, count = first_ns or 0, (last_ns or 0) - (first_ns or 0), sum(self._counts.values())
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": name, "type": kind, "serialization_format": "cdr", "offered_qos_profiles": _qos(latched),
+                },
+                "message_count": self._counts[name],
+            }
+            for name, (_, kind, latched) in self._topics.items()
+        ]  # fmt: skip
+        times = {
+            "starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": duration},
+            "message_count": count,
+        }  # fmt: skip
+        about = {
+            "version": 5, "storage_identifier": "sqlite3", "relative_file_paths": [self._name], **times,
+            "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
+            "files": [{"path": self._name, **times}],
+        }  # fmt: skip
+        # JSON is YAML: nothing needs to be installed to write it.
+        text = json.dumps({"rosbag2_bagfile_information": about}, indent=1) + "\n"
+        (self._folder / "metadata.yaml").write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say of what cannot be written which bag it belongs to, and what mends it."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        number = error.errno if isinstance(error, OSError) else None
+        why = str(error) if number is None else os.strerror(number)
+        repair = f"{why}; free some space or choose another place"
+        raise OSError(errno.EIO if number is None else number, repair, str(path)) from error
+
+
+class _NamedWriter:
+    """Writes a bag; its errors name it.
+
+    Args:
+        bag: what writes.
+        path: of the bag.
+    """
+
+    def __init__(self, bag: BagWriter, path: Path) -> None:
+        self._bag, self._path = bag, path
+
+    def write(self, topic: str, schema: Schema, t_ns: int, raw: bytes, *, latched: bool = False) -> None:
+        """Add a message."""
+        with _writing(self._path):
+            self._bag.write(topic, schema, t_ns, raw, latched=latched)
+
+    def close(self) -> None:
+        """Write what belongs at the end."""
+        with _writing(self._path):
+            self._bag.close()
+
+
+@contextmanager
+def open_bag_writer(path: Path, profile: str = "ros2") -> Iterator[BagWriter]:
+    """Open a bag for writing; its name says of which kind: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2).
+
+    It is written beside ``path`` and moved into place at the end, also when Ctrl-C ends it; another error leaves
+    nothing behind. A file is replaced, a folder is not.
+
+    Args:
+        path: of the bag.
+        profile: of an MCAP file: ``ros2``, or empty where the messages are no ROS messages.
+
+    Raises:
+        ValueError: the name ends in something else, or the folder exists.
+        ImportError: a package is not installed.
+        OSError: it cannot be written.
+    """
+    kind = path.suffix.lower()
+    check_bag_name(path)
+    with draft_folder(path) as draft:
+        inner = draft / path.name
+        with _writing(path):
+            bag: BagWriter = (
+                McapWriter(inner, profile) if kind == ".mcap" else Ros1Writer(inner) if kind else SqliteWriter(inner)
+            )
+        writer = _NamedWriter(bag, path)
+        try:
+            yield writer
+        except Exception:
+            with suppress(OSError):  # it is thrown away
+                writer.close()
+            raise
+        except KeyboardInterrupt:
+            writer.close()
+            inner.replace(path)
+            raise
+        writer.close()
+        inner.replace(path)
+
+
+def check_bag_name(path: Path) -> None:
+    """Check that a name says of which kind a bag is, and that the bag does not replace a folder and lies in one.
+
+    Raises:
+        ValueError: it ends in something else, or the folder exists.
+        OSError: the folder that it is to lie in does not exist.
+    """
+    if path.suffix.lower() not in {".mcap", ".bag", ""}:
+        raise ValueError(f"a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder NAME (ROS 2), got {path}")
+    if path.is_dir():
+        raise ValueError(f"a bag must not replace a folder, got {path}, which exists; choose another name")
+    require_parent(path)

@@ -1,0 +1,278 @@
+"""Moments in the schemas of Foxglove: for MCAP files that need no ROS to be read, and for a live server."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._extras import needed_for
+from viewshed.agents.legend import LEGEND, ShownTracks, tracks_of_center
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.polygons import star_ring
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.io.export.ros import visibility_layer
+from viewshed.io.messages.pointcloud2 import cloud_table
+from viewshed.monitor.report import sector_corners
+from viewshed.recordings.write.bag_writers import Schema
+from viewshed.recordings.write.moment import MAP, Moment, ObjectTruth, Severity
+from viewshed.recordings.write.ros_topics import rigid_of_box
+
+LAYERS = ("visibility", "state", "doubt")
+"""Fields of the grid, int8 each, see :func:`visibility_layer`."""
+
+_VISIBLE, _SUSPECT, _OBJECT = (0.1, 0.7, 0.5, 1.0), (0.9, 0.1, 0.1, 0.35), (0.2, 0.7, 1.0, 0.5)
+_LEVELS = {Severity.OK: "Info", Severity.WARNING: "Warning", Severity.ERROR: "Error"}
+_NUMBERS = {"<f4": "Float32", "<u2": "Uint16", "|i1": "Int8"}
+
+
+def foxglove_types() -> Any:
+    """Return the messages of foxglove-sdk.
+
+    Raises:
+        ImportError: it is not installed.
+    """
+    with needed_for("writing Foxglove's schemas"):
+        from foxglove import messages
+    return messages
+
+
+def _fields(table: np.dtype[Any]) -> list[Any]:
+    """Return the fields of a packed type."""
+    fox, places = foxglove_types(), dict[str, Any](table.fields or {})
+    return [
+        fox.PackedElementField(
+            name=name, offset=offset, type=getattr(fox.PackedElementFieldNumericType, _NUMBERS[form.str])
+        )
+        for name, (form, offset) in places.items()
+    ]
+
+
+def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
+    """Yield topic, schema and bytes of all that a moment tells."""
+    fox = foxglove_types()
+    agent, stamp = moment.agent, _stamp(moment.t_ns)
+    made: list[tuple[str, Any]] = [
+        ("/tf", _transforms(moment)),
+        (f"/{agent}/lidar/data", _cloud(moment)),
+    ]
+    if moment.answer.estimate is not None:
+        made.append((f"/{agent}/lidar/fov", _grid(moment.answer.estimate, stamp, moment.level_frame)))
+    made.append((f"/{agent}/lidar/scene", fox.SceneUpdate(entities=_entities(moment))))
+    for sentence in moment.alarms() or [moment.summary()]:
+        level = getattr(fox.LogLevel, _LEVELS[moment.verdict()])
+        made.append(("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name=agent)))
+    if moment.answer.objects is not None:
+        made.append((f"/{agent}/lidar/objects", fox.SceneUpdate(entities=_object_entities(moment))))
+    if moment.round is not None:
+        made.append(("/command_center/objects", fox.SceneUpdate(entities=_joint_entities(moment))))
+        joint = moment.round.joint
+        view = joint.estimate(moment.round.t_ns)
+        made.append(("/command_center/fov", _grid(view, _stamp(moment.round.t_ns), MAP, joint.world_from_grid)))
+        level = fox.LogLevel.Warning
+        made += [
+            ("/log", fox.Log(timestamp=stamp, level=level, message=sentence, name="command_center"))
+            for sentence in moment.round.sentences()
+        ]
+    for topic, message in made:
+        schema = message.get_schema()
+        yield topic, Schema(schema.name, schema.encoding, "protobuf", schema.data), message.encode()
+    yield from _plain_messages(moment)
+
+
+def _plain_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
+    """Yield what has no schema of Foxglove's as JSON: explained tracks, their metrics, trust."""
+    agent, done = moment.agent, moment.round
+    values: dict[str, object] = {
+        f"/{agent}/lidar/explained": None if moment.answer.objects is None else {"tracks": moment.explained()},
+        f"/metrics/{agent}": dict(moment.metrics) or None,
+        f"/trust/{agent}": None if moment.trust is None else {"trust": moment.trust},
+        "/command_center/picture": None if done is None else done.numbers(),
+    }
+    for topic, value in values.items():
+        if value is not None:
+            yield topic, _JSON, json.dumps(value, ensure_ascii=False).encode()
+
+
+_JSON = Schema("viewshed", "jsonschema", "json", b'{"type": "object"}')
+
+
+def _stamp(t_ns: int) -> Any:
+    return foxglove_types().Timestamp(*divmod(t_ns, 1_000_000_000))
+
+
+def _pose(rigid: Rigid) -> Any:
+    fox = foxglove_types()
+    x, y, z = rigid.translation.tolist()
+    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turn(rigid))
+
+
+def _turn(rigid: Rigid) -> Any:
+    w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
+    return foxglove_types().Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _transforms(moment: Moment) -> Any:
+    """Return all transforms, those that stand still as well: a viewer may come later."""
+    fox = foxglove_types()
+    made = []
+    for each in (*moment.static_transforms(), *moment.transforms()):
+        x, y, z = each.parent_from_child.translation.tolist()
+        made.append(
+            fox.FrameTransform(
+                timestamp=_stamp(moment.t_ns), parent_frame_id=each.parent, child_frame_id=each.child,
+                translation=fox.Vector3(x=x, y=y, z=z), rotation=_turn(each.parent_from_child),
+            )
+        )  # fmt: skip
+    return fox.FrameTransforms(transforms=made)
+
+
+def _cloud(moment: Moment) -> Any:
+    table = cloud_table(moment.sweep)
+    return foxglove_types().PointCloud(
+        timestamp=_stamp(moment.t_ns), frame_id=moment.sensor_frame, pose=_pose(Rigid.identity()),
+        point_stride=table.dtype.itemsize, fields=_fields(table.dtype), data=table.tobytes(),
+    )  # fmt: skip
+
+
+def _grid(estimate: FovEstimate, stamp: Any, frame: str, frame_from_grid: Rigid | None = None) -> Any:
+    """Return all layers as one grid; its columns go along x and its rows along y."""
+    fox = foxglove_types()
+    grid = estimate.grid
+    corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
+    cells = np.stack([visibility_layer(estimate, name).T for name in LAYERS], axis=-1)
+    return fox.Grid(
+        timestamp=stamp, frame_id=frame, pose=_pose(corner if frame_from_grid is None else frame_from_grid @ corner),
+        column_count=grid.cells, cell_size=fox.Vector2(x=grid.cell_m, y=grid.cell_m),
+        row_stride=grid.cells * len(LAYERS), cell_stride=len(LAYERS),
+        fields=_fields(np.dtype([(name, "i1") for name in LAYERS])),
+        data=cells.tobytes(),
+    )  # fmt: skip
+
+
+def _entities(moment: Moment) -> list[Any]:
+    """Return the outline of what is visible, the suspect sectors and the objects of a simulated world.
+
+    Each entity takes the place of the one before of its name, so that one without content clears it.
+    """
+    fox = foxglove_types()
+    stamp, estimate, report = _stamp(moment.t_ns), moment.answer.estimate, moment.answer.report
+    lines, triangles = [], []
+    if estimate is not None:
+        corners = _points(star_ring(estimate.visible(), estimate.grid))
+        loop = fox.LinePrimitiveLineType.LineLoop
+        lines.append(
+            fox.LinePrimitive(
+                type=loop, pose=_pose(Rigid.identity()), thickness=0.15, points=corners, color=_color(_VISIBLE)
+            )
+        )
+    if estimate is not None and report is not None and report.now.suspect.any():
+        corners = _points(sector_corners(report.now.suspect, estimate.grid.half_extent_m))
+        triangles.append(
+            fox.TriangleListPrimitive(pose=_pose(Rigid.identity()), points=corners, color=_color(_SUSPECT))
+        )
+    made = [
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="visible", lines=lines),
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="suspect", triangles=triangles),
+    ]
+    if moment.truth is not None:
+        cubes = [_cube(each) for each in moment.truth.objects]
+        made.append(fox.SceneEntity(timestamp=stamp, frame_id=MAP, id="objects", cubes=cubes))
+    return made
+
+
+def _object_entities(moment: Moment) -> list[Any]:
+    """Return detections, and tracks in the colors of their explanations, each with its reason beside it."""
+    fox, objects, tracks = foxglove_types(), moment.answer.objects, moment.tracks()
+    if objects is None or tracks is None:
+        return []
+    stamp = _stamp(moment.t_ns)
+    found = [_box_cube(box, (0.6, 0.6, 0.6, 0.25)) for box in objects.detections.boxes]
+    return [
+        fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="detections", cubes=found),
+        _tracks_entity(tracks, stamp, moment.tracks_frame),
+    ]
+
+
+def _joint_entities(moment: Moment) -> list[Any]:
+    done = moment.round
+    return [] if done is None else [_tracks_entity(tracks_of_center(done.picture), _stamp(done.t_ns), MAP)]
+
+
+def _tracks_entity(tracks: ShownTracks, stamp: Any, frame: str) -> Any:
+    """Return tracks as one entity; those that something speaks against say what."""
+    fox = foxglove_types()
+    cubes, texts = [], []
+    for number, at, box in zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, strict=True):
+        word, color = LEGEND[at]
+        cubes.append(_box_cube(box, (*color, 0.6)))
+        above = Rigid(np.eye(3), box[:3] + np.array([0.0, 0.0, box[5] / 2 + 0.6]))
+        texts.append(
+            fox.TextPrimitive(
+                pose=_pose(above), billboard=True, font_size=0.8, color=_color((*color, 1.0)), text=f"{number} {word}"
+            )
+        )
+    return fox.SceneEntity(timestamp=stamp, frame_id=frame, id="tracks", cubes=cubes, texts=texts)
+
+
+def _box_cube(box: NDArray[np.float64], color: tuple[float, float, float, float]) -> Any:
+    fox = foxglove_types()
+    x, y, z = box[3:6].tolist()
+    return fox.CubePrimitive(pose=_pose(rigid_of_box(box)), size=fox.Vector3(x=x, y=y, z=z), color=_color(color))
+
+
+def _points(corners: NDArray[np.float64]) -> list[Any]:
+    fox = foxglove_types()
+    return [fox.Point3(x=x, y=y, z=0.05) for x, y in corners.tolist()]
+
+
+def _color(rgba: tuple[float, float, float, float]) -> Any:
+    r, g, b, a = rgba
+    return foxglove_types().Color(r=r, g=g, b=b, a=a)
+
+
+def _cube(each: ObjectTruth) -> Any:
+    fox = foxglove_types()
+    x, y, z = each.size_m
+    return fox.CubePrimitive(pose=_pose(each.world_from_box), size=fox.Vector3(x=x, y=y, z=z), color=_color(_OBJECT))
+
+
+@contextmanager
+def foxglove_server(port: int, host: str = "127.0.0.1") -> Iterator[Callable[[Moment], None]]:
+    """Serve moments live to Foxglove and yield what takes them.
+
+    Args:
+        port: of the server; 0 takes one that is free.
+        host: where it listens; the own machine alone if not given.
+
+    Raises:
+        ImportError: foxglove-sdk is not installed.
+        OSError: the port cannot be had.
+    """
+    foxglove_types()
+    import foxglove
+
+    context = foxglove.Context()
+    try:
+        server = foxglove.start_server(name="viewshed", host=host, port=port, context=context)
+    except Exception as error:  # of a type of its own
+        raise OSError(f"port {port} of {host} cannot be served: {error}; choose another --foxglove") from error
+    channels: dict[str, Any] = {}
+
+    def record(moment: Moment) -> None:
+        for topic, schema, raw in foxglove_messages(moment):
+            if topic not in channels:
+                known = foxglove.Schema(name=schema.name, encoding=schema.encoding, data=schema.definition)
+                channels[topic] = foxglove.Channel(
+                    topic, schema=known, message_encoding=schema.message_encoding, context=context
+                )
+            channels[topic].log(raw, log_time=moment.t_ns)
+
+    try:
+        yield record
+    finally:
+        server.stop()

@@ -1,0 +1,430 @@
+"""The topics of a bag: for each its name, its type of ROS message, and how that is made from a moment.
+
+Names are those of the bags that the code of arXiv 2503.07375 writes, with message types that every ROS installation
+has.
+
+- ``/agent_names``, ``/attacked_agents``: String, a JSON list, of simulated drives and of attacked ones.
+- ``/object_truth``: MarkerArray, simulated drives: all objects, a cube each, ``id`` its number, ``ns`` its
+  category.
+- ``/{agent}/state``: Odometry, simulated drives: pose of the vehicle in ``map``, velocity in its own frame.
+- ``/{agent}/lidar/data``: PointCloud2, or LaserScan of a laser in one plane: points as they were read, with
+  intensity, ring, azimuth and time where the sweep has them.
+- ``/{agent}/lidar/object_truth``: MarkerArray, simulated drives: objects that gave this sensor at least five
+  returns.
+- ``/{agent}/lidar/fov``: PolygonStamped, one ring within the visible cells, in straight lines from the sensor in
+  360 wedges.
+- ``/{agent}/lidar/visibility``, ``state``, ``doubt``: OccupancyGrid: percent and -1 where UNKNOWN; UNKNOWN -1, FREE
+  0, HIDDEN 50, SURFACE 100; percent (0 to 50) that the likelier answer is wrong.
+- ``/{agent}/lidar/detections``, ``tracks``, ``explained``: MarkerArray, MarkerArray, String (JSON), with objects:
+  cubes in ``{agent}/level``; cubes in the color of their explanation, which is ``ns``, with the reason as ``text``.
+- ``/{agent}/lidar/alarms``: DiagnosticArray, with a monitor: a status for each reason, only where there is an alarm
+  or a worse view.
+- ``/metrics/{agent}``, ``/metrics/{agent}/gospa``: String, Float64: tracks of simulated drives against the truth.
+- ``/command_center/tracks``, ``visibility``, ``picture``, ``lies``, ``/trust/{agent}``: what several agents put
+  together gives: MarkerArray, OccupancyGrid, String, DiagnosticArray, Float64.
+- ``/diagnostics``: DiagnosticArray: of each sweep what became of it and its numbers.
+- ``/tf``, ``/tf_static``: TFMessage: ``map`` to ``{agent}/base_link`` or ``{agent}/lidar`` where poses are known,
+  ``{agent}/lidar`` to ``{agent}/base_footprint`` where the height is, and to ``{agent}/level``; how sensors are
+  mounted.
+
+Grids and polygons lie in ``{agent}/level``. A sweep of packets is written as a cloud, which says less: of an Ouster
+not the beams that its metadata name. A name that ROS does not take gets ``_`` for what it does not.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._extras import needed_for
+from viewshed.agents.legend import LEGEND, ShownTracks, tracks_of_center
+from viewshed.detections import BOX_COLUMNS, Detections, ObjectKind
+from viewshed.fov.polygons import star_ring
+from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.grid import BevGrid
+from viewshed.io.export.ros import visibility_layer
+from viewshed.io.messages.laserscan import scan_of_sweep
+from viewshed.io.messages.pointcloud2 import cloud_table
+from viewshed.recordings.write.moment import MAP, Moment, ObjectTruth, Transform
+from viewshed.sweep import Sweep
+
+CLOUD, FIELD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/PointField", "sensor_msgs/msg/LaserScan"
+GRID, POLYGON = "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PolygonStamped"
+ODOMETRY, TF, STRING = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+NUMBER = "std_msgs/msg/Float64"
+MARKERS, DIAGNOSTICS = "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"
+
+_CODES = {"f4": 7, "u2": 4}
+
+
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A message that is bytes already.
+
+    Attributes:
+        __msgtype__: its type, as rosbags' messages name it.
+        raw: its bytes.
+    """
+
+    __msgtype__: str
+    raw: bytes
+
+
+class RosMessages:
+    """Makes and encodes messages of ROS 1 (Noetic) or ROS 2 (Humble).
+
+    Raises:
+        ImportError: rosbags is not installed.
+    """
+
+    def __init__(self, *, ros1: bool) -> None:
+        with needed_for("writing a bag"):
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+        if TF not in self.store.types:
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        self._ros1 = ros1
+        self._fields: dict[str, dict[str, Any]] = {}
+
+    def encode(self, message: Any) -> bytes:
+        """Return the bytes of a message."""
+        if isinstance(message, Encoded):
+            return message.raw
+        serialize = self.store.serialize_ros1 if self._ros1 else self.store.serialize_cdr
+        return bytes(serialize(message, message.__msgtype__))
+
+    def definition(self, kind: str) -> str:
+        """Return the definition of a type and of those within it, as MCAP keeps it."""
+        return str(self.store.generate_msgdef(kind, ros_version=2)[0])
+
+    def make(self, kind: str, **given: Any) -> Any:
+        """Return a message; the fields that are not given are zero or empty."""
+        fields = self._fields.get(kind)
+        if fields is None:
+            fields = self._fields[kind] = dict(self.store.get_msgdef(kind).fields)
+        values = {name: given.pop(name) if name in given else self._empty(form) for name, form in fields.items()}
+        if given:
+            raise TypeError(f"{kind} has no field {', '.join(given)}")
+        return self.store.types[kind](**values)
+
+    def _empty(self, form: Any) -> Any:
+        """Return the zero of a field's form (node, arguments) of rosbags' tables."""
+        node, rest = form
+        match node.name:
+            case "BASE":
+                return {"string": "", "bool": False}.get(rest[0], 0.0 if rest[0].startswith("float") else 0)
+            case "NAME":
+                return self.make(rest)
+        (inner, name), count = rest
+        is_number = inner.name == "BASE" and name[0] != "string"
+        return np.zeros(count, name[0]) if is_number else [self._empty((inner, name)) for _ in range(count)]
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        """Return a header."""
+        return self.make("std_msgs/msg/Header", stamp=self.stamp(t_ns), frame_id=frame)
+
+    def stamp(self, t_ns: int) -> Any:
+        """Return a time."""
+        return self.make("builtin_interfaces/msg/Time", sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
+
+    def pose(self, rigid: Rigid) -> Any:
+        """Return a pose."""
+        return self.make(
+            "geometry_msgs/msg/Pose", position=self._vector("Point", rigid.translation), orientation=self._turn(rigid)
+        )
+
+    def cloud(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
+        """Return the points of a sweep with those of its columns that it has."""
+        table = cloud_table(sweep)
+        places: dict[str, Any] = dict(table.dtype.fields or {})
+        fields = [
+            self.make(FIELD, name=name, offset=offset, datatype=_CODES[form.str[1:]], count=1)
+            for name, (form, offset) in places.items()
+        ]
+        data = table.view(np.uint8).reshape(-1) if table.size else np.zeros(0, np.uint8)
+        return self.make(
+            CLOUD, header=self.header(t_ns, frame), height=1, width=len(table), fields=fields,
+            point_step=table.dtype.itemsize, row_step=data.size, data=data, is_dense=True,
+        )  # fmt: skip
+
+    def returns(self, sweep: Sweep, t_ns: int, frame: str) -> Any:
+        """Return the returns of a sweep: a LaserScan of one in a plane, else a cloud."""
+        if sweep.planar is None:
+            return self.cloud(sweep, t_ns, frame)
+        return self.make(SCAN, header=self.header(t_ns, frame), **scan_of_sweep(sweep))
+
+    def grid(
+        self, layer: NDArray[np.int8], grid: BevGrid, t_ns: int, frame: str, frame_from_grid: Rigid | None = None
+    ) -> Any:
+        """Return a layer (cells, cells), x first, as a grid, whose data go along x first."""
+        header = self.header(t_ns, frame)
+        corner = Rigid(np.eye(3), np.array([*grid.origin_m, 0.0]))
+        if frame_from_grid is not None:
+            corner = frame_from_grid @ corner
+        info = self.make(
+            "nav_msgs/msg/MapMetaData", map_load_time=header.stamp, resolution=grid.cell_m, width=grid.cells,
+            height=grid.cells, origin=self.pose(corner),
+        )  # fmt: skip
+        return self.make(GRID, header=header, info=info, data=np.ascontiguousarray(layer.T).ravel())
+
+    def polygon(self, corners: NDArray[np.float64], t_ns: int, frame: str) -> Encoded:
+        """Return corners (V, 2) as a polygon: a thousand points one by one would take longer than all else."""
+        empty = self.encode(self.make(POLYGON, header=self.header(t_ns, frame)))
+        # The points come last: their number, then x, y, z of each.
+        points = np.zeros((len(corners), 3), "<f4")
+        points[:, :2] = corners
+        return Encoded(POLYGON, empty[:-4] + len(points).to_bytes(4, "little") + points.tobytes())
+
+    def transforms(self, transforms: list[Transform], t_ns: int) -> Any:
+        """Return transforms."""
+        return self.make(TF, transforms=[
+            self.make(
+                "geometry_msgs/msg/TransformStamped", header=self.header(t_ns, each.parent), child_frame_id=each.child,
+                transform=self.make(
+                    "geometry_msgs/msg/Transform",
+                    translation=self._vector("Vector3", each.parent_from_child.translation),
+                    rotation=self._turn(each.parent_from_child),
+                ),
+            )
+            for each in transforms
+        ])  # fmt: skip
+
+    def odometry(self, moment: Moment) -> Any:
+        """Return pose and velocity of an agent's vehicle, or of its sensor on a mast; None where they are not known."""
+        if moment.truth is None:
+            return None
+        linear = self._vector("Vector3", moment.truth.velocity_mps)
+        return self.make(
+            ODOMETRY, header=self.header(moment.t_ns, MAP), child_frame_id=moment.carrier_frame,
+            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose(moment.truth.world_from_carrier)),
+            twist=self.make(
+                "geometry_msgs/msg/TwistWithCovariance", twist=self.make("geometry_msgs/msg/Twist", linear=linear)
+            ),
+        )  # fmt: skip
+
+    def boxes(self, objects: tuple[ObjectTruth, ...], t_ns: int) -> Any:
+        """Return objects as cubes: their number is the marker's, their category its namespace and text."""
+        color = self.make("std_msgs/msg/ColorRGBA", r=0.2, g=0.8, b=1.0, a=0.5)
+        return self.make(MARKERS, markers=[
+            self.make(
+                "visualization_msgs/msg/Marker", header=self.header(t_ns, MAP), ns=each.category, id=each.number,
+                type=1, pose=self.pose(each.world_from_box), scale=self._vector("Vector3", each.size_m), color=color,
+                text=each.category,
+            )
+            for each in objects
+        ])  # fmt: skip
+
+    def detections(self, found: Detections, t_ns: int, frame: str) -> Any:
+        """Return detections as cubes, by their numbers; the namespace is their kind, the text their returns."""
+        kinds = [ObjectKind(kind).name.lower() for kind in found.kinds]
+        texts = [f"{count} returns" for count in found.returns.tolist()]
+        rows = zip(range(len(found)), kinds, found.boxes, texts, strict=True)
+        return self._cubes([(*row, (0.6, 0.6, 0.6)) for row in rows], t_ns, frame)
+
+    def tracks(self, tracks: ShownTracks, t_ns: int, frame: str) -> Any:
+        """Return tracks as cubes in the color of their explanation, which is the namespace; the text is the reason."""
+        rows = zip(tracks.ids.tolist(), tracks.legend.tolist(), tracks.boxes, tracks.reasons, strict=True)
+        return self._cubes(
+            [(number, LEGEND[at].word, box, text, LEGEND[at].color) for number, at, box, text in rows], t_ns, frame
+        )
+
+    def _cubes(self, rows: list[tuple[int, str, Any, str, tuple[float, float, float]]], t_ns: int, frame: str) -> Any:
+        """Return cubes (number, namespace, box, text, color) in place of all that were there before."""
+        header, kind = self.header(t_ns, frame), "visualization_msgs/msg/Marker"
+        delete_all = self.make(kind, header=header, action=3)
+        return self.make(MARKERS, markers=[delete_all, *(
+            self.make(
+                kind, header=header, ns=namespace, id=number, type=1, text=text, pose=self.pose(rigid_of_box(box)),
+                scale=self._vector("Vector3", box[3:6]),
+                color=self.make("std_msgs/msg/ColorRGBA", r=color[0], g=color[1], b=color[2], a=0.6),
+            )
+            for number, namespace, box, text, color in rows
+        )])  # fmt: skip
+
+    def number(self, value: float) -> Any:
+        """Return a number."""
+        return self.make(NUMBER, data=float(value))
+
+    def lies(self, moment: Moment) -> Any:
+        """Return a status for each accusation and dispute of the round that a moment ended; None for none."""
+        if moment.round is None or not moment.round.sentences():
+            return None
+        agents = moment.round.numbers()["agents"]
+        return self.make(DIAGNOSTICS, header=self.header(moment.round.t_ns, ""), status=[
+            self.make(
+                "diagnostic_msgs/msg/DiagnosticStatus", level=1, name="viewshed: command_center", message=sentence,
+                values=[
+                    self.make("diagnostic_msgs/msg/KeyValue", key=f"trust of {name}", value=f"{each['trust']:.3f}")
+                    for name, each in agents.items()
+                ],
+            )
+            for sentence in moment.round.sentences()
+        ])  # fmt: skip
+
+    def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
+        """Return a status for each sentence, the answer's numbers with each; None for no sentence."""
+        if not sentences:
+            return None
+        values = [self.make("diagnostic_msgs/msg/KeyValue", key=k, value=v) for k, v in moment.numbers().items()]
+        return self.make(DIAGNOSTICS, header=self.header(moment.t_ns, ""), status=[
+            self.make(
+                "diagnostic_msgs/msg/DiagnosticStatus", level=int(moment.verdict()), name=f"viewshed: {moment.agent}",
+                message=sentence, hardware_id=moment.sensor_frame, values=values,
+            )
+            for sentence in sentences
+        ])  # fmt: skip
+
+    def text(self, value: object) -> Any:
+        """Return a value as JSON in a String."""
+        return self.make(STRING, data=json.dumps(value, ensure_ascii=False))
+
+    def _vector(self, name: str, xyz: Any) -> Any:
+        x, y, z = (float(value) for value in xyz)
+        return self.make(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
+
+    def _turn(self, rigid: Rigid) -> Any:
+        w, x, y, z = quaternion_from_rotation(rigid.rotation).tolist()
+        return self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of a bag.
+
+    Attributes:
+        name: with ``{agent}`` where each agent has its own.
+        make: the message of a moment, or None where it has none.
+        latched: written once; subscribers that join later receive it as well.
+        per_time: written once for all agents of a time.
+    """
+
+    name: str
+    make: Callable[[RosMessages, Moment], Any]
+    latched: bool = False
+    per_time: bool = False
+
+
+def _layer(name: str) -> Callable[[RosMessages, Moment], Any]:
+    def make(ros: RosMessages, moment: Moment) -> Any:
+        estimate = moment.answer.estimate
+        if estimate is None:
+            return None
+        return ros.grid(visibility_layer(estimate, name), estimate.grid, moment.t_ns, moment.level_frame)
+
+    return make
+
+
+def _fov(ros: RosMessages, moment: Moment) -> Any:
+    estimate = moment.answer.estimate
+    if estimate is None:
+        return None
+    return ros.polygon(star_ring(estimate.visible(), estimate.grid), moment.t_ns, moment.level_frame)
+
+
+def _detections(ros: RosMessages, moment: Moment) -> Any:
+    objects = moment.answer.objects
+    return None if objects is None else ros.detections(objects.detections, moment.t_ns, moment.level_frame)
+
+
+def _tracks(ros: RosMessages, moment: Moment) -> Any:
+    tracks = moment.tracks()
+    return None if tracks is None else ros.tracks(tracks, moment.t_ns, moment.tracks_frame)
+
+
+def _explained(ros: RosMessages, moment: Moment) -> Any:
+    explained = moment.explained()
+    return None if explained is None else ros.text(explained)
+
+
+def _joint_tracks(ros: RosMessages, moment: Moment) -> Any:
+    done = moment.round
+    return None if done is None else ros.tracks(tracks_of_center(done.picture), done.t_ns, MAP)
+
+
+def _joint_view(ros: RosMessages, moment: Moment) -> Any:
+    """Return the joint field of view in the map, whose origin has the height of the ground."""
+    done = moment.round
+    if done is None:
+        return None
+    estimate, pose = done.joint.estimate(done.t_ns), done.joint.world_from_grid
+    return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, done.t_ns, MAP, pose)
+
+
+def _tf(ros: RosMessages, moment: Moment) -> Any:
+    transforms = moment.transforms()
+    return ros.transforms(transforms, moment.t_ns) if transforms else None
+
+
+def _tf_static(ros: RosMessages, moment: Moment) -> Any:
+    transforms = moment.static_transforms()
+    return ros.transforms(transforms, moment.t_ns) if transforms else None
+
+
+TOPICS = (
+    Topic("/agent_names", lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
+    Topic("/attacked_agents", lambda ros, m: ros.text(m.attacked) if m.truth or m.attacked else None, latched=True),
+    Topic("/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
+    Topic("/tf_static", _tf_static, latched=True),
+    Topic("/tf", _tf),
+    Topic("/{agent}/state", lambda ros, m: ros.odometry(m)),
+    Topic("/{agent}/lidar/data", lambda ros, m: ros.returns(m.sweep, m.t_ns, m.sensor_frame)),
+    Topic("/{agent}/lidar/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.seen, m.t_ns)),
+    Topic("/{agent}/lidar/fov", _fov),
+    Topic("/{agent}/lidar/visibility", _layer("visibility")),
+    Topic("/{agent}/lidar/state", _layer("state")),
+    Topic("/{agent}/lidar/doubt", _layer("doubt")),
+    Topic("/{agent}/lidar/alarms", lambda ros, m: ros.diagnostics(m, m.alarms())),
+    Topic("/{agent}/lidar/detections", _detections),
+    Topic("/{agent}/lidar/tracks", _tracks),
+    Topic("/{agent}/lidar/explained", _explained),
+    Topic("/metrics/{agent}", lambda ros, m: ros.text(dict(m.metrics)) if m.metrics else None),
+    Topic("/metrics/{agent}/gospa", lambda ros, m: ros.number(m.metrics["gospa_m"]) if m.metrics else None),
+    Topic("/command_center/tracks", _joint_tracks),
+    Topic("/command_center/visibility", _joint_view),
+    Topic("/command_center/picture", lambda ros, m: m.round and ros.text(m.round.numbers())),
+    Topic("/command_center/lies", lambda ros, m: ros.lies(m)),
+    Topic("/trust/{agent}", lambda ros, m: None if m.trust is None else ros.number(m.trust)),
+    Topic("/diagnostics", lambda ros, m: ros.diagnostics(m, [m.summary()])),
+)
+"""What a bag holds, in the order in which it is written for each sweep."""
+
+
+def rigid_of_box(box: NDArray[np.float64]) -> Rigid:
+    """Return the pose of a box (7,): origin at its center, x along its heading."""
+    return Rigid.from_yaw(float(box[BOX_COLUMNS.index("yaw")]), box[:3])
+
+
+def ros_name(name: str) -> str:
+    """Return a name that ROS takes.
+
+    >>> ros_name("/car-1/top lidar/data")
+    '/car_1/top_lidar/data'
+    """
+    return re.sub(r"[^A-Za-z0-9_/]", "_", name)
+
+
+class RosTable:
+    """The messages of moments, in the order of :data:`TOPICS`; each latched message once."""
+
+    def __init__(self, *, ros1: bool) -> None:
+        self.messages = RosMessages(ros1=ros1)
+        self._told: dict[str, int] = {}
+
+    def of(self, moment: Moment) -> Iterator[tuple[str, Any, bool]]:
+        """Yield topic, message and whether it is latched, of all that a moment tells."""
+        for topic in TOPICS:
+            name = ros_name(topic.name.format(agent=moment.agent))
+            if topic.latched or topic.per_time:
+                now_ns = moment.t_ns if topic.per_time else 0
+                if self._told.get(name) == now_ns:
+                    continue
+                self._told[name] = now_ns
+            message = topic.make(self.messages, moment)
+            if message is not None:
+                yield name, message, topic.latched

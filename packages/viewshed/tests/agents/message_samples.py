@@ -1,0 +1,66 @@
+"""Messages for tests: a small view with shadows, tracks, detections and a report."""
+
+from typing import Any
+
+import numpy as np
+
+from viewshed import CAR, BevGrid, CellState, FovEstimate, Rigid
+from viewshed.agents.polygon_code import encode_inner_polygon
+from viewshed.agents.view_message import SensorFacts, SharedTracks, ViewMessage
+from viewshed.detections import Detections
+from viewshed.monitor.report import IntegrityReport
+
+NOW_NS = 1_760_000_000_000_000_000
+GRID = BevGrid(64, 16.0)
+POSE = Rigid.from_yaw(0.7, (601_234.5, 5_300_000.25, 12.0))
+
+
+def view(grid: BevGrid = GRID, with_std: bool = False) -> FovEstimate:
+    distance, angle = (
+        np.hypot(*np.moveaxis(grid.centers, -1, 0)),
+        np.arctan2(grid.centers[..., 1], grid.centers[..., 0]),
+    )
+    prob = np.clip(1.4 - distance / 14, 0, 1) * (distance > 1)
+    prob = np.where((np.abs(angle - 0.5) < 0.2) & (distance > 5), 0.1, prob).astype(np.float32)
+    state = np.where(prob >= 0.5, CellState.FREE, np.where(distance < 14, CellState.HIDDEN, CellState.UNKNOWN))
+    std = (0.3 * np.exp(-distance)).astype(np.float32) if with_std else None
+    return FovEstimate(grid, prob, state.astype(np.uint8), std, method="shadow_map", target=CAR)
+
+
+INNER = encode_inner_polygon(view().visible(), GRID, 300)
+
+
+def tracks(
+    count: int = 3, seed: int = 0, origin: tuple[float, float, float] = (601_234.5, 5_300_000.25, 12.0)
+) -> SharedTracks:
+    rng = np.random.default_rng(seed)
+    half = rng.normal(size=(count, 4, 4))
+    states = rng.normal(0, 20, (count, 4)) + np.array([*origin[:2], 0.0, 0.0])
+    boxes = np.column_stack(
+        [states[:, :2], np.full(count, origin[2] + 0.8), rng.uniform(0.5, 5, (count, 3)), rng.normal(size=count)]
+    )
+    existence, visible, detectable, born_hidden = np.round(255 * rng.random((4, count))) / 255
+    return SharedTracks(
+        rng.integers(0, 2**40, count), states, half @ half.swapaxes(1, 2), boxes, rng.random((count, 5)),
+        rng.integers(0, 5, count, dtype=np.uint8), existence, visible, detectable, born_hidden,
+        rng.uniform(0, 90, count), rng.random(count),
+    )  # fmt: skip
+
+
+def message(sequence: Any = 1, agent: Any = "car1", t_ns: Any = NOW_NS, **changes: Any) -> Any:
+    """A message that has everything; keywords take the place of fields."""
+    covariance = np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4])
+    covariance[0, 5] = covariance[5, 0] = 1e-3
+    rng = np.random.default_rng(4)
+    boxes = np.column_stack([rng.normal(0, 9, (2, 3)), rng.uniform(0.5, 4, (2, 3)), rng.normal(size=2)])
+    suspect = np.zeros(72, bool)
+    suspect[[0, 5, 71]] = True
+    fields: dict[str, Any] = {
+        "agent": agent, "sequence": sequence, "t_ns": t_ns, "frame": "map", "world_from_level": POSE,
+        "pose_covariance": covariance, "sensor": SensorFacts("HDL-32E", 1.84, 70.0), "view": view(),
+        "inner": INNER,
+        "detections": Detections(boxes, np.array([3, 1], np.uint8), np.array([40, 7], np.int32)),
+        "tracks": tracks(), "report": IntegrityReport("by hand", 2.0, 1.5, 0.01, True, 0.25, suspect),
+        "epoch": 0,
+    }  # fmt: skip
+    return ViewMessage(**(fields | changes))

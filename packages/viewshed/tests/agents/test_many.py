@@ -1,0 +1,228 @@
+"""Many agents: one picture of what they report, who is believed, and what they see together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from viewshed.agents.claims import EDGES, RANGES_M, ClaimTable, claim_table
+from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, confirmed, joint_fov, match_agents
+from viewshed.agents.registration import PoseStd
+from viewshed.agents.view_message import SensorFacts, ViewMessage
+from viewshed.detections import Detections
+from viewshed.fov.estimate import Basis, CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+from viewshed_lab.threats.view_attacks import with_objects
+
+GRID = BevGrid(64, 32.0)
+
+CARS = np.array([[12.0, 3.0, 0.8, 4.2, 1.8, 1.5, 0.0], [-8.0, 9.0, 0.8, 4.2, 1.8, 1.5, 1.0]])
+
+
+def view(agent: str, x_m: float = 0.0, y_m: float = 0.0, yaw: float = 0.0, visible: float = 1.0) -> FovEstimate:
+    """Return a view that claims the same everywhere."""
+    state = CellState.FREE if visible >= 0.5 else CellState.HIDDEN
+    turn = Rigid.from_yaw(yaw)
+    return FovEstimate(
+        GRID, np.full(GRID.shape, visible, np.float32), np.full(GRID.shape, state, np.uint8), agent=agent,
+        world_from_level=Rigid(turn.rotation, np.array([x_m, y_m, 0.0])),
+    )  # fmt: skip
+
+
+def found(boxes: np.ndarray) -> Detections:
+    return Detections(boxes, np.full(len(boxes), 3, np.uint8), np.full(len(boxes), 50, np.int32))
+
+
+def report(estimate: FovEstimate, boxes: np.ndarray, *, standing: np.ndarray | None = None) -> AgentReport:
+    """Return the report of an agent that sees boxes of the world; the surfaces of its view are those that stand there.
+
+    None are those of the boxes.
+    """
+    assert estimate.world_from_level is not None
+    level = estimate.world_from_level.inverse()
+    surfaces = found(boxes if standing is None else standing).moved(level).boxes
+    return AgentReport(with_objects(estimate, surfaces), found(boxes).moved(level))
+
+
+AGENTS = [view("a"), view("b", 4.0, -9.0, 0.5), view("c", -5.0, -4.0, 2.0)]
+
+
+def run(said: list[list[np.ndarray]], *, trusting: bool = False) -> list[CommonPicture]:
+    """Return the pictures of what three agents report, time after time."""
+    center = CommandCenter(("a", "b", "c"), trusting=trusting)
+    return [
+        center.add(
+            0.5 * time,
+            [report(agent, boxes, standing=CARS) for agent, boxes in zip(AGENTS, reports, strict=True)],
+        )
+        for time, reports in enumerate(said)
+    ]
+
+
+def test_what_all_report_is_one_track_each_and_believed() -> None:
+    [*_, last] = run([[CARS] * 3] * 6)
+    assert last.believed.sum() == 2
+    assert last.reporters[last.believed].all()
+    places = last.tracks.boxes[last.believed][:, :2]
+    assert np.linalg.norm(places[:, None] - CARS[None, :, :2], axis=2).min(axis=0).max() < 0.2
+    assert not last.verdicts.suspects.any()
+
+
+def test_what_one_invents_and_two_deny_is_not_believed_and_it_is_suspected() -> None:
+    ghost = np.array([[6.0, -6.0, 0.8, 4.2, 1.8, 1.5, 0.0], [14.0, -12.0, 0.8, 4.2, 1.8, 1.5, 0.0]])
+    said = [[CARS, CARS, np.concatenate([CARS, ghost])]] * 8
+    [*_, last] = run(said)
+    assert last.verdicts.suspects.tolist() == [False, False, True]
+    near = np.linalg.norm(last.tracks.boxes[:, None, :2] - ghost[None, :, :2], axis=2).min(axis=1, initial=99.0) < 2.0
+    assert not last.believed[near].any()
+    assert last.believed.sum() == 2
+    [*_, trusting] = run(said, trusting=True)
+    assert trusting.tracks.confirmed.sum() >= 2
+
+
+def test_what_one_conceals_stays_and_it_is_suspected() -> None:
+    said = [[CARS, CARS, CARS]] * 2 + [[CARS[:0], CARS, CARS]] * 8
+    [*_, last] = run(said)
+    assert last.believed.sum() == 2
+    assert last.verdicts.evidence.argmax() == 0
+
+
+def test_the_own_vehicle_is_no_missing_object() -> None:
+    own = np.array([[0.0, 0.0, 0.8, 4.8, 2.0, 1.6, 0.0]])
+    agent = AgentReport.of(AGENTS[0], Detections.none())
+    assert agent.own_box is not None
+    assert agent.chance(own, claim_table())[0] == 0.0
+    assert AgentReport(AGENTS[0], Detections.none()).chance(CARS, claim_table()).min() > 0.5
+
+
+def test_detections_of_two_agents_are_matched_one_to_one() -> None:
+    shifted = CARS.copy()
+    shifted[:, 0] += 0.5
+    beside = CARS[:1] + np.array([0.0, 3.0, 0, 0, 0, 0, 0])
+    near = np.concatenate([CARS, beside])
+    members = match_agents([found(CARS), found(shifted), found(near)])
+    assert members.tolist() == [[0, 0, 0], [1, 1, 1], [-1, -1, 2]]
+    assert match_agents([Detections.none(), Detections.none()]).shape == (0, 2)
+
+
+def test_reports_of_strangers_doubles_and_the_past_are_refused() -> None:
+    center = CommandCenter(("a", "b"))
+    with pytest.raises(ValueError, match="must be of a, b"):
+        center.add(0.0, [report(view("z"), CARS)])
+    with pytest.raises(ValueError, match="one each"):
+        center.add(0.0, [report(view("a"), CARS), report(view("a"), CARS)])
+    center.add(1.0, [report(view("a"), CARS)])
+    with pytest.raises(ValueError, match="must rise"):
+        center.add(1.0, [report(view("a"), CARS)])
+    with pytest.raises(ValueError, match="must have a pose"):
+        AgentReport(replace(view("a"), world_from_level=None), Detections.none())
+
+
+def test_an_agent_that_says_nothing_for_a_time_is_no_liar() -> None:
+    center = CommandCenter(("a", "b", "c"))
+    for time in range(8):
+        picture = center.add(0.5 * time, [report(agent, CARS) for agent in AGENTS[: 3 if time < 3 else 2]])
+    assert not picture.verdicts.suspects.any()
+    assert picture.verdicts.trust[2] > 0.8
+
+
+def test_a_mast_that_says_nothing_for_a_time_is_judged_as_a_mast() -> None:
+    mast = replace(AGENTS[1], basis=Basis(8.0, "estimated", 0.9, 0.0, 0.0, 60.0))
+    center = CommandCenter(("a", "b"))
+    both = center.add(0.0, [report(AGENTS[0], CARS), report(mast, CARS)])
+    alone = center.add(0.5, [report(AGENTS[0], CARS)])
+    assert both.verdicts.elevated.tolist() == alone.verdicts.elevated.tolist() == [False, True]
+
+
+def test_a_message_says_on_what_the_sensor_stands_and_how_well_its_place_is_known() -> None:
+    covariance = np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4])
+    sent = ViewMessage(
+        "b", 1, 10**18, "map", AGENTS[1].world_from_level or Rigid.identity(), covariance,
+        SensorFacts("lidar", 8.0, 60.0), view=AGENTS[1], detections=found(CARS),
+    )  # fmt: skip
+    mast = AgentReport.of_message(sent)
+    assert mast.elevated
+    heights = (1.8, 4.1, 8.0, 20.0)
+    said = [AgentReport.of_message(replace(sent, sensor=SensorFacts("lidar", height, 60.0))) for height in heights]
+    assert [each.height for each in said] == [0, 1, 1, 2]
+    assert mast.own_box is None
+    assert (mast.pose_std.place_m, mast.pose_std.yaw) == pytest.approx((0.2, 0.02))
+    car = AgentReport.of_message(replace(sent, sensor=SensorFacts("lidar", 1.8), detections=None))
+    assert car.own_box is not None
+    assert len(car.detections) == 0
+    with pytest.raises(ValueError, match="must have a view"):
+        AgentReport.of_message(replace(sent, view=None))
+
+
+def test_poses_that_are_off_within_their_stated_errors_leave_honest_agents_trusted() -> None:
+    """The same reports, each half a meter off: with errors stated, the picture has them where they are."""
+    rng = np.random.default_rng(4)
+    said = [[report(agent, CARS) for agent in AGENTS] for _ in range(6)]
+    off = []
+    for reports in said:
+        steps = [Rigid(np.eye(3), np.append(rng.normal(0.0, 0.2, 2), 0.0)) for _ in reports]
+        views = [
+            replace(one.estimate, world_from_level=step @ one.world_from_level)
+            for one, step in zip(reports, steps, strict=True)
+        ]
+        off.append([
+            replace(one, estimate=view, pose_std=PoseStd(0.2, 0.01)) for one, view in zip(reports, views, strict=True)
+        ])  # fmt: skip
+    center = CommandCenter(("a", "b", "c"))
+    for time, reports in enumerate(off):
+        picture = center.add(0.5 * time, reports)
+    assert picture.believed.sum() == 2
+    assert not picture.verdicts.suspects.any()
+    assert [one.agent for one in picture.reports] == ["a", "b", "c"]
+
+
+def test_the_joint_view_is_what_any_trusted_agent_sees() -> None:
+    views = [view("a", visible=0.5), view("b", visible=0.9, y_m=20.0), view("c", visible=0.0)]
+    joint = joint_fov(views, GRID, Rigid.identity())
+    assert joint.visible_prob[32, 50] == pytest.approx(1 - 0.5 * 0.1, abs=1e-6)
+    assert joint.visible_prob[32, 2] == pytest.approx(0.5, abs=1e-6)
+    assert joint.seen_by[32, 50] == 2
+    assert joint.surest[32, 50] == 1
+    assert joint.state[32, 50] == CellState.FREE
+    doubted = joint_fov(views, GRID, Rigid.identity(), np.array([1.0, 0.1, 1.0]))
+    assert doubted.surest[32, 50] == 0
+    hidden = joint_fov(views[2:], GRID, Rigid.identity())
+    assert (hidden.state == CellState.HIDDEN).all()
+    with pytest.raises(ValueError, match="must be of 3 views"):
+        joint_fov(views, GRID, Rigid.identity(), np.ones(2))
+
+
+def test_a_second_view_confirms_only_where_a_trusted_agent_sees() -> None:
+    wedge = np.zeros(GRID.shape, bool)
+    wedge[:, 32:] = True
+    own, other = view("a"), view("b", y_m=40.0)
+    kept = confirmed(own, wedge, [other], np.array([0.9]), 0.5)
+    assert (kept.state[:, :32] == CellState.FREE).all()  # outside of the doubtful cells nothing is asked
+    assert (kept.state[:, 40:] == CellState.FREE).all()  # the other grid begins at y = 8 m
+    assert (kept.state[:, 32:40] == CellState.UNKNOWN).all()
+    assert not kept.visible()[:, 32:40].any()
+    third = view("c", y_m=44.0)
+    both = confirmed(own, wedge, [other, third], np.array([0.9, 0.9]), 0.5, votes=2)
+    assert (both.state[:, 48:] == CellState.FREE).all()  # the third grid begins at y = 12 m
+    assert (both.state[:, 32:44] == CellState.UNKNOWN).all()
+    alone = confirmed(own, wedge, [other], np.array([0.3]), 0.5)
+    assert (alone.state[:, 32:] == CellState.UNKNOWN).all()
+
+
+def test_claims_are_worth_what_was_found_and_never_less_where_more_is_claimed() -> None:
+    rng = np.random.default_rng(1)
+    prob = rng.random(20000)
+    boxes = np.tile(CARS[:1], (20000, 1))
+    hits = rng.random(20000) < 0.8 * prob
+    table = ClaimTable.fit(prob, boxes, rng.uniform(1.0, 50.0, 20000), np.zeros(20000), hits)
+    assert table.found.shape == (3, 2, len(RANGES_M) + 1, len(EDGES) + 1)
+    assert (np.diff(table.found, axis=-1) >= 0).all()
+    said = table(np.array([0.05, 0.6, 0.95]), CARS[[0, 0, 0]], np.array([5.0, 20.0, 40.0]), height=0)
+    assert np.allclose(said, [0.05, 0.48, 0.75], atol=0.06)
+    again = ClaimTable.from_json(table.to_json())
+    assert np.allclose(again.found, table.found, atol=1e-4)
+    with pytest.raises(ValueError, match="shares of shape"):
+        ClaimTable(np.zeros((2, 2)))

@@ -1,0 +1,103 @@
+"""What a center does with agents that come and go, see nothing, use other grids, flood it, or have broken clocks."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.agents.test_many import AGENTS, CARS, GRID, found, report, view
+
+from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, joint_fov
+from viewshed.agents.view_message import MAX_DETECTIONS
+from viewshed.detections import Detections
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
+
+NAMES = ("a", "b", "c")
+
+
+def follow(center: CommandCenter, said: list[list[AgentReport]], hz: float = 2.0) -> list[CommonPicture]:
+    return [center.add(number / hz, reports) for number, reports in enumerate(said)]
+
+
+def test_an_agent_that_appears_and_vanishes_each_second_harms_nobody() -> None:
+    honest = [report(agent, CARS) for agent in AGENTS]
+    said = [honest[: 3 if number // 2 % 2 else 2] for number in range(24)]
+    pictures = follow(CommandCenter(NAMES), said)
+    assert not any(picture.verdicts.suspects.any() for picture in pictures)
+    assert pictures[-1].believed.sum() == 2
+    assert (pictures[-1].verdicts.trust > 0.8).all()
+
+
+def test_who_sees_nothing_is_no_liar() -> None:
+    nothing = FovEstimate(
+        GRID, np.zeros(GRID.shape, np.float32), np.full(GRID.shape, CellState.UNKNOWN, np.uint8), agent="c",
+        world_from_level=Rigid.identity(),
+    )  # fmt: skip
+    said = [[report(AGENTS[0], CARS), report(AGENTS[1], CARS), AgentReport(nothing, Detections.none())]] * 8
+    last = follow(CommandCenter(NAMES), said)[-1]
+    assert not last.verdicts.suspects.any()
+    assert last.believed.sum() == 2
+
+
+def test_views_of_other_grids_are_put_together() -> None:
+    coarse = BevGrid(16, 32.0)
+    other = replace(
+        view("b"), grid=coarse, visible_prob=np.ones(coarse.shape, np.float32),
+        state=np.full(coarse.shape, CellState.FREE, np.uint8), std=None,
+    )  # fmt: skip
+    joint = joint_fov([view("a", visible=0.0), other], GRID, Rigid.identity())
+    assert (joint.surest == 1).all()
+    last = follow(CommandCenter(("a", "b")), [[report(view("a"), CARS), report(other, CARS)]] * 4)[-1]
+    assert last.believed.sum() == 2
+
+
+def test_no_report_is_an_answer_too() -> None:
+    pictures = follow(CommandCenter(NAMES), [[], [report(AGENTS[0], CARS)], [], []])
+    assert [len(picture.tracks) > 0 for picture in pictures][:2] == [False, True]
+    assert not pictures[-1].reporters.any()
+
+
+def test_a_replayed_time_is_refused_and_the_next_one_taken() -> None:
+    center = CommandCenter(NAMES)
+    honest = [report(agent, CARS) for agent in AGENTS]
+    for number in range(4):
+        center.add(86_400.0 + number, honest)
+    with pytest.raises(ValueError, match=r"must rise, got 3\.000 s after 86403\.000 s"):
+        center.add(3.0, honest)
+    assert center.add(86_404.0, honest).believed.sum() == 2
+
+
+def test_clocks_apart_by_seconds_speak_of_other_times() -> None:
+    """What an agent says late is of a round of its own: it is missing in the others, and nobody is a liar for that."""
+    center = CommandCenter(NAMES)
+    for number in range(6):
+        center.add(10.0 * number, [report(AGENTS[0], CARS), report(AGENTS[1], CARS)])
+        last = center.add(10.0 * number + 3.0, [report(AGENTS[2], CARS)])
+    assert not last.verdicts.suspects.any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_boxes_and_poses_that_are_no_numbers_are_refused(bad: float) -> None:
+    boxes = CARS.copy()
+    boxes[0, 0] = bad
+    with pytest.raises(ValueError, match="finite"):
+        found(boxes)
+    with pytest.raises(ValueError, match="finite"):
+        Rigid(np.eye(3), np.array([bad, 0.0, 0.0]))
+
+
+def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:
+    rng = np.random.default_rng(3)
+    flood = np.tile(CARS[:1], (MAX_DETECTIONS, 1))
+    flood[:, :2] = rng.uniform(-28.0, 28.0, (MAX_DETECTIONS, 2))
+    center = CommandCenter(NAMES)
+    said = [report(AGENTS[0], CARS), report(AGENTS[1], CARS), report(AGENTS[2], flood)]
+    center.add(0.0, said)
+    begin = time.process_time()
+    picture = center.add(0.5, said)
+    assert time.process_time() - begin < 2.0
+    assert len(picture.tracks) <= 2 * MAX_DETECTIONS

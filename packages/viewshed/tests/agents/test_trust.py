@@ -1,0 +1,265 @@
+"""Trust of agents: who lies, who is disputed, and that honest agents are not convicted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from viewshed.agents.trust import Reports, Trust, TrustLimits, TrustRules, Verdicts, hypotheses
+
+STD_M = 0.3
+
+
+def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | None = None, first: int = 0) -> Reports:
+    """Return reports about objects that stand 20 m apart, with the noise of an honest detector.
+
+    Boxes lie on the surfaces of their views, as honest ones do, and what one agent alone reports is as little odd as
+    that the others are silent; ``chance`` is that of an honest agent to report what another one reports.
+    """
+    count, agents = seen.shape
+    xy_m = np.zeros((count, agents, 2)) + 20.0 * np.arange(first, first + count)[:, None, None]
+    if rng is not None:
+        xy_m += rng.normal(0.0, STD_M, xy_m.shape)
+    able, odds = (chance > 0) | seen, np.clip(chance, 0.01, 0.99)
+    contradicted = np.full(seen.shape, -np.log(2 * (1 - TrustRules().false_report)))
+    there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
+    return Reports(
+        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)), np.zeros((5, 3)),
+        np.zeros(seen.shape), contradicted, np.full(seen.shape, -3.0), there, np.zeros(count), xy_m,
+        np.full(seen.shape, STD_M), np.zeros(agents, bool),
+    )  # fmt: skip
+
+
+def after(agents: int, seen: list[list[int]], chance: float | np.ndarray = 0.95, seconds: int = 3) -> Verdicts:
+    trust, said = Trust(agents), np.array(seen, bool)
+    for _ in range(seconds):
+        verdicts = trust.add(reports_of(said, np.broadcast_to(chance, said.shape)), 1.0)
+    return verdicts
+
+
+def test_hypotheses_are_small_sets_of_at_most_half() -> None:
+    assert [len(hypotheses(agents)) for agents in (1, 2, 3, 4, 5, 10)] == [1, 3, 4, 11, 16, 56]
+    assert not hypotheses(5)[0].any()
+
+
+def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
+    verdicts = after(2, [[1, 0], [1, 0], [1, 0]])
+    assert verdicts.suspects.tolist() == [True, True]
+    assert verdicts.doubt > 1.0
+    assert verdicts.evidence[0] == pytest.approx(verdicts.evidence[1], abs=0.7)
+    assert verdicts.evidence.max() < 0.7  # neither can be told from the other
+    limits = TrustLimits.of(*(np.linspace(-1.0, 0.7, 999),) * 2, np.linspace(0.0, 1.0, 999))
+    accused = limits.accused(verdicts.evidence, verdicts.elevated, 0.01)
+    assert not accused.any()
+    assert limits.disputed(verdicts, accused, 0.01).tolist() == [True, True]
+
+
+@pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])
+def test_a_third_view_tells_who_lies(said: list[int]) -> None:
+    verdicts = after(4, [said, said], seconds=6)
+    assert verdicts.evidence.argmax() == 3
+    assert verdicts.suspects.tolist() == [False, False, False, True]
+    assert verdicts.trust[3] < 0.3
+    assert (verdicts.trust[:3] > 0.9).all()
+    assert np.allclose(verdicts.existence, said[0], atol=0.05)
+
+
+@pytest.mark.parametrize("said", [[1, 1, 1, 0], [0, 0, 0, 1]])
+def test_a_liar_that_goes_on_stays_as_suspicious(said: list[int]) -> None:
+    """What one object says is bounded for all hypotheses together: the wrong ones do not catch up."""
+    lied = [after(4, [said, said], seconds=seconds) for seconds in (3, 10, 30)]
+    evidence = [verdicts.evidence[3] for verdicts in lied]
+    assert evidence[-1] > 0.9 * max(evidence)
+    assert lied[-1].trust[3] < 0.05
+    assert (lied[-1].trust[:3] > 0.9).all()
+
+
+def test_tempered_probabilities_are_less_sure_and_evidence_is_the_same() -> None:
+    seen = np.array([[1, 1, 1, 0]] * 2, bool)
+    reports = reports_of(seen, np.full(seen.shape, 0.95))
+    sure, tempered = (Trust(4, TrustRules(temper=temper)).add(reports, 1.0) for temper in (1.0, 4.0))
+    assert tempered.trust[3] > sure.trust[3]
+    assert (tempered.evidence == sure.evidence).all()
+
+
+def test_two_who_lie_together_are_found_by_three_honest_ones() -> None:
+    verdicts = after(5, [[1, 1, 0, 0, 0], [1, 1, 0, 0, 0], [0, 0, 1, 1, 1]])
+    assert set(np.argsort(verdicts.evidence)[-2:]) == {0, 1}
+    assert verdicts.suspects.tolist() == [True, True, False, False, False]
+
+
+def test_a_miss_where_nothing_could_be_seen_costs_nothing() -> None:
+    seen = [[1, 1, 0]] * 4
+    hidden = np.array([[0.95, 0.95, 0.0]] * 4)
+    assert after(3, seen, hidden).evidence[2] <= 1e-9
+    assert after(3, seen).evidence[2] > 3.0
+
+
+def test_an_agent_that_reports_objects_a_little_off_is_found() -> None:
+    trust = Trust(3)
+    for number in range(4):
+        reports = reports_of(np.ones((4, 3), bool), np.full((4, 3), 0.95), np.random.default_rng(number))
+        shifted = reports.xy_m.copy()
+        shifted[:, 2] += 2.0
+        verdicts = trust.add(replace(reports, xy_m=shifted), 1.0)
+    assert verdicts.suspects.tolist() == [False, False, True]
+
+
+def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
+    rules = TrustRules()
+    verdicts = after(4, [[1, 1, 1, 0]], seconds=60)
+    assert verdicts.evidence.max() <= rules.most_of_object + 1e-9
+    assert after(4, [[1, 1, 1, 0]] * 3, seconds=60).evidence.max() > rules.most_of_object
+
+
+@pytest.mark.parametrize("whose", ["invented", "contradicted"])
+def test_objects_that_look_invented_convict_by_the_own_view_and_by_others(whose: str) -> None:
+    trust, seen = Trust(3), np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
+    reports = reports_of(seen, np.where(seen, 0.95, 0.0))
+    ratios = np.where(seen & (np.arange(3) == 1), 4.0, -2.0)
+    for _ in range(3):
+        verdicts = trust.add(replace(reports, **{whose: ratios}), 1.0)
+    assert verdicts.evidence.argmax() == 1
+    assert verdicts.suspects.tolist() == [False, True, False]
+
+
+def test_a_forged_view_vouches_little_for_its_own_reports() -> None:
+    """Three agents see a place free; whether the reporter's own view shows a surface there hardly matters."""
+    seen = np.array([[True, False, False, False]] * 3)
+    reports = reports_of(seen, np.full(seen.shape, 0.95))
+    found = []
+    for own in (-6.0, 0.0, 6.0):
+        trust, ratios = Trust(4), np.where(seen, 3.0, 0.0)
+        for _ in range(3):
+            verdicts = trust.add(replace(reports, invented=np.where(seen, own, 0.0), contradicted=ratios), 1.0)
+        found.append(verdicts.evidence[0])
+    assert found[0] > 0.75 * found[1]  # a view that agrees takes little away
+    assert found[2] > found[1]  # one that does not adds to it
+    assert verdicts.suspects.tolist() == [True, False, False, False]
+
+
+@pytest.mark.parametrize("ratio", [-3.0, 5.0])
+def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_there(ratio: float) -> None:
+    reports = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95))
+    xy_m = reports.xy_m.copy()
+    xy_m[:, 1, 0] += 1.0
+    displaced = np.where(np.arange(3) == 1, ratio, reports.displaced)
+    trust = Trust(3)
+    for _ in range(3):
+        verdicts = trust.add(replace(reports, xy_m=xy_m, displaced=displaced), 1.0)
+    assert verdicts.suspects.tolist() == [False, ratio > 0, False]
+
+
+def test_many_mild_errors_count_less_than_few_gross_ones() -> None:
+    """Of all that speaks against an agent only the most telling objects count."""
+    rules = TrustRules()
+    mild = after(4, [[1, 1, 1, 0]] * 40, chance=0.85)
+    gross = after(4, [[1, 1, 1, 0]] * rules.objects, chance=0.99)
+    assert gross.evidence[3] > mild.evidence[3] + 3.0
+
+
+def test_agents_may_come_in_any_order() -> None:
+    rng = np.random.default_rng(3)
+    seen, chance = rng.random((5, 4)) < 0.6, rng.uniform(0.2, 0.95, (5, 4))
+    seen[:, 0] = True
+    order = np.array([2, 0, 3, 1])
+    reports = reports_of(seen, chance, rng)
+    names = ("seen", "able", "sees", "reported", "invented", "contradicted", "displaced", "there", "xy_m", "std_m")
+    turned = replace(reports, **{name: getattr(reports, name)[:, order] for name in names})
+    one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
+    assert np.allclose(one.evidence[order], other.evidence)
+    assert np.allclose(one.trust[order], other.trust)
+    assert np.allclose(one.existence, other.existence)
+
+
+def test_old_reports_fade_and_memory_stays_bounded() -> None:
+    trust = Trust(3)
+    liar = reports_of(np.array([[1, 1, 0]] * 3, bool), np.full((3, 3), 0.95))
+    for _ in range(5):
+        found = trust.add(liar, 1.0)
+    honest = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95), first=10)
+    for _ in range(60):
+        verdicts = trust.add(honest, 1.0)
+    assert found.evidence[2] > 3.0
+    assert verdicts.evidence[2] < 0.5
+    for number in range(300):
+        trust.add(reports_of(np.ones((1, 3), bool), np.full((1, 3), 0.95), first=100 + number), 1.0)
+    assert len(trust._of_objects) < 250
+
+
+@pytest.mark.parametrize("masts", [0, 2])
+def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
+    """Of five agents some are elevated, which err three times as much."""
+    rng, elevated = np.random.default_rng(8), np.arange(5) >= 5 - masts
+    scale = np.where(np.arange(5) >= 3, 3.0, 1.0)
+    benign = rng.normal(size=(999, 5)) * scale
+    limits = TrustLimits.of(benign[:, : 5 - masts].max(axis=1), benign[:, 3:].max(axis=1), rng.normal(size=999))
+    accused = [limits.accused(rng.normal(size=5) * scale, elevated, 0.05) for _ in range(2000)]
+    assert 0.03 < np.mean([one.any() for one in accused]) < 0.07
+    with pytest.raises(ValueError, match=r"needs \d+ benign scenes, got 999"):
+        limits.accused(np.zeros(5), elevated, 0.0001)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"reported": np.full((1, 2), np.nan)}, "finite"),
+        ({"std_m": np.zeros((1, 2))}, "positive"),
+        ({"xy_m": np.full((1, 2, 2), np.nan)}, "finite"),
+        ({"ids": np.arange(2)}, "must have"),
+        ({"able": np.ones((2, 2), bool)}, "able must be"),
+    ],
+)
+def test_bad_reports_are_refused(change: dict[str, np.ndarray], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(reports_of(np.ones((1, 2), bool), np.ones((1, 2))), **change)
+
+
+def silent(agents: int) -> Reports:
+    """Return reports about nothing."""
+    return reports_of(np.zeros((0, agents), bool), np.zeros((0, agents)))
+
+
+@pytest.mark.parametrize("agents", [1, 2, 3, 4, 5])
+def test_the_same_agents_in_another_order_keep_what_is_known(agents: int) -> None:
+    rng = np.random.default_rng(agents)
+    seen = rng.random((6, agents)) < 0.7
+    seen[:, 0] = True
+    order = rng.permutation(agents)
+    trust, other = Trust(agents), Trust(agents)
+    for each in (trust, other):
+        each.add(reports_of(seen, np.full(seen.shape, 0.9)), 1.0)
+    other.regroup(order.tolist())
+    one, two = trust.add(silent(agents), 1.0), other.add(silent(agents), 1.0)
+    np.testing.assert_allclose(two.trust, one.trust[order], atol=1e-9)
+    np.testing.assert_allclose(two.evidence, one.evidence[order], atol=1e-9)
+
+
+@pytest.mark.parametrize("agents", [2, 3, 4, 5, 9])
+def test_who_comes_in_begins_at_the_prior_and_changes_nobody(agents: int) -> None:
+    trust, seen = Trust(agents), np.zeros((3, agents), bool)
+    seen[:, 0] = True
+    for _ in range(3):
+        before = trust.add(reports_of(seen, np.full(seen.shape, 0.95)), 1.0)
+    trust.regroup([*range(agents), -1])
+    after_it = trust.add(silent(agents + 1), 1e-3)
+    np.testing.assert_allclose(after_it.trust[:agents], before.trust, atol=0.1 if agents > 2 else 0.25)
+    assert after_it.trust[0] < 0.6
+    assert after_it.trust[agents] == pytest.approx(1.0 - TrustRules().prior, abs=0.1)
+
+
+def test_who_goes_takes_its_contradictions_along() -> None:
+    """Two contradict each other; when one goes, nothing is left against the other, and a third keeps its record."""
+    trust, seen = Trust(4), np.array([[1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 1, 1]], bool)
+    for _ in range(4):
+        before = trust.add(reports_of(seen, np.full(seen.shape, 0.95)), 1.0)
+    assert before.trust.argmin() == 0
+    liar, honest = Trust(4), Trust(4)
+    for each, kept in ((liar, [0, 1, 2]), (honest, [1, 2, 3])):
+        for _ in range(4):
+            each.add(reports_of(seen, np.full(seen.shape, 0.95)), 1.0)
+        each.regroup(kept)
+    assert liar.add(silent(3), 1e-3).trust[0] == pytest.approx(before.trust[0], abs=0.1)
+    assert (honest.add(silent(3), 1e-3).trust > 0.85).all()

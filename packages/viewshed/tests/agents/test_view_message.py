@@ -1,0 +1,354 @@
+"""A message comes back as it was sent, fits its schema, and says nothing that it must not."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cbor2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.agents import message_samples as samples
+
+from viewshed import BevGrid, Rigid
+from viewshed.agents import cbor
+from viewshed.agents.view_message import (
+    FIELDS,
+    MAX_BYTES,
+    MAX_DETECTIONS,
+    MAX_TRACKS,
+    SensorFacts,
+    SharedTracks,
+    decode_message,
+    encode_message,
+    field_sizes,
+)
+from viewshed.detections import Detections
+from viewshed.objects.tracks import Tracks
+
+ROOT = Path(__file__).resolve().parents[4]
+
+
+def decoded(payload: bytes) -> Any:
+    return decode_message(payload)
+
+
+OPTIONAL = ("view", "inner", "detections", "tracks", "report")
+
+
+def test_everything_comes_back() -> None:
+    sent = samples.message()
+    found = decoded(encode_message(sent))
+    for name in ("agent", "epoch", "sequence", "t_ns", "frame", "sensor", "inner"):
+        assert getattr(found, name) == getattr(sent, name), name
+    assert np.abs(found.world_from_level.as_matrix() - sent.world_from_level.as_matrix()).max() < 1e-12
+    assert np.allclose(found.pose_covariance, sent.pose_covariance, rtol=1e-6)
+    assert (found.view.state == sent.view.state).all()
+    assert (found.view.visible() == sent.view.visible()).all()
+    assert (found.view.grid, found.view.target, found.view.method) == (samples.GRID, sent.view.target, "shadow_map")
+    assert (found.view.agent, found.view.t_ns) == ("car1", samples.NOW_NS)
+    assert found.view.world_from_level is found.world_from_level
+    assert found.inner_polygon is not None
+    assert found.inner_polygon.area > 100
+    for name in ("boxes", "kinds", "returns"):
+        assert np.allclose(getattr(found.detections, name), getattr(sent.detections, name), atol=1e-5)
+    for name in SharedTracks.__slots__:
+        # Positions are near the sender's, so that float32 keeps them to micrometers, in a map of any size.
+        assert np.allclose(getattr(found.tracks, name), getattr(sent.tracks, name), rtol=1e-5, atol=2e-5), name
+    for name in ("monitor", "score", "threshold", "p_value", "degraded", "degraded_p_value"):
+        assert getattr(found.report, name) == getattr(sent.report, name)
+    assert np.flatnonzero(found.report.suspect).tolist() == [0, 5, 71]
+
+
+@pytest.mark.parametrize("left_out", [OPTIONAL, *[(name,) for name in OPTIONAL]])
+def test_what_an_agent_does_not_have_it_leaves_out(left_out: tuple[str, ...]) -> None:
+    found = decoded(encode_message(samples.message(**dict.fromkeys(left_out))))
+    for name in OPTIONAL:
+        assert (getattr(found, name) is None) == (name in left_out)
+
+
+def test_no_tracks_and_no_detections_are_something_else_than_none_sent() -> None:
+    found = decoded(encode_message(samples.message(tracks=samples.tracks(0), detections=Detections.none())))
+    assert (len(found.tracks), len(found.detections)) == (0, 0)
+
+
+def test_deviations_are_sent_where_there_are_any() -> None:
+    found = decoded(encode_message(samples.message(view=samples.view(with_std=True))))
+    assert np.isfinite(found.view.std).all()
+    assert np.isnan(decoded(encode_message(samples.message())).view.std).all()
+
+
+def test_payloads_are_deterministic_and_what_cbor2_reads() -> None:
+    payload = encode_message(samples.message())
+    assert payload == encode_message(samples.message())
+    assert payload == cbor2.dumps(cbor2.loads(payload), canonical=True)
+    assert list(cbor2.loads(payload)) == list(range(len(FIELDS)))
+
+
+def test_messages_fit_their_schema() -> None:
+    pycddl = pytest.importorskip("pycddl", reason="needs pycddl")
+    schema = pycddl.Schema((ROOT / "docs" / "view_message.cddl").read_text(encoding="utf-8"))
+    full = encode_message(samples.message(view=samples.view(with_std=True)))
+    schema.validate_cbor(full)
+    schema.validate_cbor(encode_message(samples.message(**dict.fromkeys(OPTIONAL))))
+    nothing_known = samples.message(sensor=SensorFacts("of our own"), tracks=samples.tracks(0))
+    schema.validate_cbor(encode_message(nothing_known))
+    # The schema is no empty promise: without a field that must be there, or with one of another type, it objects.
+    for key in range(7):
+        fields = cbor2.loads(full)
+        del fields[key]
+        with pytest.raises(pycddl.ValidationError, match="missing key"):
+            schema.validate_cbor(cbor2.dumps(fields))
+
+
+def test_the_schema_names_each_field_in_order() -> None:
+    text = (ROOT / "docs" / "view_message.cddl").read_text(encoding="utf-8")
+    keys = re.search(r"view-message = \{(.*?)\n\}", text, re.DOTALL)
+    assert keys is not None
+    assert re.findall(r"^  (?:\? )?(\d+):", keys[1], re.MULTILINE) == [str(key) for key in range(len(FIELDS))]
+
+
+def test_sizes_of_fields_add_up() -> None:
+    payload = encode_message(samples.message())
+    sizes = field_sizes(payload)
+    assert sum(sizes.values()) == len(payload)
+    assert set(sizes) == {"map", *FIELDS}
+    assert max(sizes, key=lambda name: sizes[name]) in ("view", "tracks")
+
+
+def test_twenty_tracks_take_less_than_2400_bytes() -> None:
+    assert field_sizes(encode_message(samples.message(tracks=samples.tracks(20))))["tracks"] < 2400
+
+
+def bad(change: dict[int, Any], **fields: Any) -> bytes:
+    """A payload with some of its fields replaced, deterministic all the same."""
+    return dumped(cbor.loads(encode_message(samples.message(**fields))) | change)
+
+
+def dumped(fields: Any) -> bytes:
+    data: bytes = cbor2.dumps(fields, canonical=True, default=typed)
+    return data
+
+
+def typed(encoder: Any, value: Any) -> None:
+    tags = {"u1": 64, "i4": 78, "i8": 79, "f4": 85, "f8": 86}
+    encoder.encode(cbor2.CBORTag(tags[value.dtype.str[1:]], value.tobytes()))
+
+
+def changed(key: int, column: int, at: int, value: float) -> bytes:
+    """A payload with one number of a typed array replaced."""
+    fields = cbor.loads(encode_message(samples.message()))
+    fields[key][column] = array = fields[key][column].copy()
+    array[at] = value
+    return dumped(fields)
+
+
+VIEW, FOUND, TRACKS = (cbor.loads(encode_message(samples.message()))[key] for key in (7, 9, 10))
+BAD: dict[str, tuple[Callable[[], bytes], str]] = {
+    "version": (lambda: bad({0: 1}), "whose version is 2"),
+    "no map": (lambda: b"\x80", "must be a map"),
+    "agent": (lambda: bad({1: "a b"}), "agent must be 1 to 32 letters"),
+    "agent of bytes": (lambda: bad({1: b"a"}), "must have text here"),
+    "long agent": (lambda: bad({1: "a" * 33}), "agent must be 1 to 32 letters"),
+    "sequence": (lambda: bad({2: [0, 2**53 + 1]}), "sequence must lie in"),
+    "negative sequence": (lambda: bad({2: [0, -1]}), "sequence must lie in"),
+    "sequence in text": (lambda: bad({2: [0, "1"]}), "must have a whole number"),
+    "sequence alone": (lambda: bad({2: 1}), "must have the fields of its schema"),
+    "epoch": (lambda: bad({2: [2**53 + 1, 1]}), "epoch must lie in"),
+    "true epoch": (lambda: bad({2: [True, 1]}), "must have a whole number"),
+    "true time": (lambda: bad({3: True}), "must have a whole number"),
+    "time": (lambda: bad({3: 2**63}), "t_ns must lie in"),
+    "frame": (lambda: bad({4: ""}), "frame must be 1 to 32 letters"),
+    "pose": (lambda: bad({5: []}), "types of its schema"),
+    "pose of another type": (lambda: changed(5, 0, 0, np.nan), "must be finite"),
+    "no rotation": (lambda: changed(5, 0, 3, 7.0), "norm 1"),
+    "NaN covariance": (lambda: changed(5, 1, 0, np.nan), "pose_covariance must be finite"),
+    "negative variance": (lambda: changed(5, 1, 0, -1.0), "pose_covariance must have no negative eigenvalue"),
+    "sensor": (lambda: bad({6: ["", 1.0, 1.0]}), "name of a sensor"),
+    "whole height": (lambda: bad({6: ["a", 1, 1.0]}), "must have a float"),
+    "two facts": (lambda: bad({6: ["a", 1.0]}), "not enough values"),
+    "view of a list": (lambda: bad({7: [1]}), "fields of its schema"),
+    "another grid": (lambda: bad({7: VIEW | {0: [60, 16.0, 0.0, 0.0]}}), "damaged, or not of this grid"),
+    "huge grid": (lambda: bad({7: VIEW | {0: [4096, 16.0, 0.0, 0.0]}}), "at most 512 cells"),
+    "grid of nothing": (lambda: bad({7: VIEW | {0: [64, float("nan"), 0.0, 0.0]}}), "half_extent_m must be positive"),
+    "threshold": (lambda: bad({7: VIEW | {2: 1.5}}), "threshold must lie in"),
+    "NaN threshold": (lambda: bad({7: VIEW | {2: float("nan")}}), "threshold must lie in"),
+    "target": (lambda: bad({7: VIEW | {1: ["car", 0.0, 1.0, 1.0, 5]}}), "length_m must lie in"),
+    "deviations claimed": (lambda: bad({7: VIEW | {4: True}}), "damaged"),
+    "code": (lambda: bad({7: VIEW | {5: b"rubbish"}}), "damaged"),
+    "inner": (lambda: bad({8: b"\xff"}), "code of a polygon"),
+    "inner text": (lambda: bad({8: "a"}), "must have bytes here"),
+    "detections": (lambda: changed(9, 0, 3, -1.0), "positive sizes"),
+    "kinds of detections": (lambda: changed(9, 1, 0, 9), "of known kinds"),
+    "NaN track": (lambda: changed(10, 1, 0, np.nan), "states of tracks must be finite"),
+    "NaN covariance of a track": (lambda: changed(10, 2, 0, np.nan), "covariances of tracks must be finite"),
+    "negative variance of a track": (lambda: changed(10, 2, 0, -9.0), "covariances of tracks must have no negative"),
+    "size of a track": (lambda: changed(10, 3, 1, 0.0), "positive sizes"),
+    "kind of a track": (lambda: changed(10, 5, 0, 5), r"kinds of tracks must lie in \[0, 4\], got 5"),
+    "time of a track": (lambda: changed(10, 7, 0, -1.0), "times not be negative"),
+    "uneven tracks": (lambda: bad({10: TRACKS | {0: TRACKS[0][:2]}}), "must all be of as many tracks"),
+    "uneven detections": (lambda: bad({9: [FOUND[0][:-1], *FOUND[1:]]}), "must all be of as many objects"),
+    "report": (lambda: bad({11: ["a", 1.0, 1.0, 2.0, False, 1.0, bytes(9)]}), "p_value must lie in"),
+    "report without sectors": (lambda: bad({11: ["a", 1.0, 1.0, 1.0, False, 1.0, b""]}), "must have 72 sectors, got 0"),
+    "another field": (lambda: bad({12: 1}), r"keys of a payload must lie in \[0, 11\], got 12"),
+    "a field missing": (lambda: cbor2.dumps({0: 2, 1: "a"}), "must have the fields of its schema"),
+    "too many bytes": (lambda: bytes(MAX_BYTES + 1), "at most 49152 bytes"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_a_message_must_not_say_is_refused(name: str) -> None:
+    make, match = BAD[name]
+    payload = make()
+    with pytest.raises(ValueError, match=match):
+        decoded(payload)
+
+
+def test_ten_thousand_tracks_are_refused_before_they_are_looked_at() -> None:
+    many = {key: each.repeat(4000) for key, each in cbor.loads(encode_message(samples.message()))[10].items()}
+    assert len(many[0]) == 12_000
+    with pytest.raises(ValueError, match="at most 49152 bytes"):
+        decoded(bad({10: many}))
+    few = {key: each.repeat(100) for key, each in cbor.loads(encode_message(samples.message()))[10].items()}
+    with pytest.raises(ValueError, match="at most 256 tracks, got 300"):
+        decoded(bad({10: few}))
+    with pytest.raises(ValueError, match="at most 256 tracks, got 257"):
+        samples.tracks(MAX_TRACKS + 1)
+    found = samples.message().detections.take(np.zeros(MAX_DETECTIONS + 1, np.intp))
+    with pytest.raises(ValueError, match="at most 512 detections, got 513"):
+        samples.message(detections=found)
+
+
+def test_values_are_checked_when_a_message_is_made() -> None:
+    with pytest.raises(ValueError, match="agent must be 1 to 32 letters"):
+        samples.message(agent="a/b")
+    with pytest.raises(ValueError, match=r"shape \(6, 6\), got \(3, 3\)"):
+        samples.message(pose_covariance=np.eye(3))
+    uneven = np.eye(6)
+    uneven[0, 1] = 0.5
+    with pytest.raises(ValueError, match="pose_covariance must be symmetric"):
+        samples.message(pose_covariance=uneven)
+    with pytest.raises(ValueError, match="visible of tracks must have the shape"):
+        replace(samples.tracks(), visible=np.zeros(2))
+    with pytest.raises(ValueError, match=r"probabilities of tracks must lie in \[0, 1\]"):
+        replace(samples.tracks(), existence=np.full(3, 1.5))
+    with pytest.raises(ValueError, match="at most 1100 bytes"):
+        samples.message(inner=bytes(1101))
+    with pytest.raises(ValueError, match="must be finite or NaN"):
+        SensorFacts("a", height_m=float("inf"))
+
+
+def test_confirmed_tracks_are_shared_the_surest_first() -> None:
+    states = np.arange(16.0).reshape(4, 4)
+    held = Tracks(
+        t_s=100.0,
+        ids=np.array([4, 5, 6, 7]),
+        states=states,
+        covariances=np.tile(np.eye(4), (4, 1, 1)),
+        boxes=np.column_stack([states[:, :2], np.ones((4, 5))]),
+        box_variances=np.ones((4, 5)),
+        kinds=np.full(4, 3, np.uint8),
+        existence=np.array([0.7, 0.99, 0.9, 0.95]),
+        confirmed=np.array([True, False, True, True]),
+        detection=np.zeros(4, np.int32),
+        visible=np.ones(4),
+        detectable=np.ones(4),
+        born_s=np.array([1.0, 2.0, 3.0, 4.0]),
+        seen_s=np.array([99.0, 99.5, 100.0, 100.0]),
+        born_hidden=np.zeros(4),
+    )
+    shared = SharedTracks.of(held)
+    assert shared.ids.tolist() == [7, 6, 4]
+    assert shared.age_s.tolist() == [96.0, 97.0, 99.0]
+    assert shared.unseen_s.tolist() == [0.0, 0.0, 1.0]
+    with pytest.raises(ValueError, match="must be in the world"):
+        SharedTracks.of(replace(held, in_world=False))
+
+
+@given(st.binary(max_size=300))
+def test_rubbish_is_refused(payload: bytes) -> None:
+    with pytest.raises(ValueError, match="payload"):
+        decoded(payload)
+
+
+FULL = encode_message(samples.message())
+
+
+@given(st.integers(0, len(FULL) - 1), st.integers(0, 255))
+def test_a_changed_byte_is_refused_or_says_something_valid(at: int, value: int) -> None:
+    payload = FULL[:at] + bytes([value]) + FULL[at + 1 :]
+    try:
+        found = decoded(payload)
+    except ValueError:
+        return
+    assert decoded(encode_message(found)).sequence == found.sequence
+
+
+@given(st.integers(0, len(FULL) - 1))
+def test_a_message_that_is_cut_off_is_refused(end: int) -> None:
+    with pytest.raises(ValueError, match=r"payload|array"):
+        decoded(FULL[:end])
+
+
+PLAIN = st.recursive(
+    st.integers(-(2**63), 2**63) | st.binary(max_size=20) | st.text(max_size=20) | st.booleans() | st.floats(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.integers(0, 300), inner, max_size=4),
+    max_leaves=10,
+)
+
+
+def depth_of(value: Any) -> int:
+    if isinstance(value, dict | list):
+        return 1 + max(map(depth_of, value.values() if isinstance(value, dict) else value), default=0)
+    return 0
+
+
+@given(PLAIN.filter(lambda value: depth_of(value) <= cbor.MAX_DEPTH))
+def test_the_reader_reads_what_cbor2_writes(value: Any) -> None:
+    data = cbor2.dumps(value, canonical=True)
+    assert repr(cbor.loads(data)) == repr(cbor2.loads(data))
+    assert cbor.dumps(value) == data
+
+
+@given(st.binary(max_size=40))
+def test_what_the_reader_takes_is_deterministic(data: bytes) -> None:
+    try:
+        value = cbor.loads(data)
+    except ValueError:
+        return
+    if not isinstance(value, np.ndarray):
+        assert repr(cbor.loads(cbor.dumps(value))) == repr(value)
+    assert cbor.dumps(value) == data
+
+
+NOT_CBOR = [
+    ("", "end within an item"), ("18", "end within an item"), ("1817", "as short as"), ("190017", "as short as"),
+    ("9f01ff", "must be given"), ("fb3ff0000000000000", "as short as"), ("fa3f800000", "as short as"),
+    ("fa7fc00000", "the half one"), ("f97e01", "the half one"), ("f6", "false, true or a float, got 22"),
+    ("a201010002", "unsigned and ascend"),
+    ("a2010101020000", "unsigned and ascend"), ("a16161f4", "unsigned and ascend"),
+    ("a120f4", "unsigned and ascend"), ("61ff", "UTF-8"),
+    ("6261", "end within a string"), ("c001", "tags in a payload"),
+    ("d85543000000", "byte string of whole numbers"), ("d85501", "byte string of whole numbers"),
+    ("d8405a7fffffff", "byte string of whole numbers"), ("9a7fffffff", "at most 512 items"),
+    ("8181818181", "at most 4 arrays and maps deep"), ("0000", "1 more bytes"), ("d81c01", "tags in a payload"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("data", "match"), NOT_CBOR)
+def test_what_is_not_deterministic_cbor_is_refused(data: str, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        cbor.loads(bytes.fromhex(data))
+
+
+def test_a_view_of_an_offset_grid_far_from_the_map_comes_back() -> None:
+    grid = BevGrid(33, 7.5, (4.0, -3.5))
+    sent = samples.message(
+        view=samples.view(grid), world_from_level=Rigid.from_yaw(-2.0, (-9e6, 1e7, -400.0)), tracks=None
+    )
+    found = decoded(encode_message(sent))
+    assert found.view.grid == grid
+    assert (found.view.state == sent.view.state).all()

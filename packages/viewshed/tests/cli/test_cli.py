@@ -1,0 +1,420 @@
+"""The commands as a stranger types them: exit codes, messages, files."""
+
+import contextlib
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.cli.commands import run
+
+import viewshed
+from viewshed import BevGrid, read_sweep, write_sweep
+from viewshed.cli._options import NetworkOptions, parse_grid
+from viewshed.cli._outputs import output_names
+from viewshed.estimators import CLASSICAL
+from viewshed.io.export import EXPORTERS, read_npz
+from viewshed.io.samples import junction_path
+
+
+@contextlib.contextmanager
+def start(*arguments: object, stderr: int = subprocess.PIPE) -> Iterator[subprocess.Popen[str]]:
+    """Run a command in a process of its own, which heeds Ctrl-C even where the tests run in the background."""
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\nfrom viewshed.cli import main; main()"
+    )
+    words = [sys.executable, "-c", code, *map(str, arguments)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=stderr, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def kitti_like(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    sweep = read_sweep(junction_path())
+    path = tmp_path_factory.mktemp("data") / "000001.bin"
+    np.column_stack([sweep.points, np.zeros(len(sweep))]).astype(np.float32).tofile(path)
+    return path
+
+
+def test_estimate_writes_three_files_and_one_line(kitti_like: Path, tmp_path: Path) -> None:
+    done = run("estimate", kitti_like, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 1
+    assert "visible" in done.stdout
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["000001.geojson", "000001.npz", "000001.png"]
+    found = read_npz(tmp_path / "000001.npz")
+    assert found.grid == BevGrid(256, 64.0)
+    assert f"visible {found.area_m2():.0f} m²" in done.stdout
+    features = json.loads((tmp_path / "000001.geojson").read_text())["features"]
+    assert {feature["geometry"]["type"] for feature in features} <= {"Polygon", "MultiPolygon"}
+
+
+def test_one_bad_file_does_not_stop_the_rest(kitti_like: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(b"\x00" * 17)
+    done = run("estimate", bad, tmp_path / "missing.bin", kitti_like, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 2
+    assert all(line.startswith("viewshed: ") for line in done.stderr.splitlines())
+    assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000001"}
+
+
+@pytest.mark.slow
+def test_files_of_one_name_do_not_overwrite_each_other(kitti_like: Path, tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "x.bin").write_bytes(kitti_like.read_bytes())
+    done = run("estimate", tmp_path / "a/x.bin", tmp_path / "b/x.bin", "--out", tmp_path / "out")
+    assert done.returncode == 0
+    assert {file.name for file in (tmp_path / "out").glob("*.png")} == {"a_x.png", "b_x.png"}
+
+
+def test_the_demo_names_its_picture(tmp_path: Path) -> None:
+    done = run("demo", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    picture = Path(done.stdout.splitlines()[-1].removeprefix("Look at "))
+    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert picture.parent == tmp_path / "demo"
+
+
+def test_info_tells_points_rings_sensor_and_ground() -> None:
+    done = run("info", junction_path())
+    assert done.returncode == 0, done.stderr
+    told = dict(line.split(":", 1) for line in done.stdout.splitlines())
+    assert told["points"].split(",")[0].strip() == str(len(read_sweep(junction_path())))
+    assert "HDL-32E (inferred" in told["sensor"]
+    assert told["rings"].strip().startswith("32, from file; 100.0%")
+    assert abs(float(told["height"].split()[1]) - 1.84) < 0.05
+
+
+def test_compare_prints_a_row_for_each_method(tmp_path: Path) -> None:
+    done = run("compare", junction_path(), "--methods", "shadow_map,first_blocker", "--out", tmp_path / "c.png")
+    assert done.returncode == 0, done.stderr
+    rows = [line for line in done.stdout.splitlines() if line.startswith("| ")]
+    assert [row.split("|")[1].strip() for row in rows] == ["method", "shadow_map", "first_blocker"]
+    columns = [cell.strip() for cell in rows[0].split("|")]
+    assert rows[1].split("|")[columns.index("IoU with the first")].strip() == "1.000"
+    for name in ("ground unsure by 0.5 m", "by inferred beams"):
+        assert 0 <= float(rows[1].split("|")[columns.index(name)].strip().removesuffix("%")) <= 100
+    assert done.stdout.splitlines()[-2].startswith("sensor 1.85 m above the ground (estimated, 9")
+    assert (tmp_path / "c.png").stat().st_size > 10_000
+
+
+def test_an_export_replaces_none_of_another_format(tmp_path: Path) -> None:
+    out = tmp_path / "view"
+    names = [name for name in EXPORTERS if name != "geotiff" or find_spec("rasterio") is not None]
+    for earlier, name in zip(names, [*names[1:], names[0]], strict=True):
+        for _ in range(2):  # the same format is replaced
+            assert run("export", junction_path(), "--to", earlier, "--out", out).returncode == 0
+        before = out.read_bytes()
+        code, said, err = run("export", junction_path(), "--to", name, "--out", out)
+        assert (code, said) == (2, "")
+        assert err == (
+            f"viewshed: --out must not replace an export of another format, got {out}, which is {earlier}; choose"
+            f" another name for {name}, or remove it\n"
+        )
+        assert out.read_bytes() == before
+        out.unlink()
+
+
+@pytest.mark.parametrize("name", ["geojson", "occupancy_grid", "grid_map", "osi", "cpm", "npz"])
+def test_export_from_a_sweep_and_from_an_estimate_agree(name: str, tmp_path: Path) -> None:
+    first = run("export", junction_path(), "--to", "npz", "--out", tmp_path / "e.npz")
+    assert first.returncode == 0, first.stderr
+    for source, out in ((junction_path(), "a"), (tmp_path / "e.npz", "b")):
+        done = run("export", source, "--to", name, "--out", tmp_path / out)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--method", "magic"], "method must be one of"),
+        (["--grid", "0x64"], r"cells must lie in [1, 4096], got 0"),
+        (["--grid", "street"], "grid must be one of road"),
+        (["--grid", "4xnan"], "half_extent_m must be positive"),
+        (["--sensor", "HDL-65E"], "sensor must be one of"),
+        (["--target", "tank"], "target must be one of car, pedestrian"),
+        (["--attitude", "1,1,0,0"], "norm 1"),
+        (["--attitude", "0,0,0,0"], "norm 1, got norm 0"),
+        (["--attitude", "1,0,0"], "attitude must be 4 numbers"),
+        (["--height", "-2"], "sensor_height_m must lie in"),
+        (["--threshold", "0"], "threshold must lie in (0, 1]"),
+        (["--profile", "loud"], "profile must be sound or paper"),
+        (["--format", "jpeg"], "format must be auto or one of"),
+        (["--file-frame", "upside"], "upside"),
+        (["--index", "nowhere.json"], "nowhere.json"),
+        (["--sensor", "vlp16"], "ring must lie in [0, 16) of VLP-16, got 0…31"),
+    ],
+)
+def test_bad_options_are_one_line_and_write_nothing(arguments: list[str], message: str, tmp_path: Path) -> None:
+    done = run("estimate", junction_path(), *arguments, "--out", tmp_path / "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def _write(path: Path, points: list[list[float]]) -> Path:
+    np.array(points, np.float32).reshape(-1, 4).tofile(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("points", "told"),
+    [
+        ([[5.0, 1.0, -1.0, 0.0]], "visible 0 m²"),
+        ([[0.1, 0.0, 0.0, 0.0]] * 20, "no usable return among 20 points: nothing is known"),
+        ([[900.0, 0.0, 0.0, 0.0]] * 20, "no usable return among 20 points: nothing is known"),
+        ([[5.0, 1.0, -1.0, 0.0], [np.nan, 0.0, 0.0, 0.0]], "visible 0 m²"),
+    ],
+)
+def test_sweeps_that_say_little_claim_nothing(points: list[list[float]], told: str, tmp_path: Path) -> None:
+    done = run("estimate", _write(tmp_path / "x.bin", points), "--format", "kitti", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert told in done.stdout
+    assert not read_npz(tmp_path / "out" / "x.npz").visible().any()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"", "empty"), (b"\x01" * 30, "x.bin"), (b"\xff" * 1600, "x.bin")],
+)
+def test_bad_files_are_one_line(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "x.bin").write_bytes(content)
+    done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list((tmp_path / "out").glob("*"))
+
+
+def test_every_command_has_help_with_an_example() -> None:
+    for command in ("estimate", "info", "compare", "export", "demo"):
+        done = run(command, "--help")
+        assert done.returncode == 0
+        assert f"Example: viewshed {command}" in " ".join(done.stdout.split())
+
+
+def test_no_command_and_a_wrong_command_say_how() -> None:
+    assert "Usage" in run().stdout + run().stderr
+    wrong = run("estimat")
+    assert wrong.returncode == 2
+    assert "No such command" in wrong.stderr
+    assert len(wrong.stderr.splitlines()) == 1
+
+
+def test_without_a_command_the_help_is_shown_and_version_is_told() -> None:
+    assert run().returncode == 0
+    assert "demo" in run().stdout
+    assert run("--version").stdout == f"viewshed {viewshed.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info"], "Missing argument"),
+        (["info", "x.bin", "--wat"], "No such option: --wat"),
+        (["estimate", "x.bin", "--threshold", "much"], "--threshold"),
+        (["estimate"], "name at least one FILE, or an --index"),
+        (["estimate", "."], ". is a folder without sweeps and no recording (nuscenes, kitti_raw,"),
+        (["info", "nowhere.bin"], "nowhere.bin: No such file"),
+        (["compare", "nowhere.bin"], "nowhere.bin: No such file"),
+        (["export", "nowhere.bin"], "nowhere.bin: No such file"),
+        (["export", "x.bin", "--to", "jpeg"], "to must be one of geojson"),
+        (["export", junction_path(), "--to", "cpm", "--sectors", "0"], "sectors"),
+        (["compare", junction_path(), "--methods", "shadow_map,magic"], "method must be one of"),
+        (["evaluate"], "Missing command"),
+        (["evaluate", "crossview", "nowhere.json"], "nowhere.json"),
+        (["evaluate", "crossview", "nowhere.json", "--attacks", "cluster,magic"], "attacks must be among uniform"),
+    ],
+)
+def test_every_refusal_is_one_line(arguments: list[object], message: str, tmp_path: Path) -> None:
+    done = run(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("viewshed: ")
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_no_result_replaces_an_input(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    write_sweep(read_sweep(junction_path()), path)
+    before = path.read_bytes()
+    for arguments in (
+        ["estimate", path, "--out", tmp_path],
+        ["export", path, "--to", "npz"],
+        ["compare", path, "--out", path],
+    ):
+        done = run(*arguments, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "is an input and would be replaced; choose another place" in done.stderr
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["x.npz"]
+
+
+def test_output_names_never_meet() -> None:
+    files = [Path("a/x.bin"), Path("b/x.bin"), Path("b/X.pcd"), Path("a_x.bin"), Path("a/x.bin"), Path("a_x_1.bin")]
+    names = output_names(files)
+    assert names[:2] == ["a_x", "b_x"]
+    assert len({name.casefold() for name in names}) == len(files)
+
+
+@pytest.mark.slow
+def test_a_file_of_several_sweeps_gives_each_its_results(real_data: Path, tmp_path: Path) -> None:
+    [capture] = real_data.rglob("OS-1-128_v2.3.0_1024x10.pcap*")
+    done = run("estimate", capture, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("visible") == 3
+    assert {file.stem[-4:] for file in tmp_path.iterdir()} == {"_000", "_001", "_002"}
+
+
+@pytest.mark.slow
+def test_interruption_is_130_without_a_trace_and_without_half_files(kitti_like: Path, tmp_path: Path) -> None:
+    with start("estimate", *[kitti_like] * 300, "--out", tmp_path) as process:
+        assert process.stdout is not None
+        assert "visible" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=300)
+    assert process.returncode == 130
+    assert err == ""
+    assert {file.suffix for file in tmp_path.iterdir()} <= {".png", ".geojson", ".npz"}
+
+
+@pytest.mark.slow
+def test_progress_goes_to_the_terminal_and_lines_to_the_pipe(kitti_like: Path, tmp_path: Path) -> None:
+    master, slave = pty.openpty()
+    with start("estimate", kitti_like, kitti_like, "--out", tmp_path, stderr=slave) as process:
+        out, _ = process.communicate(timeout=300)
+    os.close(slave)
+    shown = os.read(master, 100_000).decode(errors="replace")
+    os.close(master)
+    assert process.returncode == 0
+    assert len(out.splitlines()) == 2
+    assert "sweeps" in shown
+    assert "visible" not in shown
+
+
+def test_the_paper_profile_has_its_own_method_and_threshold(kitti_like: Path, tmp_path: Path) -> None:
+    for grid in ("paper", "paper_indoor"):
+        done = run("estimate", kitti_like, "--profile", "paper", "--grid", grid, "--out", tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "paper_label" in done.stdout
+    thresholds = {
+        feature["properties"]["threshold"]
+        for feature in json.loads((tmp_path / "000001_paper_label.geojson").read_text())["features"]
+    }
+    assert thresholds == {0.7, None}
+
+
+def test_an_index_names_files_frames_heights_and_poses(kitti_like: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.bin").write_bytes(kitti_like.read_bytes())
+    pose = [[0.0, -1.0, 0.0, 50.0], [1.0, 0.0, 0.0, 7.0], [0.0, 0.0, 1.0, 1.84], [0.0, 0.0, 0.0, 1.0]]
+    entry = {
+        "file": "a.bin",
+        "sensor": "HDL-32E",
+        "sensor_height_m": 1.84,
+        "world_from_sensor": pose,
+        "stats": {"points": 5},
+    }
+    (tmp_path / "index.json").write_text(json.dumps([entry, {"file": "notes.txt", "sensor": "none"}]))
+    done = run("estimate", "--index", tmp_path / "index.json", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    found = read_npz(tmp_path / "out" / "a.npz")
+    assert found.world_from_level is not None
+    assert found.world_from_level.translation == pytest.approx([50.0, 7.0, 0.0])
+    features = json.loads((tmp_path / "out" / "a.geojson").read_text())
+    assert features["viewshed:frame"]["name"] == "world"
+    refused = run("estimate", "--index", tmp_path / "index.json", kitti_like, "--out", tmp_path / "other")
+    assert refused.returncode == 2
+    assert "is not in the index" in refused.stderr
+
+
+@pytest.mark.parametrize("method", sorted(CLASSICAL))
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3)),
+        np.array([[5.0, 2.0, -1.0]]),
+        np.array([[5.0, 2.0, -1.0]] * 9),
+        np.column_stack([np.linspace(3, 30, 50), np.linspace(1, 10, 50), np.zeros(50)]),
+    ],
+    ids=["none", "one", "duplicates", "collinear"],
+)
+def test_every_method_takes_degenerate_sweeps(method: str, points: NDArray[np.float64], tmp_path: Path) -> None:
+    np.save(tmp_path / "x.npy", points.astype(np.float32))
+    done = run("estimate", tmp_path / "x.npy", "--method", method, "--grid", "32x32", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    found = read_npz(tmp_path / "out" / ("x.npz" if method == "shadow_map" else f"x_{method}.npz"))
+    if len(points) == 0:
+        assert "nothing is known" in done.stdout
+        assert (found.state == viewshed.CellState.UNKNOWN).all()
+
+
+def test_points_on_one_side_say_nothing_of_the_other(tmp_path: Path) -> None:
+    sweep = read_sweep(junction_path())
+    np.save(tmp_path / "left.npy", sweep.points[sweep.points[:, 1] > 0])
+    assert run("estimate", tmp_path / "left.npy", "--out", tmp_path / "out").returncode == 0
+    found = read_npz(tmp_path / "out" / "left.npz")
+    right = found.grid.centers[..., 1] < -10.0
+    assert (found.state[right] == viewshed.CellState.UNKNOWN).all()
+    assert found.visible()[~right].sum() > 1000
+
+
+def test_output_that_cannot_be_written_is_one_line(kitti_like: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file, not a folder")
+    done = run("estimate", kitti_like, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_grids_and_targets_reach_the_estimator() -> None:
+    estimator = NetworkOptions().estimator("first_blocker", parse_grid("64x8"), "pedestrian")
+    assert estimator.grid == BevGrid(64, 8.0)
+    assert NetworkOptions().estimator("quantized", parse_grid("road"), "car", "paper").grid.cells == 256
+
+
+def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
+    sweep = read_sweep(junction_path())
+    upside_down = np.column_stack([sweep.points * [1, -1, -1], np.zeros(len(sweep))]).astype(np.float32)
+    upside_down.tofile(tmp_path / "x.bin")
+    done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
+    assert "; ground not seen, sensor taken to be" in done.stdout
+    assert "warning: no ground is seen, and the sensor is taken to be" in done.stderr
+    assert "or --file-frame if the file's z points down" in done.stderr
+
+
+@pytest.mark.parametrize("damaged", [1, 2])
+def test_a_recording_is_taken_like_a_file_and_what_is_damaged_costs_a_line(
+    kitti_like: Path, tmp_path: Path, damaged: int
+) -> None:
+    """A KITTI object tree of three sweeps, the last one or two cut off in the middle of a point."""
+    folder = tmp_path / "kitti" / "training" / "velodyne"
+    folder.mkdir(parents=True)
+    for k in range(3):
+        content = kitti_like.read_bytes()
+        (folder / f"{k:06}.bin").write_bytes(content[:1001] if k >= 3 - damaged else content)
+    done = run("estimate", tmp_path / "kitti", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3 - damaged
+    lines = [line for line in done.stderr.splitlines() if ": warning: " not in line]  # no beams of KITTI's sensor
+    assert len(lines) == damaged + 1
+    assert "000002.bin" in lines[-2]
+    assert f"{3 - damaged} sweeps read, {damaged} problems" in lines[-1]

@@ -1,0 +1,99 @@
+"""What works without any extra: estimates, comparisons, pictures, exports; bags with the extra ``recordings`` alone."""
+
+import json
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from viewshed._extras import EXTRAS
+from viewshed.io.samples import junction_path
+
+recordings: Any = import_module("recording_files")
+
+OF_BAGS = {package for package, install in EXTRAS.items() if install == "viewshed[recordings]"}
+
+LABORATORY = (
+    "viewshed_lab.sim",
+    "viewshed_lab.threats",
+    "viewshed_lab.studies",
+    "viewshed_lab.training",
+    "viewshed_lab.data.labeling",
+)
+"""Rooms that no robot needs: their loops are compiled by numba."""
+
+RUN = """
+import json, sys
+for package in json.loads(sys.argv[1]):
+    sys.modules[package] = None
+from viewshed.cli import main
+for words in json.loads(sys.argv[2]):
+    try:
+        main(words)
+    except SystemExit as stopped:
+        if stopped.code:
+            raise
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def _run(commands: list[list[str]], installed: set[str], folder: Path) -> set[str]:
+    """Run commands in a process that has no package of an extra but ``installed``, and return what was imported."""
+    blocked = json.dumps(sorted({*EXTRAS, "mcap"} - installed))
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, blocked, json.dumps(commands)],
+        check=False, capture_output=True, text=True, cwd=folder,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_sweeps_are_read_estimated_compared_and_exported_by_the_core_install(tmp_path: Path) -> None:
+    sweep = str(junction_path())
+    loaded = _run(
+        [
+            ["info", sweep],
+            ["estimate", sweep, "--out", "out"],
+            ["compare", sweep, "--methods", "all"],
+            ["export", sweep, "--to", "cpm"],
+            ["view", sweep, "--html", "run.html"],
+            ["replay", sweep],
+            ["demo"],
+        ],
+        set(), tmp_path,
+    )  # fmt: skip
+    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".png", ".geojson", ".npz"}
+    for picture in ("compare.png", "demo/demo.png", "demo/demo_truth.png"):
+        assert (tmp_path / picture).read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "run.html").read_text("utf-8").startswith("<!DOCTYPE html>")
+    assert not [name for name in loaded if name.startswith(LABORATORY)]
+    assert not {"onnxruntime", "viewshed_lab.data"} & loaded
+
+
+def test_networks_run_by_the_core_install(tmp_path: Path) -> None:
+    loaded = _run([["estimate", str(junction_path()), "--method", "viewnet", "--results", "npz"]], set(), tmp_path)
+    assert "onnxruntime" in loaded
+
+
+@pytest.mark.parametrize("packing", ["ZSTD", "LZ4"])
+def test_a_bag_is_read_with_the_extra_recordings_alone(packing: str, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(recordings.mcap(packing))
+    (tmp_path / "b.bag").write_bytes(recordings.ros1_bag("lz4"))
+    code = (
+        "import sys, json\n"
+        "for package in json.loads(sys.argv[1]): sys.modules[package] = None\n"
+        "import viewshed\n"
+        "for name in ('a.mcap', 'b.bag'): print([sweep.points.shape for sweep in viewshed.open_recording(name)])\n"
+        "print(json.dumps(sorted(sys.modules)))"
+    )
+    blocked = json.dumps(sorted({*EXTRAS, "mcap"} - OF_BAGS))
+    done = subprocess.run(
+        [sys.executable, "-c", code, blocked], check=False, capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    *shapes, loaded = done.stdout.splitlines()
+    assert shapes == ["[(6, 3), (6, 3)]"] * 2
+    assert not [name for name in json.loads(loaded) if name.startswith(LABORATORY)]

@@ -1,0 +1,194 @@
+"""The first hour of a user: point it at anything, one default everywhere, results where they were asked for."""
+
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.commands import run
+from typer.main import get_command
+
+import viewshed
+from viewshed import BevGrid, Rigid, Sweep, write_sweep
+from viewshed.cli import app
+from viewshed.cli.estimate import estimate as estimate_command
+from viewshed.cli.export import export as export_command
+from viewshed.cli.record import record
+from viewshed.cli.replay import replay
+from viewshed.cli.view import view
+from viewshed.estimators import DEFAULT_ESTIMATOR
+from viewshed.io.export import read_npz
+from viewshed.pipeline.profiles import PROFILES
+from viewshed.sensors import lidar_model
+from viewshed_lab.sim import cast, junction
+
+STREET = cast(lidar_model("vlp16"), junction(), 1.8, rng=np.random.default_rng(0))
+FAST = ("--results", "npz", "--grid", "64x32")
+DOCS = Path(__file__).parents[4] / "docs"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of three sweeps, 9.npz before 10.npz, with poses in TUM's and KITTI's format in another folder."""
+    folder = tmp_path_factory.mktemp("drive")
+    for name in ("9", "10", "11"):
+        write_sweep(Sweep(STREET.points), folder / f"{name}.npz")
+    (folder / "notes.txt").write_text("not a sweep")
+    return folder
+
+
+def test_a_folder_is_its_sweeps_in_the_order_of_their_numbers(drive: Path, tmp_path: Path) -> None:
+    done = run("estimate", drive, *FAST, "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == ["9", "10", "11"]
+
+
+def test_a_pattern_is_its_files(drive: Path, tmp_path: Path) -> None:
+    done = run("estimate", drive / "1*.npz", *FAST, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == ["10", "11"]
+
+
+@pytest.mark.parametrize("command", ["info", "compare", "export"])
+def test_a_command_for_one_sweep_says_which_of_a_folder_it_takes(command: str, drive: Path, tmp_path: Path) -> None:
+    out = () if command == "info" else ("--out", f"{tmp_path}/new/")
+    done = run(command, drive, "--number", 1, *out)
+    assert done.returncode == 0, done.stderr
+    assert "note: " in done.stderr
+    assert "holds more sweeps; taken is number 1 from 0" in done.stderr
+    if command != "info":  # a name that ends in a slash is a folder, which is made
+        assert len(list((tmp_path / "new").iterdir())) == 1
+    beyond = run(command, drive, "--number", 3, *out)
+    assert beyond.returncode == 2
+    assert "number must be below 3, the sweeps of" in beyond.stderr
+
+
+def test_poses_place_the_sweeps_of_a_folder(drive: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "poses.txt"
+    poses.write_text("".join(f"1 0 0 {x} 0 1 0 0 0 0 1 1.8\n" for x in range(3)))
+    done = run("estimate", drive, *FAST, "--poses", poses, "--history", 2, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "note: " in done.stderr
+    found = [read_npz(tmp_path / "out" / f"{name}.npz") for name in ("9", "10", "11")]
+    poses_m = [each.world_from_level.translation[0] for each in found if each.world_from_level is not None]
+    assert poses_m == pytest.approx([0.0, 1.0, 2.0])
+    checked = run("monitor", "check", drive, "--poses", poses)
+    assert checked.returncode == 0, checked.stderr
+    assert checked.stdout.splitlines()[-1].startswith("3 sweeps")
+
+
+@pytest.mark.parametrize("command", ["estimate", "view", "replay"])
+def test_history_without_poses_is_an_error_with_the_remedy(command: str, drive: Path, tmp_path: Path) -> None:
+    out = {"estimate": ("--out", tmp_path), "view": ("--html", tmp_path / "a.html"), "replay": ("--as-fast",)}[command]
+    done = run(command, drive / "9.npz", "--history", 2, *out)
+    assert done.returncode == 2
+    assert "--history needs a pose and a time of each sweep" in done.stderr
+    assert "give --poses FILE" in done.stderr
+    assert "visible" not in done.stdout
+
+
+def test_an_origin_in_a_reference_system_places_points_of_a_map(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio", reason="needs the extra geo")
+    origin = np.array([66_000.0, 30_000.0, 12.0])
+    write_sweep(Sweep((STREET.points + origin).astype(np.float32)), tmp_path / "map.npz")
+    words = ("--to", "geotiff", "--crs", "EPSG:25832", "--origin", "66000,30000,12", "--out", tmp_path / "a.tif")
+    done = run("export", tmp_path / "map.npz", *words)
+    assert done.returncode == 0, done.stderr
+    with rasterio.open(tmp_path / "a.tif") as raster:
+        assert raster.crs.to_epsg() == 25832
+        center = raster.transform @ (128, 128)
+    assert center == pytest.approx((66_000.0, 30_000.0))
+
+
+def test_points_of_a_map_keep_their_centimeters(tmp_path: Path) -> None:
+    origin = np.array([566_000.0, 5_930_000.0, 12.0])
+    np.save(tmp_path / "map.npy", STREET.points.astype(np.float64) + origin)
+    np.save(tmp_path / "own.npy", STREET.points)
+    words = ("--to", "npz", "--grid", "indoor", "--out")
+    moved = run("export", tmp_path / "map.npy", "--origin", "566000,5930000,12", *words, tmp_path / "map.npz")
+    assert (moved.returncode, moved.stderr) == (0, "")
+    assert run("export", tmp_path / "own.npy", *words, tmp_path / "own.npz").returncode == 0
+    assert (read_npz(tmp_path / "map.npz").state == read_npz(tmp_path / "own.npz").state).mean() > 0.999
+
+
+def test_each_method_has_a_file_name_of_its_own(drive: Path, tmp_path: Path) -> None:
+    for method in ("shadow_map", "first_blocker"):
+        words = ("--method", method, *FAST, "--out", tmp_path)
+        assert run("estimate", drive / "9.npz", *words).returncode == 0
+        exported = run("export", drive / "9.npz", "--method", method, "--grid", "64x32", "--out", tmp_path)
+        assert exported.returncode == 0
+    names = {"9.npz", "9_first_blocker.npz", "9.geojson", "9_first_blocker.geojson"}
+    assert {file.name for file in tmp_path.iterdir()} == names
+    assert read_npz(tmp_path / "9_first_blocker.npz").method == "first_blocker"
+
+
+def test_one_default_everywhere(drive: Path, tmp_path: Path) -> None:
+    # 1. No command has a default of its own.
+    for command in (estimate_command, export_command, view, replay, record):
+        assert inspect.signature(command).parameters["method"].default is None
+    # 2. What the command line and Python give is the same method, and the line names it.
+    done = run("estimate", drive / "9.npz", *FAST, "--out", tmp_path)
+    assert f"({DEFAULT_ESTIMATOR}, car, " in done.stdout
+    by_command = read_npz(tmp_path / "9.npz")
+    by_python = viewshed.estimate(STREET.points, grid=BevGrid(64, 32.0))
+    assert by_command.method == by_python.method == viewshed.load_estimator().name == DEFAULT_ESTIMATOR
+    assert (by_command.state == by_python.state).all()
+    # 3. Profiles of the pipeline take it, but for the map that nobody waits for; so do the pages.
+    assert {name for name, profile in PROFILES.items() if profile.method != DEFAULT_ESTIMATOR} == {"mapping"}
+    for page in ("which_method.md", "architecture.md"):
+        assert f"`{DEFAULT_ESTIMATOR}`" in (DOCS / page).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("weights", "method"), [("road", "unet"), ("viewnet_road", "viewnet"), ("viewnet_road_int8", "viewnet")]
+)
+def test_the_line_names_the_network_that_looked(weights: str, method: str, drive: Path, tmp_path: Path) -> None:
+    done = run("estimate", drive / "9.npz", "--weights", weights, "--results", "npz", "--out", tmp_path)
+    assert f"({method}, car, " in done.stdout, done.stderr
+    assert [file.name for file in tmp_path.iterdir()] == [f"9_{method}.npz"]
+
+
+def test_points_of_any_width_are_estimated() -> None:
+    rows = np.column_stack([STREET.points, np.ones(len(STREET)), np.zeros(len(STREET))])
+    plain = viewshed.estimate(STREET.points, grid="indoor")
+    assert (viewshed.estimate(rows, grid="indoor").state == plain.state).all()
+    fields = np.zeros(len(STREET), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2")])
+    for axis, name in enumerate("xyz"):
+        fields[name] = STREET.points[:, axis]
+    assert STREET.ring is not None
+    fields["ring"] = STREET.ring
+    pose = Rigid.from_yaw(0.0, (5.0, 6.0, 1.8))
+    named = viewshed.estimate(fields, grid="indoor", sensor="vlp16", sensor_height_m=1.8, world_from_sensor=pose)
+    assert named.basis is not None
+    assert named.basis.height_source == "given"
+    assert named.world_from_level is not None
+    assert named.world_from_level.translation[:2].tolist() == [5.0, 6.0]
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.zeros((3, 1000)), r"points must have shape \(N, 3\+\), got \(3, 1000\); transpose it"),
+        (np.zeros((1000, 2)), r"points must have shape \(N, 3\+\), got \(1000, 2\)"),
+        (np.zeros(12), r"points must have shape \(N, 3\+\), got \(12,\)"),
+        (np.zeros((5, 3), complex), "points must be real numbers, got dtype complex128"),
+        (np.zeros(5, [("x", "f4"), ("y", "f4")]), "points must have fields x, y and z, got x, y"),
+        ([["a", "b", "c"]], "points must be real numbers"),
+    ],
+)
+def test_an_array_that_is_no_cloud_is_named(points: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        viewshed.estimate(points)  # type: ignore[arg-type]
+
+
+def test_what_a_sweep_says_itself_is_not_said_again() -> None:
+    with pytest.raises(ValueError, match="go with points, got a Sweep"):
+        viewshed.estimate(STREET, sensor="vlp16")
+
+
+def test_commands_that_read_bags_take_a_topic() -> None:
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    for name in ("estimate", "info", "compare", "export", "view"):
+        assert "--topic" in {option for each in commands[name].params for option in each.opts}
+    assert re.search(r"--topic", run("monitor", "check", "--help").stdout)

@@ -1,0 +1,89 @@
+"""``viewshed estimate --history`` as a stranger types it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.commands import run
+
+from viewshed import BevGrid
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+from viewshed.io.export import read_npz
+from viewshed.recordings.read.source import each_sweep
+from viewshed_lab._jobs import LocalEngine
+from viewshed_lab.data.archive.archive import ArchiveSource
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import simulate
+
+GRID = BevGrid(64, 32.0)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two agents for six seconds, one sweep a second."""
+    out = tmp_path_factory.mktemp("drive") / "street"
+    preset = replace(
+        preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("all",), scenes=(1,),
+        frames=(12,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,), interval_s=1.0,
+    )  # fmt: skip
+    simulate(preset, Storage.of(out), LocalEngine(1))
+    return out
+
+
+@pytest.mark.slow
+def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, tmp_path: Path) -> None:
+    words = ("estimate", drive, "--grid", "64x32", "--method", "shadow_map", "--out")
+    assert run(*words, tmp_path / "past", "--history", 3)[0] == 0
+    assert run(*words, tmp_path / "alone")[0] == 0
+    estimator, alone = TemporalEstimator(ShadowMap(GRID), SweepBuffer(3)), ShadowMap(GRID)
+    fewer = 0
+    for number, (_, sweep) in enumerate(each_sweep(ArchiveSource.open(drive))):
+        found = read_npz(tmp_path / "past" / f"street_{sweep.agent}_{number:03}.npz")
+        np.testing.assert_allclose(found.visible_prob, estimator.estimate(sweep).visible_prob, atol=0.01)
+        before = read_npz(tmp_path / "alone" / f"street_{sweep.agent}_{number:03}.npz")
+        np.testing.assert_allclose(before.visible_prob, alone.estimate(sweep).visible_prob, atol=0.01)
+        fewer += int(found.visible().sum() < before.visible().sum())
+    assert number == 11
+    assert fewer >= 5
+
+
+def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, tmp_path: Path) -> None:
+    words = (
+        "estimate",
+        drive,
+        "--grid",
+        "64x32",
+        "--method",
+        "shadow_map",
+        "--history",
+        3,
+        "--results",
+        "npz",
+        "--out",
+    )
+    assert run(*words, tmp_path / "wary", "--require-confirmation")[0] == 0
+    assert run(*words, tmp_path / "past")[0] == 0
+    wary, past = (
+        [read_npz(next((tmp_path / kind).glob(f"street_*_{number:03}.npz"))).visible() for number in range(12)]
+        for kind in ("wary", "past")
+    )
+    assert not any(mask.any() for mask in wary[:2])
+    assert all(mask.any() and not (mask & ~other).any() for mask, other in zip(wary[2:], past[2:], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--require-confirmation",), "--require-confirmation goes with --history 1 or more"),
+        (("--method", "majority_vote", "--history", 5), "history helps viewnet and shadow_map, got majority_vote"),
+        (("--method", "unet", "--history", 5, "--grid", "road"), "history helps viewnet and shadow_map, got unet"),
+        (("--history", 21), "less than or equal to 20"),
+    ],
+)
+def test_a_past_that_helps_nobody_is_refused(drive: Path, tmp_path: Path, words: tuple[object, ...], line: str) -> None:
+    code, _, err = run("estimate", drive, "--out", tmp_path / "out", *words)
+    assert code == 2
+    assert line in err

@@ -1,0 +1,184 @@
+"""``viewshed monitor``: fits on benign sweeps, alarms on others, and refuses what does not fit in one line."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tests.cli.commands import run
+from tests.networks.made import card, nearby
+
+from viewshed import Sweep, write_sweep
+from viewshed.cli import main
+from viewshed.cli._verdicts import stream_monitor
+from viewshed.io.samples import junction_path
+from viewshed.monitor import load_monitor, load_sweep_monitor, save_sweep_monitor
+from viewshed.monitor.sweep_monitor import shipped_monitor
+from viewshed.networks.onnx_export import export_onnx
+from viewshed.networks.unet_torch import Stage, UNet
+
+
+def _network() -> UNet:
+    """A network that is certain near a return, and whose masks matter where there is none."""
+    module = nearby()
+    first = module.encoder[0]
+    assert isinstance(first, Stage)
+    with torch.no_grad():
+        first.conv1.weight[1:] *= 100.0
+    return module
+
+
+def _sweep(seed: int, reach_m: float = 15.5) -> Sweep:
+    """Returns everywhere within reach."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-reach_m, reach_m, (600, 2)), np.full(600, -1.0)])
+    return Sweep(points, sensor_height_m=1.0, attitude=np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a network, benign sweeps and a monitor fitted on them."""
+    folder = tmp_path_factory.mktemp("monitor")
+    export_onnx(folder / "net.onnx", card(), _network())
+    for seed in range(20):
+        write_sweep(_sweep(seed), folder / f"benign{seed:02}.npz")
+    write_sweep(_sweep(99), folder / "calm.npz")
+    write_sweep(_sweep(99, 4.0), folder / "cut.npz")
+    write_sweep(Sweep(np.zeros((0, 3), np.float32)), folder / "empty.npz")
+    with pytest.raises(SystemExit) as stop:
+        main(_fit(folder, "--out", str(folder / "monitor.npz")))
+    assert not stop.value.code
+    return folder
+
+
+def _fit(folder: Path, *more: str) -> list[str]:
+    files = map(str, sorted(folder.glob("benign*.npz")))
+    net = ["--weights", str(folder / "net.onnx"), "--grid", "32x16", "--passes", "5", "--false-alarm-rate", "0.1"]
+    return ["monitor", "fit", *files, *net, *more]
+
+
+def _check(folder: Path, *files: str) -> list[str]:
+    named = [str(folder / file) for file in files]
+    return [
+        "monitor",
+        "check",
+        *named,
+        "--monitor-file",
+        str(folder / "monitor.npz"),
+        "--weights",
+        str(folder / "net.onnx"),
+    ]
+
+
+def test_fit_says_what_it_did(place: Path, tmp_path: Path) -> None:
+    code, said, err = run(*_fit(place, "--out", str(tmp_path / "again.npz")))
+    assert (code, err) == (0, "")
+    assert re.search(r"fitted on 10 sweeps, calibrated on 10; alarms above a score of \d\.\d{4}, .* 10\.0% false", said)
+    assert (tmp_path / "again.npz").read_bytes() == (place / "monitor.npz").read_bytes()
+    monitor = load_monitor(place / "monitor.npz")
+    assert (monitor.facts["passes"], monitor.facts["target"], monitor.grid.cells) == ("5", "car", 32)
+
+
+def test_worse_drives_calibrate_only_what_is_inconsistent(place: Path, tmp_path: Path) -> None:
+    files = [str(place / f"benign{number:02}.npz") for number in range(12)]
+    worse = [word for file in files[8:] for word in ("--worse", file)]
+    out = tmp_path / "made.npz"
+    words = ["monitor", "calibrate", *files[:8], *worse, "--rate", "0.2", "--grid", "32x16", "--out", str(out)]
+    code, said, err = run(*words)
+    assert (code, err) == (0, "")
+    assert f"{out}: calibrated on 12 sweeps of 12 scenes" in said
+    made = load_sweep_monitor(out)
+    (group,) = made.benign
+    assert (len(made.inconsistent.scores[group]), len(made.degraded.scores[group])) == (12, 8)
+    # Twelve sweeps of a tenth of a second each: at 10 Hz one in thirteen.
+    assert "over time, at 10 Hz: expected false alarms at most 2.77e+03 an hour" in said
+
+
+def test_false_alarms_an_hour_are_chosen_or_refused(place: Path, tmp_path: Path) -> None:
+    files = [str(place / f"benign{number:02}.npz") for number in range(12)]
+    out = tmp_path / "made.npz"
+    words = ["monitor", "calibrate", *files, "--rate", "0.2", "--grid", "32x16", "--out", str(out), "--per-hour"]
+    code, said, err = run(*words, "6000")
+    assert (code, err) == (0, "")
+    assert "over time, at 10 Hz: expected false alarms at most 6e+03 an hour" in said
+    assert stream_monitor(out).detector.limit == load_sweep_monitor(out).runs.detector(6000, 10.0).limit
+    code, _, err = run(*words, "1")
+    assert code == 2
+    assert "1 false alarms an hour need 1 h of benign runs, got 0.000333 h; ask for 2.78e+03 or more" in err
+
+
+def test_check_alarms_where_returns_are_gone(place: Path) -> None:
+    code, said, err = run(*_check(place, "calm.npz", "cut.npz"))
+    assert (code, err) == (0, "")
+    calm, cut, total = said.splitlines()
+    assert re.fullmatch(r"calm\.npz: score 0\.\d{4}, limit 0\.\d{4}, no alarm", calm)
+    assert re.fullmatch(r"cut\.npz: score 0\.\d{4}, limit 0\.\d{4}, ALARM, \d+ m² suspect", cut)
+    assert total == "2 sweeps, 1 alarms"
+
+
+def test_a_page_shows_what_the_monitor_says(place: Path, tmp_path: Path) -> None:
+    page, net = tmp_path / "run.html", ["--weights", str(place / "net.onnx")]
+    words = ["view", str(place / "calm.npz"), str(place / "cut.npz"), "--html", str(page), *net]
+    code, said, err = run(*words, "--monitor-file", str(place / "monitor.npz"))
+    assert (code, err) == (0, "")
+    assert ["ALARM" in line for line in said.splitlines()] == [False, True, False]
+    calm, cut = map(json.loads, re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")))
+    assert calm["score"] <= calm["limit"] == cut["limit"] < cut["score"]
+    assert [len(about["alarms"]) for about in (calm, cut)] == [0, 1]
+    code, _, err = run(*words, "--monitor-file", str(place / "monitor.npz"), "--method", "shadow_map")
+    assert code == 2
+    assert "--monitor-file was fitted on mc_dropout, got --method shadow_map" in err
+
+
+def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path) -> None:
+    code, said, _ = run(*_check(place, "cut.npz"), "--out", str(tmp_path / "found"))
+    assert code == 0
+    area = re.search(r"ALARM, (\d+) m² suspect → (\S+)", said)
+    assert area is not None
+    assert Path(area[2]).read_bytes().startswith(b"\x89PNG")
+    feature = json.loads((tmp_path / "found" / "cut.geojson").read_text())
+    assert feature["properties"]["alarm"] is True
+    rings = [np.array(ring) for polygon in feature["geometry"]["coordinates"] for ring in polygon]
+    signed = [0.5 * np.sum(r[:-1, 0] * r[1:, 1] - r[1:, 0] * r[:-1, 1]) for r in rings]
+    assert abs(sum(signed)) == pytest.approx(float(area[1]), abs=0.6), "holes run the other way round"
+
+
+def test_one_bad_sweep_does_not_stop_the_others(place: Path) -> None:
+    code, said, err = run(*_check(place, "empty.npz", "none.npz", "calm.npz"))
+    assert code == 2
+    assert said.splitlines()[-1] == "1 sweeps, 0 alarms"
+    empty, none = err.splitlines()
+    assert "empty.npz: estimate must have a standard deviation" in empty
+    assert "none.npz" in none
+
+
+def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path) -> None:
+    few = ["monitor", "fit", *map(str, sorted(place.glob("benign*.npz"))[:10])]
+    net = ["--weights", str(place / "net.onnx"), "--grid", "32x16", "--out", str(tmp_path / "no.npz")]
+    code, _, err = run(*few, *net)
+    assert (code, err) == (2, "viewshed: a false-alarm rate of 0.05 needs at least 19 benign sweeps, got 5\n")
+    assert not (tmp_path / "no.npz").exists()
+    (tmp_path / "bad.npz").write_bytes((place / "monitor.npz").read_bytes()[:200])
+    code, _, err = run("monitor", "check", str(place / "calm.npz"), "--monitor-file", str(tmp_path / "bad.npz"))
+    assert code == 2
+    assert re.fullmatch(r"viewshed: \S+bad\.npz must be a whole monitor file .*; calibrate it again\n", err)
+    other = card(threshold=0.7)
+    export_onnx(tmp_path / "other.onnx", other, _network())
+    words = _check(place, "calm.npz")[:-1]
+    code, _, err = run(*words, str(tmp_path / "other.onnx"))
+    assert code == 2
+    assert re.fullmatch(r"viewshed: weights must be those of the monitor, made \w{12}, got made \w{12}; .*\n", err)
+    code, _, err = run(*_fit(place, "--out", str(place / "benign00.npz")))
+    assert code == 2
+    assert "is an input and would be replaced" in err
+
+
+def test_a_monitor_that_needs_the_estimate_is_given_it(tmp_path: Path) -> None:
+    path = tmp_path / "monitor.npz"
+    save_sweep_monitor(replace(shipped_monitor(), estimates=("shadow_map",)), path)
+    code, out, err = run("estimate", junction_path(), "--monitor-file", path, "--out", tmp_path, "--results", "npz")
+    assert (code, err) == (0, "")
+    assert "judged without earlier sweeps" in out

@@ -1,0 +1,335 @@
+"""``viewshed replay --to`` and ``viewshed record`` as a stranger types them."""
+
+import errno
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cli.commands import run
+
+import viewshed.show.plot
+from viewshed import open_recording, read_sweep, write_sweep
+from viewshed.cli._outputs import Failures, Named
+from viewshed.cli._profile import PipelineSettings
+from viewshed.cli._record import Awaited, Listener
+from viewshed.cli.monitor import _benign, _Source
+from viewshed.grid import GRIDS
+from viewshed.io.samples import junction_path
+from viewshed.monitor import IntegrityReport
+from viewshed.monitor.sweep_monitor import shipped_monitor
+from viewshed.pipeline import Answer, ReactionState
+from viewshed.pipeline.reactions import RULES
+from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
+from viewshed.recordings.write.ros_topics import CLOUD, RosMessages
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
+pytest.importorskip("mcap", reason="mcap is not installed: bags are not written")
+recordings: Any = import_module("recording_files")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three files of thinned sweeps."""
+    sweep, folder = read_sweep(junction_path()), tmp_path_factory.mktemp("files")
+    places = [folder / f"sweep{k}.ply" for k in range(3)]
+    for k, place in enumerate(places):
+        write_sweep(sweep.select(np.arange(k, len(sweep), 20)), place)
+    return places
+
+
+def test_a_replay_as_fast_as_possible_writes_the_same_bytes(files: list[Path], tmp_path: Path) -> None:
+    for name in ("a.mcap", "b.mcap"):
+        code, out, err = run("replay", *files, "--as-fast", "--to", tmp_path / name)
+        assert (code, err) == (0, "")
+        *_, counts, last = out.splitlines()
+        assert counts.startswith("3 answered, 0 dropped; ")
+        assert last.startswith(f"{tmp_path / name}: 0.")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
+
+
+def test_what_cannot_be_read_or_written_is_a_line_each(files: list[Path], tmp_path: Path) -> None:
+    code, out, err = run("replay", tmp_path / "none.pcd", "--as-fast")
+    assert (code, out) == (2, "")
+    assert err == f"viewshed: {tmp_path / 'none.pcd'}: No such file or directory\n"
+    for name in ("a.mcap", "a.bag", "a"):
+        code, _, err = run("record", *files, "--to", tmp_path / "nowhere" / name)
+        assert code == 2
+        assert err.endswith(f"must lie in a folder that exists, got {tmp_path / 'nowhere'}; make it first\n")
+    assert not list(tmp_path.iterdir())
+
+
+_ON_A_FULL_DISK = """
+import resource, signal, sys
+from viewshed.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), int(sys.argv[1])))
+main(sys.argv[2:])
+"""
+"""A file may become so large and no larger; beyond that writing fails as it does on a full disk."""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of the size of files can be set")
+@pytest.mark.parametrize("most_bytes", [3_000, 60_000])
+@pytest.mark.parametrize("name", ["a.mcap", "a.bag", "a"])
+def test_a_full_disk_is_a_line_that_names_the_bag(
+    name: str, most_bytes: int, files: list[Path], tmp_path: Path
+) -> None:
+    words = [str(most_bytes), "replay", *map(str, files), "--as-fast", "--to", str(tmp_path / name)]
+    done = subprocess.run([sys.executable, "-c", _ON_A_FULL_DISK, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        rf"viewshed: {tmp_path / name}: (File too large|.*disk.*); free some space or choose another place\n",
+        done.stderr,
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_ends_with_the_first_answer_that_cannot_be_written(
+    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = 0
+
+    def full(*_: object, **__: object) -> None:
+        nonlocal asked
+        asked += 1
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("viewshed.recordings.write.bag_writers.McapWriter.write", full)
+    code, out, err = run("replay", *files * 10, "--as-fast", "--to", tmp_path / "a.mcap")
+    said = "No space left on device; free some space or choose another place"
+    assert (code, err) == (2, f"viewshed: {tmp_path / 'a.mcap'}: {said}\n")
+    assert asked == 1
+    assert int(out.splitlines()[-1].split(" answered")[0]) < 10
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a"])
+def test_what_a_killed_run_left_goes_with_the_next_one_and_what_another_is_writing_stays(
+    name: str, files: list[Path], tmp_path: Path
+) -> None:
+    killed, other = tmp_path / f".{name}.0123456789ab.part", tmp_path / ".b.0123456789ab.part"
+    for folder in (killed, other):
+        folder.mkdir()
+        (folder / "half").write_bytes(b"half")
+    (tmp_path / f".{name}.notes.part").write_text("mine")
+    long_ago = time.time() - 60.0
+    for folder in (killed, other):
+        os.utime(folder, (long_ago, long_ago))
+    with open_bag_writer(tmp_path / name):
+        [own] = [each for each in tmp_path.glob(f".{name}.*.part") if each != killed and each.is_dir()]
+        os.utime(own, (long_ago, long_ago))
+        assert run("replay", *files, "--as-fast", "--to", tmp_path / name)[0] == 0
+        assert own.exists()
+        if not (tmp_path / name).is_file():
+            shutil.rmtree(tmp_path / name)
+    assert sorted(each.name for each in tmp_path.iterdir()) == sorted([f".{name}.notes.part", other.name, name])
+
+
+def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> None:
+    assert run("replay", *files, "--as-fast", "--to", tmp_path / "a.bag")[0] == 0
+    assert run("record", *files, "--to", tmp_path / "b.bag")[0] == 0
+    assert (tmp_path / "a.bag").read_bytes() == (tmp_path / "b.bag").read_bytes()
+
+
+@pytest.mark.parametrize("command", [["replay", "--as-fast"], ["record"]], ids=["replay", "record"])
+def test_one_topic_of_several_is_taken_with_poses_of_a_file(command: list[str], tmp_path: Path) -> None:
+    sweep, ros, source = read_sweep(junction_path()), RosMessages(ros1=False), tmp_path / "two.mcap"
+    schema = Schema(CLOUD, "ros2msg", "cdr", ros.definition(CLOUD).encode())
+    sizes = {"/front": 1000, "/rear": 1500}
+    with open_bag_writer(source) as bag:
+        for t_ns in (100_000_000, 200_000_000, 300_000_000):
+            for topic, size in sizes.items():
+                bag.write(topic, schema, t_ns, ros.encode(ros.cloud(sweep.select(np.arange(size)), t_ns, topic[1:])))
+    poses = tmp_path / "poses.txt"
+    poses.write_text("".join(f"1 0 0 {x} 0 1 0 2 0 0 1 3\n" for x in range(3)))
+    made = tmp_path / "made.mcap"
+    assert run(*command, source, "--topic", "/rear", "--poses", poses, "--to", made)[0] == 0
+    sweeps = list(open_recording(made))
+    assert [len(each) for each in sweeps] == [1500] * 3
+    assert [each.world_from_sensor and each.world_from_sensor.translation.tolist() for each in sweeps] == [
+        [x, 2.0, 3.0] for x in range(3)
+    ]
+
+
+def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_path: Path) -> None:
+    same = {
+        "a.mcap": ["--profile", "robot"],
+        "b.mcap": ["--grid", "indoor", "--monitor"],
+        "c.mcap": ["--profile", "robot", "--grid", "road"],
+        "d.mcap": ["--monitor"],
+    }
+    for name, options in same.items():
+        code, _, err = run("replay", *files, "--as-fast", *options, "--to", tmp_path / name)
+        assert (code, err) == (0, "")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert (tmp_path / "c.mcap").read_bytes() == (tmp_path / "d.mcap").read_bytes()
+    code, _, err = run("record", *files, "--profile", "car", "--to", tmp_path / "e.mcap")
+    assert code == 2
+    assert "profile must be one of robot, infrastructure, mapping, contested, got 'car'" in err
+
+
+@pytest.mark.parametrize("command", ["record", "replay"])
+def test_earlier_sweeps_that_only_a_profile_wishes_for_are_no_demand(command: str, tmp_path: Path) -> None:
+    """A sweep without a pose is answered by itself; it is refused where --history was given."""
+    write_sweep(read_sweep(junction_path()).replace(world_from_sensor=None), tmp_path / "a.npz")
+    words = (command, tmp_path / "a.npz", "--profile", "mapping", "--to", tmp_path / "a.mcap")
+    code, out, err = run(*words)
+    assert (code, err) == (0, "")
+    assert "1 answered" in out
+    code, _, err = run(*words, "--history", 5)
+    assert code == 2
+    assert "--history needs a pose and a time of each sweep" in err
+
+
+def test_a_profile_leaves_out_sweeps_beyond_its_rate() -> None:
+    sweep = read_sweep(junction_path())
+    times_ms = [0, 50, 95, 190, 200, 5]  # the last one is of a recording that begins again
+    named = [Named(sweep.replace(t_ns=t * 1_000_000), f"{t}", Path(f"{t}")) for t in times_ms]
+    kept = PipelineSettings(None, "road", 0, False, RULES, rate_hz=10.0).at_rate(named)
+    assert [each.name for each in kept] == ["0", "95", "190", "5"]
+
+
+def test_a_recording_becomes_a_bag_that_is_read_again(tmp_path: Path) -> None:
+    place = recordings.write(tmp_path / "drive", recordings.recordings()["kitti_raw"])
+    code, _, err = run("record", place, "--to", tmp_path / "again")
+    assert (code, err) == (0, "")
+    first, second = (run("replay", each, "--as-fast")[1].splitlines() for each in (place, tmp_path / "again"))
+    assert [line.split(" m²")[0] for line in first[:-1]] == [line.split(" m²")[0] for line in second[:-1]]
+
+
+def test_a_simulated_drive_is_the_same_each_time(tmp_path: Path) -> None:
+    words = ("record", "sim", "--preset", "nuscenes-small", "--agents", 2, "--seconds", 0.2, "--seed", 4, "--to")
+    for name in ("a.mcap", "b.mcap"):
+        code, out, err = run(*words, tmp_path / name)
+        assert (code, err) == (0, "")
+        assert [line.split()[0] for line in out.splitlines()[:4]] == ["0.000", "0.000", "0.100", "0.100"]
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    code, out, _ = run("replay", tmp_path / "a.mcap", "--as-fast")
+    assert code == 0
+    assert out.splitlines()[-1].startswith("4 answered, 0 dropped")
+
+
+def test_a_bad_file_costs_a_line_and_the_bag_stays(files: list[Path], tmp_path: Path) -> None:
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(b"\0" * 17)
+    code, _, err = run("record", bad, files[0], "--to", tmp_path / "run.mcap")
+    assert code == 2
+    assert err.count("\n") == 1
+    assert (tmp_path / "run.mcap").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["replay", "{file}", "--as-fast", "--to", "run.db3"], "a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder"),
+        (["replay", "{file}", "--schemas", "foxglove"], "--schemas goes with --to"),
+        (["replay", "{file}", "--as-fast", "--to", "a.mcap", "--monitor-file", "{file}"],
+         "sweep0.ply must be a whole monitor"),
+        (["record", "{bad}", "--to", "run.mcap"], "no sweep could be read, run.mcap was not written"),
+        (["record", "sim", "--to", "run.mcap", "--world", "moon"], "world must be one of street, "),
+        (["record", "sim", "--to", "run.mcap", "--preset", "moon"], "moon"),
+        (["record", "sim", "--to", "run.mcap", "--seconds", "0.01"], "a drive needs seconds above 0"),
+        (["record", "sim", "--to", "run.mcap", "--agents", "0"], "a drive needs seconds above 0"),
+        (["record", "sim", "--to", "run.mcap", "--topic", "/up"], "sim reads no file: leave out --topic"),
+        (["replay", "{file}", "--topic", "/up"], "--topic goes with a bag"),
+        (["record", "{file}", "--to", "run.mcap", "--poses", "no.txt"], "no.txt: No such file"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_asked(
+    words: list[str], message: str, files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(b"\0" * 17)
+    named = {"{file}": files[0], "{bad}": bad}
+    code, _, err = run(*(named.get(word, word) for word in words))
+    assert code == 2
+    assert message in err.splitlines()[-1]
+    assert "Traceback" not in err
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.bin"]
+
+
+def test_an_input_is_not_replaced(tmp_path: Path) -> None:
+    place = tmp_path / "a.mcap"
+    place.write_bytes(recordings.mcap())
+    content = place.read_bytes()
+    code, _, err = run("replay", place, "--as-fast", "--to", place)
+    assert code == 2
+    assert "is an input and would be replaced" in err
+    assert place.read_bytes() == content
+
+
+def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of three sweeps a newer one of the first agent takes the place of its older one, before the second agent's."""
+    sweep = read_sweep(junction_path()).select(np.arange(10))
+    failures = Failures()
+    listener = Listener([], failures, is_live=True)
+    for number, agent in enumerate("aba"):
+        listener.expect(number, Awaited(agent, 0.1 * number, sweep, None))
+    for number, agent in ((2, "a"), (1, "b")):
+        listener(Answer(agent, number, None, None, None, ReactionState(), 0.0, (), "nothing was usable", 0.01))
+    assert failures.count == 2
+    assert [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()] == ["0.200 s", "0.100 s"]
+
+
+def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tmp_path: Path) -> None:
+    """Of two agents by turns: each is judged with its own earlier sweeps."""
+    drive = tmp_path / "drive.mcap"
+    sim = ("record", "sim", "--preset", "ugv", "--agents", 2, "--seconds", 0.6, "--seed", 4, "--monitor", "--to", drive)
+    words = [
+        sim,
+        ("replay", drive, "--as-fast", "--monitor"),
+        ("estimate", drive, "--monitor", "--results", "npz", "--out", tmp_path / "out"),
+        ("view", drive, "--html", tmp_path / "run.html", "--monitor"),
+        ("monitor", "check", drive),
+    ]
+    said = []
+    for command in words:
+        code, out, err = run(*command)
+        assert (code, err) == (0, "")
+        said.append(re.findall(r"(?:nothing|INCONSISTENT|DEGRADED)\b.*?(?=; \d+\.\d kB$|$)", out, re.MULTILINE))
+    assert len(said[0]) == 12
+    assert [line.count("judged without earlier sweeps") for line in said[0]] == [1] * 10 + [0] * 2
+    assert all(each == said[0] for each in said[1:])
+
+
+def test_a_picture_shows_the_evidence_as_it_was_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is measured of a sweep alone, without what is held over sweeps, is another picture."""
+    drive = tmp_path / "drive.mcap"
+    assert run("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", 0.8, "--seed", 4, "--to", drive)[0] == 0
+    shown: list[IntegrityReport] = []
+    drawn = viewshed.show.plot.monitor_picture
+
+    def draw(panel: Any, report: IntegrityReport, names: Any, surprises: Any) -> bytes:
+        score = shipped_monitor().score
+        assert score(report.evidence).inconsistent == report.score
+        np.testing.assert_array_equal(surprises, score.scale(report.evidence[None])[0])
+        shown.append(report)
+        return drawn(panel, report, names, surprises)
+
+    monkeypatch.setattr(viewshed.show.plot, "monitor_picture", draw)
+    assert run("monitor", "check", drive, "--out", tmp_path / "found")[0] == 0
+    code, out, _ = run("monitor", "explain", drive, "--number", 7, "--out", tmp_path / "explained.png")
+    assert code == 0
+    assert out.splitlines()[0].startswith("drive.mcap 00007: ")
+    assert len(shown) == 9
+    assert (tmp_path / "explained.png").read_bytes() == (tmp_path / "found" / "drive.mcap 00007.png").read_bytes()
+
+
+def test_a_calibration_knows_the_earlier_sweeps_of_agents_that_take_turns(tmp_path: Path) -> None:
+    drive, failures = tmp_path / "drive.mcap", Failures()
+    words = ("record", "sim", "--preset", "ugv", "--agents", 2, "--seconds", 1.2, "--seed", 4, "--to", drive)
+    assert run(*words)[0] == 0
+    benign = list(_benign(_Source((str(drive),), None, "auto"), GRIDS["road"], shipped_monitor(), failures))
+    assert failures.count == 0
+    assert [sum(each.group.earlier == earlier for each in benign) for earlier in ("none", "posed")] == [10, 6]
+    assert len({each.scene for each in benign}) == 2

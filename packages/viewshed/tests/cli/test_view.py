@@ -1,0 +1,187 @@
+"""``viewshed view`` and ``viewshed replay`` as a stranger types them."""
+
+import json
+import re
+import socket
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cli.commands import run
+
+from viewshed import Sweep, read_sweep, write_sweep
+from viewshed.cli._outputs import Named
+from viewshed.cli.replay import Pacer
+from viewshed.io.samples import junction_path
+from viewshed.monitor import SweepMonitor, save_sweep_monitor
+from viewshed.monitor.calibration import Group
+from viewshed.monitor.evidence import EVIDENCE, SECTORS
+from viewshed.monitor.score import EvidenceScore, SurpriseScale, features_of
+from viewshed.monitor.sweep_monitor import BenignSweep, Rates
+
+recordings: Any = import_module("recording_files")
+
+
+def _names(page: Path) -> list[str]:
+    abouts = re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8"))
+    return [json.loads(about)["name"] for about in abouts]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Five files of thinned sweeps."""
+    sweep, folder = read_sweep(junction_path()), tmp_path_factory.mktemp("drive")
+    files = [folder / f"sweep <{k}>.ply" for k in range(5)]
+    for k, file in enumerate(files):
+        write_sweep(sweep.select(np.arange(k, len(sweep), 20)), file)
+    return files
+
+
+def test_files_become_one_page(drive: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "run.html"
+    code, out, err = run("view", *drive, "--html", page)
+    assert (code, err) == (0, "")
+    *lines, last = out.splitlines()
+    assert len(lines) == 5
+    assert all("visible" in line and line.endswith(" kB") for line in lines)
+    assert last == f"{page}: {page.stat().st_size / 1e6:.2f} MB"
+    assert _names(page) == [f"sweep <{k}>" for k in range(5)]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.html"]
+
+
+def test_some_sweeps_are_taken(drive: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "run.html"
+    assert run("view", *drive, "--html", page, "--every", 2)[0] == 0
+    assert _names(page) == ["sweep <0>", "sweep <2>", "sweep <4>"]
+    assert run("view", *drive, "--html", page, "--every", 2, "--sweeps", 2)[0] == 0
+    assert _names(page) == ["sweep <0>", "sweep <2>"]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1 bag", "nuscenes", "kitti_raw"])
+def test_recordings_are_read(kind: str, tmp_path: Path) -> None:
+    place = recordings.write(tmp_path / "drive", recordings.recordings()[kind])
+    files = [path for path in place.iterdir() if path.suffix in {".bag", ".mcap"}]
+    page = tmp_path / "run.html"
+    # These bags have no poses, which is noted: nothing is wrong with them.
+    code, _, err = run("view", *(files or [place]), "--html", page, *(() if files else ("--history", 2)))
+    assert code == 0, err
+    assert ("note: " in err) == bool(files)
+    assert len(_names(page)) == 2
+
+
+def test_a_bad_file_costs_a_line(drive: list[Path], tmp_path: Path) -> None:
+    bad = tmp_path / "bad.bin"
+    bad.write_bytes(b"\0" * 17)
+    page = tmp_path / "run.html"
+    code, _, err = run("view", bad, drive[0], "--html", page)
+    assert code == 2
+    assert err.count("\n") == 1
+    assert _names(page) == ["sweep <0>"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--sweeps", 1], "--html run.html"),
+        (["--html", "a.html", "--rerun", "a.rrd"], "name one of: the page to write, --html run.html; --rerun run.rrd"),
+        (["--html", "{input}"], "is an input and would be replaced"),
+        (["--rerun", "{input}"], "is an input and would be replaced"),
+    ],
+)
+def test_what_cannot_be_asked(words: list[object], message: str, drive: list[Path]) -> None:
+    content = drive[0].read_bytes()
+    code, _, err = run("view", drive[0], *(drive[0] if word == "{input}" else word for word in words))
+    assert code == 2
+    assert message in err
+    assert drive[0].read_bytes() == content
+
+
+def test_history_is_for_estimators_that_use_it(drive: list[Path], tmp_path: Path) -> None:
+    for words in (["view", "--html", tmp_path / "run.html"], ["replay"]):
+        code, _, err = run(*words, drive[0], "--history", 2, "--method", "majority_vote")
+        assert code == 2
+        assert "--history helps viewnet and shadow_map, got majority_vote" in err
+
+
+def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path) -> None:
+    rng, kinds = np.random.default_rng(0), len(EVIDENCE)
+    evidence = rng.exponential(1.0, (60, kinds, SECTORS)).astype(np.float32)
+    count = features_of(kinds)
+    zeros, ones, none = np.zeros(count, np.float32), np.ones(count, np.float32), np.zeros(2, np.float32)
+    weights = np.zeros((count, 2), np.float32)
+    weights[:kinds, 0] = 1.0
+    outputs = np.eye(2, dtype=np.float32)
+    scale = SurpriseScale.fit(evidence)
+    score = EvidenceScore(tuple(EVIDENCE), scale, zeros, ones, weights, none, outputs, none)
+    benign = [BenignSweep(f"{k}", Group("VLP-16", "none"), each) for k, each in enumerate(evidence)]
+    save_sweep_monitor(SweepMonitor.calibrate(score, benign, rng, rates=Rates(0.1, 0.1)), tmp_path / "monitor.npz")
+    page = tmp_path / "run.html"
+    code, _, err = run("view", *drive[:2], "--html", page, "--monitor-file", tmp_path / "monitor.npz")
+    assert code == 0, err
+    for text in re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")):
+        about = json.loads(text)
+        assert about["method"] == "shadow_map"
+        assert (about["score"] > about["limit"]) == any("inconsistent" in each["verdict"] for each in about["alarms"])
+        assert any("was not calibrated" in note for note in about["notes"])
+
+
+def test_a_file_for_rerun(drive: list[Path], tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
+    place = tmp_path / "run.rrd"
+    code, out, err = run("view", *drive, "--rerun", place, "--every", 2)
+    assert (code, err) == (0, "")
+    assert len(out.splitlines()) == 4
+    assert out.splitlines()[-1] == f"{place}: {place.stat().st_size / 1e6:.2f} MB"
+
+
+def test_live_in_foxglove(drive: list[Path]) -> None:
+    pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: nothing is served")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        other.listen()
+        code, _, err = run("view", *drive, "--foxglove", port, "--sweeps", 2)
+        assert code == 2
+        assert f"port {port} of 127.0.0.1 cannot be served" in err
+        assert err.count("\n") == 1
+    code, out, err = run("view", *drive[:2], "--foxglove", port, "--sweeps", 2)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0] == f"open ws://localhost:{port} in Foxglove; Ctrl-C ends"
+    assert re.match("[12] answered, [01] dropped; ", out.splitlines()[-1])
+
+
+def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:
+    code, _, err = run("view", tmp_path / "missing.bin", "--html", tmp_path / "run.html")
+    assert code == 2
+    assert "run.html was written" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_replay_prints_a_line_for_each_sweep(drive: list[Path]) -> None:
+    code, out, err = run("replay", *drive, "--as-fast")
+    assert (code, err) == (0, "")
+    *lines, last = out.splitlines()
+    assert [line.split()[0] for line in lines] == ["0.000", "0.100", "0.200", "0.300", "0.400"]
+    assert all(re.search(r"visible \d+ m²  \d+\.\d ms$", line) for line in lines)
+    assert last.startswith("5 answered, 0 dropped; ")
+
+
+def test_sweeps_are_handed_on_when_they_are_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, slept = [100.0], []
+
+    def sleep(seconds: float) -> None:
+        slept.append(round(seconds, 6))
+        now[0] += seconds
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    times_ns = [0, 10**8, 3 * 10**8, 3 * 10**8, 10**12]
+    named = (Named(Sweep(np.ones((1, 3), np.float32), t_ns=t_ns), "", Path()) for t_ns in times_ns)
+    pace = Pacer(rate=2.0)
+    for k, _ in enumerate(pace.kept(named)):
+        now[0] += 0.08 if k == 0 else 0.0  # the first estimate takes longer than the next sweep waits
+    assert slept == [0.0, 0.0, 0.07, 0.05, 1.0]
+    assert pace.time_s == pytest.approx(2.4)

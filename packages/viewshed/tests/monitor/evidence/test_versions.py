@@ -1,0 +1,99 @@
+"""A calibration holds for the numbers that evidence gave then: other numbers need another version."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.monitor.by_hand import estimate_of
+from tests.monitor.evidence.by_hand import GRID
+
+from viewshed import Sweep, read_sweep
+from viewshed.geometry import Rigid
+from viewshed.io.samples import junction_path
+from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
+from viewshed.preprocess.leveling import LeveledSweep, level
+
+NUMBERS = {
+    "isolated": (1, 0.00305797, 0.0458333),
+    "behind_surface": (1, 0.00435191, 0.114583),
+    "before_surface": (1, 0.00259633, 0.0567227),
+    "double_returns": (1, 0.0223039, 0.468627),
+    "below_ground": (1, 0.000166667, 0.008),
+    "beyond_ground": (1, 0.001, 0.024),
+    "empty_runs": (1, 1.90959, 22.9151),
+    "ground_noise": (1, 0.567667, 0.825097),
+    "near_noise": (1, 0.660439, 1.27513),
+    "surface_noise": (1, 0.815437, 1.92807),
+    "off_beam": (1, 6.29882e-05, 0.00453515),
+    "range_offset": (1, 0.228892, 2.97477),
+    "common_steps": (1, 0.0200607, 0.835286),
+    "straight_edges": (1, 0.147151, 0.636364),
+    "disagreement": (1, 1.0, 1.0),
+    "deviation": (1, 0.0, 0.0),
+    "seen_through": (1, 0.202089, 2.91008),
+    "arrival": (1, 1.07058, 27.9083),
+    "vanished": (1, 1.08197, 15.5804),
+    "departure": (1, 0.0, 0.0),
+    "same_noise": (1, 0.0660463, 1.0),
+    "registration": (1, 0.305573, 0.305573),
+    "phantom_shadow": (1, 0.00509151, 0.151515),
+    "lost_view": (1, 0.0568965, 1.0),
+    "frame_noise": (1, 0.00531843, 0.0308933),
+}
+"""Of each evidence its version, and the mean and the largest number of all sectors where it does not abstain."""
+
+
+def _between(azimuth: NDArray[np.float32], low: float, high: float) -> NDArray[np.bool_]:
+    return (azimuth > low) & (azimuth < high)
+
+
+@cache
+def _monitored() -> MonitoredSweep:
+    """The junction six times, with the noise of ranges; in wedges of the last one something else is forged each."""
+    sweep, rng = read_sweep(junction_path()), np.random.default_rng(0)
+    points, count = sweep.points, len(sweep)
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    seen = list[LeveledSweep]()
+    noise = rng.normal(1.0, 0.001, (6, count)).astype(np.float32)
+    wedge = _between(azimuth, -2.6, -2.2)
+    noise[5, wedge] = noise[4, wedge]  # noise repeats
+    for number in range(6):
+        xyz, rows = points * noise[number, :, None], np.arange(count)
+        if number < 5:
+            xyz[_between(azimuth, -1.2, -0.9)] *= 0.5  # vanishes
+        else:
+            mixed = rng.random(count)
+            xyz[_between(azimuth, 0.5, 0.8) & (mixed < 0.3)] *= 0.6  # before and behind surfaces
+            xyz[_between(azimuth, 1.2, 1.5) & (mixed < 0.2)] *= 1.5  # below the ground
+            xyz[_between(azimuth, 1.7, 1.9), 2] += 0.05  # off their beams
+            xyz[_between(azimuth, -0.6, -0.3)] *= rng.normal(1.0, 0.02, (1, 3))
+            again = np.flatnonzero(_between(azimuth, -1.8, -1.5) & (mixed < 0.5))
+            xyz = np.concatenate([xyz, 1.2 * xyz[again]]).astype(np.float32)  # twice from one beam
+            rows = np.append(np.flatnonzero(~_between(azimuth, 2.0, 2.4)), count + np.arange(len(again)))
+        ring = None if sweep.ring is None else np.append(sweep.ring, sweep.ring[again] if number == 5 else [])
+        made = Sweep(
+            xyz, ring=ring, model=sweep.model, sensor_height_m=sweep.sensor_height_m, t_ns=number * 100_000_000,
+            world_from_sensor=Rigid.identity(),
+        )  # fmt: skip
+        seen.append(level(made.select(rows), GRID))
+    viewnet = estimate_of(0.25, method="viewnet", grid=GRID)
+    estimates = {
+        "shadow_map": estimate_of(0.0, method="shadow_map", grid=GRID),
+        "viewnet": replace(viewnet, visible_prob=np.zeros(GRID.shape, np.float32)),
+    }
+    return MonitoredSweep(seen[-1], tuple(seen[:-1]), estimates)
+
+
+@pytest.mark.parametrize("name", EVIDENCE)
+def test_numbers_of_evidence_change_with_its_version_alone(name: str) -> None:
+    measured = EVIDENCE[name].measure(_monitored())
+    known = measured[np.isfinite(measured)]
+    version, mean, most = NUMBERS[name]
+    found = (float(known.mean()), float(known.max())) if known.size else (np.nan, np.nan)
+    assert EVIDENCE[name].version == version, "store the numbers of the new version here"
+    assert found == pytest.approx((mean, most), rel=1e-3, abs=1e-6, nan_ok=True), (
+        "other numbers void what is calibrated on them: raise `version` of this evidence, calibrate the monitor in the"
+        " box anew, and store the numbers here"
+    )

@@ -1,0 +1,183 @@
+"""The detector on deviations that are known by hand, and its promise about false alarms on random ones."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.monitor.by_hand import GRID, estimate_of
+
+from viewshed import BevGrid
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.grid import polar_of_cells
+from viewshed.monitor import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
+
+
+def _benign(count: int, seed: int) -> list[FovEstimate]:
+    """Deviations that grow with x alone, so that a transposed map would show."""
+    rng = np.random.default_rng(seed)
+    level = np.linspace(0.05, 0.3, 8)[:, None]
+    return [estimate_of(np.clip(level + rng.normal(0, 0.02, GRID.shape), 0, 0.5)) for _ in range(count)]
+
+
+def _monitor() -> DeviationMonitor:
+    return DeviationMonitor.fit(_benign(50, 0)).calibrated(_benign(39, 1), 0.05)
+
+
+def test_thresholds_are_mean_and_three_standard_deviations_of_each_cell() -> None:
+    benign = _benign(40, 3)
+    stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
+    expected = stack.mean(axis=0) + 3 * stack.std(axis=0, ddof=1)
+    assert DeviationMonitor.fit(benign).thresholds == pytest.approx(expected, abs=1e-6)
+    wider = DeviationMonitor.fit(iter(benign), Rule(sigmas=5)).thresholds
+    assert wider == pytest.approx(stack.mean(axis=0) + 5 * stack.std(axis=0, ddof=1), abs=1e-6)
+
+
+def test_where_sweeps_are_few_the_range_ring_decides() -> None:
+    """12 sweeps: all cells between the same two ranges share the moments of all their deviations."""
+    benign = _benign(12, 4)
+    found = DeviationMonitor.fit(benign, Rule(few=13, rings=3)).thresholds
+    stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
+    range_m, _ = polar_of_cells(GRID)
+    edge = range_m.max() / 3
+    for low in (0.0, edge, 2 * edge):
+        ring = (range_m >= low) & (range_m < low + edge + 1e-4)
+        values = stack[:, ring]
+        assert found[ring] == pytest.approx(values.mean() + 3 * values.std(ddof=1), abs=1e-6)
+
+
+def test_one_cell_with_few_sweeps_takes_its_ring_and_the_others_their_own() -> None:
+    benign = _benign(40, 5)
+    rare = np.zeros(GRID.shape)
+    rare[6, 1] = np.nan  # 5 sweeps are left
+    mixed = [replace(each, std=(rare + np.asarray(each.std)).astype(np.float32)) for each in benign[:35]] + benign[35:]
+    alone, whole = DeviationMonitor.fit(mixed, Rule(rings=1)), DeviationMonitor.fit(benign, Rule(rings=1))
+    differ = alone.thresholds != whole.thresholds
+    assert np.argwhere(differ).tolist() == [[6, 1]]
+    stack = np.stack([np.asarray(each.std, np.float64) for each in benign])
+    counted = np.ones(stack.shape, bool)
+    counted[:35, 6, 1] = False
+    values = stack[counted]
+    assert alone.thresholds[6, 1] == pytest.approx(values.mean() + 3 * values.std(ddof=1), abs=1e-6)
+
+
+def test_score_is_the_share_of_watched_cells_that_are_suspect() -> None:
+    right = np.full(GRID.shape, 0.1)
+    right[:, :4] = np.nan
+    monitor = DeviationMonitor.fit([estimate_of(right)] * 30)
+    assert monitor.watched.tolist() == np.isfinite(right).tolist()
+    std = np.full(GRID.shape, 0.1)
+    std[2, 5], std[3, 6], std[3, 1] = 0.2, 0.11, 0.5
+    assert np.argwhere(monitor.suspect(estimate_of(std))).tolist() == [[2, 5], [3, 6]]
+    assert monitor.score(estimate_of(std)) == 2 / 32
+
+
+def test_cells_do_not_leave_the_watch_by_turning_unknown() -> None:
+    monitor = _monitor()
+    unknown = np.full(GRID.shape, CellState.UNKNOWN, np.uint8)
+    assert monitor.score(estimate_of(0.5, unknown)) == monitor.score(estimate_of(0.5)) == 1.0
+
+
+def test_the_least_threshold_keeps_quiet_cells_quiet() -> None:
+    monitor = DeviationMonitor.fit([estimate_of(0.0)] * 40, Rule(least=0.03))
+    assert monitor.score(estimate_of(0.0299)) == 0.0
+    assert monitor.score(estimate_of(0.0301)) == 1.0
+
+
+def test_alarms_on_new_benign_sweeps_keep_to_the_rate_and_a_doubtful_corner_is_found() -> None:
+    keen = DeviationMonitor.fit(_benign(60, 0), Rule(sigmas=1)).calibrated(_benign(199, 1), 0.1)
+    assert 0.03 <= np.mean([keen.check(each).alarm for each in _benign(400, 2)]) <= 0.15
+    monitor = DeviationMonitor.fit(_benign(60, 0)).calibrated(_benign(199, 1), 0.1)
+    std = np.array(_benign(1, 9)[0].std)
+    std[6:, :3] = 0.45
+    report = monitor.check(estimate_of(std))
+    assert report.alarm
+    assert report.suspect_cells[6:, :3].all()
+    assert report.suspect_cells.sum() <= 8
+    assert (report.monitor, report.threshold, monitor.sweeps) == ("deviation", monitor.limit, (60, 199))
+    assert report.suspect_m2 == report.suspect_cells.sum() * 4.0
+
+
+def test_what_the_monitor_cannot_check_is_told() -> None:
+    monitor = _monitor()
+    with pytest.raises(ValueError, match=r"monitor's grid 8x8 at \(1, 0\), got 16x8"):
+        monitor.check(estimate_of(0.1, grid=BevGrid(16, 8.0)))
+    with pytest.raises(ValueError, match="must be of the monitor's method by_hand, got other; fit one for it"):
+        monitor.check(estimate_of(0.1, method="other"))
+    with pytest.raises(ValueError, match="must have a standard deviation, got none from by_hand; use Monte Carlo"):
+        monitor.check(estimate_of(np.nan))
+    with pytest.raises(ValueError, match="needs benign estimates, got none"):
+        DeviationMonitor.fit([])
+    with pytest.raises(ValueError, match="no benign sweep has a deviation"):
+        DeviationMonitor(GRID, np.full(GRID.shape, np.inf, np.float32), "by_hand")
+    with pytest.raises(ValueError, match=r"rate of 0\.01 needs at least 99 benign sweeps, got 30"):
+        monitor.calibrated(_benign(30, 2), 0.01)
+    with pytest.raises(ValueError, match="must be calibrated before it can alarm"):
+        DeviationMonitor.fit(_benign(3, 0)).check(estimate_of(0.1))
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [({"sigmas": -1}, "sigmas"), ({"least": 0.6}, "least"), ({"few": 1}, "few"), ({"rings": 0}, "rings")],
+)
+def test_rules_are_checked(change: dict[str, float], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        Rule(**change)  # type: ignore[arg-type]
+
+
+def test_a_report_is_checked() -> None:
+    with pytest.raises(ValueError, match="score and threshold must be numbers"):
+        IntegrityReport("a", np.nan, 0.1)
+    with pytest.raises(ValueError, match=r"suspect_cells must be bool \(8, 8\), got bool \(3, 3\)"):
+        IntegrityReport("a", 0.0, 0.1, grid=GRID, suspect_cells=np.zeros((3, 3), bool))
+    calm = IntegrityReport("a", 0.1, 0.1, grid=GRID, suspect_cells=np.zeros(GRID.shape, bool))
+    assert not calm.alarm
+
+
+def test_a_file_gives_the_same_monitor_back_and_the_same_bytes(tmp_path: Path) -> None:
+    monitor = replace(_monitor(), facts={"network": "a b"})
+    save_monitor(monitor, tmp_path / "a.npz")
+    save_monitor(load_monitor(tmp_path / "a.npz"), tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    again = load_monitor(tmp_path / "a.npz")
+    assert np.array_equal(again.thresholds, monitor.thresholds)
+    assert (again.grid, again.method, again.limit) == (monitor.grid, monitor.method, monitor.limit)
+    assert (again.false_alarm_rate, again.sweeps, again.facts) == (0.05, (50, 39), {"network": "a b"})
+    uncalibrated = DeviationMonitor.fit(_benign(3, 0))
+    save_monitor(uncalibrated, tmp_path / "c.npz")
+    assert load_monitor(tmp_path / "c.npz").limit is None
+
+
+def _message(path: Path, content: bytes) -> str:
+    """Return why a file is refused; one that is read has the right thresholds."""
+    path.write_bytes(content)
+    try:
+        found = load_monitor(path)
+    except ValueError as error:
+        return str(error)
+    assert np.array_equal(found.thresholds, _monitor().thresholds)
+    return ""
+
+
+def test_every_damaged_file_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "monitor.npz"
+    save_monitor(_monitor(), path)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = [whole[:k] for k in range(0, len(whole), 29)] + [b"", b"monitor"]
+    places = rng.integers(0, len(whole), 300)
+    damaged += [whole[:k] + bytes([whole[k] ^ int(rng.integers(1, 256))]) + whole[k + 1 :] for k in places]
+    told = [_message(path, content) for content in damaged]
+    refused = [message for message in told if message]
+    assert len(refused) > 0.7 * len(damaged), "a date or a flag that nobody reads is no damage"
+    assert all(message.startswith(f"{path} must be a whole monitor file") for message in refused)
+    assert not [message for message in refused if "\n" in message]
+
+
+def test_another_version_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("viewshed.monitor.deviation.FORMAT_VERSION", 2)
+    save_monitor(_monitor(), tmp_path / "new.npz")
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match="monitor deviation of version 2, not deviation of 1; fit it again"):
+        load_monitor(tmp_path / "new.npz")
+    with pytest.raises(FileNotFoundError):
+        load_monitor(tmp_path / "none.npz")

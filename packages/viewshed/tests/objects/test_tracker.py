@@ -1,0 +1,416 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.objects.scripted import ScriptedView, cars, everywhere
+
+from viewshed.arrays import F64
+from viewshed.detections import Detections, ObjectKind
+from viewshed.objects.existence import (
+    LEVELS,
+    after_detection,
+    after_miss,
+    found_probability,
+    levels_after,
+    shares_found,
+)
+from viewshed.objects.kalman import Motion
+from viewshed.objects.published import PublishedRules
+from viewshed.objects.tracker import ExistenceRules, Tracker
+from viewshed.objects.tracks import Tracks
+from viewshed.objects.views import SeesAll
+
+
+def _drive(tracker: Tracker, sweeps: int, *, start: int = 0, y: float = 0.0, speed: float = 10.0) -> Tracks:
+    """Return the tracks after a car was seen driving along x, ten times a second."""
+    for k in range(start, start + sweeps):
+        tracks = tracker.step(0.1 * k, cars((speed * 0.1 * k, y)), SeesAll(0.1 * k))
+    return tracks
+
+
+def test_existence_after_a_detection_is_bayes_over_all_that_may_have_happened() -> None:
+    """An object, a lasting false source or nothing, found or not; what was matched is its detection, or a false one."""
+    r, q, found, density, clutter, often = 0.4, 0.3, 0.7, 0.2, 0.01, 0.5
+    true = r * (found * density + (1 - found) * clutter)
+    false = q * (often * found * density + (1 - often * found) * clutter)
+    total = true + false + (1 - r - q) * clutter
+    one = np.ones(1)
+    mine = after_detection(r * one, q * one, found * one, density * one, clutter, recurrence=often)
+    np.testing.assert_allclose(np.concatenate(mine), [true / total, false / total])
+
+
+def test_existence_after_a_miss_is_bayes() -> None:
+    mine = after_miss(np.array([0.4]), np.array([0.2]), np.array([0.7]), recurrence=0.5)
+    total = 0.4 * 0.3 + 0.2 * 0.65 + 0.4
+    np.testing.assert_allclose(np.concatenate(mine), [0.4 * 0.3 / total, 0.2 * 0.65 / total])
+
+
+def test_a_false_detection_that_comes_back_bounds_what_a_hit_says() -> None:
+    """However near it lies: the odds against a lasting false source rise by 1 / recurrence."""
+    r, q = after_detection(np.array([0.5]), np.array([0.5]), np.array([0.9]), np.array([1e9]), 1e-4, recurrence=0.5)
+    assert r[0] == pytest.approx(2 / 3)
+    assert q[0] == pytest.approx(1 / 3)
+
+
+def test_a_long_seen_object_that_left_is_given_up_as_fast_as_none_can_be_found() -> None:
+    """What came back ten times is no longer there after some misses, object or not."""
+    existence, lasting, found = np.array([0.6]), np.array([0.3]), np.array([0.9])
+    for _ in range(10):
+        existence, lasting = after_detection(existence, lasting, found, np.array([0.3]), 1e-4, recurrence=0.8)
+    for _ in range(6):
+        existence, lasting = after_miss(0.999 * existence, 0.999 * lasting, found, recurrence=0.8)
+    assert existence[0] + lasting[0] < 0.1
+
+
+def test_doubt_about_one_object_is_told_once() -> None:
+    """Half visible and missed again and again: existence halves in the first sweep, and hardly falls from there."""
+    existence, levels = np.array([0.5]), np.full((1, LEVELS), 1 / LEVELS)
+    shares = shares_found(np.array([0.5]), most_found=1.0)
+    told = []
+    for _ in range(5):
+        existence, _ = after_miss(existence, np.zeros(1), found_probability(levels, shares), recurrence=0.0)
+        levels = levels_after(levels, 1.0 - shares)
+        told.append(existence[0])
+    assert told == pytest.approx([1 / 3] * 5)
+
+
+def test_velocities_and_places_of_an_asymmetric_drive() -> None:
+    tracker = Tracker()
+    for k in range(30):
+        tracks = tracker.step(0.1 * k, cars((10 + 0.8 * k, -5 + 0.3 * k)), SeesAll(0.1 * k))
+    assert tracks.ids.tolist() == [0]
+    np.testing.assert_allclose(tracks.states[0], [10 + 0.8 * 29, -5 + 0.3 * 29, 8.0, 3.0], atol=0.05)
+    assert tracks.detection.tolist() == [0]
+    assert tracks.confirmed.all()
+
+
+def test_a_miss_in_plain_view_ends_a_track_and_a_hidden_one_does_not() -> None:
+    for prob, is_kept in ((1.0, False), (0.0, True)):
+        tracker = Tracker()
+        _drive(tracker, 10)
+        for k in range(10, 30):
+            tracks = tracker.step(0.1 * k, Detections.none(), ScriptedView(0.1 * k, everywhere(prob), found=0.9))
+        assert bool(len(tracks)) == is_kept
+        if is_kept:
+            assert tracks.existence[0] > 0.9
+            assert tracks.seen_s[0] == pytest.approx(0.9)
+
+
+def test_a_hidden_track_whose_place_is_lost_ends() -> None:
+    tracker = Tracker()
+    _drive(tracker, 10)
+    for k in range(10, 120):
+        tracks = tracker.step(0.1 * k, Detections.none(), ScriptedView(0.1 * k, everywhere(0.0)))
+    assert len(tracks) == 0
+
+
+def test_a_hidden_track_whose_place_is_vague_is_not_shown_until_it_is_detected_again() -> None:
+    """It drives, so that its place grows vague within seconds; found again it is the same track, and shown."""
+    tracker = Tracker()
+    _drive(tracker, 20)
+    shown = []
+    for k in range(20, 50):
+        tracks = tracker.step(0.1 * k, Detections.none(), ScriptedView(0.1 * k, everywhere(0.0)))
+        std_m = np.sqrt(tracks.covariances[0, 0, 0])
+        assert tracks.confirmed[0] == (std_m <= 2.5)
+        shown.append(bool(tracks.confirmed[0]))
+    assert shown[0]
+    assert not shown[-1]
+    tracks = _drive(tracker, 1, start=50)
+    assert tracks.ids.tolist() == [0]
+    assert tracks.confirmed.all()
+
+
+def test_what_appears_where_all_was_seen_free_is_doubted() -> None:
+    """From a place hidden a moment ago it is likely at once; in the middle of what was seen it takes longer."""
+
+    def hidden_beyond(xy: F64) -> F64:
+        return np.where(xy[:, 0] > 30.0, 0.0, 1.0)
+
+    tracker = Tracker()
+    tracker.step(0.0, Detections.none(), ScriptedView(0.0, hidden_beyond))
+    tracks = tracker.step(0.1, cars((5.0, 0.0), (28.0, 3.0)), ScriptedView(0.1, everywhere(1.0)))
+    near, far = np.argsort(tracks.states[:, 0])
+    assert (tracks.born_hidden[near], tracks.born_hidden[far]) == (0.0, 1.0)
+    assert tracks.existence[near] < 0.15
+    assert tracks.existence[far] > 0.5
+
+
+def test_a_detection_that_was_likely_overlooked_before_is_plausible() -> None:
+    """It was in view in the sweep before, but the detector finds one in ten there."""
+    tracker = Tracker()
+    tracker.step(0.0, Detections.none(), ScriptedView(0.0, everywhere(1.0), found=0.1))
+    tracks = tracker.step(0.1, cars((5.0, 0.0)), ScriptedView(0.1, everywhere(1.0), found=0.1))
+    assert tracks.born_hidden[0] == 0.0
+    assert tracks.existence[0] > 0.5
+
+
+def test_the_first_sweep_of_a_recording_doubts_nothing() -> None:
+    tracks = Tracker().step(0.0, cars((5.0, 0.0)), ScriptedView(0.0, everywhere(1.0)))
+    assert tracks.born_hidden.tolist() == [1.0]
+    assert tracks.existence[0] > 0.5
+
+
+def test_a_parked_car_that_is_hidden_stays_and_one_that_drives_goes_on() -> None:
+    """Centers err by a third of a meter; behind a truck for 3 s the parked one stands, the other is 30 m on."""
+    rng, tracker = np.random.default_rng(1), Tracker()
+    for k in range(50):
+        xy = np.array([[0.0, 0.0], [k, 20.0]]) + rng.normal(0.0, 0.3, (2, 2))
+        found = cars(*map(tuple, xy)) if k < 20 else Detections.none()
+        tracks = tracker.step(0.1 * k, found, ScriptedView(0.1 * k, everywhere(1.0 if k < 20 else 0.0)))
+    parked, driving = np.argsort(tracks.states[:, 1])
+    assert np.hypot(*tracks.states[parked, :2]) < 0.6
+    assert np.hypot(*(tracks.states[driving, :2] - [49.0, 20.0])) < 3.0
+    # The longer it is hidden, the less is known of the one that drives; the other is where it was.
+    assert tracks.covariances[parked, 0, 0] < 0.5 < tracks.covariances[driving, 0, 0]
+
+
+def test_a_wrongly_completed_box_hardly_moves_a_track() -> None:
+    """One center 1.6 m off among good ones; without outliers it would pull four times as far."""
+    moved = []
+    for share in (0.2, 0.0):
+        tracker = Tracker(ExistenceRules(motion=Motion(outlier_share=share, center_std_m=0.3)))
+        for k in range(15):
+            tracker.step(0.1 * k, cars((10.0, 0.0)), SeesAll(0.1 * k))
+        tracks = tracker.step(1.5, cars((11.2, 0.0)), SeesAll(1.5))
+        assert len(tracks) == 1
+        moved.append(tracks.states[0, 0] - 10.0)
+    assert 0.0 < moved[0] < 0.5 * moved[1]
+
+
+def test_detections_that_are_mostly_false_take_longer_to_believe() -> None:
+    for odds, is_confirmed in ((0.01, True), (1.0, False)):
+        tracker = Tracker()
+        for k in range(3):
+            tracks = tracker.step(0.1 * k, cars((10.0, 0.0)), SeesAll(0.1 * k), false_odds=np.array([odds]))
+        assert bool(tracks.confirmed[0]) == is_confirmed
+    with pytest.raises(ValueError, match="false_odds must be 1 positive numbers"):
+        tracker.step(0.3, cars((10.0, 0.0)), SeesAll(0.3), false_odds=np.array([0.0]))
+
+
+def test_heading_flips_by_half_and_quarter_turns_do_not_turn_a_track() -> None:
+    tracker = Tracker()
+    for k in range(30):
+        found = cars((0.8 * k, 0.0), yaw=(0.05, np.pi + 0.05, np.pi / 2 + 0.05, -np.pi / 2 + 0.05)[k % 4])
+        boxes = found.boxes.copy()
+        if k % 4 >= 2:  # the same box, with length and width exchanged
+            boxes[:, [3, 4]] = boxes[:, [4, 3]]
+        tracks = tracker.step(0.1 * k, replace(found, boxes=boxes), SeesAll(0.1 * k))
+        assert abs(tracks.boxes[0, 6] - 0.05) < 1e-6
+    np.testing.assert_allclose(tracks.boxes[0, 3:6], [4.2, 1.8, 1.5], atol=1e-6)
+
+
+def test_a_track_that_began_across_turns_to_where_it_drives() -> None:
+    """Its first detections saw the rear only: 1.8 m wide, and taken for the length."""
+    tracker = Tracker()
+    for k in range(20):
+        boxes = np.array([[0.8 * k, 0.0, 0.75, 1.8, 0.6, 1.5, np.pi / 2]])
+        tracks = tracker.step(0.1 * k, Detections(boxes, np.array([3]), np.array([20])), SeesAll(0.1 * k))
+    assert abs(tracks.boxes[0, 6]) < 1e-6
+    np.testing.assert_allclose(tracks.boxes[0, 3:5], [0.6, 1.8], atol=1e-6)
+
+
+def test_sizes_are_filtered_and_their_variances_shrink() -> None:
+    rng = np.random.default_rng(0)
+    tracker = Tracker()
+    for k in range(40):
+        boxes = np.array([[20.0, 5.0, 0.75, 4.2 + rng.normal(0, 0.5), 1.8 + rng.normal(0, 0.3), 1.5, 0.0]])
+        tracks = tracker.step(0.1 * k, Detections(boxes, np.array([3]), np.array([20])), SeesAll(0.1 * k))
+        if k == 0:
+            first = tracks.box_variances[0].copy()
+    np.testing.assert_allclose(tracks.boxes[0, 3:5], [4.2, 1.8], atol=0.35)
+    assert (tracks.box_variances[0] < first).all()
+
+
+def test_a_part_of_a_track_begins_no_other() -> None:
+    """A detector that cuts a car in two gives two boxes in one place."""
+    tracker = Tracker()
+    _drive(tracker, 5)
+    tracks = tracker.step(0.5, cars((5.0, 0.0), (6.2, 0.4)), SeesAll(0.5))
+    assert len(tracks) == 1
+    assert len(Tracker().step(0.0, cars((5.0, 0.0), (5.0, 0.0)), SeesAll(0.0))) == 1  # doubled
+
+
+def test_kinds_are_those_of_most_detections() -> None:
+    tracker = Tracker()
+    for k, kind in enumerate([ObjectKind.CAR, ObjectKind.CAR, ObjectKind.TRUCK]):
+        found = cars((20.0, 0.0))
+        tracks = tracker.step(0.1 * k, replace(found, kinds=np.array([kind])), SeesAll(0.1 * k))
+    assert tracks.kinds.tolist() == [ObjectKind.CAR]
+
+
+def test_beyond_the_gate_a_detection_is_of_another_object() -> None:
+    """The gate is of squared distances: 3.7 standard deviations, not 13.8."""
+    for off, ids in ((3.4, [0]), (4.0, [0, 1])):
+        tracker = Tracker(ExistenceRules(motion=Motion(), false_odds=1e-6))  # in the gate all is the track's
+        before = _drive(tracker, 20, speed=0.0)
+        std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.6**2))
+        tracks = tracker.step(2.0, cars((0.0, off * std_m)), SeesAll(2.0))
+        assert tracks.ids.tolist() == ids
+
+
+def test_reset_forgets_tracks_and_goes_on_with_ids() -> None:
+    tracker = Tracker()
+    _drive(tracker, 5)
+    tracker.reset()
+    tracks = tracker.step(0.0, cars((0.0, 0.0)), SeesAll(0.0))
+    assert tracks.ids.tolist() == [1]
+    assert tracks.notes == ()
+
+
+def test_time_that_goes_back_begins_anew_and_says_so() -> None:
+    tracker = Tracker()
+    _drive(tracker, 20)
+    tracks = tracker.step(0.2, cars((2.0, 0.0)), SeesAll(0.2))
+    assert tracks.ids.tolist() == [1]
+    assert tracks.notes == ("time went back by 1.700 s: all tracks dropped",)
+
+
+@pytest.mark.parametrize(("back_s", "words"), [(0.0, "a sweep again"), (0.2, "a sweep 0.200 s late")])
+def test_a_late_or_doubled_sweep_changes_nothing_and_is_named(back_s: float, words: str) -> None:
+    tracker = Tracker()
+    before = _drive(tracker, 20)
+    t_s = before.t_s - back_s
+    tracks = tracker.step(t_s, cars((90.0, 9.0)), SeesAll(t_s))
+    assert tracks.notes == (f"{words}: its detections left out",)
+    assert tracks.detection.tolist() == [-1]
+    np.testing.assert_array_equal(tracks.states, before.states)
+    after = tracker.step(2.0, cars((20.0, 0.0)), SeesAll(2.0))
+    assert after.ids.tolist() == [0]
+    assert after.detection.tolist() == [0]
+
+
+def test_poses_that_begin_or_end_drop_the_tracks_and_say_so() -> None:
+    tracker = Tracker()
+    _drive(tracker, 5)
+    tracks = tracker.step(0.5, cars((5.0, 0.0)), SeesAll(0.5, in_world=False))
+    assert tracks.notes == (
+        "tracks are in the sensor's level frame, for want of poses from now on: all tracks dropped",
+    )
+    assert not tracks.in_world
+    assert tracks.ids.tolist() == [1]
+
+
+def test_too_many_detections_are_refused_and_the_tracks_go_on() -> None:
+    tracker = Tracker()
+    _drive(tracker, 5)
+    flood = cars(*((float(k % 100), float(k // 100)) for k in range(10_000)))
+    with pytest.raises(ValueError, match="detections must be at most 1000, got 10000; this sweep is refused"):
+        tracker.step(0.5, flood, SeesAll(0.5))
+    assert _drive(tracker, 3, start=6).ids.tolist() == [0]
+
+
+def test_tracks_beyond_the_limit_are_refused_by_count() -> None:
+    tracker = Tracker(ExistenceRules(most_tracks=30))
+    far = cars(*((10.0 * (k % 10), 10.0 * (k // 10)) for k in range(40)))
+    tracks = tracker.step(0.0, far, SeesAll(0.0))
+    assert len(tracks) == 30
+    assert tracks.notes == ("10 new tracks refused: 30 are held",)
+
+
+def test_boxes_that_are_too_long_are_left_out_and_counted() -> None:
+    found = cars((5.0, 0.0), (40.0, 0.0), (60.0, 0.0))
+    boxes = found.boxes.copy()
+    boxes[0, 3] = 100.0
+    tracker = Tracker()
+    tracks = tracker.step(0.0, replace(found, boxes=boxes), SeesAll(0.0))
+    assert tracks.notes == ("1 of 3 boxes left out: longer than 30 m",)
+    assert sorted(tracks.detection.tolist()) == [1, 2]  # their numbers in what was given
+
+
+def test_boxes_without_a_size_are_no_detections() -> None:
+    boxes = cars((5.0, 0.0)).boxes.copy()
+    boxes[0, 3:6] = 0.0
+    with pytest.raises(ValueError, match="boxes must be finite and have positive sizes; leave out those that are not"):
+        replace(cars((5.0, 0.0)), boxes=boxes)
+
+
+@pytest.mark.parametrize(
+    "bad", [np.zeros((2, 2)), -np.eye(2), [[1.0, 2.0], [2.0, 1.0]], [[1.0, 0.5], [0.0, 1.0]], [[np.nan, 0], [0, 1.0]]]
+)
+def test_a_covariance_that_is_not_positive_definite_is_refused(bad: F64) -> None:
+    noise = np.stack([np.eye(2), np.asarray(bad, np.float64)])
+    with pytest.raises(ValueError, match=r"noise must be symmetric and positive definite, got .* for detection 1"):
+        Tracker().step(0.0, cars((0.0, 0.0), (20.0, 0.0)), SeesAll(0.0), noise)
+
+
+def test_covariances_of_another_shape_a_view_of_another_time_and_no_time_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"noise must have shape \(1, 2, 2\), got \(2, 2\)"):
+        Tracker().step(0.0, cars((0.0, 0.0)), SeesAll(0.0), np.eye(2))
+    with pytest.raises(ValueError, match=r"view must be of the time of the detections, 0.000 s, got 0.100 s"):
+        Tracker().step(0.0, cars((0.0, 0.0)), SeesAll(0.1))
+    with pytest.raises(ValueError, match="t_s must be finite, got nan"):
+        Tracker().step(float("nan"), cars((0.0, 0.0)), SeesAll(0.0))
+
+
+def test_a_precise_detection_moves_a_track_more_than_a_vague_one() -> None:
+    moved = []
+    for variance in (0.01, 4.0):
+        tracker = Tracker()
+        _drive(tracker, 10)
+        tracks = tracker.step(1.0, cars((10.0, 0.5)), SeesAll(1.0), variance * np.eye(2)[None])
+        moved.append(tracks.states[0, 1])
+    assert moved[0] > 0.3
+    assert 0.0 < moved[1] < 0.1
+
+
+def test_a_view_that_fails_leaves_the_tracks_as_they_were() -> None:
+    def broken(xy: F64) -> F64:
+        raise RuntimeError("no beams")
+
+    tracker, other = Tracker(), Tracker()
+    _drive(tracker, 5)
+    _drive(other, 5)
+    with pytest.raises(RuntimeError, match="no beams"):
+        tracker.step(0.5, cars((5.0, 0.0)), ScriptedView(0.5, broken))
+    mine, expected = _drive(tracker, 1, start=5), _drive(other, 1, start=5)
+    np.testing.assert_array_equal(mine.states, expected.states)
+    np.testing.assert_array_equal(mine.existence, expected.existence)
+
+
+def test_what_a_caller_gets_cannot_change_the_tracker() -> None:
+    tracks = _drive(Tracker(), 3)
+    with pytest.raises(ValueError, match="read-only"):
+        tracks.states[0, 0] = 9.0
+
+
+def test_rules_out_of_range_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"recurrence must lie in \[0, 1\], got 2.0"):
+        ExistenceRules(recurrence=2.0)
+    with pytest.raises(ValueError, match=r"gate must be positive, got 0.0"):
+        ExistenceRules(gate=0.0)
+    with pytest.raises(ValueError, match=r"coast_s must be positive, got 0.0"):
+        PublishedRules(coast_s=0.0)
+
+
+def test_a_flood_of_boxes_in_one_place_asks_the_view_of_few() -> None:
+    """A thousand large boxes about one point: parts of each other are left out before the view is asked."""
+    asked = []
+
+    def seen(xy: F64) -> F64:
+        asked.append(len(xy))
+        return np.ones(len(xy))
+
+    rng = np.random.default_rng(0)
+    tracker = Tracker()
+    for k in range(3):
+        flood = cars(*rng.uniform(-3.0, 3.0, (1000, 2)))
+        tracks = tracker.step(
+            0.1 * k, replace(flood, boxes=flood.boxes * [1, 1, 1, 2, 4, 1, 1]), ScriptedView(0.1 * k, seen)
+        )
+        assert len(tracks) < 10
+    assert max(asked) < 2000
+
+
+def test_a_flood_of_boxes_everywhere_asks_the_view_a_bounded_number_of_questions() -> None:
+    asked = []
+
+    def seen(xy: F64) -> F64:
+        asked.append(len(xy))
+        return np.ones(len(xy))
+
+    tracker = Tracker()
+    for k in range(3):
+        grid = np.stack(np.meshgrid(np.arange(40) * 5.0, np.arange(25) * 5.0 + 2.5 * k), axis=-1).reshape(-1, 2)
+        tracker.step(k, cars(*grid), ScriptedView(k, seen))
+    assert max(asked) <= 10_000

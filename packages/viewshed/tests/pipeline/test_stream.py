@@ -1,0 +1,280 @@
+"""The pipeline: what becomes of each sweep, what is dropped, what an error costs, and that memory stays flat."""
+
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from viewshed import load_estimator, read_sweep
+from viewshed.estimators import Estimator
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.geometry import Rigid
+from viewshed.io.samples import junction_path
+from viewshed.monitor import IntegrityReport
+from viewshed.monitor.evidence import SECTORS
+from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
+from viewshed.pipeline import Answer, Caution, Pipeline, Vehicle, speed_for_view
+from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.sweep import Sweep
+
+SWEEP = read_sweep(junction_path())
+SMALL = SWEEP.select(np.arange(0, len(SWEEP), 4)).replace(ring=None)
+
+
+def shadow_map() -> Estimator:
+    return load_estimator("shadow_map")
+
+
+def at(seconds: float, sweep: Sweep = SMALL) -> Sweep:
+    return sweep.replace(t_ns=round(seconds * 1e9), world_from_sensor=Rigid.identity())
+
+
+class Alarms:
+    """A monitor that finds something in some sweeps."""
+
+    def __init__(self, *numbers: int) -> None:
+        self.numbers, self.count = numbers, -1
+
+    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> StreamReport:
+        self.count += 1
+        suspect = np.arange(SECTORS) == 40
+        now = IntegrityReport("by hand", float(self.count in self.numbers), 0.5, suspect=suspect)
+        return StreamReport(now, False, 0.0, 100.0, 0.0, ("noted",) if now.inconsistent else ())
+
+
+def alarming(*numbers: int) -> StreamMonitor:
+    monitor: Any = Alarms(*numbers)
+    return cast(StreamMonitor, monitor)
+
+
+def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
+    answers: list[Answer] = []
+    sweeps = [at(0.1 * n, SWEEP) for n in range(3)]
+    slow = Vehicle(braking_mps2=1.0)
+    with Pipeline(shadow_map(), answers.append, vehicle=slow, lossless=True) as pipeline:
+        for sweep in sweeps:
+            pipeline.put(sweep, "car")
+    assert [(answer.number, answer.agent, answer.refused) for answer in answers] == [(n, "car", "") for n in range(3)]
+    for answer, sweep in zip(answers, sweeps, strict=True):
+        alone = shadow_map().estimate(sweep.replace(agent="car"))
+        assert answer.estimate is not None
+        assert np.array_equal(answer.estimate.visible_prob, alone.visible_prob)
+        assert np.array_equal(answer.estimate.state, alone.state)
+        assert answer.speed_mps == speed_for_view(alone, slow) > 0
+        assert answer.reaction.caution == Caution.KEEP
+
+
+def test_history_helps_as_it_does_a_temporal_estimator() -> None:
+    answers: list[Answer] = []
+    with Pipeline(shadow_map(), answers.append, history=SweepBuffer(every_s=0.1), lossless=True) as pipeline:
+        for n in range(4):
+            pipeline.put(at(0.2 * n, SWEEP))
+    alone = TemporalEstimator(shadow_map(), SweepBuffer(every_s=0.1))
+    for n, answer in enumerate(answers):
+        expected = alone.estimate(at(0.2 * n, SWEEP))
+        assert answer.estimate is not None
+        assert np.array_equal(answer.estimate.visible_prob, expected.visible_prob)
+
+
+def test_a_sweep_that_cannot_be_answered_costs_that_sweep_alone() -> None:
+    def broken() -> Sweep:
+        raise RuntimeError("a packet\nis missing")
+
+    answers: list[Answer] = []
+    pipeline = Pipeline(shadow_map(), answers.append, lossless=True)
+    for source in (at(0.0), broken, at(0.1), at(0.1), at(0.05), at(60.0)):
+        pipeline.put(source)
+    statistics = pipeline.close()
+    assert [answer.refused for answer in answers] == [
+        "", "a packet is missing", "", "a sweep must have another time than the one before, got the same again", "", "",
+    ]  # fmt: skip
+    assert [answer.estimate is None for answer in answers] == [False, True, False, True, False, False]
+    assert answers[4].notes == ("time went back by 0.05 s: the stream begins anew",)
+    assert answers[5].notes == ("time jumped by 60 s: the stream begins anew",)
+    assert (statistics.answered, statistics.dropped) == (4, 0)
+    assert sum(statistics.refused.values()) == 2
+    assert "4 answered, 0 dropped, 1 refused (a packet is missing)" in statistics.line()
+    assert answers[1].reaction.caution == Caution.ASK
+    assert answers[1].speed_mps == 0.0
+
+
+def test_an_estimator_that_raises_costs_one_sweep() -> None:
+    class Stumbling:
+        def __init__(self) -> None:
+            self.inner, self.calls = shadow_map(), 0
+            self.grid = self.inner.grid
+
+        def estimate(self, sweep: LeveledSweep, history: object = None) -> FovEstimate:
+            self.calls += 1
+            if self.calls == 3:  # the first call is the warm-up
+                raise ZeroDivisionError
+            return self.inner.estimate(sweep)
+
+    answers: list[Answer] = []
+    estimator: Estimator = Stumbling()  # type: ignore[assignment]
+    with Pipeline(estimator, answers.append, lossless=True) as pipeline:
+        for n in range(12):
+            pipeline.put(at(n))
+    assert [answer.refused for answer in answers] == ["", "ZeroDivisionError", *[""] * 10]
+    assert [answer.reaction.caution for answer in answers] == [Caution.KEEP, *[Caution.ASK] * 10, Caution.KEEP]
+
+
+def test_the_newest_sweep_wins_while_the_estimator_is_busy() -> None:
+    answers: list[Answer] = []
+    free = threading.Event()
+    free.set()
+
+    class Busy:
+        grid = shadow_map().grid
+
+        def estimate(self, sweep: LeveledSweep, history: object = None) -> FovEstimate:
+            free.wait(10)
+            return shadow_map().estimate(sweep)
+
+    pipeline = Pipeline(cast(Estimator, Busy()), answers.append, stale_after_s=np.inf)
+    free.clear()
+    for n in range(40):
+        pipeline.put(at(n))
+        time.sleep(0.02)
+    free.set()
+    statistics = pipeline.close()
+    assert answers[-1].number == 39
+    assert statistics.answered < 10
+    assert len(answers) + sum(statistics.unpublished.values()) == statistics.answered
+    assert statistics.answered + statistics.dropped == 40
+
+
+def test_an_alarm_withdraws_claims_until_sweeps_were_calm() -> None:
+    answers: list[Answer] = []
+    with Pipeline(shadow_map(), answers.append, monitor=alarming(1), lossless=True) as pipeline:
+        for n in range(13):
+            pipeline.put(at(n))
+    cautions = [answer.reaction.caution for answer in answers]
+    assert cautions == [Caution.KEEP] + [Caution.WIDEN] * 10 + [Caution.ASK] * 2
+    assert [answer.notes for answer in answers[:3]] == [(), ("noted",), ()]
+    clean, alarmed = answers[0].estimate, answers[1].estimate
+    assert clean is not None
+    assert alarmed is not None
+    azimuth = np.arctan2(clean.grid.centers[..., 1], clean.grid.centers[..., 0])
+    inside = (azimuth > np.radians(15)) & (azimuth < np.radians(30))  # sector 40, 20° to 25°, and those beside it
+    assert (alarmed.state[inside] == CellState.UNKNOWN).all()
+    assert np.array_equal(alarmed.state[~inside], clean.state[~inside])
+
+
+def test_what_publish_raises_is_raised_by_close() -> None:
+    def publish(answer: Answer) -> None:
+        raise OSError("disk full")
+
+    pipeline = Pipeline(shadow_map(), publish, lossless=True)
+    for n in range(20):
+        pipeline.put(at(n))
+    with pytest.raises(OSError, match="disk full"):
+        pipeline.close()
+
+
+def test_agents_are_remembered_apart_and_those_beyond_64_are_refused_and_counted() -> None:
+    answers: list[Answer] = []
+    pipeline = Pipeline(shadow_map(), answers.append, monitor=alarming(0), lossless=True)
+    tiny = SMALL.select(np.arange(0, len(SMALL), 50))
+    for n in range(70):
+        pipeline.put(at(1.0, tiny), f"agent {n}")
+    while len(answers) < 64:
+        time.sleep(0.01)
+    pipeline.put(at(2.0, tiny), "agent 0")
+    said = pipeline.close()
+    assert [answer.reaction.caution for answer in answers[:2]] == [Caution.WIDEN, Caution.KEEP]
+    assert answers[64].reaction.caution == Caution.WIDEN  # remembered
+    assert len(pipeline._agents) == 64
+    assert said.refused == {"of more than 64 agents; give them a stream of their own": 6}
+
+
+def test_reasons_are_counted_apart_up_to_a_bound() -> None:
+    pipeline = Pipeline(shadow_map(), lambda answer: None, lossless=True)
+    for n in range(60):
+        pipeline.put(lambda n=n: read_sweep(f"no file {n}"))  # type: ignore[misc]
+    refused = pipeline.close().refused
+    assert len(refused) == 51
+    assert refused["for other reasons"] == 10
+
+
+def test_objects_are_followed_for_each_agent_and_an_error_costs_only_them() -> None:
+    pytest.importorskip("scipy", reason="scipy is not installed: nothing is tracked")
+    from viewshed.detections import Detections
+    from viewshed.objects.object_stream import ObjectStream
+
+    calls = 0
+
+    def fails_once(leveled: LeveledSweep, detections: Detections) -> Detections:
+        nonlocal calls
+        calls += 1
+        if calls == 4:  # the first is the warm-up
+            raise RuntimeError("detector broke\nin two lines")
+        return detections
+
+    answers: list[Answer] = []
+    objects = ObjectStream(tamper=fails_once)
+    with Pipeline(shadow_map(), answers.append, objects=objects, lossless=True) as pipeline:
+        for n in range(4):
+            pipeline.put(at(0.1 * n, SWEEP), "car")
+        pipeline.put(at(0.4, SWEEP), "truck")
+        pipeline.close()
+    assert [answer.objects is None for answer in answers] == [False, False, True, False, False]
+    assert answers[2].notes == ("no objects: detector broke in two lines",)
+    assert answers[2].estimate is not None
+    line = pipeline.statistics().line()
+    assert "objects p50" in line
+    assert line.endswith("1 failed")
+    # The sweeps are of one instant: what is detected first is there in all of them, under its own number.
+    ids = [set(a.objects.explained.tracks.ids[a.objects.shown].tolist()) for a in answers if a.objects is not None]
+    assert ids[0] < ids[2]
+    car, truck = answers[3].objects, answers[4].objects
+    assert car is not None
+    assert truck is not None
+    assert car.shown.sum() > truck.shown.sum()
+
+
+def test_an_agent_that_a_center_accuses_is_believed_only_where_it_is_confirmed() -> None:
+    answers: list[Answer] = []
+    answered = threading.Semaphore(0)
+
+    def publish(answer: Answer) -> None:
+        answers.append(answer)
+        answered.release()
+
+    with Pipeline(shadow_map(), publish, lossless=True) as pipeline:
+        for n in range(4):
+            pipeline.accuse({"liar"} if n in (1, 2) else ())
+            for agent in ("car", "liar"):
+                pipeline.put(at(0.1 * n), agent)
+                assert answered.acquire(timeout=30)
+    cautions = {agent: [a.reaction.caution for a in answers if a.agent == agent] for agent in ("car", "liar")}
+    assert set(cautions["car"]) == {Caution.KEEP}
+    assert cautions["liar"] == [Caution.KEEP, Caution.CONFIRMED, Caution.CONFIRMED, Caution.CONFIRMED]
+    accused = next(a for a in answers if a.agent == "liar" and a.reaction.caution == Caution.CONFIRMED)
+    assert accused.estimate is not None
+    assert accused.estimate.area_m2() == 0.0
+
+
+def test_a_suspicious_track_is_a_reason_to_ask() -> None:
+    pytest.importorskip("scipy", reason="scipy is not installed: nothing is tracked")
+    from viewshed.objects.object_stream import ObjectStream
+    from viewshed_lab.threats.adversary import Adversary
+
+    answers: list[Answer] = []
+    adversary = Adversary("fabricate_static", start_s=0.3, count=6, seed=1)
+    objects = ObjectStream(tamper=adversary.detections)
+    with Pipeline(shadow_map(), answers.append, objects=objects, lossless=True) as pipeline:
+        for n in range(12):
+            pipeline.put(at(0.1 * n, SWEEP))
+    suspicious = [
+        a.objects is not None and bool((a.objects.shown & a.objects.explained.accused).any()) for a in answers
+    ]
+    assert any(suspicious)
+    assert [a.reaction.caution == Caution.ASK for a, flag in zip(answers, suspicious, strict=True) if flag] == [
+        True
+    ] * sum(suspicious)
+    assert answers[0].reaction.caution == Caution.KEEP

@@ -1,0 +1,269 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.preprocess.test_ground_fill import Relief, rings
+
+from viewshed import GRIDS, Rigid, Sweep
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.geometry import quaternion_from_rotation
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sensors import LidarModel
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import ScenePlan, simulate_frame
+from viewshed_lab.sim import Box, Scene, cast
+
+ROAD = GRIDS["road"]
+DENSE = LidarModel("dense", np.deg2rad(np.linspace(-25, 3, 64)), azimuth_columns=900, max_range_m=120.0)
+
+
+def _cast(scene: Scene, height_m: float = 1.8) -> NDArray[np.float32]:
+    return cast(DENSE, scene, height_m, rng=np.random.default_rng(1)).points
+
+
+def _level(points: NDArray[np.float32]) -> LeveledSweep:
+    return level(Sweep(points), ROAD)
+
+
+WALLS = (Box(12, 3, 0.5, 18, 6), Box(-5, -9, 40, 1, 4), Box(20, -6, 4.2, 1.8, 1.5), Box(8, 6, 4.2, 1.8, 1.5, yaw=0.4))
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.05, -0.03), (-0.1, 0.08)])
+def test_ground_of_a_sloping_street_among_walls(slope: tuple[float, float]) -> None:
+    leveled = level(Sweep(_cast(Scene(WALLS, slope=slope)), attitude=np.array([1.0, 0, 0, 0])), ROAD)
+    near = np.array([[6.0, -3.0], [10.0, -6.0], [-8.0, 5.0], [-15.0, 10.0], [25.0, 15.0], [-30.0, 20.0]])
+    truth = near @ np.array(slope)
+    found = level_heights(leveled, near)
+    assert np.abs(found - truth).max() < 0.12
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
+
+
+def level_heights(leveled: LeveledSweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ground z (M,) at level points, in a frame whose z = 0 is the true ground below the sensor."""
+    return leveled.ground.at(xy).astype(np.float64) + 1.8 - leveled.sensor_height_m
+
+
+def test_ground_follows_a_hill_and_does_not_climb_a_wall() -> None:
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(-60, 60, (60_000, 2))
+    hill = 0.002 * np.maximum(xy[:, 0] - 10, 0) ** 2
+    wall = np.column_stack([np.full(4000, 15.0), rng.uniform(5, 25, 4000), rng.uniform(-1.0, 5, 4000)])
+    points = np.concatenate([np.column_stack([xy, hill - 1.8 + rng.normal(0, 0.02, len(xy))]), wall])
+    leveled = _level(points.astype(np.float32))
+    assert level_heights(leveled, np.array([[40.0, 0.0]]))[0] == pytest.approx(1.8, abs=0.2)
+    assert level_heights(leveled, np.array([[15.0, 15.0]]))[0] == pytest.approx(0.05, abs=0.2)
+
+
+def test_a_street_that_begins_to_climb_is_followed() -> None:
+    rng = np.random.default_rng(6)
+    xy = rng.uniform(-50, 50, (60_000, 2))
+    climb = 0.16 * np.maximum(xy[:, 0] - 12.0, 0.0)
+    points = np.column_stack([xy, climb - 1.8 + rng.normal(0, 0.02, len(xy))]).astype(np.float32)
+    leveled = _level(points)
+    found = level_heights(leveled, np.array([[20.0, 4.0], [35.0, -10.0], [-20.0, 0.0]]))
+    assert np.allclose(found, [1.28, 3.68, 0.0], atol=0.15)
+
+
+def test_parked_vans_are_no_ground() -> None:
+    vans = tuple(Box(x, 5.0, 5.5, 2.2, 2.3, bottom_m=0.25) for x in (6.0, 12.0, 18.0, 24.0))
+    leveled = _level(_cast(Scene(vans)))
+    under = np.array([[6.0, 5.0], [12.0, 5.0], [18.0, 5.0]])
+    assert np.abs(level_heights(leveled, under)).max() < 0.2
+
+
+def test_returns_below_the_ground_do_not_pull_it_down() -> None:
+    points = _cast(Scene(WALLS))
+    rng = np.random.default_rng(3)
+    ghosts = np.column_stack([rng.uniform(-40, 40, (60, 2)), rng.uniform(-12, -4, 60)])
+    leveled = _level(np.concatenate([points, ghosts.astype(np.float32)]))
+    assert np.abs(level_heights(leveled, rng.uniform(-20, 20, (50, 2)))).max() < 0.15
+
+
+@pytest.mark.parametrize("pitch_deg", [15.0, 28.0])
+def test_a_tilted_roadside_sensor_is_leveled_without_an_attitude(pitch_deg: float) -> None:
+    level_from_sensor = Rigid(_pitch(np.deg2rad(pitch_deg)), np.zeros(3))
+    model = LidarModel("down", np.deg2rad(np.linspace(-45, 10, 64)), azimuth_columns=900)
+    scene = Scene((Box(18, 4, 4.2, 1.8, 1.5), Box(25, -8, 10, 1, 4)))
+    sweep = cast(model, scene, 6.0, quaternion_from_rotation(level_from_sensor.rotation))
+    leveled = _level(sweep.points)
+    assert leveled.sensor_height_m == pytest.approx(6.0, abs=0.25)
+    up = leveled.level_from_sensor.rotation[2]
+    assert np.rad2deg(np.arccos(up @ level_from_sensor.rotation[2])) < 1.5
+    known = level(sweep, ROAD)
+    assert np.allclose(known.level_from_sensor.rotation, level_from_sensor.rotation, atol=1e-6)
+
+
+def test_a_sensor_that_looks_down_beside_far_walls_finds_its_tilt() -> None:
+    """Most of its returns are from the ground at its feet, most of the area that it sees from a wall."""
+    rng = np.random.default_rng(0)
+    azimuth, range_m = rng.uniform(-1, 1, 6000), rng.uniform(1.5, 9, 6000)
+    low = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), rng.normal(-1.7, 0.02, 6000)], axis=1)
+    wall = np.stack([np.full(1500, 35.0), rng.uniform(-35, 30, 1500), rng.uniform(-1.7, 8, 1500)], axis=1)
+    tilt = _pitch(np.deg2rad(45.0))
+    leveled = _level((np.concatenate([low, wall]) @ tilt).astype(np.float32))
+    assert leveled.sensor_height_m == pytest.approx(1.7, abs=0.1)
+    assert np.rad2deg(np.arccos(leveled.level_from_sensor.rotation[2] @ tilt[2])) < 1.5
+    # A room of which most returns are walls says nothing of a tilt.
+    room = np.concatenate([low[:300], wall * [0.1, 0.1, 0.4]])
+    assert _level(room.astype(np.float32)).level_from_sensor.rotation[2, 2] == 1.0
+
+
+def _pitch(angle: float) -> NDArray[np.float64]:
+    """Nose down by ``angle``."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def test_ego_and_null_returns_are_left_out() -> None:
+    ground = _cast(Scene())
+    ego = np.array([[0.1, 0.0, -0.1], [2.0, 0.5, -0.8], [-1.5, -0.9, -0.6]], np.float32)
+    beside = np.array([[0.5, 1.6, -0.9]], np.float32)
+    leveled = level(Sweep(np.concatenate([ego, beside, ground])), ROAD)
+    assert leveled.rows[0] == 3
+    assert len(leveled.rows) == len(ground) + 1
+
+
+def test_level_columns_are_those_of_the_points() -> None:
+    leveled = _level(_cast(Scene(WALLS, slope=(0.03, 0.02))))
+    x, y, z = leveled.points.astype(np.float64).T
+    assert np.allclose(leveled.range_m, np.hypot(x, y), atol=1e-4)
+    assert np.allclose(leveled.azimuth, np.arctan2(y, x), atol=2e-5)
+    assert (leveled.azimuth >= -np.pi).all()
+    assert (leveled.azimuth < np.pi).all()
+    inside = np.maximum(np.abs(x), np.abs(y)) < 62
+    assert np.allclose(leveled.height_m[inside], (z - leveled.ground.at(leveled.points))[inside], atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_a_few_points_give_flat_ground(count: int) -> None:
+    points = np.array([[5.0, 2.0, -1.0]] * count, np.float32).reshape(-1, 3)
+    leveled = level(Sweep(points, sensor_height_m=1.5), ROAD)
+    assert leveled.sensor_height_m == 1.5
+    assert not leveled.ground.seen.any()
+    assert np.allclose(leveled.ground.heights_m, 0.0)
+
+
+def test_a_desk_level_with_the_sensor_is_not_the_ground() -> None:
+    rng = np.random.default_rng(4)
+    desk = np.column_stack([rng.uniform(-6, 6, (6000, 2)), rng.normal(-0.06, 0.01, 6000)])
+    wall = np.column_stack([np.full(3000, 6.0), rng.uniform(-6, 6, 3000), rng.uniform(-0.7, 1.5, 3000)])
+    leveled = level(Sweep(np.concatenate([desk, wall]).astype(np.float32)), GRIDS["indoor"])
+    assert leveled.sensor_height_m >= 0.25
+    assert not leveled.ground.seen.any()
+
+
+def relief_errors(leveled: LeveledSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return level_heights(leveled, xy) - relief(xy[:, 0], xy[:, 1])
+
+
+@pytest.mark.parametrize(("width_m", "fall_m"), [(9.0, 4.0), (9.0, 3.0), (12.0, 2.0), (9.0, 2.0)])
+def test_on_an_embankment_the_road_carries_the_sensor_and_not_the_fields_below(width_m: float, fall_m: float) -> None:
+    """A road, banks at 45°, and fields on both sides that return as well."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -np.clip(np.abs(y - 0.5) - width_m / 2, 0.0, fall_m) + 0.0 * x
+
+    points = rings(relief)
+    assert (np.abs(points[:, 1] - 0.5) > width_m / 2 + fall_m).mean() > 0.1
+    leveled = _level(points)
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.1)
+    road = np.array([[x, y] for x in (-20.0, -9.0, 4.0, 15.0) for y in (-2.0, 0.0, 2.5)])
+    assert np.abs(relief_errors(leveled, relief, road)).max() < 0.12
+
+
+def test_the_faces_of_a_cutting_are_climbed() -> None:
+    """A road 12 m wide between faces at 40° that rise 4 m."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.clip(0.84 * (np.abs(y) - 6.0), 0.0, 4.0) + 0.0 * x
+
+    model = LidarModel("dense", np.deg2rad(np.linspace(-25, 15, 64)), azimuth_columns=900, max_range_m=120.0)
+    leveled = _level(_met(relief, model))
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
+    face = np.array([[x, side * y] for x in (-6.0, 0.0, 5.0) for y in (7.5, 8.5, 9.5) for side in (-1.0, 1.0)])
+    assert np.abs(relief_errors(leveled, relief, face)).max() < 0.3
+    assert np.abs(relief_errors(leveled, relief, face * [1.0, 0.3])).max() < 0.1
+
+
+def _met(relief: Relief, model: LidarModel) -> NDArray[np.float32]:
+    """Where the beams of a model, 1.8 m up, first meet ``relief``; none beyond 60 m."""
+    azimuth = -np.pi + np.arange(model.azimuth_columns) * model.azimuth_step
+    steps, found = np.arange(2.0, 60.0, 0.05), []
+    x, y = np.cos(azimuth)[:, None] * steps, np.sin(azimuth)[:, None] * steps
+    ground_m = relief(x, y)
+    for slope in np.tan(model.elevation):
+        below = slope * steps + 1.8 <= ground_m
+        rows = np.nonzero(below.any(axis=1))[0]
+        k = below[rows].argmax(axis=1)
+        found.append(np.stack([x[rows, k], y[rows, k], slope * steps[k]], axis=1))
+    return np.concatenate(found).astype(np.float32)
+
+
+def test_the_floor_of_a_pit_is_ground_where_beams_meet_it() -> None:
+    """A quarry 6 m deep from 6 m to the left on: beams over its edge meet the floor from 26 m on."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where((y > 6.0) & (np.abs(x) < 30.0), -6.0, 0.0)
+
+    leveled = _level(_met(relief, DENSE))
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
+    floor = np.array([[x, y] for x in (-4.0, 0.0, 6.0) for y in (29.0, 32.0, 36.0)])
+    assert np.abs(relief_errors(leveled, relief, floor)).max() < 0.3
+    before = np.array([[x, y] for x in (-4.0, 0.0, 6.0) for y in (-20.0, -6.0, 3.0)])
+    assert np.abs(relief_errors(leveled, relief, before)).max() < 0.1
+    # Between the edge and there it may lie anywhere below the beams.
+    gap = leveled.ground.std_m[60:68, 64 + 8 : 64 + 18]
+    assert gap.min() > 0.8
+
+
+def test_a_wall_seen_over_an_edge_shows_that_the_ground_before_it_lies_lower() -> None:
+    """A deck that ends 8 m to the left above land 6 m lower, and there a wall 20 m away: beams meet the wall alone."""
+
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(y < 8.0, 0.0, np.where(y < 20.0, -6.0, 3.0)) + 0.0 * x
+
+    points = _met(relief, DENSE)
+    on_wall = (points[:, 1] > 19.9) & (np.abs(points[:, 0]) < 5.0)
+    foot_m = points[on_wall, 2].min() + 1.8
+    assert -3.0 < foot_m < -2.0
+    leveled = _level(points)
+    before = np.array([[x, 19.5] for x in (-3.0, 0.0, 3.0)])
+    assert level_heights(leveled, before).max() < foot_m + 0.6
+    assert np.abs(level_heights(leveled, np.array([[0.0, 4.0], [-6.0, -8.0]]))).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("preset", "scene", "azimuth", "raised_m"),
+    [
+        ("nuscenes", 0, 0.8, -1.5), ("nuscenes", 0, -2.0, -1.5), ("nuscenes", 3, -2.0, -1.5),
+        ("nuscenes", 3, 2.4, -1.5), ("nuscenes", 3, -0.9, -1.5),
+        # The road ahead is the farthest ground that is seen: what lies beside it must not follow.
+        ("nuscenes", 0, 0.0, -1.5), ("nuscenes", 3, 0.0, -1.5), ("nuscenes", 1, 0.0, -0.8), ("carla", 1, 0.0, -1.5),
+        ("carla", 5, np.pi, -0.8), ("nuscenes", 0, 0.0, 1.5), ("nuscenes", 1, 0.0, 1.5),
+    ],
+)  # fmt: skip
+def test_a_wedge_of_moved_returns_leaves_the_ground_and_the_view_of_the_rest(
+    preset: str, scene: int, azimuth: float, raised_m: float
+) -> None:
+    sweep = simulate_frame(ScenePlan(preset_named(preset), 0, scene), 3).sweep
+    away = np.abs(np.angle(np.exp(1j * (np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) - azimuth))))
+    wedge = np.argsort(away)[:652]
+    points = sweep.points.copy()
+    points[wedge, 2] += raised_m
+    clear, poisoned = level(sweep, ROAD), level(sweep.replace(points=points), ROAD)
+    x, y = ROAD.centers[..., 0], ROAD.centers[..., 1]
+    apart = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x) - azimuth))))
+    # As far as a car beside the wedge reaches into it.
+    rest = apart - np.arctan2(0.9, np.hypot(x, y)) > away[wedge].max() + np.deg2rad(3.0)
+    assert rest.mean() > 0.8
+    before, after = (ShadowMap(ROAD).estimate(leveled).visible() for leveled in (clear, poisoned))
+    assert (after & before & rest).sum() / (before & rest).sum() > 0.995
+    assert (after & ~before & rest).sum() / (before & rest).sum() < 0.005
+    nodes_m = np.arange(128) - 63.5
+    node_x, node_y = np.meshgrid(nodes_m, nodes_m, indexing="ij")
+    node_apart = np.abs(np.angle(np.exp(1j * (np.arctan2(node_y, node_x) - azimuth))))
+    beside = (node_apart - np.arctan2(2.0, np.hypot(node_x, node_y)) > away[wedge].max()) & clear.ground.seen
+    # Few returns beside it are no longer taken for ground, and the others show what they showed.
+    assert (beside & poisoned.ground.seen).sum() > 0.95 * beside.sum()
+    beside &= poisoned.ground.seen
+    moved_m = np.abs(poisoned.ground.heights_m - clear.ground.heights_m)[beside]
+    assert np.quantile(moved_m, 0.995) < 0.05

@@ -1,0 +1,347 @@
+"""Ground where few returns lie on it: banks, crests, valleys and steps of known height, and simulated frames."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from viewshed import GRIDS, Sweep, _core
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import ScenePlan, simulate_frame, world_of
+
+# Of packages/viewshed/src/core/ground_fill.cpp and packages/viewshed/src/core/ground_lattice.cpp.
+SEEN_STD_M, BEYOND_GROWTH, PLANE_M, TILT_M = 0.05, 0.01, 30.0, 20.0
+
+ROAD = GRIDS["road"]
+HEIGHT_M = 1.8
+Relief = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+def rings(relief: Relief, first: int = 0) -> NDArray[np.float32]:
+    """Returns of 32 rings (1.33° apart, as an HDL-32E's) where they first meet ``relief``; the sensor is at 0."""
+    azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    slopes = np.tan(np.deg2rad(-30.67 + 1.333 * np.arange(first, 23)))
+    steps = np.arange(2.0, 63.0, 0.05)
+    found = []
+    for slope in slopes:
+        x, y = np.cos(azimuth)[:, None] * steps, np.sin(azimuth)[:, None] * steps
+        below = slope * steps + HEIGHT_M <= relief(x, y)
+        rows = np.nonzero(below.any(axis=1))[0]
+        k = below[rows].argmax(axis=1)
+        found.append(np.stack([x[rows, k], y[rows, k], slope * steps[k]], axis=1))
+    noise = np.random.default_rng(8).normal(0, 0.01, sum(map(len, found)))
+    points = np.concatenate(found)
+    points[:, 2] += noise
+    return points.astype(np.float32)
+
+
+def level_points(points: NDArray[np.float32]) -> LeveledSweep:
+    return level(Sweep(points, sensor_height_m=HEIGHT_M, attitude=np.array([1.0, 0, 0, 0])), ROAD)
+
+
+def errors(leveled: LeveledSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return leveled.ground.at(xy).astype(np.float64) - relief(xy[:, 0], xy[:, 1])
+
+
+def _bank(rise_m: float) -> Relief:
+    """Level to 12 m left, then a bank 7 m wide, then level land ``rise_m`` higher; a gentle slope to the right."""
+    return lambda x, y: rise_m * np.clip((y - 12.0) / 7.0, 0.0, 1.0) + 0.01 * np.minimum(y, 0.0) + 0.0 * x
+
+
+def test_land_below_a_bank_is_followed_and_the_road_is_not_drawn_down_to_it() -> None:
+    relief = _bank(-2.0)
+    leveled = level_points(rings(relief))
+    beyond = np.array([[0.0, 24.0], [8.0, 24.0], [-12.0, 26.0], [5.0, 30.0]])
+    assert np.abs(errors(leveled, relief, beyond)).max() < 0.35
+    road = np.array([[x, y] for x in (-15.0, 0.0, 15.0) for y in (-8.0, 0.0, 6.0)])
+    assert np.abs(errors(leveled, relief, road)).max() < 0.12
+
+
+@pytest.mark.parametrize("fall_m", [2.3, 3.2])
+def test_land_far_below_a_bank_is_believed_where_its_returns_agree(fall_m: float) -> None:
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -fall_m * np.clip((y - 8.0) / 7.0, 0.0, 1.0) + 0.0 * x
+
+    beyond = np.array([[0.0, 24.0], [8.0, 24.0], [-12.0, 26.0], [5.0, 30.0]])
+    assert np.abs(errors(level_points(rings(relief)), relief, beyond)).max() < 0.15
+
+
+@pytest.mark.parametrize(("x", "y"), [(12.0, 3.0), (25.0, -10.0)])
+@pytest.mark.parametrize("deep_m", [2.5, 4.0])
+def test_a_reflection_below_the_road_is_not_believed_though_its_returns_agree(
+    x: float, y: float, deep_m: float
+) -> None:
+    rng = np.random.default_rng(3)
+    around = rng.uniform((x, y), (x + 6, y + 6), (200, 2))
+    mirrored = np.column_stack([around, rng.normal(-HEIGHT_M - deep_m, 0.02, 200)]).astype(np.float32)
+
+    def flat(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 0.0 * x
+
+    leveled = level_points(np.concatenate([rings(flat), mirrored]))
+    assert np.abs(errors(leveled, flat, np.array([[x + 1, y + 1], [x + 3, y + 3], [x + 5, y + 5]]))).max() < 0.1
+
+
+def test_a_bank_that_rises_is_climbed() -> None:
+    relief = _bank(1.5)
+    xy = np.array([[x, y] for x in (-6.0, 0.0, 9.0) for y in (5.0, 10.0, 14.0, 16.0, 18.0)])
+    assert np.abs(errors(level_points(rings(relief)), relief, xy)).max() < 0.15
+
+
+def test_a_valley_between_rings_is_interpolated() -> None:
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 0.0006 * x**2 - 0.015 * y
+
+    xy = np.array([[x, y] for x in (-39.0, -30.0, 12.0, 33.0, 36.0) for y in (-20.0, 0.0, 9.0)])
+    leveled = level_points(rings(relief))
+    std_m = replace(leveled.ground, heights_m=leveled.ground.std_m).at(xy)
+    # Beyond the last ring (38 m) what curves is not continued: the deviation must say so, and little elsewhere.
+    assert (np.abs(errors(leveled, relief, xy)) < 2 * std_m).all()
+    assert std_m.max() < 0.25
+    assert np.abs(errors(leveled, relief, xy))[np.hypot(*xy.T) < 38].max() < 0.06
+
+
+def test_beyond_a_crest_the_ground_goes_on_without_a_jump() -> None:
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(x < 20, 0.03 * x, 0.6 - 0.05 * (x - 20)) + 0.0 * y
+
+    leveled = level_points(rings(relief))
+    assert np.abs(errors(leveled, relief, np.array([[10.0, 3.0], [18.0, -5.0], [-20.0, 4.0]]))).max() < 0.12
+    hidden = leveled.ground.at(np.array([[x, 2.0] for x in np.arange(22.0, 60.0, 2.0)]))
+    assert (hidden < 0.03 * np.arange(22.0, 60.0, 2.0) + 0.3).all()
+    assert np.abs(np.diff(hidden)).max() < 0.15
+
+
+def test_a_step_of_a_curb_is_kept_within_its_height() -> None:
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(y > 5.0, 0.16, 0.0) + 0.0 * x
+
+    leveled = level_points(rings(relief))
+    xy = np.array([[0.0, 2.0], [6.0, 1.0], [-9.0, 2.0], [0.0, 8.0], [6.0, 9.0], [-9.0, 8.5]])
+    assert np.abs(errors(leveled, relief, xy)).max() < 0.06
+
+
+def test_cars_that_one_ring_meets_far_away_do_not_raise_the_ground() -> None:
+    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 0.0 * x + 0.004 * y
+
+    rng = np.random.default_rng(5)
+    middles = np.array([[x, y] for x in np.arange(28.0, 56.0, 6.0) for y in (-14.0, -4.0, 6.0, 16.0)])
+    ends = np.repeat(middles, 40, axis=0) + rng.uniform(-1, 1, (len(middles) * 40, 2)) * [0.1, 0.9]
+    hoods = np.column_stack([ends, relief(ends[:, 0], ends[:, 1]) + rng.uniform(0.45, 0.6, len(ends)) - HEIGHT_M])
+    points = np.concatenate([rings(relief), hoods.astype(np.float32)])
+    xy = np.array([[x, y] for x in np.arange(20.0, 38.0, 3.0) for y in (-15.0, -5.0, 0.0, 9.0)])
+    assert np.abs(errors(level_points(points), relief, xy)).max() < 0.25
+
+
+def test_the_order_of_points_does_not_matter() -> None:
+    points = rings(_bank(-2.0))
+    mixed = np.random.default_rng(4).permutation(points)
+    assert np.array_equal(level_points(points).ground.heights_m, level_points(mixed).ground.heights_m)
+
+
+NODES, HALF_M = 64, 32.0
+MIDDLES_M = np.arange(NODES) + 0.5 - HALF_M
+X_M, Y_M = np.meshgrid(MIDDLES_M, MIDDLES_M, indexing="ij")
+RANGE_M = np.hypot(X_M, Y_M)
+LEVEL = np.array([0.0, 0.0, -HEIGHT_M], np.float32)
+
+
+def filled(heights_m: NDArray[np.float64], accepted: NDArray[np.bool_], plane: NDArray[np.float32] = LEVEL) -> Any:
+    """Heights and their deviation (n, n) on nodes of 1 m; those that are not accepted hold nonsense."""
+    walked_m = np.ascontiguousarray(np.where(accepted, heights_m, 99.0), dtype=np.float32)
+    return _core.fill_ground(walked_m, np.ascontiguousarray(accepted), plane, HALF_M)
+
+
+def smooth_land(seed: int) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float32]]:
+    """Land that rolls by some decimeters about a plane, seen on rings and in patches."""
+    rng = np.random.default_rng(seed)
+    plane = np.array([*rng.uniform(-0.08, 0.08, 2), -HEIGHT_M], np.float32)
+    waves = sum(
+        0.1 * np.sin(rng.uniform(-0.2, 0.2) * X_M + rng.uniform(-0.2, 0.2) * Y_M + rng.uniform(0, 6)) for _ in range(3)
+    )
+    accepted = (rng.random((NODES, NODES)) < 0.3) & (RANGE_M > 3) & (np.sin(RANGE_M) > 0) & (RANGE_M < 28)
+    return plane[0] * X_M + plane[1] * Y_M + plane[2] + waves, accepted, plane
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=20)
+@given(seed=seeds)
+def test_heights_of_accepted_nodes_are_kept(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    heights_m, accepted = rng.uniform(-6, 2, (NODES, NODES)), rng.random((NODES, NODES)) < rng.uniform(0.02, 0.9)
+    plane = np.array([*rng.uniform(-0.2, 0.2, 2), -HEIGHT_M], np.float32)
+    found, std = filled(heights_m, accepted, plane)
+    assert np.allclose(found[accepted], heights_m[accepted], atol=1e-4)
+    assert np.allclose(std[accepted], SEEN_STD_M)
+    assert np.isfinite(found).all()
+    assert (std[~accepted] >= SEEN_STD_M).all()
+    # Nothing lies above or below all that is seen and the plane.
+    base = plane[0] * X_M + plane[1] * Y_M + plane[2]
+    assert found.max() <= max(heights_m[accepted].max(), base.max()) + 9
+    assert found.min() >= min(heights_m[accepted].min(), base.min()) - 9
+
+
+def _slope_share(range_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of the rise of the carrier's plane that is left; its slope fades from ``PLANE_M`` on over ``TILT_M``."""
+    beyond_m = np.maximum(range_m - PLANE_M, 0.0)
+    return (range_m - beyond_m + TILT_M * (1.0 - np.exp(-beyond_m / TILT_M))) / range_m
+
+
+def test_nothing_accepted_is_the_plane_that_levels_off() -> None:
+    plane = np.array([0.05, -0.02, -1.6], np.float32)
+    found, std = filled(X_M, np.zeros((NODES, NODES), np.bool_), plane)
+    assert np.allclose(found, (0.05 * X_M - 0.02 * Y_M) * _slope_share(RANGE_M) - 1.6, atol=0.02)
+    assert std[RANGE_M > 8].min() > 0.08
+
+
+def test_the_deviation_grows_away_from_accepted_nodes() -> None:
+    accepted = (RANGE_M < 6) & (RANGE_M > 2)
+    _, std = filled(0.0 * X_M - HEIGHT_M, accepted)
+    rings_m = [(7, 9), (10, 13), (15, 19), (21, 25), (27, 31)]
+    means = [std[(low < RANGE_M) & (high > RANGE_M)].mean() for low, high in rings_m]
+    assert means[0] > SEEN_STD_M
+    assert (np.diff(means) > 0).all()
+    for (low, high), _ in zip(rings_m, means, strict=True):
+        around = (low < RANGE_M) & (high > RANGE_M)
+        assert (std[around] >= BEYOND_GROWTH * (RANGE_M[around] - 6.5)).all()
+
+
+def test_ground_behind_an_edge_lies_between_the_beam_and_the_lower_ground() -> None:
+    # Level 1.8 m below the sensor as far as 8 m, and fields 6 m below it from 20 m on.
+    accepted = (RANGE_M < 8) | (RANGE_M >= 20)
+    found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, -6.0), accepted)
+    for x_m, y_m in ((0.5, 10.5), (0.5, 14.5), (18.5, -0.5), (-0.5, -12.5)):
+        i, j = int(x_m + HALF_M), int(y_m + HALF_M)
+        assert not accepted[i, j]
+        # The beam that meets the fields first does so in the middle of the node from 20 to 21 m.
+        beam_m = min(-6.0 * np.hypot(x_m, y_m) / 20.5, -HEIGHT_M)
+        assert found[i, j] == pytest.approx((beam_m - 6.0) / 2, abs=1e-3)
+        assert std[i, j] >= (beam_m + 6.0) / 2 - 1e-3
+    # In every direction alike: no node of the gap is left out.
+    gap = (RANGE_M > 9.5) & (RANGE_M < 19)
+    beams_m = np.minimum(-6.0 * RANGE_M / 20.5, -HEIGHT_M)
+    assert np.abs(found - (beams_m - 6.0) / 2)[gap].max() < 0.25
+    assert (std >= (beams_m + 6.0) / 2 - 0.25)[gap].all()
+
+
+AZIMUTH = np.arctan2(Y_M, X_M)
+
+
+def _lower_in_sectors(width: float, *directions: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Level ground as far as 10 m, and 1.5 m lower in sectors of such a width on two rings that are farther."""
+    inside = np.zeros((NODES, NODES), np.bool_)
+    for direction in directions:
+        inside |= np.abs(np.angle(np.exp(1j * (AZIMUTH - direction)))) < width / 2
+    far = inside & (((RANGE_M > 12) & (RANGE_M < 15)) | ((RANGE_M > 20) & (RANGE_M < 26)))
+    near = (RANGE_M > 3) & (RANGE_M < 10)
+    return np.where(far, -HEIGHT_M - 1.5, -HEIGHT_M), near | far
+
+
+def test_a_level_that_one_narrow_sector_shows_is_not_carried_to_its_sides() -> None:
+    heights_m, accepted = _lower_in_sectors(np.deg2rad(10.0), 0.3)
+    found, std = filled(heights_m, accepted)
+    assert np.allclose(found[accepted], heights_m[accepted], atol=1e-4)
+    assert np.allclose(std[accepted], SEEN_STD_M)
+    beside = (np.abs(np.abs(AZIMUTH - 0.3) - np.deg2rad(20.0)) < np.deg2rad(8.0)) & (RANGE_M > 12) & (RANGE_M < 26)
+    assert np.abs(found + HEIGHT_M)[beside].max() < 0.1
+    # Between the two rings it holds in its own direction.
+    within = (np.abs(AZIMUTH - 0.3) < np.deg2rad(2.0)) & (RANGE_M > 15.5) & (RANGE_M < 19.5)
+    assert np.abs(found + HEIGHT_M + 1.5)[within].max() < 0.15
+
+
+def test_a_level_that_two_directions_show_is_carried_to_what_lies_between() -> None:
+    found, _ = filled(*_lower_in_sectors(np.deg2rad(10.0), 0.1, 0.5))
+    between = (np.abs(AZIMUTH - 0.3) < np.deg2rad(2.0)) & (RANGE_M > 21) & (RANGE_M < 25)
+    assert np.abs(found + HEIGHT_M + 1.5)[between].max() < 0.3
+
+
+@pytest.mark.parametrize("deep_m", [3.0, 0.5])
+def test_where_land_lies_lower_on_one_side_it_may_do_so_beyond_the_last_return_of_the_other(deep_m: float) -> None:
+    """A road 10 m to either side; fields beyond it on the left, a guard rail hides what lies to the right."""
+    fields = Y_M > 14
+    accepted = (np.abs(Y_M) < 10) & (RANGE_M > 3) | fields
+    found, std = filled(np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M), accepted)
+    hidden = (Y_M < -20) & (np.abs(X_M) < 3)
+    away_m = RANGE_M - 10.0
+    fallen_m = 0.03 * away_m * (deep_m > 1.0)
+    assert np.abs(found + HEIGHT_M + fallen_m)[hidden].max() < 0.12
+    assert (std >= fallen_m - 0.05)[hidden].all()
+    # The road itself and the fields stay.
+    assert np.allclose(found[accepted], np.where(fields, -HEIGHT_M - deep_m, -HEIGHT_M)[accepted], atol=1e-4)
+
+
+def test_ground_before_a_bank_lies_anywhere_between_the_two() -> None:
+    accepted = (RANGE_M < 8) | (RANGE_M >= 20)
+    found, std = filled(np.where(RANGE_M < 8, -HEIGHT_M, 1.2), accepted)
+    gap = (RANGE_M > 9.5) & (RANGE_M < 19)
+    assert np.allclose(found[gap], (1.2 - HEIGHT_M) / 2, atol=1e-3)
+    assert (std[gap] >= (1.2 + HEIGHT_M) / 2 - 1e-3).all()
+
+
+@settings(max_examples=15)
+@given(seed=seeds)
+def test_the_ground_turns_with_the_scene(seed: int) -> None:
+    heights_m, accepted, plane = smooth_land(seed)
+    found, std = filled(heights_m, accepted, plane)
+    turned, turned_std = filled(
+        np.rot90(heights_m), np.rot90(accepted), np.array([-plane[1], plane[0], plane[2]], np.float32)
+    )
+    # To the order in which nodes take the mean of their neighbors.
+    assert np.abs(np.rot90(found) - turned).max() < 0.06
+    assert np.abs(np.rot90(std) - turned_std).max() < 0.1
+    assert np.quantile(np.abs(np.rot90(std) - turned_std), 0.99) < 0.015
+
+
+@settings(max_examples=15)
+@given(seed=seeds, higher_m=st.floats(-1.0, 1.0))
+def test_the_ground_rises_with_the_scene(seed: int, higher_m: float) -> None:
+    heights_m, accepted, plane = smooth_land(seed)
+    found, _ = filled(heights_m, accepted, plane)
+    raised, _ = filled(heights_m + higher_m, accepted, plane + np.array([0, 0, higher_m], np.float32))
+    assert np.abs(raised - found - higher_m).max() < 0.08
+
+
+def test_the_slope_of_the_carriers_plane_is_continued_around_the_sensor_and_fades_beyond() -> None:
+    plane = np.array([0.1, -0.03, -HEIGHT_M], np.float32)
+    exact = 0.1 * X_M - 0.03 * Y_M - HEIGHT_M
+    # Ground on one side as far as 20 m, on the other as far as 6 m.
+    accepted = (np.where(Y_M > 0, 20.0, 6.0) > RANGE_M) & (RANGE_M > 2)
+    found, _ = filled(exact, accepted, plane)
+    assert np.abs(found - exact)[RANGE_M < PLANE_M].max() < 0.01
+    fading = (exact + HEIGHT_M) * _slope_share(RANGE_M) - HEIGHT_M
+    assert np.abs(found - fading).max() < 0.05
+    assert np.abs(exact - found).max() > 0.3
+
+
+@pytest.mark.parametrize(("sensor", "far_m"), [("hdl32e", 0.9), ("hdl64e", 0.3)])
+def test_the_ground_of_simulated_frames_is_near_the_exact_one(sensor: str, far_m: float) -> None:
+    preset = replace(
+        preset_named("nuscenes"), sensors=(sensor,), conditions=("clear",), condition_weights=(1.0,), seed=21
+    )
+    near, far = [], []
+    for scene in range(5):
+        plan = ScenePlan(preset, 0, scene)
+        frame = simulate_frame(plan, 12)
+        leveled = level(frame.sweep, ROAD)
+        pose = frame.sweep.world_from_sensor
+        assert pose is not None
+        shown = (frame.known & frame.truth.visible("car")).ravel()
+        xy = ROAD.centers.reshape(-1, 2)[shown]
+        c, s = np.cos(pose.yaw), np.sin(pose.yaw)
+        world = np.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], axis=1) + pose.translation[:2]
+        exact = world_of(plan).terrain.at(world) - pose.translation[2]
+        error = np.abs(leveled.ground.at(xy) - leveled.sensor_height_m - exact)
+        range_m = np.hypot(xy[:, 0], xy[:, 1])
+        near.append(error[range_m < 30])
+        far.append(error[(range_m > 30) & (range_m < 60)])
+    assert np.quantile(np.concatenate(near), 0.95) < 0.15
+    assert np.quantile(np.concatenate(far), 0.95) < far_m

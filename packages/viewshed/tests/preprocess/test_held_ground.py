@@ -1,0 +1,280 @@
+"""What a stream holds: ground that only earlier sweeps saw, the sensor's height, its reach; and how soon it lets go."""
+
+import gc
+from collections.abc import Callable
+from dataclasses import replace
+from weakref import ref
+
+import numpy as np
+import pytest
+
+from viewshed import CAR, BevGrid, Rigid, Sweep
+from viewshed.arrays import F64, Mask
+from viewshed.estimators import EstimatorFactory
+from viewshed.estimators.majority_vote import MajorityVote
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+from viewshed.fov.truth import Truth
+from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.held_ground import hold, hold_over
+from viewshed.preprocess.history import History
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.reach import reach_of_sweep
+from viewshed_lab.sim.observe import Setting, observe
+from viewshed_lab.sim.terrain import Terrain
+from viewshed_lab.sim.world import Agent, World
+
+GRID = BevGrid(128, 64.0)
+HEIGHT_M = 1.8
+Ground = Callable[[F64, F64], F64]
+
+
+def crest(x: F64, y: F64) -> F64:
+    """A road that climbs by 8 %, rounds a crest at x = 0 and falls again."""
+    return np.asarray(-0.08 * (np.hypot(x, 6.0) - 6.0) + 0.0 * y)
+
+
+def bank(x: F64, y: F64) -> F64:
+    """A road that falls by 6 % beside level land on its left: from x = 20 on the land stands above the road."""
+    return np.asarray(-3.0 * np.clip((x + 10.0) / 50.0, 0.0, 1.0) * np.clip((7.0 - y) / 3.0, 0.0, 1.0))
+
+
+def world_of(ground: Ground) -> World:
+    lines = np.linspace(-120.0, 120.0, 241)
+    return World("made by hand", Terrain.of(lines, lines, ground), (), ())
+
+
+def observed(world: World, x_m: float, y_m: float = 0.0, number: int = 0) -> tuple[Sweep, Truth, Mask]:
+    """A sweep from above a place of the road, without its height, and what could be seen from there."""
+    ground_m = float(world.terrain.at([[x_m, y_m]])[0])
+    agent = Agent("ego", "hdl32e", Rigid.from_yaw(0.0, (x_m, y_m, ground_m + HEIGHT_M)))
+    seen = observe(world, agent, float(number), Setting(GRID, revolution_s=0.0), np.random.SeedSequence(number))
+    return seen.image.sweep().replace(sensor_height_m=None), seen.truth, seen.known
+
+
+def drive(world: World, places_m: list[float]) -> tuple[list[LeveledSweep], Truth, Mask]:
+    """Leveled sweeps along the road, a second apart, with truth and where it is known of the last one."""
+    all_seen = [observed(world, x_m, number=number) for number, x_m in enumerate(places_m)]
+    return [level(sweep, GRID) for sweep, _, _ in all_seen], *all_seen[-1][1:]
+
+
+def precision_recall(leveled: LeveledSweep, truth: Truth, known: Mask) -> tuple[float, float]:
+    claimed, visible = beam_evidence(leveled, GRID, CAR).supports_claim() & known, truth.visible(CAR) & known
+    both = np.count_nonzero(claimed & visible)
+    return both / np.count_nonzero(claimed), both / np.count_nonzero(visible)
+
+
+def ground_error_m(leveled: LeveledSweep, ground: Ground, x_m: float) -> F64:
+    """Error (cells, cells) of the ground's height below the sensor."""
+    x, y = GRID.centers[..., 0] + x_m, GRID.centers[..., 1]
+    below_m = ground(x, y) - ground(np.array([x_m]), np.zeros(1)) - HEIGHT_M
+    return np.asarray(leveled.ground.at(GRID.centers) - leveled.sensor_height_m - below_m)
+
+
+def lowered(sweep: Sweep, wedge_deg: float = 30.0, by_m: float = 1.5) -> Sweep:
+    """A sweep with the returns of a wedge at the left lowered."""
+    away = np.abs(np.arctan2(sweep.points[:, 1], sweep.points[:, 0]) - np.pi / 2)
+    points = sweep.points.copy()
+    points[away < np.deg2rad(wedge_deg) / 2, 2] -= by_m
+    return sweep.replace(points=points)
+
+
+ACROSS_THE_CREST = (crest, [-24.0, -18.0, -12.0, -6.0, 0.0, 6.0, 12.0])
+ALONG_THE_BANK = (bank, [0.0, 10.0, 20.0, 30.0, 40.0])
+
+
+@pytest.mark.parametrize(("ground", "places_m"), [ACROSS_THE_CREST, ALONG_THE_BANK], ids=["crest", "bank"])
+def test_ground_seen_only_earlier_raises_recall_at_about_the_same_precision(
+    ground: Ground, places_m: list[float]
+) -> None:
+    sweeps, truth, known = drive(world_of(ground), places_m)
+    held = hold_over(sweeps)[-1]
+    (precision, recall), (held_precision, held_recall) = (
+        precision_recall(one, truth, known) for one in (sweeps[-1], held)
+    )
+    assert held_recall > recall + 0.03
+    assert held_precision > precision - 0.005
+    off, held_off = (np.abs(ground_error_m(one, ground, places_m[-1])[known]) > 0.5 for one in (sweeps[-1], held))
+    assert held_off.mean() < 0.75 * off.mean()
+
+
+def test_held_ground_says_how_unsure_it_is() -> None:
+    ground, places_m = ACROSS_THE_CREST
+    sweeps, _, _ = drive(world_of(ground), places_m)
+    now, held = sweeps[-1].ground, hold_over(sweeps)[-1].ground
+    taken = held.seen & ~now.seen
+    assert taken.sum() > 1000
+    assert (held.std_m[taken] > 0.05).all()
+    assert (held.std_m[taken] < now.std_m[taken]).all()
+    # What the present sweep saw stays as it is.
+    assert np.array_equal(held.heights_m[now.seen], now.heights_m[now.seen])
+    assert np.array_equal(held.std_m[now.seen], now.std_m[now.seen])
+    # A later sweep, and one from farther away, trust it less.
+    last, first = sweeps[-1], sweeps[0]
+    soon, late = (
+        hold(replace(last, sweep=last.sweep.replace(t_ns=int(1e9 * t_s))), first).ground.std_m for t_s in (1, 20)
+    )
+    both = (late < now.std_m) & hold(last, first).ground.seen & ~now.seen
+    assert both.sum() > 100
+    assert (late[both] > soon[both] + 0.05).mean() > 0.95
+
+
+@pytest.mark.parametrize("by_m", [0.6, 1.5, 3.0])
+def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
+    """The left side is moved as if it lay lower: alone, the sensor then seems to stand above that."""
+    ground, places_m = ACROSS_THE_CREST
+    sweeps, truth, known = drive(world_of(ground), places_m)
+    poisoned = level(lowered(sweeps[-1].sweep, 180.0, by_m), GRID)
+    assert poisoned.sensor_height_m > HEIGHT_M + 0.3
+    held = hold_over([*sweeps[:-1], poisoned])[-1]
+    assert held.sensor_height_m == pytest.approx(HEIGHT_M, abs=0.1)
+    assert held.held is not None
+    assert held.held.is_height_held
+    alone, streamed = (precision_recall(one, truth, known) for one in (poisoned, held))
+    assert streamed[0] > alone[0] - 0.001
+    assert streamed[1] > alone[1] + 0.08
+
+
+def test_a_poisoned_sweep_between_does_not_spoil_the_next() -> None:
+    ground, places_m = ACROSS_THE_CREST
+    sweeps, truth, known = drive(world_of(ground), places_m)
+    sweeps[-2] = level(lowered(sweeps[-2].sweep, 90.0), GRID)
+    alone, after = precision_recall(sweeps[-1], truth, known), precision_recall(hold_over(sweeps)[-1], truth, known)
+    assert after[0] > alone[0] - 0.005
+    assert after[1] > alone[1]
+
+
+def test_a_ramp_that_moved_is_believed_at_once() -> None:
+    """It stood ahead at the left in six sweeps; in the seventh it stands at the right."""
+
+    def ramp(side: float) -> Ground:
+        def ground(x: F64, y: F64) -> F64:
+            along, across = np.clip((x - 8.0) / 10.0, 0.0, 1.0), np.clip((side * y - 3.0) / 2.0, 0.0, 1.0)
+            return np.asarray(1.2 * along * across)
+
+        return ground
+
+    sweeps, _, _ = drive(world_of(ramp(1.0)), [-6.0, -5.0, -4.0, -3.0, -2.0, -1.0])
+    [after], _, _ = drive(world_of(ramp(-1.0)), [0.0])
+    after = replace(after, sweep=after.sweep.replace(t_ns=int(6e9)))
+    still = hold_over(sweeps)[-1]
+    held = hold(after, still)
+    x, y = GRID.centers[..., 0], GRID.centers[..., 1]
+    ahead = (x > 14) & (x < 24) & (np.abs(y) > 6) & (np.abs(y) < 20)  # where rings lie
+    error_m = np.abs(ground_error_m(held, ramp(-1.0), 0.0))[ahead]
+    assert np.abs(ground_error_m(still, ramp(1.0), -1.0))[ahead].mean() < 0.2
+    assert error_m.mean() <= np.abs(ground_error_m(after, ramp(-1.0), 0.0))[ahead].mean() + 0.01
+
+
+def test_nothing_is_held_where_a_pose_is_off() -> None:
+    sweeps, _, _ = drive(world_of(crest), [-6.0, 0.0])
+    pose = sweeps[0].sweep.world_from_sensor
+    assert pose is not None
+    wrong = Rigid(pose.rotation, pose.translation + np.array([0.0, 0.0, 3.0]))
+    moved = replace(sweeps[0], sweep=sweeps[0].sweep.replace(world_from_sensor=wrong))
+    assert np.array_equal(hold(sweeps[1], moved).ground.heights_m, sweeps[1].ground.heights_m)
+    far = Rigid(pose.rotation, pose.translation + np.array([500.0, 0.0, 0.0]))
+    away = replace(sweeps[0], sweep=sweeps[0].sweep.replace(world_from_sensor=far))
+    assert np.array_equal(hold(sweeps[1], away).ground.seen, sweeps[1].ground.seen)
+
+
+def test_heights_of_returns_are_those_above_the_held_ground() -> None:
+    ground, places_m = ACROSS_THE_CREST
+    held = hold_over(drive(world_of(ground), places_m)[0])[-1]
+    np.testing.assert_allclose(held.height_m, held.points[:, 2] - held.ground.at(held.points), atol=2e-4)
+
+
+def test_a_carrier_that_rises_is_believed_at_once() -> None:
+    world = world_of(crest)
+    sweeps, _, _ = drive(world, [-40.0] * 5)
+    pose = sweeps[-1].sweep.world_from_sensor
+    assert pose is not None
+    raised = Rigid(pose.rotation, pose.translation + np.array([0.0, 0.0, 1.2]))
+    seen = observe(
+        world, Agent("ego", "hdl32e", raised), 5.0, Setting(GRID, revolution_s=0.0), np.random.SeedSequence(5)
+    )
+    higher = level(seen.image.sweep().replace(sensor_height_m=None), GRID)
+    held = hold_over([*sweeps, higher])[-1]
+    assert held.sensor_height_m == higher.sensor_height_m == pytest.approx(HEIGHT_M + 1.2, abs=0.1)
+
+
+def test_a_height_that_is_given_is_no_matter_of_the_stream() -> None:
+    sweeps, _, _ = drive(world_of(crest), [-6.0] * 4)
+    given = level(sweeps[-1].sweep.replace(sensor_height_m=2.4), GRID)
+    held = hold_over([*sweeps[:-1], given])[-1]
+    assert held.sensor_height_m == 2.4
+    assert held.held is not None
+    assert not held.held.is_height_held
+    assert len(held.held.heights_m) == 3
+
+
+def test_the_reach_without_a_table_is_the_greatest_of_the_stream() -> None:
+    def bare(far_m: float, number: int) -> LeveledSweep:
+        """Returns on level ground, the farthest ones at ``far_m``; no sensor is known."""
+        azimuth = np.linspace(-np.pi, np.pi, 600, endpoint=False)
+        range_m = np.linspace(3.0, far_m, 40)[:, None]
+        points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0 * range_m * azimuth - HEIGHT_M], -1)
+        sweep = Sweep(
+            points.reshape(-1, 3).astype(np.float32),
+            world_from_sensor=Rigid.from_yaw(0.0, (0, 0, HEIGHT_M)),
+            t_ns=number,
+        )
+        return level(sweep.replace(infer_sensor=False), GRID)
+
+    far, near, middle = bare(60.0, 0), bare(30.0, 1), bare(45.0, 2)
+    assert reach_of_sweep(far) > reach_of_sweep(middle) > reach_of_sweep(near)
+    assert [reach_of_sweep(one) for one in hold_over([far, near, middle])] == [reach_of_sweep(far)] * 3
+    assert reach_of_sweep(hold_over([near, middle, near])[-1]) == reach_of_sweep(middle)
+    # A new stream begins anew.
+    buffer = SweepBuffer(every_s=0.0)
+    for one in (far, near):
+        history = buffer.history(one)
+        buffer.add(one if history is None else history.now)
+    before = replace(near, sweep=near.sweep.replace(t_ns=-5))
+    assert buffer.history(before) is None
+    buffer.add(before)
+    history = buffer.history(near)
+    assert history is not None
+    assert reach_of_sweep(history.now) == reach_of_sweep(near)
+
+
+@pytest.mark.parametrize("make", [ShadowMap, MajorityVote])
+def test_estimators_take_what_the_stream_holds_if_they_use_history(make: EstimatorFactory) -> None:
+    ground, places_m = ACROSS_THE_CREST
+    sweeps, _, _ = drive(world_of(ground), places_m)
+    sweeps[-1] = level(lowered(sweeps[-1].sweep, 180.0), GRID)
+    estimator = make(GRID)
+    if not estimator.uses_history:
+        with pytest.raises(ValueError, match="history must be left out"):
+            estimator.estimate(sweeps[-1], sweeps[:-1])
+        return
+    *_, streamed = estimator.stream((one.sweep for one in sweeps), history=5)
+    given = estimator.estimate(sweeps[-1], [one.sweep for one in sweeps[:-1]])
+    for found in (streamed, given):
+        assert found.basis is not None
+        assert found.basis.height_source == "held"
+        assert abs(found.basis.sensor_height_m - HEIGHT_M) < 0.15
+    assert np.array_equal(streamed.state, given.state)
+    alone = estimator.estimate(sweeps[-1]).basis
+    assert alone is not None
+    assert alone.height_source == "estimated"
+
+
+def test_the_history_of_another_sweep_is_refused() -> None:
+    sweeps, _, _ = drive(world_of(crest), [-6.0, 0.0, 6.0])
+    history = History.of(sweeps[1], sweeps[:1])
+    with pytest.raises(ValueError, match="history must be that of the sweep to estimate, got another one's"):
+        ShadowMap(GRID).estimate(sweeps[2], history)
+
+
+def test_a_stream_keeps_no_chain_of_sweeps() -> None:
+    sweeps, _, _ = drive(world_of(crest), [-6.0, 0.0])
+    estimator, alive = TemporalEstimator(ShadowMap(GRID), SweepBuffer(2)), []
+    for number in range(12):
+        one = sweeps[number % 2]
+        later = replace(one, sweep=one.sweep.replace(t_ns=number * 1_000_000_000))
+        estimator.estimate(later)
+        alive.append(ref(estimator.buffer._kept["ego"][-1]))
+        del later
+    gc.collect()
+    assert [one() is not None for one in alive] == [False] * 10 + [True] * 2

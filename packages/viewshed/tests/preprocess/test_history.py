@@ -1,0 +1,384 @@
+"""Earlier sweeps: obstacles that stood there end the beams now, what moved does not, and only poses tell where."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from viewshed import BevGrid, Sweep, _core
+from viewshed.arrays import Mask
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator, where_confirmed
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.height_map import HeightMap
+from viewshed.fov.visibility import CAR, PEDESTRIAN, Beams
+from viewshed.geometry import Rigid
+from viewshed.preprocess.basis import basis_of
+from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.history import History, history_of
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sensors import LidarModel
+from viewshed_lab.sim import Box, Scene, cast
+
+MODEL = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 33)), azimuth_columns=720, max_range_m=100.0)
+GRID = BevGrid(128, 32.0)
+HEIGHT_M = 1.8
+WALL, FAR = Box(12, 2, 1, 6, 3), Box(24, 2, 1, 12, 5)
+NOTHING = Sweep(np.zeros((0, 3), np.float32))
+
+
+def at(x: float, y: float, yaw: float = 0.0) -> Rigid:
+    return Rigid.from_yaw(yaw, (x, y, HEIGHT_M))
+
+
+def seen(solids: Sequence[Box], pose: Rigid, t_s: float = 0.0) -> Sweep:
+    """A sweep of solids that are given in the map, by a sensor at ``pose``."""
+    back = pose.inverse()
+    turn = float(np.arctan2(back.rotation[1, 0], back.rotation[0, 0]))
+    turned = []
+    for box in solids:
+        x, y, _ = back @ np.array([box.x_m, box.y_m, 0.0])
+        turned.append(replace(box, x_m=float(x), y_m=float(y), yaw=box.yaw + turn))
+    sweep = cast(MODEL, Scene(tuple(turned)), HEIGHT_M)
+    return sweep.replace(world_from_sensor=pose, t_ns=int(1e9 * t_s), sensor_height_m=HEIGHT_M)
+
+
+def level_of(sweep: Sweep) -> LeveledSweep:
+    return level(sweep, GRID)
+
+
+def behind_wall() -> Mask:
+    centers = np.asarray(GRID.centers)
+    return np.asarray((centers[..., 0] > 14) & (centers[..., 0] < 22) & (np.abs(centers[..., 1] - 3) < 1.5))
+
+
+def claimed(sweep: Sweep, earlier: Sequence[Sweep] = ()) -> Mask:
+    return np.asarray(ShadowMap(GRID).estimate(sweep, earlier).visible())
+
+
+POSES = (at(-6, -1), at(-3, 4, np.pi / 2), at(0, -5, -np.pi / 2), at(-8, 2))
+
+
+def test_a_wall_that_stood_there_hides_what_the_beams_now_claim_to_see() -> None:
+    """The wall is gone from the sweep now, as if its returns had been spoofed farther away."""
+    truth, lie = seen([WALL, FAR], at(0, 0)), seen([FAR], at(0, 0))
+    earlier = [seen([WALL, FAR], pose) for pose in POSES]
+    hidden = behind_wall()
+    assert not claimed(truth)[hidden].any()
+    assert claimed(lie)[hidden].all()
+    assert claimed(lie, earlier)[hidden].mean() < 0.1
+    elsewhere = np.asarray(GRID.centers)[..., 0] < 9
+    assert (claimed(lie, earlier) == claimed(lie))[elsewhere].mean() > 0.98
+
+
+@pytest.mark.parametrize("poses", [(at(20, -10, 2.5), at(18, -12, 2.3)), (at(22, 10, -2.5), at(20, 8, -2.5))])
+def test_a_wall_seen_from_beyond_hides_though_they_saw_what_stands_behind_it(poses: Sequence[Rigid]) -> None:
+    """From here what they saw behind the wall lies in the gaps between the wall's returns."""
+    lie = seen([FAR], at(0, 0))
+    hidden = behind_wall()
+    assert claimed(lie)[hidden].all()
+    assert claimed(lie, [seen([WALL, FAR], pose) for pose in poses])[hidden].mean() < 0.1
+    assert claimed(lie, [seen([FAR], pose) for pose in poses])[hidden].mean() > 0.95
+
+
+def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
+    moving = [seen([Box(12, 2 + 9 * step, 1, 6, 3), FAR], pose) for step, pose in enumerate(POSES, start=-1)]
+    now = seen([FAR], at(0, 0))
+    assert claimed(now, moving)[behind_wall()].mean() > 0.9
+    assert claimed(now, moving[1:2])[behind_wall()].mean() < 0.5  # a single earlier sweep is believed
+
+
+def test_depths_are_those_from_where_the_sensor_is_now() -> None:
+    now = level_of(seen([FAR], at(0, 0)))
+    past = history_of(now, [seen([WALL, FAR], pose) for pose in POSES], GRID)
+    assert past is not None
+    beams = now.beams()
+    ahead = (np.abs(beams.azimuth - np.arctan2(2, 11.5)) < 0.05) & (np.abs(beams.slope) < 0.05)
+    assert ahead.sum() > 20
+    within = past.within(beams).depth_m[ahead]
+    assert np.abs(within / np.hypot(11.5, 2) - 1).max() < 0.1
+    assert (beams.depth_m[ahead] > 20).all()
+    left = np.abs(beams.azimuth - np.pi / 2) < 0.3
+    assert np.array_equal(past.within(beams).depth_m[left], beams.depth_m[left])
+
+
+def test_confirmations_count_the_earlier_sweeps_that_see_a_cell_past_what_they_saw_on_the_way() -> None:
+    now = seen([FAR], at(0, 0))
+    poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
+    earlier = [seen([WALL, FAR], pose) for pose in poses]
+    past = history_of(level_of(now), earlier, GRID)
+    assert past is not None
+    confirmations = past.confirmations(GRID, CAR)
+    # Two stood beyond the wall and saw the cells there; but they also saw the wall between those cells and here.
+    # Seen obliquely, its returns leave a few gaps.
+    assert (confirmations[behind_wall()] == 0).mean() > 0.8
+    assert np.array_equal(confirmations, past.confirmations(GRID, CAR))
+    # Where no wall stood, what they see is confirmed, from wherever they were.
+    open_past = history_of(level_of(now), [seen([FAR], pose) for pose in poses], GRID)
+    assert open_past is not None
+    assert (open_past.confirmations(GRID, CAR)[behind_wall()] >= 2).mean() > 0.9
+    alone = History.of(level_of(now), [level_of(earlier[0])])
+    assert alone is not None
+    assert (alone.confirmations(GRID, CAR) == claimed(earlier[0])).mean() > 0.98
+    assert (alone.confirmations(GRID, PEDESTRIAN) != alone.confirmations(GRID, CAR)).any()
+
+
+def test_nothing_is_confirmed_past_an_obstacle_that_the_last_sweep_alone_saw() -> None:
+    """It moved there, and may still stand there; where it was before only earlier sweeps saw it."""
+    now, poses = level_of(seen([FAR], at(0, 0))), (at(20, -10, 2.5), at(22, 10, -2.5))
+    before, with_it = [seen([FAR], pose) for pose in poses], seen([WALL, FAR], at(0, 0))
+    last, first = history_of(now, [*before, with_it], GRID), history_of(now, [with_it, *before], GRID)
+    assert last is not None
+    assert first is not None
+    assert (last.confirmations(GRID, CAR)[behind_wall()] == 0).mean() > 0.8
+    assert (first.confirmations(GRID, CAR)[behind_wall()] > 0).mean() > 0.9
+
+
+def returns_at(*xyz: tuple[float, float, float], t_s: float = 0.0, agent: str = "ego") -> LeveledSweep:
+    """A leveled sweep with these returns (x, y, height above the ground) alone, on level ground."""
+    points = np.array(xyz, np.float32).reshape(-1, 3)
+    x, y, z = points.T
+    sweep = Sweep(points, world_from_sensor=at(0, 0), t_ns=int(1e9 * t_s), agent=agent)
+    ground, level_from_sensor = HeightMap.flat(32.0), Rigid(np.eye(3), np.array([0.0, 0.0, HEIGHT_M]))
+    rows = np.arange(len(points), dtype=np.int32)
+    return LeveledSweep(sweep, points, np.hypot(x, y), np.arctan2(y, x), z, rows, level_from_sensor, ground)
+
+
+def remembered(earlier: Sequence[LeveledSweep], x: float, y: float, z: float) -> float:
+    """The remembered range in the direction of a point."""
+    past = History.of(returns_at(), earlier)
+    assert past is not None
+    direction = np.array([np.arctan2(y, x)], np.float32), np.array([(z - HEIGHT_M) / np.hypot(x, y)], np.float32)
+    return float(past.within(Beams(*direction, np.full(1, np.inf, np.float32))).depth_m[0])
+
+
+@pytest.mark.parametrize("sweeps", [33, 65, 300])
+def test_an_obstacle_of_the_first_and_the_last_of_many_sweeps_is_remembered(sweeps: int) -> None:
+    obstacle, nothing = returns_at((10, 2, 1)), returns_at()
+    ends = [obstacle, *[nothing] * (sweeps - 2), obstacle]
+    assert remembered(ends, 10, 2, 1) == pytest.approx(np.hypot(10, 2))
+    assert remembered(ends[:-1], 10, 2, 1) == np.inf
+
+
+@pytest.mark.parametrize("sweeps", [255, 256, 700])
+def test_each_of_many_equal_sweeps_counts(sweeps: int) -> None:
+    one = level_of(seen([WALL], at(0, 0)))
+    past = History.of(one, [one] * sweeps)
+    alone = History.of(one, [one])
+    assert past is not None
+    assert alone is not None
+    assert alone.confirmations(GRID, CAR).any()
+    assert np.array_equal(past.confirmations(GRID, CAR), sweeps * alone.confirmations(GRID, CAR).astype(int))
+
+
+@pytest.mark.parametrize(("range_m", "known"), [(0.8, False), (1.2, True), (3.0, True), (4.9, True)])
+def test_obstacles_are_remembered_from_one_meter_on(range_m: float, known: bool) -> None:
+    """Nearer ones are the vehicle itself, and a direction to them says nothing."""
+    y = 0.6 * range_m
+    point = (float(np.sqrt(range_m**2 - y**2)), y, HEIGHT_M)
+    assert (remembered([returns_at(point)] * 2, *point) < np.inf) == known
+
+
+def test_without_earlier_sweeps_there_is_no_past_and_without_poses_no_way_to_see_them_together() -> None:
+    sweep = seen([WALL], at(0, 0))
+    assert history_of(level_of(sweep), [], GRID) is None
+    assert history_of(level_of(sweep), [NOTHING], GRID) is None
+    for now, before in ((sweep, sweep.replace(world_from_sensor=None)), (sweep.replace(world_from_sensor=None), sweep)):
+        with pytest.raises(ValueError, match=r"must have poses.*world_from_sensor"):
+            ShadowMap(GRID).estimate(now, [before])
+
+
+@given(st.lists(st.floats(0, 5), min_size=1, max_size=12), st.integers(1, 5), st.floats(0.1, 3))
+def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], sweeps: int, every_s: float) -> None:
+    buffer, times = SweepBuffer(sweeps, every_s), np.cumsum(steps_s)
+    kept: list[int] = []
+    empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
+    for t_s in times:
+        leveled = LeveledSweep(
+            empty.sweep.replace(t_ns=int(1e9 * t_s)), empty.points, empty.range_m, empty.azimuth, empty.height_m,
+            empty.rows, empty.level_from_sensor, empty.ground,
+        )  # fmt: skip
+        buffer.add(leveled)
+        if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
+            kept.append(int(1e9 * t_s))
+    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == kept[-sweeps:]
+
+
+def test_agents_that_are_gone_are_dropped() -> None:
+    buffer = SweepBuffer(forget_s=10.0)
+    for number in range(300):
+        buffer.add(returns_at(t_s=float(number), agent=f"agent {number}"))
+        assert buffer.history(returns_at(t_s=number + 0.5, agent=f"agent {number}")) is not None
+    assert len(buffer._kept) <= 11
+    for number in range(5):
+        buffer.history(returns_at(t_s=400.0, agent=f"stranger {number}"))
+        buffer.add(level_of(NOTHING.replace(agent=f"stranger without a pose {number}", t_ns=0)))
+    assert len(buffer._kept) <= 11
+
+
+def test_of_too_many_agents_at_once_the_ones_seen_last_are_kept() -> None:
+    buffer = SweepBuffer(agents=3)
+    for number in [0, 1, 2, 0, 3, 4]:
+        buffer.add(returns_at(t_s=0.1 * number, agent=f"agent {number}"))
+    assert set(buffer._kept) == {"agent 0", "agent 3", "agent 4"}
+    with pytest.raises(ValueError, match="agents must be at least 1, got 0"):
+        SweepBuffer(agents=0)
+
+
+def test_a_slow_memory_keeps_no_more_than_every_s_of_an_agent() -> None:
+    buffer = SweepBuffer(every_s=20.0, forget_s=5.0)
+    for t_s in (0.0, 12.0, 21.0):
+        buffer.add(returns_at(t_s=t_s))
+    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == [0, int(21e9)]
+
+
+def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    lie = seen([FAR], at(0, 0), 10.0)
+    estimator = TemporalEstimator(ShadowMap(GRID), SweepBuffer(every_s=1.0))
+    found: list[FovEstimate] = [estimator.estimate(sweep) for sweep in stream]
+    assert all(each.visible().any() for each in found)
+    assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie, stream))
+    other = TemporalEstimator(ShadowMap(GRID))
+    for sweep in stream:
+        other.estimate(sweep.replace(agent="b"))
+    assert np.array_equal(other.estimate(lie).visible(), claimed(lie))
+    assert np.array_equal(estimator.estimate(lie.replace(t_ns=-1)).visible(), claimed(lie))
+    assert estimator.grid == GRID
+
+
+def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    lie = seen([FAR], at(0, 0), 10.0)
+    estimator, trusting = (
+        TemporalEstimator(ShadowMap(GRID), require_confirmation=True),
+        TemporalEstimator(ShadowMap(GRID)),
+    )
+    first = estimator.estimate(stream[0])
+    assert not first.visible().any()
+    assert first.basis is not None
+    assert (first.basis.unsure_ground_share, first.basis.inferred_share) == (0.0, 0.0)
+    assert first.share(CellState.HIDDEN) == ShadowMap(GRID).estimate(stream[0]).share(CellState.HIDDEN)
+    for sweep in stream:
+        found, other = estimator.estimate(sweep), trusting.estimate(sweep)
+    found, other = estimator.estimate(lie), trusting.estimate(lie)
+    past = history_of(level_of(lie), stream, GRID)
+    assert past is not None
+    assert np.array_equal(found.visible(), other.visible() & (past.confirmations(GRID, CAR) > 0))
+    refused = other.visible() & ~found.visible()
+    assert (found.state[refused] == CellState.UNKNOWN).all()
+    assert refused[behind_wall()].any()
+    assert np.array_equal(where_confirmed(other, past).visible(), found.visible())
+    evidence = beam_evidence(past.now, GRID, CAR, past)
+    assert found.basis == basis_of(past.now, evidence, found.state)
+
+
+def test_a_sweep_is_not_its_own_past() -> None:
+    estimator = TemporalEstimator(ShadowMap(GRID))
+    estimator.estimate(seen([WALL, FAR], at(0, 0)))
+    lie = seen([FAR], at(0, 0))
+    assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie))
+
+
+def test_what_lies_long_before_is_forgotten() -> None:
+    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    for late_s, known in ((12.0, True), (14.0, False)):
+        estimator = TemporalEstimator(ShadowMap(GRID))
+        for sweep in stream:
+            estimator.estimate(sweep)
+        lie = seen([FAR], at(0, 0), late_s)
+        assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie)) != known
+
+
+@pytest.mark.parametrize(("sweeps", "every_s"), [(0, 1.0), (5, -1.0), (5, float("nan"))])
+def test_a_memory_of_nothing_is_refused(sweeps: int, every_s: float) -> None:
+    with pytest.raises(ValueError, match="sweeps must be at least 1, every_s at least 0 and forget_s"):
+        SweepBuffer(sweeps, every_s)
+
+
+def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
+    estimator = TemporalEstimator(ShadowMap(GRID))
+    sweep = seen([WALL], at(0, 0))
+    for bare in (sweep.replace(world_from_sensor=None), sweep.replace(t_ns=None)):
+        assert np.array_equal(estimator.estimate(bare).visible(), claimed(bare))
+    assert not any(estimator.buffer._kept.values())
+
+
+def image_of(*pixels: tuple[int, int, float]) -> NDArray[np.float32]:
+    """The image that one sweep leaves of obstacles at a row, a column and a range: 160 rows from -0.75 to 0.35."""
+    row, column, range_m = np.array(pixels).T
+    azimuth, slope = (column + 0.5) * (2 * np.pi / 720) - np.pi, (row + 0.5) * (1.1 / 160) - 0.75
+    points = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), HEIGHT_M + slope * range_m])
+    cloud = points.astype(np.float32), np.ones(len(points), np.float32), np.eye(3, 4, dtype=np.float32)
+    return _core.obstacle_image([cloud], 0.3, HEIGHT_M)
+
+
+def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
+    image = image_of((40, 7, 10.0), (45, 7, 11.0), (100, 7, 11.0), (40, 107, 10.0), (45, 107, 30.0))
+    assert image[[40, 45, 100], 7] == pytest.approx([10.0, 11.0, 11.0])
+    assert image[41:45, 7] == pytest.approx(11.0)
+    assert np.isfinite(image).sum() == 9
+
+
+def test_the_columns_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
+    image = image_of((40, 7, 10.0), (40, 11, 11.0), (40, 16, 11.0), (90, 7, 10.0), (90, 11, 30.0))
+    assert image[40, 8:11] == pytest.approx(11.0)
+    assert np.isfinite(image).sum() == 8
+
+
+def test_a_narrow_gap_is_closed_where_something_farther_was_seen_in_it() -> None:
+    """A meter is 145 rows wide at a range of one meter: 13 rows at 11 m, 7 rows at 20 m."""
+    image = image_of(
+        (40, 7, 10.0), (42, 7, 30.0), (45, 7, 11.0),  # the farther pixel was seen from elsewhere
+        (40, 107, 20.0), (42, 107, 60.0), (48, 107, 20.0),  # the gap is more than a meter wide
+        (40, 207, 10.0), (42, 207, 5.0), (45, 207, 11.0),  # something nearer has an end of its own
+    )  # fmt: skip
+    assert image[40:46, 7] == pytest.approx([10.0, 11.0, 11.0, 11.0, 11.0, 11.0])
+    assert image[[40, 42, 48], 107] == pytest.approx([20.0, 60.0, 20.0])
+    assert image[[40, 42, 45], 207] == pytest.approx([10.0, 5.0, 11.0])
+    assert np.isfinite(image).sum() == 6 + 3 + 3
+
+
+def test_without_sweeps_nothing_is_confirmed() -> None:
+    assert History(returns_at(), (), ()).confirmations(GRID, CAR).sum() == 0
+
+
+CLOUD = np.zeros((4, 3), np.float32), np.ones(4, np.float32), np.eye(3, 4, dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "error"),
+    [
+        ((CLOUD[0][:, :2].copy(), CLOUD[1], CLOUD[2]), TypeError),
+        ((CLOUD[0].astype(np.float64), CLOUD[1], CLOUD[2]), TypeError),
+        ((CLOUD[0], CLOUD[1][:3], CLOUD[2]), ValueError),
+        ((CLOUD[0], CLOUD[1], np.eye(4, dtype=np.float32)), ValueError),
+    ],
+)
+def test_clouds_of_another_kind_are_refused(
+    cloud: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]], error: type[Exception]
+) -> None:
+    with pytest.raises(error):
+        _core.obstacle_image([cloud], 0.3, HEIGHT_M)
+
+
+def test_obstacles_that_are_no_numbers_or_far_away_leave_no_image() -> None:
+    odd = np.array([[np.nan, 1, 1], [np.inf, 0, 1], [1e30, 1, 1], [5, 5, np.nan], [0, 0, 1]], np.float32)
+    image = _core.obstacle_image([(odd, np.ones(5, np.float32), CLOUD[2])], 0.3, HEIGHT_M)
+    assert np.isinf(image).all()
+    assert np.isinf(_core.obstacle_image([], 0.3, HEIGHT_M)).all()
+
+
+def test_images_and_masks_of_another_shape_are_refused() -> None:
+    beam = np.zeros(1, np.float32)
+    with pytest.raises(ValueError, match="image must be one of obstacle_image"):
+        _core.end_at_obstacles(np.zeros((3, 3), np.float32), beam, beam, beam)
+    with pytest.raises(ValueError, match="must be as long"):
+        _core.end_at_obstacles(image_of((40, 7, 10.0)), beam, beam, np.zeros(2, np.float32))
+    cells, seen = np.ones((4, 4), np.float32), np.ones((4, 4), np.bool_)
+    with pytest.raises(ValueError, match="must have one shape"):
+        _core.confirmed_cells(seen, np.eye(2, 3, dtype=np.float32), 0.0, 0.0, 1.0, cells, cells[:3])

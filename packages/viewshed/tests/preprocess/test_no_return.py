@@ -1,0 +1,225 @@
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from viewshed import BevGrid, Sweep, _core
+from viewshed.arrays import Mask
+from viewshed.fov.visibility import Beams
+from viewshed.preprocess.leveling import level
+from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
+from viewshed.sensors import LidarModel
+from viewshed_lab.sim import Box, Scene, cast
+
+MODEL = LidarModel("test", np.deg2rad(np.linspace(-20, -2, 16)), azimuth_columns=360, max_range_m=200.0)
+SWEEP = cast(MODEL, Scene((Box(15, 4, 1, 8, 3),)), 1.8)
+GRID = BevGrid(64, 32.0)
+
+
+def _without(kept: Mask, sweep: Sweep = SWEEP) -> Sweep:
+    return sweep.select(kept)
+
+
+def test_a_full_sweep_misses_nothing() -> None:
+    assert len(no_return_beams(level(SWEEP, GRID), fill=False).azimuth) == 0
+
+
+def test_the_beams_left_out_are_found_where_they_aimed() -> None:
+    assert SWEEP.ring is not None
+    azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
+    gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.05)
+    missing = no_return_beams(level(_without(~gone), GRID), fill=False)
+    assert len(missing.azimuth) == gone.sum()
+    assert np.allclose(np.sort(missing.azimuth), np.sort(azimuth[gone]), atol=np.deg2rad(1.0))
+    assert np.allclose(missing.slope, np.tan(MODEL.elevation[5]), atol=2e-3)
+    assert np.isinf(missing.depth_m).all()
+
+
+def test_fill_gives_the_depth_of_the_nearer_neighbor() -> None:
+    assert SWEEP.ring is not None
+    azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
+    gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.03)
+    filled = no_return_beams(level(_without(~gone), GRID), fill=True)
+    ground_m = 1.8 / -np.tan(MODEL.elevation[5])
+    assert len(filled.depth_m) == gone.sum()
+    assert np.allclose(filled.depth_m, ground_m, rtol=0.02)
+
+
+def test_a_gap_wider_than_the_neighbors_reach_stays_open() -> None:
+    azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
+    cropped = _without(np.abs(azimuth) < 1.0)
+    filled = no_return_beams(level(cropped, GRID), fill=True)
+    unfilled = no_return_beams(level(cropped, GRID), fill=False)
+    assert 0 < len(filled.azimuth) < 0.25 * len(unfilled.azimuth)
+    assert (np.abs(filled.azimuth) < 1.0 + np.deg2rad(18)).all()
+
+
+@pytest.mark.parametrize("phase", [0.05, 0.45, 0.55, 0.95])
+def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> None:
+    jitter = np.zeros(360)
+    jitter[0], jitter[-1] = -0.3, 0.3
+    azimuth = -np.pi + (np.arange(360) + phase + jitter) * (2 * np.pi / 360)
+    points = np.column_stack([10 * np.cos(azimuth), 10 * np.sin(azimuth), np.zeros(360)]).astype(np.float32)
+    column, counts, *_ = _core.range_image(points, np.zeros(360, np.int16), 360, 1, 0.5, 250.0)
+    assert np.array_equal(column, np.arange(360))
+    assert (counts == 1).all()
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_almost_nothing_is_no_failure(count: int) -> None:
+    leveled = level(SWEEP.select(np.arange(count)), GRID)
+    assert no_return_beams(leveled, fill=True).azimuth.dtype == np.float32
+
+
+STREET = Scene((Box(15, 4, 1, 8, 3), Box(-25, -3, 1, 70, 9), Box(9, -12, 3, 2, 1.5), Box(58, 9, 1, 90, 9)))
+"""A wall at x = 14.5, houses at x = -24.5 and x = 57.5, and something low at the right."""
+FULL = cast(MODEL, STREET, 1.8)
+LAST = 1.8 / -np.tan(MODEL.elevation[15])
+"""Range at which the highest ring meets the ground: 51.5 m."""
+
+
+def _azimuth(sweep: Sweep) -> NDArray[np.float32]:
+    azimuth: NDArray[np.float32] = np.arctan2(sweep.points[:, 1], sweep.points[:, 0])
+    return azimuth
+
+
+def _explained(sweep: Sweep) -> Beams:
+    return beams_by_evidence(level(sweep, GRID), 1.5).inferred
+
+
+def _of(beams: Beams, ring: int) -> Mask:
+    return np.asarray(np.abs(beams.slope - np.tan(MODEL.elevation[ring])) < 2e-3)
+
+
+def _on_ground(sweep: Sweep) -> Mask:
+    return np.asarray(sweep.points[:, 2] < -1.79)
+
+
+def _grazing() -> Mask:
+    """Which returns are kept where the ground of the highest ring hardly returns."""
+    assert FULL.ring is not None
+    luck = np.random.default_rng(1).random(len(FULL))
+    return np.asarray(~((FULL.ring == 15) & _on_ground(FULL) & (luck > 0.1)))
+
+
+def test_beams_at_ground_that_hardly_returns_went_as_far_as_that_ground() -> None:
+    lost = ~_grazing()
+    beams = _explained(_without(~lost, FULL))
+    open_ = np.abs(beams.azimuth + 1.4) < 0.2
+    assert _of(beams, 15).sum() > 0.8 * lost.sum()
+    assert np.allclose(beams.depth_m[open_], LAST, rtol=0.03)
+
+
+def test_beams_at_ground_that_returns_elsewhere_are_not_explained() -> None:
+    wedge = (np.abs(_azimuth(FULL) + 2.1) < 0.2) & _on_ground(FULL) & (np.hypot(*FULL.points[:, :2].T) > 8)
+    beams = _explained(_without(~wedge, FULL))
+    assert not (np.abs(beams.azimuth + 2.1) < 0.15).any()
+
+
+def test_beams_above_a_thing_that_swallows_light_are_not_explained() -> None:
+    absorbed = (np.abs(_azimuth(FULL) + 0.93) < 0.13) & ~_on_ground(FULL) & (FULL.points[:, 0] < 11)
+    assert absorbed.sum() > 50
+    beams = _explained(_without(_grazing() & ~absorbed, FULL))
+    above = np.abs(beams.azimuth + 0.93) < 0.1
+    aside = np.abs(beams.azimuth + 1.4) < 0.1
+    assert aside.sum() > 8
+    assert not above.any()
+
+
+@pytest.mark.parametrize("ring", [4, 9, 15])
+def test_a_dead_ring_says_nothing(ring: int) -> None:
+    assert FULL.ring is not None
+    beams = _explained(_without(FULL.ring != ring, FULL))
+    assert not _of(beams, ring).any()
+
+
+def test_a_dropped_sector_says_nothing() -> None:
+    beams = _explained(_without(_grazing() & ~(np.abs(_azimuth(FULL) + 1.2) < 0.2), FULL))
+    assert _of(beams, 15).sum() > 100
+    assert not (np.abs(beams.azimuth + 1.2) < 0.18).any()
+
+
+def test_a_narrow_sector_without_any_return_says_nothing_either() -> None:
+    """Between returns of the same wall, but lost in every ring at once: a packet, not a hole."""
+    beams = _explained(_without(~(np.abs(_azimuth(FULL) - 0.2) < 0.026), FULL))
+    assert not (np.abs(beams.azimuth - 0.2) < 0.024).any()
+
+
+def test_a_hole_in_a_wall_is_wall() -> None:
+    assert FULL.ring is not None
+    hole = (np.abs(_azimuth(FULL) - 0.2) < 0.026) & (FULL.ring >= 11) & (FULL.ring <= 13)
+    beams = _explained(_without(~hole, FULL))
+    at_wall = np.abs(beams.azimuth - 0.2) < 0.04
+    assert at_wall.sum() == hole.sum() >= 8
+    assert np.allclose(beams.depth_m[at_wall] * np.cos(beams.azimuth[at_wall]), 14.5, atol=0.3)
+
+
+def test_a_wide_patch_between_obstacles_above_and_below_is_obstacle() -> None:
+    assert FULL.ring is not None
+    patch = (np.abs(_azimuth(FULL) - 0.2) < 0.09) & ((FULL.ring == 13) | (FULL.ring == 14))
+    beams = _explained(_without(~patch, FULL))
+    at_wall = np.abs(beams.azimuth - 0.2) < 0.1
+    assert at_wall.sum() == patch.sum() >= 20
+    assert (beams.depth_m[at_wall] < 15.5).all()
+
+
+def test_beside_an_obstacle_a_beam_went_no_farther() -> None:
+    kept = _grazing()
+    beams = _explained(_without(kept, FULL))
+    left_edge = np.arctan2(8.0, 14.5)
+    beside = _of(beams, 15) & (np.abs(beams.azimuth - left_edge - 0.5 * MODEL.azimuth_step) < 0.6 * MODEL.azimuth_step)
+    far = _of(beams, 15) & (np.abs(beams.azimuth - left_edge - 6 * MODEL.azimuth_step) < 3 * MODEL.azimuth_step)
+    assert beside.any()
+    assert (beams.depth_m[beside] < 17.5).all()
+    assert (beams.depth_m[far] > 45).all()
+
+
+def test_nothing_is_said_beyond_twice_the_range_of_the_last_returns() -> None:
+    range_m = np.hypot(*FULL.points[:, :2].T)
+    thinned = (range_m < 15) & ((range_m < 10) | (np.random.default_rng(2).random(len(FULL)) < 0.4))
+    beams = _explained(_without(thinned, FULL))
+    assert len(beams.depth_m) > 100
+    assert 25 < beams.depth_m.max() <= 31
+
+
+def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing() -> None:
+    sweep = _without(_grazing(), FULL)
+    shuffled = sweep.select(np.random.default_rng(1).permutation(len(sweep))).replace(ring=None)
+    bare = shuffled.replace(model=None)
+    aside = bare.replace(points=bare.points + np.array([0.4, 0.2, 0.0], np.float32))  # not seen from the sensor
+    known, table, elevations, none = (_explained(s) for s in (sweep, shuffled, bare, aside))
+    assert abs(len(table.depth_m) - len(known.depth_m)) < 0.05 * len(known.depth_m)
+    assert 0 < len(elevations.depth_m) <= len(known.depth_m)
+    assert len(none.depth_m) == 0
+
+
+def test_targets_that_beams_pass_above_need_no_beams() -> None:
+    leveled = level(_without(_grazing(), FULL), GRID)
+    low, tall = (beams_by_evidence(leveled, top_m).inferred for top_m in (0.1, 1.5))
+    assert len(low.slope) <= len(tall.slope)
+    assert tall.slope.max() < 0
+
+
+def test_a_model_with_other_columns_than_the_sweep_is_not_taken_at_its_word() -> None:
+    sweep = _without(_grazing(), FULL)
+    double = LidarModel("double", MODEL.elevation, azimuth_columns=720, max_range_m=200.0)
+    assert len(_explained(sweep.replace(model=double)).depth_m) < 1.1 * len(_explained(sweep).depth_m)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_almost_nothing_explains_nothing(count: int) -> None:
+    assert len(_explained(SWEEP.select(np.arange(count))).depth_m) == 0
+
+
+@pytest.mark.parametrize("middle", np.deg2rad([0.5, 168.5, 179.5, -173.5]))
+def test_a_gap_is_filled_from_both_sides_across_the_seam_as_elsewhere(middle: float) -> None:
+    # 40 columns of a ring are empty: a neighbor fills up to 16 of them, and eight in the middle stay open.
+    flat = cast(MODEL, Scene(()), 1.8)
+    assert flat.ring is not None
+    away = np.remainder(np.arctan2(flat.points[:, 1], flat.points[:, 0]) - middle + np.pi, 2 * np.pi) - np.pi
+    gone = (flat.ring == 5) & (np.abs(away) < np.deg2rad(20))
+    assert gone.sum() == 40
+    filled = no_return_beams(level(_without(~gone, flat), GRID), fill=True)
+    from_middle = np.remainder(filled.azimuth - middle + np.pi, 2 * np.pi) - np.pi
+    assert (from_middle > 0).sum() == (from_middle < 0).sum() == 16
+    assert (np.abs(from_middle) > np.deg2rad(3.9)).all()
+    assert np.allclose(filled.depth_m, 1.8 / -np.tan(MODEL.elevation[5]), rtol=0.02)

@@ -1,0 +1,133 @@
+"""Rings of sensors that moved while they measured: points in one frame, each measured from another place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.preprocess.random_sensors import random_sensor, right_share, rosette
+
+from viewshed import Sweep
+from viewshed.arrays import F32
+from viewshed.preprocess.beam_matching import polar
+from viewshed.preprocess.ring_recovery import recover_rings
+from viewshed.preprocess.sensor_identification import identify_sensor
+from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
+from viewshed.sensors import LidarModel, lidar_model
+
+SEAMS = (-np.pi, -np.pi / 2, 0.0, np.pi / 2)
+
+Rings = NDArray[np.int16]
+
+
+def measured(model: LidarModel, motion: SensorMotion, rng: np.random.Generator) -> tuple[F32, Rings]:
+    """Return points (N, 3) in one frame and their rings: walls at 6 to 40 m, seen by a sensor that moves evenly."""
+    azimuth = -np.pi + (np.arange(model.azimuth_columns) + 0.5) * (2 * np.pi / model.azimuth_columns)
+    wall_m = 18.0 + 9.0 * np.sin(3.0 * azimuth) + 4.0 * np.cos(7.0 * azimuth)
+    ring, column = (each.ravel() for each in np.mgrid[: model.rings, : model.azimuth_columns])
+    elevation, angle = model.elevation[ring], azimuth[column]
+    # The ground 1.8 m below the sensor, or a wall.
+    range_m = np.where(
+        elevation < 0, np.minimum(1.8 / np.tan(np.maximum(-elevation, 1e-3)), wall_m[column]), wall_m[column]
+    )
+    seen = range_m[:, None] * np.stack([np.cos(angle), np.sin(angle), np.tan(elevation)], axis=1)
+    seen[:, 2] += model.origin_m[ring]
+    turn = ((angle - motion.seam) / (2 * np.pi)) % 1.0 - motion.reference
+    points = (seen + turn[:, None] * motion.way_m).astype(np.float32)
+    order = rng.permutation(len(points))
+    return points[order], ring[order].astype(np.int16)
+
+
+def uneven(rings: int = 24) -> LidarModel:
+    steps = np.random.default_rng(rings).uniform(0.5, 1.5, rings - 1)
+    elevation_deg = -26.0 + np.append(0.0, np.cumsum(steps)) * 34.0 / steps.sum()
+    return LidarModel("nobody's", np.deg2rad(elevation_deg), 900)
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+@pytest.mark.parametrize("reference", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("way_m", [(1.4, 0.1, 0.02), (-0.3, 2.1, -0.06), (1.8, 0.0, 0.2)])
+def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tuple[float, ...]) -> None:
+    true = SensorMotion(np.array(way_m), seam, reference)
+    points, ring = measured(uneven(), true, np.random.default_rng(1))
+    found = find_motion(points)
+    assert found is not None
+    assert (found.seam, found.reference) == (seam, reference)
+    assert found.way_m == pytest.approx(way_m, abs=0.12)
+    inferred = identify_sensor(Sweep(points)).ring
+    assert inferred is not None
+    assert right_share(inferred, ring) > 0.96  # near the seam a point may be of either end of the revolution
+
+
+def test_undoing_a_motion_gives_the_points_as_they_were_measured() -> None:
+    model, motion = uneven(), SensorMotion(np.array([1.5, -0.4, 0.1]), -np.pi, 0.5)
+    points, ring = measured(model, motion, np.random.default_rng(2))
+    _, slope, _ = polar(motion.undo(points))
+    off = np.abs(np.arctan(slope) - model.elevation[ring])
+    assert np.quantile(off, 0.97) < np.deg2rad(0.02)  # near the seam a point may be of either end of the revolution
+
+
+def test_random_sensors_that_move_show_their_rings_or_none_and_are_given_no_name() -> None:
+    shown = 0
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        motion = SensorMotion(np.append(rng.uniform(-1.5, 1.5, 2), rng.uniform(-0.05, 0.05)), -np.pi, 0.5)
+        points, ring = measured(random_sensor(rng), motion, rng)
+        sensor_id = identify_sensor(Sweep(points))
+        assert sensor_id.model is None
+        if sensor_id.ring is not None:
+            assert right_share(sensor_id.ring, ring) > 0.95
+            shown += 1
+    assert shown >= 5
+
+
+@pytest.mark.parametrize("name", ["hdl32e", "vlp16", "os1_64"])
+def test_a_table_is_named_by_the_rings_of_a_moving_sensor(name: str) -> None:
+    model = lidar_model(name)
+    motion = SensorMotion(np.array([-2.2, 0.0, -0.02]), np.pi / 2, 0.0)
+    points, ring = measured(model, motion, np.random.default_rng(3))
+    sensor_id = identify_sensor(Sweep(points))
+    assert sensor_id.model is model
+    assert sensor_id.ring is not None
+    assert (sensor_id.ring == ring).mean() > 0.97
+
+
+@pytest.mark.parametrize("off_deg", [0.0, 0.3])
+def test_a_moving_sensor_that_is_known_is_given_its_beams(off_deg: float) -> None:
+    table, rng = uneven(), np.random.default_rng(5)
+    built = replace(table, elevation=table.elevation + np.deg2rad(rng.uniform(-off_deg, off_deg, table.rings)))
+    motion = SensorMotion(np.array([1.6, 0.3, 0.01]), -np.pi, 0.5)
+    points, ring = measured(built, motion, rng)
+    beams = identify_sensor(Sweep(points, model=table)).ring
+    assert beams is not None
+    assert (beams == ring).mean() > 0.97
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_motion_makes_rings_of_a_pattern_that_has_none(seed: int) -> None:
+    assert find_motion(rosette(np.random.default_rng(seed))) is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 255])
+def test_too_few_returns_show_no_motion(count: int) -> None:
+    assert find_motion(np.tile(np.array([[8.0, 1.0, -1.0]], np.float32), (count, 1))) is None
+
+
+def test_rings_that_are_known_are_not_inferred_again() -> None:
+    points, ring = measured(uneven(), SensorMotion(np.array([1.0, 0.0, 0.0]), -np.pi, 0.5), np.random.default_rng(4))
+    known = np.where(np.arange(len(ring)) % 50 == 0, -1, ring).astype(np.int16)
+    found = recover_rings(Sweep(points), known=known)
+    assert found.source == "file"
+    assert np.array_equal(found.ring, known)
+    assert found.columns == 900
+
+
+def test_rings_that_an_order_runs_together_are_told_by_their_elevations() -> None:
+    points, ring = measured(uneven(12), SensorMotion(np.array([0.6, 0.1, 0.0]), -np.pi, 0.5), np.random.default_rng(6))
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    # Of the lowest rings only a sector returns, so that their azimuth never passes the seam; stored ring after ring.
+    kept = np.flatnonzero((np.abs(azimuth - 1.6) < 0.6) | (ring > 4))
+    kept = kept[np.lexsort((azimuth[kept], ring[kept]))]
+    inferred = identify_sensor(Sweep(points[kept])).ring
+    assert inferred is not None
+    assert right_share(inferred, ring[kept]) > 0.97

@@ -1,0 +1,178 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from numpy.typing import NDArray
+
+from viewshed import BevGrid, CellState, FovEstimate, Sweep
+from viewshed.estimators.shadow_map import ShadowMap
+from viewshed.fov.estimate import Basis
+from viewshed.preprocess.leveling import level
+from viewshed.sensors import LidarModel
+from viewshed.show.plot import (
+    COLORS,
+    Panel,
+    _fit,
+    _raster,
+    _title_lines,
+    color_map,
+    comparison,
+    contact_sheet,
+    draw,
+    picture,
+)
+from viewshed_lab.sim import Box, Scene, cast
+
+GRID = BevGrid(16, 8.0)
+
+
+def _estimate() -> FovEstimate:
+    state = np.full(GRID.shape, CellState.UNKNOWN, np.uint8)
+    state[15, 15] = CellState.SURFACE  # far ahead, far left
+    state[0, 0] = CellState.HIDDEN  # behind, right
+    state[8:10, 8:10] = CellState.FREE
+    visible = (state == CellState.SURFACE) | (state == CellState.FREE)
+    return FovEstimate(GRID, visible.astype(np.float32), state)
+
+
+def _image(png: bytes) -> NDArray[np.float32]:
+    return np.asarray(imread(io.BytesIO(png)), dtype=np.float32)[..., :3]
+
+
+def test_forward_is_up_and_left_is_left() -> None:
+    raster = _raster(Panel(_estimate(), ""), 16) / 255
+    assert np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
+    assert np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN], atol=0.01)
+
+
+def test_points_are_painted_where_they_are_and_surfaces_above_them() -> None:
+    sweep = Sweep(np.array([[7.5, 7.5, 1.0], [-7.5, -7.5, 1.0]], np.float32), sensor_height_m=1.5)
+    raster = _raster(Panel(_estimate(), "", level(sweep, GRID)), 16) / 255
+    assert np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
+    assert not np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN], atol=0.01)
+    assert np.allclose(raster[0, 1], COLORS[CellState.UNKNOWN], atol=0.01)
+
+
+def test_scales_are_the_same_in_every_picture_and_doubt_shows_beside_the_probability() -> None:
+    """A doubt of .5 is the brightest color, whatever the greatest doubt or deviation of the estimate is."""
+    unsure = _estimate()
+    sure = np.full(GRID.shape, 0.9, np.float32)
+    half = np.full(GRID.shape, 0.5, np.float32)
+    std = np.full(GRID.shape, 0.05, np.float32)
+    brightest, darker = color_map("magma")[255] / 255, color_map("magma")[51] / 255
+    shown = [_image(draw(Panel(replace(unsure, visible_prob=prob, std=std), "x"))) for prob in (half, sure)]
+    found = [[_count(image, color) for color in (brightest, darker)] for image in shown]
+    assert found[0][0] > 10_000 > found[1][0]  # the map of doubt, and not the bars beside the maps
+    assert found[1][1] - found[0][1] > 10_000
+    again = _image(draw(Panel(replace(unsure, visible_prob=sure, std=std / np.float32(2)), "x")))
+    np.testing.assert_array_equal(shown[1][:450], again[:450])  # another deviation changes no other scale
+
+
+def _count(image: NDArray[np.float32], color: NDArray[np.float64]) -> int:
+    return int((np.abs(image - color).max(axis=-1) < 0.004).sum())
+
+
+def test_a_dark_page_has_the_same_maps() -> None:
+    leveled = level(Sweep(np.array([[7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5), GRID)
+    prob = np.full(GRID.shape, 0.7, np.float32)
+    for estimate in (_estimate(), replace(_estimate(), visible_prob=prob)):
+        light, dark = (_image(draw(Panel(estimate, "x", leveled), dark=page)) for page in (False, True))
+        assert light.shape == dark.shape
+        assert light[0, 0].min() == 1.0
+        assert dark[0, 0].max() < 0.2
+        np.testing.assert_array_equal(light[50:650, 20:620], dark[50:650, 20:620])
+
+
+def test_points_have_a_legend_of_their_colors() -> None:
+    leveled = level(Sweep(np.array([[7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5), GRID)
+    estimate = replace(_estimate(), visible_prob=np.full(GRID.shape, 0.7, np.float32))
+    low = color_map("viridis")[0] / 255
+    with_points, without = (_image(draw(Panel(estimate, "x", points))) for points in (leveled, None))
+    assert _count(with_points[-100:], low) > 0
+    assert _count(without[-100:], low) == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_pictures_open_and_are_not_blank(count: int) -> None:
+    panels = [Panel(_estimate(), f"panel {k}") for k in range(count)]
+    rows = [[str(k), "1"] for k in range(count)]
+    for png in (picture(panels[0]), comparison(panels, rows, ["a", "b"]), contact_sheet(panels, across=3)):
+        image = _image(png)
+        assert min(image.shape[:2]) > 100
+        free = np.abs(image - np.array(COLORS[CellState.FREE])).max(axis=-1) < 0.02
+        assert free.sum() > 50
+
+
+def _places(image: NDArray[np.float32], state: CellState) -> tuple[float, float]:
+    """Mean row and column of the pixels in a state's color, as shares of the picture."""
+    rows, columns = np.nonzero(np.abs(image - np.array(COLORS[state])).max(axis=-1) < 0.02)
+    return float(rows.mean() / image.shape[0]), float(columns.mean() / image.shape[1])
+
+
+def test_a_block_ahead_at_the_left_is_drawn_at_the_upper_left() -> None:
+    state = np.full(GRID.shape, CellState.FREE, np.uint8)
+    state[10:15, 9:15] = CellState.HIDDEN
+    png = picture(Panel(FovEstimate(GRID, (state == CellState.FREE).astype(np.float32), state), "x"))
+    image = _image(png)[:-100]  # without the legend
+    row, column = _places(image, CellState.HIDDEN)
+    assert row < 0.4
+    assert column < 0.4
+
+
+def test_a_wall_at_the_left_only_hides_the_left_side_of_the_picture() -> None:
+    model = LidarModel("fan", np.deg2rad(np.arange(-25.0, 4.0)), 720)
+    sweep = cast(model, Scene(boxes=(Box(2.0, 6.0, 9.0, 0.5, 4.0),)), 1.8)
+    grid = BevGrid(64, 16.0)
+    found = ShadowMap(grid).estimate(sweep)
+    row, column = _places(_image(picture(Panel(found, "wall", level(sweep, grid))))[:-100], CellState.HIDDEN)
+    assert column < 0.35
+    assert 0.3 < row < 0.6
+
+
+def test_points_take_the_color_of_their_height() -> None:
+    heights = np.array([0.0, 3.0, 9.0])
+    points = np.column_stack([[-4.5, 0.5, 4.5], [3.5, 3.5, 3.5], heights - 1.5]).astype(np.float32)
+    leveled = level(Sweep(points, sensor_height_m=1.5), GRID)
+    raster = _raster(Panel(_estimate(), "", leveled), 16)
+    low, high, higher = raster[12, 4], raster[7, 4], raster[3, 4]
+    assert low[0] > 60 > low[1]  # the dark violet end of viridis
+    assert (high == higher).all()
+    assert high[0] > 240  # its yellow end
+    assert high[2] < 60
+
+
+@pytest.mark.parametrize("cells", [1, 7, 512, 1000])
+def test_grids_of_any_size_make_a_picture(cells: int) -> None:
+    grid = BevGrid(cells, 5.0, (3.0, -2.0))
+    state = np.full(grid.shape, CellState.FREE, np.uint8)
+    image = _image(picture(Panel(FovEstimate(grid, np.ones(grid.shape, np.float32), state), "x" * 300)))
+    assert (np.abs(image - np.array(COLORS[CellState.FREE])).max(axis=-1) < 0.02).mean() > 0.5
+
+
+def test_pictures_are_the_same_each_time() -> None:
+    assert picture(Panel(_estimate(), "a")) == picture(Panel(_estimate(), "a"))
+
+
+def test_a_picture_says_what_the_estimate_rests_on() -> None:
+    found = replace(_estimate(), basis=Basis(1.84, "estimated", 0.63, 0.04, 0.07, 80.0))
+    assert _title_lines(Panel(found, "name\nsummary")) == [
+        "name", "summary", "sensor 1.84 m above the ground (estimated, 63% of the near ground agrees), reach 80 m",
+        "4% of the view over ground unsure by 0.5 m, 7% by inferred beams",
+    ]  # fmt: skip
+    assert _title_lines(Panel(_estimate(), "name")) == ["name"]
+    blind = replace(found, visible_prob=np.zeros(GRID.shape, np.float32))
+    assert len(_title_lines(Panel(blind, "name"))) == 2
+    # The page grows by the lines and by nothing else.
+    bare, told = (_image(picture(Panel(one, "name"))) for one in (_estimate(), found))
+    assert told.shape[0] - bare.shape[0] == 2 * 18
+    np.testing.assert_array_equal(told[-820:], bare[-820:])
+
+
+def test_a_long_title_goes_on_in_a_second_line_and_no_further() -> None:
+    lines = _fit("word " * 30)
+    assert [len(line) <= 100 for line in lines] == [True, True]
+    assert " ".join(lines) == "word " * 29 + "word"
+    assert _fit("word " * 60)[1].endswith("word …")
+    assert _fit("short.bin") == ["short.bin"]

@@ -1,0 +1,230 @@
+"""What is not installed is named in one line, with the extra that installs it."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
+
+import viewshed
+import viewshed_lab
+from viewshed._extras import _DISTRIBUTIONS, EXTRAS, needed_for
+from viewshed.cli import main
+
+ROOT = Path(__file__).resolve().parents[3]
+PROJECTS = {
+    name: tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for name in ("viewshed", "viewshed-lab")
+}
+files: Any = import_module("sweep_files")
+recordings: Any = import_module("recording_files")
+
+
+class Need(NamedTuple):
+    """A command, and what it says where a package is missing."""
+
+    package: str
+    command: str
+    said: str
+
+
+BRINGS = r"pip install 'viewshed\[recordings\]'"
+
+NEEDS = [
+    Need("pyarrow", "info a.feather", rf"a.feather: reading Argoverse 2 needs pyarrow: {BRINGS}"),
+    Need("pyarrow", "simulate nuscenes --sweeps 2 --out made",
+         rf"a data set in an archive needs pyarrow: {BRINGS}"),
+    Need("pebble", "simulate nuscenes --sweeps 2 --workers 2 --out made",
+         r"more than one worker needs pebble: pip install 'viewshed-lab'"),
+    Need("rosbags", "info a.mcap", rf"a.mcap: reading a bag needs rosbags: {BRINGS}"),
+    Need("mcap", "info a.mcap", rf"reading MCAP needs mcap: {BRINGS}"),
+    Need("lz4", "info lz4.mcap", rf"reading a bag packed by lz4 needs lz4: {BRINGS}"),
+    Need("zstandard", "info a.mcap", rf"reading a bag packed by zstd needs zstandard: {BRINGS}"),
+    Need("velodyne_decoder", "info v.pcap",
+         rf"v.pcap: reading Velodyne packets needs velodyne-decoder: {BRINGS}"),
+    Need("rosbags", "record v.pcap --to made.bag", rf"writing a bag needs rosbags: {BRINGS}"),
+    Need("lz4", "record v.pcap --to made.mcap", rf"writing MCAP needs lz4: {BRINGS}"),
+    Need("foxglove", "replay v.pcap --as-fast --to made.mcap --schemas foxglove",
+         rf"writing Foxglove's schemas needs foxglove-sdk: {BRINGS}"),
+    Need("foxglove", "view v.pcap --foxglove 8765",
+         rf"writing Foxglove's schemas needs foxglove-sdk: {BRINGS}"),
+    Need("rasterio", "export v.pcap --to geotiff", r"writing a GeoTIFF needs rasterio: pip install 'viewshed\[geo\]'"),
+    Need("rerun", "view v.pcap --rerun made.rrd", r"writing for Rerun needs rerun-sdk: pip install 'viewshed\[view\]'"),
+    Need("yaml", "info opv2v", rf"reading OPV2V needs pyyaml: {BRINGS}"),
+    Need("ray", "simulate nuscenes --sweeps 2 --engine ray --out made",
+         r"engine ray needs ray: pip install 'viewshed-lab\[ray\]'"),
+    Need("torch", "train road --out made", r"training needs torch: pip install 'viewshed-lab\[train\]'"),
+    Need("lightning", "train road --out made", r"training needs lightning: pip install 'viewshed-lab\[train\]'"),
+]  # fmt: skip
+"""Packages that are imported when they are needed; those that a module imports at its top are below."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("extras")
+    samples = files.samples()
+    for name in ("argoverse2 lz4", "velodyne pcap"):
+        for other, content in {samples[name].name: samples[name].content, **samples[name].beside}.items():
+            (place / other).write_bytes(content)
+    (place / "a.mcap").write_bytes(recordings.mcap("ZSTD"))
+    (place / "lz4.mcap").write_bytes(recordings.mcap("LZ4"))
+    recordings.write(place / "opv2v", recordings.opv2v())
+    return place
+
+
+@pytest.mark.parametrize("need", NEEDS, ids=lambda need: f"{need.package} {need.command.split()[0]}")
+def test_a_missing_package_is_named_with_its_extra(
+    need: Need, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    for name in [name for name in sys.modules if name.partition(".")[0] == need.package]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, need.package, None)
+    import_module("viewshed.recordings.read.rosbag").decoder.cache_clear()
+    with pytest.raises(SystemExit) as stopped:
+        main(need.command.split())
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2
+    assert re.search(rf"^viewshed: .*{need.said}", said, re.MULTILINE), said
+    assert "Traceback" not in said
+    assert not [*folder.glob("*made*")]
+
+
+@pytest.mark.parametrize(
+    ("package", "words", "said"),
+    [
+        ("numba", "simulate ugv --sweeps 2 --out made", "viewshed simulate needs numba: pip install 'viewshed-lab'"),
+        ("numba", "attack a.npz --attack far_wall --out made",
+         "viewshed attack needs numba: pip install 'viewshed-lab'"),
+        ("scipy", "simulate ugv --sweeps 2 --out made",
+         "viewshed simulate needs scipy: pip install 'viewshed[agents]'"),
+        ("matplotlib", "simulate ugv --preview --out a.png",
+         "viewshed simulate needs matplotlib: pip install 'viewshed-lab'"),
+    ],
+)  # fmt: skip
+def test_a_missing_package_at_the_top_of_a_module_is_named_as_well(
+    package: str, words: str, said: str, tmp_path: Path
+) -> None:
+    code = f"import sys; sys.modules[{package!r}] = None; from viewshed.cli import main; main({words.split()})"
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, f"viewshed: {said}\n")
+
+
+def test_the_table_says_what_the_projects_say() -> None:
+    """Each package of the table is installed by what the table names, and none by the robot's package alone."""
+    brought = {name: _names(project["dependencies"]) for name, project in PROJECTS.items()}
+    for name, project in PROJECTS.items():
+        brought |= {f"{name}[{extra}]": _names(each) for extra, each in project["optional-dependencies"].items()}
+    for package, install in EXTRAS.items():
+        assert _DISTRIBUTIONS.get(package, package) in brought[install], f"{install} must install {package}"
+    assert not brought["viewshed"] & {_DISTRIBUTIONS.get(package, package) for package in EXTRAS}
+
+
+def test_the_two_packages_have_one_version() -> None:
+    assert PROJECTS["viewshed-lab"]["version"] == viewshed_lab.__version__ == viewshed.__version__
+    assert f"viewshed=={viewshed.__version__}" in PROJECTS["viewshed-lab"]["dependencies"]
+
+
+def _names(wanted: list[str]) -> set[str]:
+    return {re.split(r"[\[<>=]", name)[0] for name in wanted}
+
+
+def test_a_public_name_that_needs_the_laboratory_says_so() -> None:
+    code = "import sys; sys.modules['numba'] = None; import viewshed; viewshed.attacks"
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.stderr.endswith("ImportError: viewshed.attacks needs numba: pip install 'viewshed-lab'\n")
+
+
+def test_a_module_of_no_extra_is_missing_as_python_says() -> None:
+    with pytest.raises(ModuleNotFoundError, match="No module named 'no_such_module'"), needed_for("a test"):
+        import_module("no_such_module")
+
+
+def test_extras_that_go_together_can_be_installed_together() -> None:
+    """No package that one of them installs pins another to a version that a second one excludes."""
+    wanted = [
+        Requirement(text)
+        for project in PROJECTS.values()
+        for texts in (*project["optional-dependencies"].values(), project["dependencies"])
+        for text in texts
+    ]  # fmt: skip
+    asked: dict[str, dict[str, SpecifierSet]] = {}
+    for requirement in wanted:
+        asked.setdefault(canonicalize_name(requirement.name), {})["viewshed"] = requirement.specifier
+        if canonicalize_name(requirement.name) in PROJECTS:
+            continue
+        try:
+            needs = [Requirement(text) for text in metadata.requires(requirement.name) or ()]
+        except metadata.PackageNotFoundError:  # of an extra that is not installed here
+            continue
+        for need in needs:
+            if need.marker is None or need.marker.evaluate({"extra": ""}):
+                asked.setdefault(canonicalize_name(need.name), {})[requirement.name] = need.specifier
+    for package, rules in asked.items():
+        pinned = {one.version for rule in rules.values() for one in rule if one.operator == "=="}
+        for version in pinned - {"*"}:
+            if "*" not in version:
+                refused = {
+                    who: str(rule) for who, rule in rules.items() if not rule.contains(version, prereleases=True)
+                }
+                assert not refused, f"{package} {version}: {refused}"
+
+
+def test_bags_and_packets_go_together() -> None:
+    """The maker's decoder of Ouster packets pins an older rosbags: it may not be in any extra."""
+    extras = PROJECTS["viewshed"]["optional-dependencies"]
+    assert not any(Requirement(text).name == "ouster-sdk" for texts in extras.values() for text in texts)
+    [rosbags] = [each for each in map(Requirement, extras["recordings"]) if each.name == "rosbags"]
+    assert not rosbags.specifier.contains("0.9.23")
+
+
+@pytest.mark.parametrize("words", ["simulate ugv --out made", "study wild --preset tiny", "evaluate truth made"])
+def test_a_command_of_the_laboratory_names_it_where_it_is_not_installed(words: str, tmp_path: Path) -> None:
+    given = words.split()
+    done = _without_laboratory(f"from viewshed.cli import main; main({given})", tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert f"viewshed {given[0]} needs viewshed-lab: pip install viewshed-lab" in done.stderr
+
+
+def test_a_name_of_the_laboratory_names_it_where_it_is_not_installed(tmp_path: Path) -> None:
+    for name in ("attacks", "Archive", "WORLDS"):
+        done = _without_laboratory(f"import viewshed; viewshed.{name}", tmp_path)
+        assert f"ImportError: viewshed.{name} needs viewshed-lab: pip install viewshed-lab" in done.stderr
+
+
+def _without_laboratory(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run code where no installed package adds anything to viewshed."""
+    alone = "import importlib.metadata; importlib.metadata.entry_points = lambda **of: ()\n"
+    command = [sys.executable, "-c", alone + code]
+    return subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("viewshed.integrity.report", "viewshed.monitor.report"), ("viewshed.fusion.single", "viewshed.objects.single"),
+        ("viewshed.fusion.trust", "viewshed.agents.trust"), ("viewshed.messages.signing", "viewshed.agents.signing"),
+        ("viewshed.tracking.tracker", "viewshed.objects.tracker"), ("viewshed.plot", "viewshed.show.plot"),
+        ("viewshed.perception", "viewshed.objects"), ("viewshed.sim.worlds", "viewshed_lab.sim.worlds"),
+        ("viewshed.datasets.recordings", "viewshed.recordings.read"), ("viewshed.datasets", "viewshed_lab.data"),
+    ],
+)  # fmt: skip
+def test_paths_of_version_0_3_are_taken_and_name_the_path_now(former: str, now: str) -> None:
+    code = f"""
+import sys, warnings
+from importlib import import_module
+with warnings.catch_warnings(record=True) as seen:
+    warnings.simplefilter("always")
+    former = import_module({former!r})
+now = import_module({now!r})
+print(former is now, now.__spec__.name, str(seen[-1].message))
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout == f"True {now} {former} is now {now}\n"

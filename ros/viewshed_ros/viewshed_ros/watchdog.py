@@ -1,0 +1,75 @@
+"""The watchdog: where the node's heartbeat stops, it publishes what lets nav2 stop, on the topics of the node's masks.
+
+A process of its own, as the messages of one that has died are gone. While the node lives it has no publisher on these
+topics, so that who comes late is given no second opinion.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from viewshed_ros.spinning import spin
+from viewshed_ros.stops import CHECK_S, LATCHED, MASK_STOPS, STALE_S, Stale, everywhere, stale_alarm, stop_mask
+
+
+class Watchdog(Node):
+    """Stops in place of a node that is silent; takes ``sensors``, ``world_frame`` and limits from its parameters."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("field_of_view_watchdog", **options)
+        names = self.declare_parameter("sensors", ["lidar"]).value
+        self._frame: str = self.declare_parameter("world_frame", "map").value
+        self._limit_s: float = self.declare_parameter("stale_s", STALE_S).value
+        self._unseen_mps: float = self.declare_parameter("speed_unseen_mps", 1.0).value
+        self._heard_s = dict.fromkeys(names, -math.inf)
+        self._areas: dict[str, MapMetaData] = {name: everywhere() for name in names}
+        self._stops: dict[str, dict[str, Any]] = {}
+        self._said_s: dict[str, float] = {}
+        self._began_s = time.monotonic()
+        for name in names:
+            self.create_subscription(OccupancyGrid, f"{name}/heartbeat", partial(self._hear, name), 5)
+        self.create_timer(CHECK_S, self._check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _hear(self, name: str, heartbeat: OccupancyGrid) -> None:
+        """Take where the masks lie, and withdraw what was published: destroyed, it is given to nobody any more."""
+        self._heard_s[name], self._areas[name] = time.monotonic(), heartbeat.info
+        self._frame = heartbeat.header.frame_id
+        for publisher in self._stops.pop(name, {}).values():
+            self.destroy_publisher(publisher)
+
+    def _check(self) -> None:
+        """Stop the sensors of a silent node, again and again: a message of the node may be older, and arrive later."""
+        now_s = time.monotonic()
+        for name, heard_s in self._heard_s.items():
+            is_due = now_s - self._said_s.get(name, -math.inf) > self._limit_s
+            if now_s - max(heard_s, self._began_s) > self._limit_s and (is_due or name not in self._stops):
+                self._stop(name, Stale("heartbeat of the node", now_s - heard_s, self._limit_s, self._unseen_mps))
+                self._said_s[name] = now_s
+
+    def _stop(self, name: str, stale: Stale) -> None:
+        if name not in self._stops:
+            self._stops[name] = {
+                topic: self.create_publisher(OccupancyGrid, f"{name}/{topic}", LATCHED) for topic in MASK_STOPS
+            } | {"alarm": self.create_publisher(DiagnosticStatus, f"{name}/alarm", LATCHED)}
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._frame)
+        for topic, value in MASK_STOPS.items():
+            self._stops[name][topic].publish(stop_mask(header, self._areas[name], value))
+        self._stops[name]["alarm"].publish(stale_alarm(f"{self.get_name()}: {name}", stale))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the watchdog until a signal ends it."""
+    spin(Watchdog, arguments)
+
+
+if __name__ == "__main__":
+    main()

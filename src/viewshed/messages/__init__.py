@@ -1,1 +1,0 @@
-"""What agents send each other: a view in few bytes, signed; and what a receiver makes of it."""

@@ -1,9 +1,0 @@
-"""Training and cross-validation of networks. Only what fits a network imports torch."""
-
-from __future__ import annotations
-
-from viewshed.training.config import TrainConfig, config_names, read_config
-from viewshed.training.data import Fold
-from viewshed.training.run import Trained, train
-
-__all__ = ["Fold", "TrainConfig", "Trained", "config_names", "read_config", "train"]

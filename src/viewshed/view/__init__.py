@@ -1,6 +1,0 @@
-"""Something to watch: a recording's estimates as one HTML page that needs no network and no server."""
-
-from viewshed.view.frames import AgentTrust, Frame, PackedFrame, pack_frame
-from viewshed.view.html import write_page
-
-__all__ = ["AgentTrust", "Frame", "PackedFrame", "pack_frame", "write_page"]
