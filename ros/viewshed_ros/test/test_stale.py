@@ -141,6 +141,7 @@ def test_nav2_stops_when_the_sensor_or_the_poses_stop_and_when_the_node_does(sta
         robot.publish_cloud()
         vehicle.spin(0.1)
         assert time.monotonic() - last_s < PATIENCE_S + 0.1
+    robot.spin(0.2)  # what was under way
     for messages in robot.got.values():
         messages.clear()
     for _ in range(10):

@@ -371,10 +371,12 @@ class FieldOfView(LifecycleNode):
                 sensor.area = area_of(view)
             if view.estimate.world_from_level is not None or self._poses is None:
                 sensor.newest_s = seen_s
-        # 2. The alarm, whose last one who comes late is given.
+        # 2. The alarm, whose last one who comes late is given. It grows stale with the masks, also while views without
+        # a pose come in.
         stale = self._stale(sensor, now_s, is_late=is_late)
         make = partial(status.alarm, f"{self.get_name()}: {answer.agent}", answer, stale)
-        self._publish_one(sensor, ALARM, make, seen_s if stale is None else now_s, always=True)
+        since_s = now_s if stale is not None or sensor.newest_s is None else sensor.newest_s
+        self._publish_one(sensor, ALARM, make, since_s, always=True)
         # 3. The layers; what is too late is left to the watch, as is what has no pose.
         if view is None:
             return
