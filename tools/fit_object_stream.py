@@ -131,7 +131,7 @@ def _forged_at_first(attack: str, honest: Detections, seen: SeenObjects) -> dict
 def main() -> None:
     """Fit where it is wanted, check, and print the table."""
     parser = argparse.ArgumentParser(prog="fit_object_stream.py", description=__doc__)
-    parser.add_argument("--keep", action="store_true", help="keep the model in the box, and only check it")
+    parser.add_argument("--keep", action="store_true", help="keep the shipped model, and only check it")
     parser.add_argument("--drives", type=int, default=16, help="benign drives, half of them for limits")
     parser.add_argument("--checks", type=int, default=6, help="further drives on which accusations are counted")
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drive")

@@ -63,7 +63,7 @@ A **null attack** redraws the noise of the returns that it touches. Evidence wit
 learned the forger."""
 
 ALARMS = """\
-The monitor in the box, at its limit for 1 %, looks at single sweeps. The attacker asks it {asked} times for each budget
+The shipped monitor, at its limit for 1 %, looks at single sweeps. The attacker asks it {asked} times for each budget
 and sees its exact score. {watched} sweeps that do not alarm by themselves."""
 
 

@@ -112,7 +112,7 @@ class Outcome:
         scene: its number.
         attacked: numbers of the agents.
         trust: (T, A) by ours and as published.
-        accused, disputed: (A,) bool, by the limits in the box, at any time.
+        accused, disputed: (A,) bool, by the shipped limits, at any time.
         gospa: (T,) meters by whose trust.
         false: (T,) tracks in the picture that are of no object, by whose trust.
         round_ms: median of the processor time that our center takes for the reports of one time.

@@ -151,7 +151,7 @@ class FieldOfView(LifecycleNode):
         monitor = self._monitor(settings)
         self._facts = {
             "method": settings.method, "grid": settings.grid, "history": str(settings.history),
-            "monitor": "off" if monitor is None else settings.monitor_file or "in the box",
+            "monitor": "off" if monitor is None else settings.monitor_file or "shipped",
         }  # fmt: skip
         # 2. Where poses are from, and what is published.
         self._poses = self._pose_source(settings)
@@ -195,7 +195,7 @@ class FieldOfView(LifecycleNode):
         return ObjectStream()
 
     def _monitor(self, settings: NodeSettings) -> StreamMonitor | None:
-        """Return what watches the streams, by a file or by the monitor in the box; None where it is off."""
+        """Return what watches the streams, by a file or by the shipped one; None where it is off."""
         wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
         if not wished:
             return None

@@ -134,7 +134,7 @@ PARAMETERS: dict[str, Parameter] = {
     ),
     "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
     "monitor_file": Parameter(
-        "", "File of viewshed monitor calibrate; empty for the monitor in the box.", check=_check_monitor_file
+        "", "File of viewshed monitor calibrate; empty for the shipped one.", check=_check_monitor_file
     ),
     "sensors": Parameter(
         ["lidar"], "Names of the sensors; each has the parameters and topics below its name.", check=_check_sensors

@@ -16,7 +16,7 @@ namespace {
 constexpr std::array<std::size_t, 6> LADDER = {NARROWEST_BINS, 540, 360, 216, 180, 120};
 constexpr std::size_t FALLBACK_BINS = 360;
 
-// So many of the occupied bins must have a return in both neighbors.
+// This share of the occupied bins must have a return in both neighbors.
 constexpr double FILLED_SHARE = 0.95;
 
 constexpr float NO_OBSTACLE = std::numeric_limits<float>::infinity(), NO_RETURN = -1.0f;

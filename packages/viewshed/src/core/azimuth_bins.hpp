@@ -43,7 +43,7 @@ struct BinRanges {
     Buffer<float> farthest_m, nearest_m;
 };
 
-// The ranges of so many bins; of as many as the returns fill where 0 is given.
+// The ranges of a number of bins; of as many as the returns fill where `bins` is 0.
 BinRanges find_ranges(const Returns& returns, std::size_t bins);
 
 // The ranges of as many bins as the returns fill, from those of the NARROWEST_BINS.
@@ -52,7 +52,7 @@ BinRanges ranges_of_filled(const Returns& returns, const BinRanges& narrowest);
 // Write the range (bins,) of the farthest return but `drop` of each bin; -1 where there are no more than that.
 void find_farthest_but(View1<const float> azimuth, View1<const float> range_m, std::size_t drop, View1<float> limit_m);
 
-// Write the range (bins,) of the obstacle of each bin that is so many obstacles away, 1 the nearest; +inf for none.
+// Write the range (bins,) of the obstacle of each bin at a rank of range, 1 the nearest; +inf for none.
 void find_nearest_obstacle(const Returns& returns, std::size_t rank, View1<float> limit_m);
 
 // Write 1 where the range of a cell is at most the limit (bins,) of its bin, 0 elsewhere.

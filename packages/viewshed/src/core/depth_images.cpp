@@ -20,7 +20,7 @@ constexpr const char* NO_PIXEL = "rows must lie in the sweep, ring and column in
 // Returns and pixels of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
-// Consecutive returns often fall into one bin. They are counted in turn in so many histograms, so that no count waits
+// Consecutive returns often fall into one bin. They are counted in HISTOGRAMS in turn, so that no count waits
 // for the one before.
 constexpr std::size_t HISTOGRAMS = 4;
 

@@ -7,8 +7,8 @@
 
 namespace viewshed {
 
-// The share of ground that returns is learned in so many bins of this width (the last one holds everything beyond), and
-// in so many sectors of azimuth, so that one thing that swallows light does not decide.
+// The share of ground that returns is learned in SHARE_BINS bins of range (the last one holds everything beyond), and
+// in SHARE_SECTORS sectors of azimuth, so that one thing that swallows light does not decide.
 constexpr double SHARE_BIN_M = 2.5;
 constexpr std::size_t SHARE_BINS = 52, SHARE_SECTORS = 24;
 

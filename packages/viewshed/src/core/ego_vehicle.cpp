@@ -21,16 +21,16 @@ constexpr int FEWEST = 40;
 // Least concentration of the doubled azimuths of these returns: they lie ahead and behind, not all around.
 constexpr double ALONG = 0.4;
 
-// So many of them lie in the turned box, and so many at each of its ends: a car beside lies at one side alone, ...
+// A share INSIDE of them lies in the turned box, BOTH_ENDS at each of its ends: a car beside lies at one side alone, ...
 constexpr double INSIDE = 0.9, BOTH_ENDS = 0.15;
 
-// ... unless so many returns are nearer still: then the sensor sees the roof that it stands on, ...
+// ... unless at least ROOF returns are nearer still: then the sensor sees the roof that it stands on, ...
 constexpr int ROOF = 200;
 
 // ... and the returns at the one end spread so far across (root mean square): a person beside does not.
 constexpr double WIDE_M = 0.3;
 
-// At most so many returns, of these, are as near but higher: a wall is higher than the sensor, a hood is not.
+// At most this share of these returns is as near but higher: a wall is higher than the sensor, a hood is not.
 constexpr double MOST_ABOVE = 0.2;
 
 // Headings within this of the sensor's x axis are taken as along it.

@@ -21,7 +21,7 @@ namespace {
 // Means of a table of probabilities from one step to the next: 1 / STEPS.
 constexpr int STEPS = 32;
 
-// From so many needed returns on, a probability is 0 or 1.
+// Where a cell needs this many returns or more, its probability is 0 or 1.
 constexpr int MANY_RETURNS = 100;
 
 // Cells of a part that is worth a thread.

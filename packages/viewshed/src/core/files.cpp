@@ -152,7 +152,7 @@ RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> 
         if (k > 0) spread.beside += double(std::abs(here - std::int64_t(returns[k - 1] & 0xffff)));
     }
     spread.beside /= count - 1.0;
-    // Any two differ by so many rings: each step from a ring to the next lies between those below and those above it.
+    // The mean distance in rings of any two returns: each step from a ring to the next lies between those below and those above it.
     double below = 0.0;
     for (const std::int64_t size : sizes) {
         below += double(size);

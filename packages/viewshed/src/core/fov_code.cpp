@@ -17,7 +17,7 @@ constexpr std::size_t MOST_CELLS = 512;
 // Cells of a row that one decision may say are like all around them.
 constexpr std::size_t GROUP = 8;
 
-// A code has at most so many decisions a cell, and so many more: what decoding one may take.
+// A code has at most DECISIONS_PER_CELL a cell, and MORE_DECISIONS in all: what decoding one may take.
 constexpr std::size_t DECISIONS_PER_CELL = 4, MORE_DECISIONS = 4096;
 
 // A code ends with this, in 16 bits: what was read out of step does not.

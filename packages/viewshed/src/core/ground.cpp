@@ -20,7 +20,7 @@ namespace viewshed {
 namespace {
 
 // Sensor height where neither the sweep nor its returns give one; the most that the lowest share of its nodes may give,
-// which are at least so many.
+// which are at least FEWEST_NODES.
 constexpr double ASSUMED_HEIGHT_M = 1.8, MOST_HEIGHT_M = 10.0, LOWEST_SHARE = 0.95;
 constexpr std::size_t FEWEST_NODES = 6;
 
@@ -66,7 +66,7 @@ constexpr float ALONE_WEIGHT = 0.01f;
 // A beam that passes this far below accepted ground had ended there: what it says of ground farther away is wrong.
 constexpr float BURIED_M = 0.3f;
 
-// Returns are attached to ground at most so many nodes beside them, if two nodes of it are about as high.
+// Returns are attached to ground at most BESIDE_NODES away, if BESIDE_COUNT nodes of it are about as high.
 constexpr std::ptrdiff_t BESIDE_NODES = 2;
 constexpr int BESIDE_COUNT = 2;
 constexpr float BESIDE_M = 0.12f, BESIDE_SLOPE = 0.03f;

@@ -36,7 +36,7 @@ constexpr float GAP_SLOPE = 0.02f;
 // Ground this far above or below the carrier's plane is a level of its own, which another direction must confirm.
 constexpr float LEVEL_M = 0.3f;
 
-// It does if its own ground is as high to within this, and this slope across, at about the same range and so many sectors
+// It does if its own ground is as high to within this, and this slope across, at about the same range and 9 to 40 sectors
 // away (13° to 56°): a wedge cannot confirm itself.
 constexpr float CONFIRM_M = 0.4f, CONFIRM_SLOPE = 0.02f;
 constexpr int CONFIRM_FROM = 9, CONFIRM_TO = 40;

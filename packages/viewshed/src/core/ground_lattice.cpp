@@ -14,7 +14,7 @@ namespace {
 // From this range on the slope of the carrier's plane fades, over this distance: land is mostly level.
 constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
 
-// So many lattices are kept.
+// How many lattices are kept.
 constexpr std::size_t KEPT = 4;
 
 Lattice make_lattice(std::size_t n, double half_m) {

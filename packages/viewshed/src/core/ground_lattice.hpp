@@ -34,7 +34,7 @@ struct Lattice {
     std::size_t size() const { return nodes * nodes; }
 };
 
-// The lattice of so many nodes a side, from a small cache.
+// The lattice with this number of nodes a side, from a small cache.
 std::shared_ptr<const Lattice> lattice_of(std::size_t nodes, double half_m);
 
 // Lengths in meters up to this are accepted: no sum or product of them overflows.

@@ -18,7 +18,7 @@ constexpr double MAX_SLOPE = 0.21;
 // A known height of the sensor is right to within this.
 constexpr double KNOWN_TO_M = 0.4;
 
-// Nodes up to this far from the sensor decide which plane carries it, at least so many.
+// At least FEWEST_NODES nodes up to this far from the sensor decide which plane carries it.
 constexpr float NEAR_M = 28.0f;
 constexpr std::size_t FEWEST_NODES = 6;
 
@@ -32,7 +32,7 @@ constexpr float BELOW_SHARE = 0.35f;
 // Share of all weight by which a plane of slope 1 counts less: of two with about as much on them the flatter one.
 constexpr double LEVEL_SHARE = 0.4;
 
-// Planes are tried on about so many points.
+// Planes are tried on about this number of points.
 constexpr std::size_t SCORED_POINTS = 400;
 
 constexpr int TRIALS = 256;

@@ -18,7 +18,7 @@ constexpr double TILT_STD = 0.002;
 // Two sweeps agree on ground that both see if their heights differ by no more than this, and twice their deviations.
 constexpr float AGREE_M = 0.3f;
 
-// They agree around a node if this share does of the nodes at most so many rows and columns away that both see.
+// They agree around a node if this share does of the nodes that both see at most AROUND rows and columns away.
 constexpr std::ptrdiff_t AROUND = 3;
 constexpr double AGREEING_SHARE = 0.75;
 

@@ -20,10 +20,10 @@ namespace {
 constexpr std::size_t ROWS = 160, COLUMNS = 720;
 constexpr double LEAST_SLOPE = -0.75, MOST_SLOPE = 0.35;
 
-// Lines of sight are looked along in every so many rows and columns.
+// Lines of sight are looked along in every second row and column.
 constexpr std::size_t SIGHT_STEP = 2;
 
-// Obstacle pixels of similar depth at most so many rows or columns (8° or 2°) apart belong to one obstacle.
+// Obstacle pixels of similar depth at most GAP_ROWS or GAP_COLUMNS (8° or 2°) apart belong to one obstacle.
 constexpr int GAP_ROWS = 20, GAP_COLUMNS = 4;
 constexpr float SIMILAR = 1.25f;
 

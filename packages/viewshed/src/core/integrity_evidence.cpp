@@ -26,7 +26,7 @@ constexpr float BEHIND = 1.1f, BEHIND_M = 0.3f;
 // The eight pixels around a hole are one surface if the farthest is at most so much farther than the nearest.
 constexpr float SURROUND = 1.06f, SURROUND_M = 0.3f;
 
-// Specks are in line if their ranges have a ratio below this, within so many rings and columns.
+// Isolated returns are in line if their ranges have a ratio below IN_LINE, within IN_LINE_RINGS and IN_LINE_COLUMNS.
 constexpr float IN_LINE = 1.03f;
 constexpr int IN_LINE_RINGS = 2, IN_LINE_COLUMNS = 12;
 constexpr int LEAST_NEIGHBORS = 2;
@@ -40,7 +40,7 @@ constexpr float STEP_M = 0.4f, STEP_SHARE = 0.02f;
 constexpr float NOISE_GROUND_M = 0.3f, NEAR_M = 20.0f;
 
 // Ground is what lies within this of the local ground; it is compared across columns up to this range, by the medians of
-// three columns, where so many rings show it. A common jump counts against its spread and this much.
+// three columns, where at least LEAST_RINGS show it. A common jump counts against its spread and this much.
 constexpr float GROUND_M = 0.25f, GROUND_RANGE_M = 25.0f, STEP_SPREAD_M = 0.1f;
 constexpr std::size_t MEDIAN_COLUMNS = 3, LEAST_RINGS = 4;
 
@@ -53,21 +53,21 @@ constexpr int LEAST_BROKEN = 5, FEW_BROKEN = 2;
 // A ring with returns in this share of its columns usually returns; a column is empty if less than half of these do.
 constexpr double USUAL_SHARE = 0.6;
 
-// The elevation of a ring is a median of so many returns, at least the second number; a return is off it by so many median
+// The elevation of a ring is a median of ELEVATION_SAMPLES returns, of LEAST_SAMPLES at least; a return is off it by this many median
 // deviations and this slope.
 constexpr std::size_t ELEVATION_SAMPLES = 192, LEAST_SAMPLES = 16;
 constexpr float OFF_DEVIATIONS = 6.0f, OFF_SLOPE = 0.0008f;
 
-// A neighbor confirms an elevation: so many columns away at most, of a range with a ratio below this, itself off by as
+// A neighbor confirms an elevation: CONFIRMING_COLUMNS away at most, of a range with a ratio below this, itself off by as
 // much up to this slope or share.
 constexpr int CONFIRMING_COLUMNS = 4;
 constexpr float CONFIRMING_RATIO = 1.25f, CONFIRMING_SLOPE = 0.0012f, CONFIRMING_SHARE = 0.35f;
 
-// Ground for an offset of range: nearer than so many sensor heights, within slopes and distances below and above z = 0.
+// Ground for an offset of range: nearer than OFFSET_HEIGHTS sensor heights, within slopes and distances below and above z = 0.
 constexpr float OFFSET_HEIGHTS = 12.0f;
 constexpr float BELOW_SLOPE = 0.25f, BELOW_M = 0.5f, ABOVE_SLOPE = 0.08f, ABOVE_M = 0.15f;
 
-// The offset is fitted to about so many returns a sweep, at least so many a sector, in so many rounds in which returns off
+// The offset is fitted to about OFFSET_SAMPLES returns a sweep, LEAST_OFFSET_RETURNS a sector at least, in rounds in which returns off
 // by this much count half.
 constexpr std::size_t OFFSET_SAMPLES = 16384;
 constexpr double LEAST_OFFSET_RETURNS = 30.0, OFFSET_SCALE_M = 0.1, LEAST_DETERMINANT = 1e-3;

@@ -17,7 +17,7 @@ constexpr float NONE = std::numeric_limits<float>::infinity();
 constexpr double SIMILAR = 1.25;
 constexpr float DOWN = float(1.0 / (SIMILAR * SIMILAR)), UP = float(SIMILAR * SIMILAR);
 
-// The neighbor of a return in its ring is the next one, at most so many columns away.
+// The neighbor of a return in its ring is the next one, at most this number of columns away.
 constexpr int NEIGHBOR_COLUMNS = 8;
 
 // A return confirms another one if the ratio of their ranges is below this, and it lies in this window of pixels.
@@ -25,7 +25,7 @@ constexpr double CONFIRMING = 1.1;
 constexpr int WINDOW_RINGS = 1, WINDOW_COLUMNS = 4;
 constexpr int WINDOW_PIXELS = (2 * WINDOW_RINGS + 1) * (2 * WINDOW_COLUMNS + 1) - 1;
 
-// A sweep with a larger share of isolated returns (of a few hundred at least) is cluttered: so many of its random returns
+// A sweep with a larger share of isolated returns (of a few hundred at least) is cluttered: this share of its random returns
 // may be confirmed by chance, and all others are clutter.
 constexpr double CLUTTERED_SHARE = 0.02, CHANCE = 0.01;
 constexpr std::size_t FEWEST_RETURNS = 256;

@@ -14,10 +14,10 @@ void find_isolated_returns(View1<const std::int16_t> ring, View1<const std::int3
                            View1<const float> squared_m2, View2<const float> nearest_m2, View1<const bool> silent,
                            View1<bool> isolated, View1<bool> behind);
 
-// Whether so many of the returns (N,) are isolated that chance makes others similar.
+// Whether the share of isolated returns (N,) is so large that chance makes others similar.
 bool is_cluttered(View1<const bool> isolated);
 
-// The least number of confirmations that chance gives to at most one in a hundred returns, where so many are the mean.
+// The least number of confirmations that chance gives to at most one in a hundred returns, by the mean number of them.
 int least_confirmations(double mean);
 
 // Mark the returns (N,) of a cluttered sweep that too few pixels around confirm.

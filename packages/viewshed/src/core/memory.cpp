@@ -17,7 +17,7 @@ namespace {
 constexpr std::size_t ALIGNMENT = 64;
 
 // Classes of sizes, four to each power of two from 64 bytes on. Larger blocks go back to the system, and so do those smaller
-// than a page; of the others so many bytes are kept at most.
+// than a page; of the others at most MOST_KEPT bytes are kept.
 constexpr std::size_t CLASSES = 4 * 20;
 constexpr std::size_t LEAST_KEPT = std::size_t{1} << 12, MOST_KEPT = std::size_t{64} << 20;
 
@@ -26,7 +26,7 @@ constexpr std::size_t size_of_class(std::size_t number) {
     return (power + power / 4 * (number % 4) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
-// The first class that holds so many bytes; CLASSES where none does.
+// The first class that holds this number of bytes; CLASSES where none does.
 std::size_t class_of_size(std::size_t bytes) {
     if (bytes <= ALIGNMENT) return 0;
     const auto log2 = std::size_t(std::bit_width(bytes - 1)) - 1;

@@ -6,7 +6,7 @@
 
 namespace viewshed {
 
-// At least so many bytes, aligned for vectors, from any thread; bad_alloc where there are none.
+// At least this number of bytes, aligned for vectors, from any thread; bad_alloc where there are none.
 void* take_memory(std::size_t bytes);
 
 // Give back what was taken; some of it is kept for the next.

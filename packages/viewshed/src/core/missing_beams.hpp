@@ -30,7 +30,7 @@ inline float depth_around(const Depth* ring, std::int32_t columns, std::int32_t 
     return ring[at < 0 ? at + columns : (at < columns ? at : at - columns)].nearest_m;
 }
 
-// Cosine and sine of the azimuth at which each of so many columns begins.
+// Cosine and sine of the azimuth at which each column begins.
 struct Turn {
     explicit Turn(std::size_t columns);
 

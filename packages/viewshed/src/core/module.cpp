@@ -7,7 +7,7 @@ NB_MODULE(_core, m) {
     m.def("threads", &viewshed::threads, "How many threads a stage may use.");
     m.def(
         "set_threads", [](std::size_t count) { viewshed::set_threads(count); }, nanobind::arg("count"),
-        "Let a stage use up to so many threads, 1 to 4.");
+        "Let a stage use up to this number of threads, 1 to 4.");
     viewshed::bind_range_image(m);
     viewshed::bind_reach(m);
     viewshed::bind_sensor_id(m);

@@ -31,7 +31,7 @@ constexpr int FILL_COLUMNS = 16;
 // ratio of their ranges is below the second number.
 constexpr double GAP_M = 1.5, SIMILAR = 1.25;
 
-// The next return below or above in a column is at most so many rings away.
+// The next return below or above in a column is at most this number of rings away.
 constexpr std::size_t NEIGHBOR_RINGS = 8;
 
 // Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return.
@@ -40,7 +40,7 @@ constexpr double STEEP = 4.0;
 // Where a larger share of the ground gives returns, a beam without one did not meet the ground.
 constexpr double EXPECTED_SHARE = 0.9;
 
-// The share of a bin of range starts from that of the bin before, as if so many beams had shown it.
+// The share of a bin of range starts from that of the bin before, as if PRIOR_BEAMS beams had shown it.
 constexpr double PRIOR_BEAMS = 20;
 
 // Nearer ground returns at least as often as that of a bin with this share of all returns from ground.

@@ -24,12 +24,12 @@ constexpr std::size_t MOST_CELLS = 40'000;
 constexpr std::size_t LEVELS = 4;
 constexpr std::array<float, LEVELS> GAP_M{0.3f, 0.45f, 0.7f, 1.0f}, GAP_PER_M{0.0f, 0.006f, 0.012f, 0.02f};
 
-// A candidate has so many returns, and no side longer than this; so many are looked at.
+// A candidate has at least FEWEST_RETURNS, and no side longer than LONGEST_M; at most MOST_CANDIDATES are looked at.
 constexpr std::int32_t FEWEST_RETURNS = 4;
 constexpr float LONGEST_M = 20.0f;
 constexpr std::size_t MOST_CANDIDATES = 2'000;
 
-// So many of its returns say how it is turned; so many what shape it has.
+// Up to FIT_RETURNS of its returns show its heading, up to SHAPE_RETURNS its shape.
 constexpr std::size_t FIT_RETURNS = 64, SHAPE_RETURNS = 256;
 
 // Headings over a quarter turn that are tried first, and those between that are tried beside the best, degrees.

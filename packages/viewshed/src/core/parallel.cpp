@@ -123,7 +123,7 @@ std::mutex one_job_at_a_time;
 Helpers* helpers = nullptr;  // the last ones are not deleted: they wait until the process ends
 pid_t owner = 0;             // a forked process has none of its parent's threads, and cannot end them
 
-// Let there be so many helpers: end those of another number. Needs the lock.
+// Let there be this number of helpers: end those of another number. Needs the lock.
 void set_helpers(std::size_t count) {
     if (owner != getpid()) helpers = nullptr;
     owner = getpid();

@@ -20,10 +20,10 @@ struct BitModel {
 
 namespace coder {
 
-// After so many decisions a model forgets the oldest at a constant rate.
+// After this number of decisions a model forgets the oldest at a constant rate.
 constexpr std::uint16_t MOST_SEEN = 24;
 
-// By how much of the way, in 2^-16, the next decision moves a model that has seen so many.
+// By how much of the way, in 2^-16, the next decision moves a model, by the number of decisions that it has seen.
 constexpr auto RATE = [] {
     std::array<std::int32_t, MOST_SEEN + 1> rate{};
     for (int seen = 0; seen <= MOST_SEEN; ++seen) rate[seen] = std::int32_t(65536.0 / (seen + 2.5));

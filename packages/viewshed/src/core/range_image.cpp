@@ -22,7 +22,7 @@ constexpr double AWAKE_SHARE = 0.5;
 // share. A few rings with points added do not matter.
 constexpr double FULL_RING = 0.9, FULLEST_RING = 1.05;
 
-// The phase of a ring is found from a histogram of so many bins, so that the order of the points does not matter.
+// The phase of a ring is found from a histogram of PHASES bins, so that the order of the points does not matter.
 constexpr int PHASES = 16;
 
 // The largest image that is accepted.

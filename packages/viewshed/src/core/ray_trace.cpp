@@ -20,7 +20,7 @@ namespace {
 constexpr double TURN = 2.0 * std::numbers::pi;
 constexpr float NO_RETURN = -1.0f;
 
-// A cell is in doubt if returns of the slices at its window's ends, so many of each end, decide.
+// A cell is in doubt if returns of the END_SLICES slices at either end of its window decide.
 constexpr std::size_t END_SLICES = 3;
 
 // Returns, and cells, of a part that is worth a thread.

@@ -21,7 +21,7 @@ constexpr int DROPPED_BITS = 18;
 constexpr std::size_t BINS = (std::size_t{1} << (31 - DROPPED_BITS)) + 1;
 
 // Returns beside each other lie in the same bin, and each count would wait for the one before: so they are counted by turns in
-// so many histograms.
+// TURNS histograms.
 constexpr std::size_t TURNS = 4;
 
 // Returns of a part that is worth a thread.

@@ -19,7 +19,7 @@ namespace {
 constexpr float TURN = 2 * PI;
 constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// Azimuths jitter across the seam by at most so many radians, for fewer than so many points.
+// Azimuths jitter across the seam by at most BACK radians, for fewer than SOON points.
 constexpr float BACK = 0.35f;
 constexpr std::size_t SOON = 8;
 
@@ -40,7 +40,7 @@ constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
 // A smaller change of slope is none: rounding, where a ring was cut in two.
 constexpr double LEAST_STEP = 1e-5;
 
-// About so many returns of a ring, evenly spread, tell its median slope.
+// About this number of returns of a ring, evenly spread, give its median slope.
 constexpr std::size_t RETURNS_OF_RING = 256;
 
 // Median slopes of rings go from the first to the last in at most this much of the way between these.

@@ -13,7 +13,7 @@ struct BestSectors {
     std::vector<double> range;
 };
 
-// At most so many sectors below ranges (bins,) of largest union; what is nearer than `inner` does not count.
+// At most this number of sectors below ranges (bins,) of largest union; what is nearer than `inner` does not count.
 //
 // A sector of several directions reaches as far as the shortest of them, so only the widest sectors for each range
 // matter. Those are nested or apart: they are the nodes of the profile's Cartesian tree (Vuillemin 1980), and choosing

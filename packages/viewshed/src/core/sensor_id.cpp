@@ -23,7 +23,7 @@ constexpr double DEGREE = std::numbers::pi / 180;
 // Returns by which a sensor is identified, and those of them that tell the elevations of rings.
 constexpr std::size_t SAMPLE = 16'384, OF_RINGS = 8192;
 
-// The first of these suffice where so many of them agree with one table: no other has its beams where this one has.
+// The first of these suffice where a share SURE of them agrees with one table: no other has its beams where this one has.
 constexpr std::size_t FIRST_OF_RINGS = 2048;
 constexpr double SURE = 0.9;
 
@@ -43,10 +43,10 @@ constexpr double LEAST_OF_TABLE = 0.5, MOST_OF_TABLE = 1.15;
 // ... nor do rings of which fewer lie at the very next beam: every second beam of a table is another sensor.
 constexpr double NEXT_BEAM = 0.8;
 
-// Where no rings are known: least share of a table's beams that must be hit, a beam being hit by so many returns.
+// Where no rings are known: least share of a table's beams that must be hit, a beam being hit by LEAST_HITS returns.
 constexpr double HIT = 0.9, LEAST_HITS = 2.0, HIT_SHARE = 0.02;
 
-// Clusters that explain so many of the returns are the sensor's beams, whatever a table says.
+// Clusters that explain this share of the returns are the sensor's beams, whatever a table says.
 constexpr double SHARP = 0.97;
 
 // The same of a sensor whose motion was undone: near the seam a return may be of either end of the revolution.
@@ -55,7 +55,7 @@ constexpr double SHARP_AT_REST = 0.95;
 // A table that explains less than this must not have more returns in its rings than columns, by this factor.
 constexpr double CERTAIN = 0.5, CROWDED = 1.3;
 
-// So many returns choose so many likely tables, which are then compared on the whole sample.
+// A FEW returns choose the LIKELY tables, which are then compared on the whole sample.
 constexpr std::size_t FEW = 2048, LIKELY = 2;
 
 // Rings of a cloud, what shows them, and how sharply.

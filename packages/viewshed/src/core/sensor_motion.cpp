@@ -21,7 +21,7 @@ constexpr std::array<double, 4> SEAMS{-std::numbers::pi, std::numbers::pi / 2, 0
 // ... and parts of the turn from there, counter-clockwise, at which the sensor may have been at the origin.
 constexpr std::array<double, 3> REFERENCES{0.5, 0.0, 1.0};
 
-// Ways that are tried first: in steps of this, forth and back in so many headings.
+// Ways that are tried first: in steps of this, forth and back along this number of headings.
 constexpr double STEP_M = 0.4;
 constexpr int HEADINGS = 8;
 
@@ -48,7 +48,7 @@ constexpr double COARSE_STEP_M = 0.1, FINE_STEP_M = 0.05;
 // first seam the sensor has no rings, or the points are not in its frame.
 constexpr double SHARP = 0.8, SMOOTH = 0.26;
 
-// The azimuth at which a point was measured and the place of the sensor at that time, each from the other, so many times.
+// The azimuth at which a point was measured and the place of the sensor at that time, each from the other, this number of times.
 constexpr int TIMES = 3;
 
 constexpr std::size_t PART = 16384;

@@ -13,7 +13,7 @@ namespace {
 
 constexpr double PI64 = std::numbers::pi, FAR = 1e18;
 
-// A vertex's candidates: the smallest range of so many wedges on either side, and these shares of the nearest.
+// A vertex's candidates: the smallest range of these numbers of wedges on either side, and these shares of the nearest.
 constexpr std::array<std::size_t, 6> WINDOWS = {1, 2, 4, 8, 16, 32};
 constexpr std::array<double, 3> SHARES = {0.98, 0.95, 0.9};
 constexpr std::size_t CANDIDATES = 2 * (WINDOWS.size() + SHARES.size());

@@ -11,7 +11,7 @@ namespace {
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
-// Returns between these heights above the ground are obstacles; at most so many of a sweep are compared.
+// Returns between these heights above the ground are obstacles; at most MOST_OBSTACLES of a sweep are compared.
 constexpr float LEAST_HEIGHT_M = 0.3f, MOST_HEIGHT_M = 3.0f;
 constexpr std::size_t MOST_OBSTACLES = 2200;
 

@@ -13,7 +13,7 @@ struct Point3 {
     float x, y, z;
 };
 
-// The bin of a position, of so many; the first for what is no number.
+// The bin of a position, of `count`; the first for what is no number.
 inline int bin_of(float position, int count) {
     return position > 0.0f ? (position < float(count) ? int(position) : count - 1) : 0;
 }
@@ -45,7 +45,7 @@ public:
     std::size_t rings() const { return rings_; }
     std::size_t columns() const { return columns_; }
     const std::vector<Point3>& obstacles() const { return obstacles_; }
-    // Each obstacle stands for so many returns.
+    // The number of returns that each obstacle stands for.
     std::size_t obstacle_step() const { return obstacle_step_; }
     const float* ring(std::size_t r) const { return range_m_.data() + r * columns_; }
 

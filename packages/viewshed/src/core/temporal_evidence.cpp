@@ -24,7 +24,7 @@ constexpr std::size_t PART = 1000;
 // Obstacles farther than this are not followed: too few beams meet them.
 constexpr float FARTHEST_M = 45.0f;
 
-// The speed of a sector is that of its so many fastest returns at least.
+// The speed of a sector is that of the return at this rank among its fastest.
 constexpr std::size_t RANK = 6;
 
 // Obstacles that a sector must have for a share of them, or a median, to mean anything.

@@ -19,7 +19,7 @@ namespace viewshed {
 
 constexpr float PI = std::numbers::pi_v<float>;
 
-// Points of a block: columns of so many points stay in the nearest memory.
+// Points of a block: columns of this length stay in the nearest memory.
 constexpr std::size_t BLOCK = 1024;
 
 // The azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin. A minimax polynomial of the arctangent on

@@ -17,14 +17,14 @@ namespace {
 // Beams may pass so far below the ground: the tolerance of a measured ground.
 constexpr float BELOW_GROUND_M = 0.3f;
 
-// Beams that aim at a target are counted by slope, in so many bins from -limit to limit.
+// Beams that aim at a target are counted by slope, in SLOPE_BINS from -SLOPE_LIMIT to SLOPE_LIMIT.
 constexpr std::size_t SLOPE_BINS = 512;
 constexpr float SLOPE_LIMIT = 1.0f, PER_SLOPE = float(SLOPE_BINS / (2 * SLOPE_LIMIT));
 
 // Range bins are counted in whole vectors of this many.
 constexpr std::size_t VECTOR = 16;
 
-// A cell farther than so many of its sides has no bins.
+// A cell farther than this number of its sides has no bins.
 constexpr double MOST_BINS = 1e6;
 
 // Beams of a part that is worth a thread; beams and cells of a sweep that is.

@@ -86,7 +86,7 @@ struct CellCounts {
     void read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const;
 };
 
-// Count three kinds of beams: measured, inferred, unresolved. With `deviations`, also where the ground lies so many standard
+// Count three kinds of beams: measured, inferred, unresolved. With `deviations`, also where the ground lies that many standard
 // deviations higher; else those lanes are 0.
 CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations);

@@ -340,7 +340,7 @@ class HonestModel:
 
 @lru_cache(maxsize=1)
 def honest_model() -> HonestModel:
-    """Return the model in the box, of the default estimate and our detector (docs/results/agents.md)."""
+    """Return the shipped model, of the default estimate and our detector (docs/results/agents.md)."""
     return HonestModel.from_json(resources.files("viewshed.agents").joinpath(_FILE).read_text("utf-8"))
 
 

@@ -54,7 +54,7 @@ MOST_CELLS = 512
 """Cells along a side of a joint field of view."""
 
 FALSE_RATE = 0.01
-"""Share of benign scenes in which somebody is accused, where the limits in the box support so small a one."""
+"""Share of benign scenes in which somebody is accused, where the shipped limits support so small a one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Round:
 
     Attributes:
         picture: joint tracks, and what is believed of them and of the agents.
-        accused: (A,) bool, agents that lie by the limits in the box.
+        accused: (A,) bool, agents that lie by the shipped limits.
         disputed: (A,) bool, agents of which one lies, and nobody knows which.
         missing: agents that were heard lately and have no report in the round.
         refused: reports of each agent that were refused so far, for poses that no vehicle can have; no entry for none.
@@ -158,7 +158,7 @@ class Round:
 
 
 def judged(picture: CommonPicture) -> tuple[Mask, Mask]:
-    """Return who is accused and who is disputed (A,), at the smallest rate of the limits in the box, 1 % at least."""
+    """Return who is accused and who is disputed (A,), at the smallest rate of the shipped limits, 1 % at least."""
     limits, verdicts = trust_limits(), picture.verdicts
     rate = max(FALSE_RATE, limits.least_rate)
     accused = limits.accused(picture.suspicion, verdicts.elevated, rate)

@@ -134,5 +134,5 @@ def _doubt(views: ViewScale, checks: F64, elevated: Mask) -> F64:
 
 @lru_cache(maxsize=1)
 def suspicion_in_box() -> Suspicion:
-    """Return the one in the box, of the default estimate and our detector (docs/results/agents.md)."""
+    """Return the shipped one, of the default estimate and our detector (docs/results/agents.md)."""
     return Suspicion.from_json(resources.files("viewshed.agents").joinpath(_FILE).read_text("utf-8"))

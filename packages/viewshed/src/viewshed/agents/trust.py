@@ -417,7 +417,7 @@ class TrustLimits:
 
 @lru_cache(maxsize=1)
 def trust_limits() -> TrustLimits:
-    """Return the limits in the box, of the calibration scenes of docs/results/agents.md."""
+    """Return the shipped limits, of the calibration scenes of docs/results/agents.md."""
     return TrustLimits.from_json(resources.files("viewshed.agents").joinpath("limits.json").read_text("utf-8"))
 
 

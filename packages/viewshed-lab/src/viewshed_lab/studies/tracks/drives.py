@@ -239,7 +239,7 @@ def simulate_drive(
         fovs: of ``FOVS``.
         detector: one of ``DETECTORS``.
         sensor: name of the sensor in its views.
-        forger: forges the sweeps before anything is computed from them; the truth stays, and the monitor in the box
+        forger: forges the sweeps before anything is computed from them; the truth stays, and the shipped monitor
             watches.
     """
     grid, by_tables = GRID, detector == "simulated"
