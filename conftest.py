@@ -8,7 +8,7 @@ from hypothesis import settings
 
 import tests  # noqa: F401  one package of three folders: pytest alone would make it of the first that it meets
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parent
 
 # Each run tries the same examples, so that chance fails no unrelated change; `make properties` draws new ones. No
 # deadlines: the first call of a kernel compiles it.

@@ -116,9 +116,9 @@ def command_names() -> list[str]:
     """Return the commands that ``--help`` lists, those of groups with the group's name before them."""
     from typer.main import get_command
 
-    from viewshed.cli import app
+    from viewshed.cli import application
 
-    return list(_names(get_command(app)))
+    return list(_names(get_command(application())))
 
 
 def _names(group: Any, prefix: str = "") -> Iterator[str]:
@@ -133,11 +133,12 @@ def commands() -> str:
     """Return every command with what its ``--help`` prints."""
     from typer.testing import CliRunner
 
-    from viewshed.cli import app
+    from viewshed.cli import application
 
     runner = CliRunner()
     shown = {
-        name: runner.invoke(app, [*name.split(), "--help"], prog_name="viewshed").stdout for name in command_names()
+        name: runner.invoke(application(), [*name.split(), "--help"], prog_name="viewshed").stdout
+        for name in command_names()
     }
     return "\n\n".join(f"## viewshed {name}\n\n```text\n{text.strip()}\n```" for name, text in shown.items())
 

@@ -1,13 +1,11 @@
 """A Ray cluster on this machine, started once for all tests of engines."""
 
-import sys
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[4]))  # so that other processes find tests.jobs.jobs
 
 
 @pytest.fixture(scope="session")
@@ -16,6 +14,8 @@ def cluster() -> Iterator[Any]:
     pytest.importorskip("ray", reason="ray is not installed: clusters are not tested")
     from ray.cluster_utils import Cluster
 
-    cluster: Any = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    yield cluster
-    cluster.shutdown()
+    with pytest.MonkeyPatch.context() as patch:  # so that workers find tests.jobs
+        patch.setenv("PYTHONPATH", str(Path(__file__).parents[2]), prepend=os.pathsep)
+        cluster: Any = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+        yield cluster
+        cluster.shutdown()

@@ -16,7 +16,7 @@ from viewshed_lab._jobs import TRIES, LocalEngine
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[2]
 PRELOADS: list[tuple[str, ...]] = [(), ("tests.jobs.jobs",)]
 _PATH = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
 SCRIPT = """

@@ -17,7 +17,7 @@ from viewshed_lab._jobs import LocalEngine, RayEngine
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[2]
 JOBS = 24
 WRITE_FILES = """
 import json, sys

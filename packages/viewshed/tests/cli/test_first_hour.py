@@ -11,7 +11,7 @@ from typer.main import get_command
 
 import viewshed
 from viewshed import BevGrid, Rigid, Sweep, write_sweep
-from viewshed.cli import app
+from viewshed.cli import application
 from viewshed.cli.estimate import estimate as estimate_command
 from viewshed.cli.export import export as export_command
 from viewshed.cli.record import record
@@ -188,7 +188,7 @@ def test_what_a_sweep_says_itself_is_not_said_again() -> None:
 
 
 def test_commands_that_read_bags_take_a_topic() -> None:
-    commands = get_command(app).commands  # type: ignore[attr-defined]
+    commands = get_command(application()).commands  # type: ignore[attr-defined]
     for name in ("estimate", "info", "compare", "export", "view"):
         assert "--topic" in {option for each in commands[name].params for option in each.opts}
     assert re.search(r"--topic", run("monitor", "check", "--help").stdout)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from viewshed.cli import app
+from viewshed.cli import application
 
 ODD = ("in the box", "else as", "in bytes", "told", "asked for", "of sim:", "less it", "every so many", "of a network:")
 """Words that a reader of the first hour stumbled over, and the like."""
@@ -19,7 +19,7 @@ def _commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
         yield from _commands(child, f"{name} {word}")
 
 
-COMMANDS = dict(_commands(get_command(app), "viewshed"))
+COMMANDS = dict(_commands(get_command(application()), "viewshed"))
 
 
 @pytest.mark.parametrize("name", COMMANDS)

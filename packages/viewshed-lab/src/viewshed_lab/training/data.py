@@ -213,7 +213,7 @@ def processes_for(frames: int) -> int:
 
     A worker of an engine may have no processes of its own, and shares the cores with others already.
     """
-    alone = frames < _WORTH_PROCESSES or multiprocessing.current_process().daemon
+    alone = frames < _WORTH_PROCESSES or multiprocessing.parent_process() is not None
     return 1 if alone else os.cpu_count() or 1
 
 

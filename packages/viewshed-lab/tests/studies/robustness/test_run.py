@@ -227,7 +227,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> Non
         "import sys; from tests.studies.robustness.test_run import *\n"
         "list(run_study(ResultStore.open(sys.argv[1], SMALLEST), engine_named('local', 1)))"
     )
-    root = Path(__file__).resolve().parents[5]
+    root = Path(__file__).resolve().parents[3]
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "a")], cwd=root)
     path = tmp_path / "a" / FILE
     end_s = time.monotonic() + 120

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Annotated, TextIO, cast
 
 import typer
@@ -28,7 +29,6 @@ from viewshed.cli.view import view
 BAD_INPUT = 2
 INTERRUPTED = 130
 _Refused: type[Exception] = typer.BadParameter.__mro__[2]  # ClickException: typer has no public name for it
-app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 _COMMANDS = (estimate, info, compare, view, replay, record, fuse, export, demo)
 LABORATORY_COMMANDS = (
@@ -37,8 +37,14 @@ LABORATORY_COMMANDS = (
 """What the package viewshed-lab adds, in the order in which help lists it."""
 
 
-def _add_commands() -> None:
-    """Add the commands of this package, and those that installed packages bring by entry points."""
+@cache
+def application() -> typer.Typer:
+    """Return the commands of this package, and those that installed packages bring by entry points.
+
+    They are put together when they are first asked for: a module of such a package may import this one.
+    """
+    app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    app.callback(invoke_without_command=True)(_root)
     for command in _COMMANDS:
         app.command()(with_groups(command))
     app.add_typer(monitor_app, name="monitor")
@@ -48,11 +54,12 @@ def _add_commands() -> None:
             words = {"ignore_unknown_options": True, "allow_extra_args": True}
             app.command(name, hidden=True, add_help_option=False, context_settings=words)(_missing(name))
             continue
-        command = points[name].load()
-        if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name)
+        brought = points[name].load()
+        if isinstance(brought, typer.Typer):
+            app.add_typer(brought, name=name)
         else:
-            app.command(name)(with_groups(command))
+            app.command(name)(with_groups(brought))
+    return app
 
 
 def _missing(name: str) -> Callable[[], None]:
@@ -64,16 +71,12 @@ def _missing(name: str) -> Callable[[], None]:
     return command
 
 
-_add_commands()
-
-
 def _version(asked: bool) -> None:
     if asked:
         typer.echo(f"viewshed {__version__}")
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
@@ -97,7 +100,7 @@ def main(arguments: list[str] | None = None) -> None:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
             with status_line(" ".join(words[:1])), needed_for(" ".join(["viewshed", *words[:1]])):
-                sys.exit(app(words, standalone_mode=False))
+                sys.exit(application()(words, standalone_mode=False))
     except _Refused as error:
         _refuse(cast(typer.BadParameter, error).format_message())
     except BAD_INPUTS as error:

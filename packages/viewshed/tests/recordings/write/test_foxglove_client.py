@@ -141,7 +141,8 @@ def test_a_viewer_reads_all_topics_by_their_schemas_and_the_layout_names_only_th
     assert len(cloud.data) == len(moment.sweep) * cloud.point_stride
     cells = np.frombuffer(grid.data, np.int8).reshape(grid.column_count, grid.column_count, -1)
     np.testing.assert_array_equal(cells[..., 0].T, visibility_layer(estimate, grid.fields[0].name))
-    # 3. The layout, for this agent, names topics that came, fields that they have, and a frame that is placed.
+    # 3. The layout, for this agent, names topics that came or that come with tracks, fields that they have, and a frame
+    # that is placed.
     tool: Any = import_module("foxglove_layout")
     view, log = (item["content"] for item in tool.layout(agent)["content"]["items"])
     assert (view["panelType"], log["panelType"], log["config"]["topicToRender"]) == ("ThreeDee", "Log", "/log")
@@ -149,7 +150,7 @@ def test_a_viewer_reads_all_topics_by_their_schemas_and_the_layout_names_only_th
         topic: {field.name for field in got[topic].fields} for topic in (f"/{agent}/lidar/data", f"/{agent}/lidar/fov")
     }
     for topic, settings in view["config"]["topics"].items():
-        assert topic in got
+        assert topic in got or topic in {f"/{agent}/lidar/objects", "/command_center/objects"}
         if "colorField" in settings:
             assert settings["colorField"] in fields[topic]
     frames = {name for each in got["/tf"].transforms for name in (each.parent_frame_id, each.child_frame_id)}

@@ -32,6 +32,7 @@ _METADATA = "metadata.yaml"
 _PACKED = (".zstd", ".zst")
 _EMPTY_RECORDS_MAX = 100_000
 _ROW_BYTES_MIN = 8
+_LZ4_STEP_BYTES = 1 << 20
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -100,15 +101,17 @@ def open_bag(root: Path, path: Path) -> BagFile:
     if path.is_dir():
         return FolderBag(root, path)
     packed = path.name.lower().endswith(_PACKED)
-    stream: BinaryIO = io.BytesIO(_unpacked_zstd(path.read_bytes())) if packed else path.open("rb")
+    stream: BinaryIO = io.BytesIO(_unpacked_zstd(path.read_bytes())) if packed else _Bounded(path)
     budget = _UnpackBudget.of(path.stat().st_size)
-    head = stream.read(16)
-    stream.seek(0)
-    if head.startswith(MCAP_MAGIC):
-        return McapBag(stream, budget)
-    if head.startswith(ROS1_MAGIC):
-        return Ros1Bag(stream, budget)
-    with stream:
+    with contextlib.ExitStack() as unless_taken:
+        unless_taken.callback(stream.close)
+        head = stream.read(16)
+        stream.seek(0)
+        for magic, kind in ((MCAP_MAGIC, McapBag), (ROS1_MAGIC, Ros1Bag)):
+            if head.startswith(magic):
+                bag: BagFile = kind(stream, budget)
+                unless_taken.pop_all()
+                return bag
         if head == b"SQLite format 3\0":
             return SqliteBag(stream.read() if packed else path, budget)
     if not head:
@@ -117,6 +120,20 @@ def open_bag(root: Path, path: Path) -> BagFile:
         kind = "an MCAP file" if path.suffix == ".mcap" else "a ROS 1 bag"
         raise ValueError(f"does not begin like {kind}; it is damaged or of another format")
     raise ValueError("is damaged: it is no SQLite database")
+
+
+class _Bounded(io.BufferedReader):
+    """A file whose reads take no more memory than is left of it, whatever number of bytes a record names."""
+
+    def __init__(self, path: Path) -> None:
+        raw = io.FileIO(path)
+        super().__init__(raw)
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return at most ``size`` bytes; all that is left where it is negative."""
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 @dataclass(slots=True)
@@ -358,10 +375,15 @@ def _bunzip2(packed: bytes, limit: int) -> bytes:
 def _unlz4(packed: bytes, limit: int) -> bytes:
     with needed_for("reading a bag packed by lz4"):
         from lz4.frame import LZ4FrameDecompressor
+    # It takes as much memory as it may fill: a little at a time, so that a few bytes do not cost hundreds of megabytes.
+    decompressor, parts, left, given = LZ4FrameDecompressor(), [b""], limit, packed
     try:
-        return bytes(LZ4FrameDecompressor().decompress(packed, limit))
+        while left and not decompressor.eof and (len(parts[-1]) or given):
+            parts.append(bytes(decompressor.decompress(given, min(left, _LZ4_STEP_BYTES))))
+            left, given = left - len(parts[-1]), b""
     except RuntimeError as error:  # all that it raises
         raise ValueError(str(error)) from error
+    return b"".join(parts)
 
 
 def _unzstd(packed: bytes, limit: int) -> bytes:
