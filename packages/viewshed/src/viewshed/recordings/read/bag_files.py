@@ -107,9 +107,9 @@ def open_bag(root: Path, path: Path) -> BagFile:
         unless_taken.callback(stream.close)
         head = stream.read(16)
         stream.seek(0)
-        for magic, kind in ((MCAP_MAGIC, McapBag), (ROS1_MAGIC, Ros1Bag)):
+        for magic, bag_type in ((MCAP_MAGIC, McapBag), (ROS1_MAGIC, Ros1Bag)):
             if head.startswith(magic):
-                bag: BagFile = kind(stream, budget)
+                bag: BagFile = bag_type(stream, budget)
                 unless_taken.pop_all()
                 return bag
         if head == b"SQLite format 3\0":
