@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 from weakref import ref
@@ -56,10 +57,21 @@ class Comparison:
         earlier: what those before it saw.
         to_earlier: (K, 3, 4) transforms from the sensor's frame now to the sensor's frames then.
         gaps_s: (K,) time from each to the next one.
-        arrival_mps, appeared_m2: (SECTORS,) speed and area of obstacles that came where the last sweeps looked through.
-        departure_mps, vanished_m2: (SECTORS,) speed and area of obstacles of the last sweep that are gone.
+        arrival_mps: (SECTORS,) speed that obstacles need to have come from the nearest cover. What stands where a beam
+            passed freely came from behind an obstacle, from beyond the beams, or was one of the things near by. Where
+            the last sweep found the obstacle as well, the one before it is asked: it gives itself away for three.
+        appeared_m2: (SECTORS,) area of obstacles through which the last sweep looked. A beam that ended beyond a place
+            proves that the place was empty. What moves uncovers and covers little of it between two sweeps: the front
+            of a car, as wide as it drove. A spoofed object or wall stands there at once with all its surface.
+        departure_mps: (SECTORS,) speed that obstacles of the last sweep need to have left as they did: the distance to
+            the nearest place where they may be now, over the time between the two.
+        vanished_m2: (SECTORS,) area of obstacles of the last sweep through which this one looks. A far wall, or returns
+            pushed away, open a corridor through surfaces; what moves opens no more than it drove.
         lost: (SECTORS,) share of the last sweep's obstacles at whose places no beam returns now.
-        pierced: (SECTORS,) share of them through which a beam passes now while beams on both sides of it end there.
+        pierced: (SECTORS,) share of the last sweep's obstacles through which a beam passes now while beams on both
+            sides of it end there. An obstacle hides the ground behind it from all beams that meet it, also when the
+            sensor has moved a little. A phantom hides only what its maker's beams won: the others report what lies
+            behind it, in other places in each sweep.
     """
 
     view: _core.SweepView
@@ -157,58 +169,21 @@ def _rows(rotation: NDArray[np.floating[Any]], translation: NDArray[np.floating[
     return np.column_stack([rotation, translation]).astype(np.float32, order="C")
 
 
-# Each of these abstains without poses, earlier sweeps or rings.
-def measure_seen_through(monitored: MonitoredSweep) -> F32:
-    """Return the area by sector (SECTORS,), m², of obstacles through which the last sweep looked.
+def _part(part: Callable[[Comparison], F32]) -> Callable[[MonitoredSweep], F32]:
+    """Return what measures a part of a sweep's comparison; it abstains without poses, earlier sweeps or rings."""
 
-    A beam that ended beyond a place proves that the place was empty. What moves uncovers and covers little of it
-    between two sweeps: the front of a car, as wide as it drove. A spoofed object or wall stands there at once with all
-    its surface. Of each sector with two on either side.
-    """
-    comparison = compare(monitored)
-    return ABSTAINS if comparison is None else _around(comparison.appeared_m2)
+    def measure(monitored: MonitoredSweep) -> F32:
+        comparison = compare(monitored)
+        return ABSTAINS if comparison is None else part(comparison)
+
+    return measure
 
 
-def measure_arrival(monitored: MonitoredSweep) -> F32:
-    """Return the speed by sector (SECTORS,), m/s, that obstacles need to have come from the nearest cover.
-
-    What stands where a beam passed freely came from behind an obstacle, from beyond the beams, or was one of the things
-    near by. The distance to the nearest of them over the time between the sweeps is the least speed. Where the last
-    sweep found the obstacle as well, the one before it is asked: an object gives itself away for three sweeps.
-    """
-    comparison = compare(monitored)
-    return ABSTAINS if comparison is None else comparison.arrival_mps
-
-
-def measure_vanished(monitored: MonitoredSweep) -> F32:
-    """Return the area by sector (SECTORS,), m², of obstacles of the last sweep through which this one looks.
-
-    The reverse of what appears. A far wall, or returns pushed away, open a corridor through surfaces that the sweep
-    before saw; what moves opens no more than it drove. Of each sector with two on either side.
-    """
-    comparison = compare(monitored)
-    return ABSTAINS if comparison is None else _around(comparison.vanished_m2)
-
-
-def measure_departure(monitored: MonitoredSweep) -> F32:
-    """Return the speed by sector (SECTORS,), m/s, that obstacles of the last sweep need to have left as they did.
-
-    The reverse of an arrival: where beams pass now through what the last sweep saw, the distance to the nearest place
-    where it may be now, over the time between the two.
-    """
-    comparison = compare(monitored)
-    return ABSTAINS if comparison is None else comparison.departure_mps
-
-
-def measure_phantom_shadow(monitored: MonitoredSweep) -> F32:
-    """Return the share by sector (SECTORS,) of the last sweep's obstacles that are pierced now.
-
-    What stands between the sensor and the ground behind it hides that ground from all beams that meet it, also when the
-    sensor has moved a little and others meet it than before. A phantom hides only what its maker's beams won: the
-    others report what lies behind it, in other places in each sweep.
-    """
-    comparison = compare(monitored)
-    return ABSTAINS if comparison is None else comparison.pierced
+measure_seen_through = _part(lambda comparison: _around(comparison.appeared_m2))
+measure_arrival = _part(lambda comparison: comparison.arrival_mps)
+measure_vanished = _part(lambda comparison: _around(comparison.vanished_m2))
+measure_departure = _part(lambda comparison: comparison.departure_mps)
+measure_phantom_shadow = _part(lambda comparison: comparison.pierced)
 
 
 def measure_lost_view(monitored: MonitoredSweep) -> F32:
