@@ -195,6 +195,15 @@ def test_agents_are_remembered_apart_and_those_beyond_64_are_refused_and_counted
     assert said.refused == {"of more than 64 agents; give them a stream of their own": 6}
 
 
+def test_an_agent_that_is_gone_holds_no_sweeps() -> None:
+    with Pipeline(shadow_map(), lambda answer: None, history=SweepBuffer(), lossless=True) as pipeline:
+        for seconds, agent in ((0.0, "gone"), (9.0, "here"), (15.0, "here")):
+            pipeline.put(at(seconds), agent)
+    kept = {agent.name: agent.history._kept for agent in pipeline._known() if agent.history is not None}
+    assert [len(each) for each in kept["here"].values()] == [2]
+    assert kept["gone"] == {}
+
+
 def test_reasons_are_counted_apart_up_to_a_bound() -> None:
     pipeline = Pipeline(shadow_map(), lambda answer: None, lossless=True)
     for n in range(60):

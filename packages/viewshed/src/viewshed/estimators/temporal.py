@@ -77,9 +77,12 @@ class SweepBuffer:
         if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
             kept.append(leveled)
         remember(self._kept, leveled.sweep.agent, kept, self.agents)
-        # Agents whose sweeps are all too old to be used.
-        oldest_ns = t_ns - max(self.forget_s, self.every_s) * 1e9
-        for agent in [name for name, each in self._kept.items() if (each[-1].sweep.t_ns or 0) < oldest_ns]:
+        self.drop_gone(t_ns)
+
+    def drop_gone(self, now_ns: int) -> None:
+        """Drop the agents whose sweeps are all too old to be used."""
+        oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
+        for agent in [name for name, kept in self._kept.items() if (kept[-1].sweep.t_ns or 0) < oldest_ns]:
             del self._kept[agent]
 
     def reset(self, agent: str | None = None) -> None:

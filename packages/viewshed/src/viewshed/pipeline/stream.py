@@ -274,6 +274,11 @@ class Pipeline:
             objects=objects and objects.fresh(),
         )  # fmt: skip
 
+    def _known(self) -> list[Agent]:
+        """Return the agents that have a place."""
+        with self._lock:
+            return list(self._agents.values())
+
     def newest(self, agent: str = "ego") -> Answer | None:
         """Return the newest answer of an agent, STALE if that is too old by now; None where there is none."""
         known = self._agents.get(agent)
@@ -414,6 +419,9 @@ class Pipeline:
             raise TypeError(f"an estimator must return a FovEstimate, got {type(estimate).__name__}; mend it")
         if history is not None:
             history.add(leveled)
+            for agent in self._known():
+                if agent.history is not None and leveled.sweep.t_ns is not None:
+                    agent.history.drop_gone(leveled.sweep.t_ns)
         return replace(step, leveled=leveled, seen=seen, estimate=estimate)
 
     def _check(self, step: _Step) -> _Step:
@@ -514,10 +522,8 @@ class Pipeline:
         wait_s = 0.0
         while not self._closed.wait(wait_s):
             wait_s = self._stale_after_s
-            with self._lock:
-                agents = list(self._agents.values())
             with self._reacting:
-                for agent in agents:
+                for agent in self._known():
                     if agent.reaction.caution != Caution.STALE:
                         if self._is_stale(agent):
                             return agent.newest
