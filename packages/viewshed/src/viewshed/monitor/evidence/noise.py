@@ -24,9 +24,6 @@ _FLOOR_M = 0.01
 """Noise that every sensor may have."""
 
 
-# A spoofer sets ranges with an error of its own: on commercial sensors .10 m a point (docs/attacks.md), where a sensor
-# has .02 m. It shows where a surface is smooth: what a parabola leaves of seven ranges in a row. Leaves and grass are
-# rough as well, so the lower quartile counts: all of a forged patch is noisy, but rough surfaces mix with smooth ones.
 def measure_ground_noise(monitored: MonitoredSweep) -> F32:
     """Return the noise of ground returns (SECTORS,) against that all around; NaN for too few, or without rings.
 
@@ -61,7 +58,10 @@ def _against_smoothest(monitored: MonitoredSweep, kind: int) -> F32:
 def _noise_of(leveled: LeveledSweep) -> F32 | None:
     """Return the noise in meters (3, SECTORS, _BANDS) of ground, near and all, made once; None without rings.
 
-    NaN where it is of too few returns, or too rough.
+    A spoofer sets ranges with an error of its own: on commercial sensors .10 m a point (docs/attacks.md), where a
+    sensor has .02 m. It shows where a surface is smooth: what a parabola leaves of seven ranges in a row. Leaves and
+    grass are rough as well, so the lower quartile counts: all of a forged patch is noisy, but rough surfaces mix with
+    smooth ones. NaN where it is of too few returns, or too rough.
     """
     image = return_image_of(leveled)
     noise: F32 | None = leveled.derived.get(("range_noise",))
