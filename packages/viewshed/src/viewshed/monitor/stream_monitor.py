@@ -153,7 +153,12 @@ class StreamMonitor:
             ValueError: as for :meth:`SweepMonitor.check`; the sweep is then not kept.
         """
         name, now_ns = leveled.sweep.agent, leveled.sweep.t_ns
-        agent, notes = self._continued(self._agents.get(name), leveled)
+        agent = self._agents.get(name)
+        note = "" if agent is None else agent.earlier.why_anew(leveled)
+        if agent is None or note:
+            agent = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
+        elif now_ns is None:
+            note = "the sweep has no time: it is judged without earlier sweeps"
         monitored = MonitoredSweep(leveled, agent.earlier.before(leveled), estimates or {})
         now = self.monitor.check(monitored, self.evidence, agent.evidence)
         alarm = agent.detector.add(now.tail_p_value)
@@ -162,20 +167,10 @@ class StreamMonitor:
         delay_s = 0.0 if now_ns is None or agent.onset_ns is None else (now_ns - agent.onset_ns) * 1e-9
         agent.earlier.add(leveled)
         remember(self._agents, name, agent, self.agents)
-        detector = agent.detector
+        detector, notes = agent.detector, (note,) if note else ()
         return StreamReport(now, alarm, detector.wealth, detector.limit, delay_s, notes, detector.doubtful_sweeps)
 
     def reset(self, agent: str | None = None) -> None:
         """Forget an agent, or all: its stream begins anew, without earlier sweeps and without doubt."""
         for name in [agent] if agent is not None else list(self._agents):
             self._agents.pop(name, None)
-
-    def _continued(self, agent: _Agent | None, leveled: LeveledSweep) -> tuple[_Agent, tuple[str, ...]]:
-        """Return the agent of a sweep, or one that begins anew where the sweep does not follow, and why."""
-        why = "" if agent is None else agent.earlier.why_anew(leveled)
-        if agent is None or why:
-            new = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
-            return new, (why,) if why else ()
-        if leveled.sweep.t_ns is None:
-            return agent, ("the sweep has no time: it is judged without earlier sweeps",)
-        return agent, ()
