@@ -9,7 +9,7 @@ np.False_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from viewshed import _core, _moved
+from viewshed import _core, _moved, _outputs
 from viewshed._extras import needed_for, plugin
 
 if TYPE_CHECKING:
@@ -68,5 +68,16 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     return sorted([*__all__, "__version__"])
 
+
+def _later(module: str, name: str) -> Any:
+    """Return a function that is imported when it is first called."""
+
+    def call(*arguments: Any) -> Any:
+        return getattr(import_module(f"viewshed.{module}"), name)(*arguments)
+
+    return call
+
+
+_outputs.save, _outputs.draw = _later("io.export", "save_estimate"), _later("show.plot", "draw_estimate")
 
 _moved.install()

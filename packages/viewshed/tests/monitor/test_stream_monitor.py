@@ -83,9 +83,9 @@ def test_a_report_has_the_evidence_that_was_scored_what_is_held_included() -> No
 @pytest.mark.parametrize(
     ("time", "note"),
     [
-        (5.0, "the time repeats that of the sweep before: the stream begins anew"),
-        (2.0, "the time goes back by 0.3 s: the stream begins anew"),
-        (20.0, "the time jumps by 1.5 s: the stream begins anew"),
+        (5.0, "time repeats that of the sweep before: the stream begins anew"),
+        (2.0, "time went back by 0.3 s: the stream begins anew"),
+        (20.0, "time jumped by 1.5 s: the stream begins anew"),
         (None, "the sweep has no time: it is judged without earlier sweeps"),
     ],
 )

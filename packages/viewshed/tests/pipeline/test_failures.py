@@ -14,8 +14,8 @@ from viewshed import Sweep
 from viewshed.estimators import Estimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.pipeline import Answer, Caution, Pipeline, Statistics, reactions
-from viewshed.pipeline.clocks import Clocks
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.streams import why_anew
 
 TINY = SMALL.select(np.arange(0, len(SMALL), 50))
 THIRD = 2
@@ -87,7 +87,7 @@ def failing(place: str, outcome: object, monkeypatch: pytest.MonkeyPatch) -> Ite
     elif place == "react":
         monkeypatch.setattr("viewshed.pipeline.stream.react", Failing(reactions.react, outcome))
     elif place == "clock":
-        monkeypatch.setattr("viewshed.pipeline.stream.Clocks.note", Failing(Clocks().note, outcome))
+        monkeypatch.setattr("viewshed.pipeline.agent.why_anew", Failing(why_anew, outcome))
     yield Pipeline(estimator, publish, monitor=monitor, lossless=True), answers
 
 

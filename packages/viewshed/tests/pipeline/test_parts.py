@@ -5,9 +5,10 @@ import threading
 import numpy as np
 import pytest
 
-from viewshed.pipeline.clocks import Clocks, RateLimit
-from viewshed.pipeline.inbox import Inbox
+from viewshed.pipeline.agent import Agent, Agents
+from viewshed.pipeline.inbox import Inbox, RateLimit
 from viewshed.pipeline.latency import Latencies
+from viewshed.preprocess.streams import AGENTS
 
 
 def _all(inbox: Inbox[int]) -> list[int]:
@@ -69,35 +70,48 @@ def test_an_inbox_must_have_room() -> None:
 
 
 def test_a_flood_of_names_holds_no_more_than_64_agents() -> None:
-    inbox: Inbox[int] = Inbox(clock=lambda: 0.0)
-    taken = [inbox.put(f"agent {k}", k) for k in range(3000)]
-    assert sum(taken) == 64 == taken.index(False)
-    assert (inbox.refused, inbox.dropped) == (3000 - 64, 0)
-    assert "at most 64 agents within 10 s, got 'agent 2999' as one more" in inbox.note
-    # Those that are in go on, also where they have nothing waiting.
-    assert inbox.take() == 0
-    assert not inbox.put("another", 1)
-    assert inbox.put("agent 0", 1)
-    assert _all(inbox) == [*range(1, 64), 1]
+    agents = Agents()
+    taken = [agents.heard(f"agent {k}", 0.0, Agent, ()) is not None for k in range(3000)]
+    assert sum(taken) == 64 == taken.index(False) == len(agents)
+    assert agents.refused == 3000 - 64
+    # Those that are in go on.
+    assert agents.heard("agent 0", 0.0, Agent, ()) is not None
+    assert agents.heard("another", 0.0, Agent, ()) is None
 
 
 def test_a_name_that_is_not_heard_for_ten_seconds_gives_up_its_place() -> None:
-    now_s = 0.0
-    inbox: Inbox[str] = Inbox(agents=2, clock=lambda: now_s)
-    for name in ("car", "mast"):
-        assert inbox.put(name, name)
-        assert inbox.take() == name
-    now_s = 5.0
-    assert inbox.put("car", "car")
-    assert not inbox.put("bus", "bus")
-    now_s = 10.0
-    assert inbox.put("bus", "bus")  # in the place of the mast
-    assert not inbox.put("mast", "mast")
+    agents, others = Agents(), [f"agent {number}" for number in range(AGENTS - 2)]
+    for name in others:
+        agents.heard(name, 0.0, Agent, ())
+
+    def is_heard(name: str, now_s: float, *waiting: str) -> bool:
+        before, agent = agents.get(name), agents.heard(name, now_s, Agent, [*others, *waiting])
+        assert before is None or agent is before
+        return agent is not None
+
+    assert is_heard("car", 0.0)
+    assert is_heard("mast", 0.0)
+    assert is_heard("car", 5.0)
+    assert not is_heard("bus", 5.0)
+    assert is_heard("bus", 10.0)  # in the place of the mast
+    assert not is_heard("mast", 10.0)
     # What waits keeps its place, however long.
-    now_s = 60.0
-    assert not inbox.put("mast", "mast")
-    assert [inbox.take(), inbox.take()] == ["car", "bus"]
-    assert inbox.put("mast", "mast")
+    assert not is_heard("mast", 60.0, *agents)
+    assert is_heard("mast", 60.0, "car")  # in the place of the bus
+    assert "bus" not in agents
+    assert is_heard("bus", 60.0)  # in the place of the car
+    assert "car" not in agents
+
+
+def test_who_has_something_waiting_is_in_the_inbox() -> None:
+    inbox: Inbox[int] = Inbox(waiting=2)
+    assert "car" not in inbox
+    for item in range(2):
+        inbox.put("car", item)
+    for _ in range(2):
+        assert "car" in inbox
+        inbox.take()
+    assert "car" not in inbox
 
 
 def test_quantiles_of_latencies_are_those_of_the_seconds_to_one_percent() -> None:
@@ -123,18 +137,16 @@ def test_latencies_of_none_and_of_extremes() -> None:
     assert one.line() == "p50 49.1 ms, p99 49.1 ms, worst 49.1 ms"
 
 
-def test_clocks_notice_what_goes_back_jumps_or_repeats_of_each_agent() -> None:
-    clocks = Clocks(agents=2)
-    assert clocks.note("car", 0) == ""
-    assert clocks.note("car", 100_000_000) == ""
-    assert clocks.note("mast", 50_000_000) == ""
-    assert clocks.note("car", None) == ""
+def test_what_goes_back_jumps_or_repeats_in_time_is_noticed() -> None:
+    car = Agent("car")
+    assert car.time_note(0) == ""
+    assert car.time_note(100_000_000) == ""
+    assert car.time_note(None) == ""
     with pytest.raises(ValueError, match="got the same again"):
-        clocks.note("car", 100_000_000)
-    assert clocks.note("car", 40_000_000) == "time went back by 0.06 s: the stream begins anew"
-    assert clocks.note("car", 30_040_000_000) == "time jumped by 30 s: the stream begins anew"
-    assert clocks.note("third", 1) == ""  # and the mast is forgotten
-    assert clocks.note("mast", 50_000_000) == ""
+        car.time_note(100_000_000)
+    assert car.time_note(40_000_000) == "time went back by 0.06 s: the stream begins anew"
+    assert car.time_note(10_040_000_000) == ""
+    assert car.time_note(40_040_000_000) == "time jumped by 30 s: the stream begins anew"
 
 
 def test_a_rate_limits_each_agent_by_its_own_times() -> None:

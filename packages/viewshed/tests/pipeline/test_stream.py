@@ -39,6 +39,9 @@ class Alarms:
     def __init__(self, *numbers: int) -> None:
         self.numbers, self.count = numbers, -1
 
+    def fresh(self) -> "Alarms":
+        return self
+
     def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> StreamReport:
         self.count += 1
         suspect = np.arange(SECTORS) == 40
@@ -190,6 +193,15 @@ def test_agents_are_remembered_apart_and_those_beyond_64_are_refused_and_counted
     assert answers[64].reaction.caution == Caution.WIDEN  # remembered
     assert len(pipeline._agents) == 64
     assert said.refused == {"of more than 64 agents; give them a stream of their own": 6}
+
+
+def test_an_agent_that_is_gone_holds_no_sweeps() -> None:
+    with Pipeline(shadow_map(), lambda answer: None, history=SweepBuffer(), lossless=True) as pipeline:
+        for seconds, agent in ((0.0, "gone"), (9.0, "here"), (15.0, "here")):
+            pipeline.put(at(seconds), agent)
+    kept = {agent.name: agent.history._kept for agent in pipeline._known() if agent.history is not None}
+    assert [len(each) for each in kept["here"].values()] == [2]
+    assert kept["gone"] == {}
 
 
 def test_reasons_are_counted_apart_up_to_a_bound() -> None:

@@ -20,6 +20,7 @@ from viewshed.cli._terminal import BAD_INPUTS, complain
 from viewshed.cli._verdicts import HZ, Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
+    from viewshed.arrays import F32
     from viewshed.estimators import Estimator
     from viewshed.estimators.unet import UnetEstimator
     from viewshed.fov.estimate import FovEstimate
@@ -288,28 +289,29 @@ class _Source:
 def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
     """Yield what all evidence measures of each sweep that can be read and leveled."""
     from viewshed.monitor.evidence import EVIDENCE
-    from viewshed.monitor.score import HeldEvidence, measure_all
+    from viewshed.monitor.score import HELD_SWEEPS, held, measure_all
     from viewshed.monitor.sweep_monitor import EARLIER_SWEEPS, BenignSweep, group_of
     from viewshed.preprocess.leveling import level
 
     if base.estimates:
         raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    agents: dict[str, tuple[Drives, HeldEvidence]] = {}
+    agents: dict[str, tuple[Drives, list[F32]]] = {}
+    over_time = [kind.over_time for kind in EVIDENCE.values()]
     for seen in sources:
-        drives, held = agents.setdefault(seen.sweep.agent, (Drives(), HeldEvidence()))
+        drives, recent = agents.setdefault(seen.sweep.agent, (Drives(), []))
         try:
             monitored = drives.next(level(seen.sweep, grid), f"{seen.scene} {seen.sweep.agent}")
             if len(monitored.earlier) < EARLIER_SWEEPS:
                 monitored = replace(monitored, earlier=())
             group, measured = group_of(monitored), measure_all(monitored)
             if not drives.goes_on or group.earlier != "posed":
-                held.clear()
+                recent.clear()
             if group.earlier == "posed":
                 # As in a stream; those with fewer sweeps behind them than are held are as in no other place of it.
-                alone, measured = measured, held.with_next(measured, EVIDENCE)
-                held.add(alone)
-                if not held.is_full:
+                recent[:] = [*recent, measured][-HELD_SWEEPS:]
+                if len(recent) < HELD_SWEEPS:
                     continue
+                measured = held(recent, over_time)
             yield BenignSweep(drives.scene(monitored.leveled), group, measured)
         except BAD_INPUTS as error:
             failures.report(seen.name, error)

@@ -16,6 +16,7 @@ from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
+from viewshed.preprocess.streams import AGENTS, remember
 from viewshed.sweep import Sweep
 
 FORGET_S = 10.0
@@ -38,7 +39,7 @@ class SweepBuffer:
     sweeps: int = HISTORY_SWEEPS
     every_s: float = 1.0
     forget_s: float = FORGET_S
-    agents: int = 64
+    agents: int = AGENTS
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -49,6 +50,10 @@ class SweepBuffer:
             )
         if self.agents < 1:
             raise ValueError(f"agents must be at least 1, got {self.agents}")
+
+    def fresh(self) -> SweepBuffer:
+        """Return a buffer like this one, without any sweep."""
+        return replace(self, _kept={})
 
     def history(self, leveled: LeveledSweep) -> History | None:
         """Return what is kept of a sweep's agent, seen from there; None for nothing, or without its pose or time."""
@@ -66,27 +71,24 @@ class SweepBuffer:
         t_ns = leveled.sweep.t_ns
         if t_ns is None or leveled.world_from_level is None:
             return
-        # Taken out and put back last: the first agent is the one that was seen longest ago.
-        kept = self._kept.pop(leveled.sweep.agent, None) or deque(maxlen=self.sweeps)
+        kept = self._kept.get(leveled.sweep.agent) or deque(maxlen=self.sweeps)
         if kept and t_ns < (kept[-1].sweep.t_ns or 0):
             kept.clear()
         if not kept or t_ns - (kept[-1].sweep.t_ns or 0) >= self.every_s * 1e9:
             kept.append(leveled)
-        self._kept[leveled.sweep.agent] = kept
-        self._drop_agents(t_ns)
+        remember(self._kept, leveled.sweep.agent, kept, self.agents)
+        self.drop_gone(t_ns)
+
+    def drop_gone(self, now_ns: int) -> None:
+        """Drop the agents whose sweeps are all too old to be used."""
+        oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
+        for agent in [name for name, kept in self._kept.items() if (kept[-1].sweep.t_ns or 0) < oldest_ns]:
+            del self._kept[agent]
 
     def reset(self, agent: str | None = None) -> None:
         """Forget the sweeps of an agent, or of all: what they hold is gone, and the stream begins anew."""
         for name in [agent] if agent is not None else list(self._kept):
             self._kept.pop(name, None)
-
-    def _drop_agents(self, now_ns: int) -> None:
-        """Drop the agents whose sweeps are all too old to be used, and those that are too many."""
-        oldest_ns = now_ns - max(self.forget_s, self.every_s) * 1e9
-        for agent in [name for name, kept in self._kept.items() if (kept[-1].sweep.t_ns or 0) < oldest_ns]:
-            del self._kept[agent]
-        while len(self._kept) > self.agents:
-            del self._kept[next(iter(self._kept))]
 
 
 @dataclass(frozen=True, slots=True)

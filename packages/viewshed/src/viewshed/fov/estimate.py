@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
-from importlib import import_module  # pictures and formats know this module: it looks them up when it is asked
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _outputs
 from viewshed._files import write_atomic
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
@@ -230,8 +230,7 @@ class FovEstimate:
         if path.suffix == ".png":
             write_atomic(path, self.plot())
         else:
-            export = import_module("viewshed.io.export")
-            export.write_export(self, export.format_of_path(path), path)
+            _outputs.save(self, path)
         return path
 
     def plot(self, leveled: LeveledSweep | None = None, title: str | None = None, dark: bool = False) -> bytes:
@@ -242,9 +241,7 @@ class FovEstimate:
             title: above the picture; None is method and target.
             dark: on a dark page.
         """
-        plot = import_module("viewshed.show.plot")
-        heading = f"{self.method}, {self.target.name}" if title is None else title
-        return cast(bytes, plot.draw(plot.Panel(self, heading, leveled, self.threshold), dark))
+        return _outputs.draw(self, leveled, f"{self.method}, {self.target.name}" if title is None else title, dark)
 
 
 @lru_cache(maxsize=8)

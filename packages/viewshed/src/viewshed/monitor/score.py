@@ -20,9 +20,8 @@ Scores are larger where there is more doubt. They have no unit: what is rare is 
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -62,7 +61,7 @@ def measure_all(monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EV
     return np.array([one.measure(monitored) for one in evidence.values()], np.float32).reshape(-1, SECTORS)
 
 
-def held(recent: NDArray[np.floating[Any]], over_time: NDArray[np.bool_]) -> F32:
+def held(recent: Sequence[F32] | NDArray[np.floating[Any]], over_time: Sequence[bool] | NDArray[np.bool_]) -> F32:
     """Return the evidence (E, SECTORS) of the last of K sweeps, what it says over time held over all of them.
 
     What appears or vanishes without cause does so once: one sweep later it is part of the history. So of evidence over
@@ -75,31 +74,6 @@ def held(recent: NDArray[np.floating[Any]], over_time: NDArray[np.bool_]) -> F32
     evidence = np.array(recent[-1], np.float32)
     evidence[over_time] = np.fmax.reduce(np.asarray(recent, np.float32)[:, over_time], axis=0)
     return evidence
-
-
-@dataclass(slots=True)
-class HeldEvidence:
-    """The evidence of the last sweeps of a stream."""
-
-    _recent: deque[F32] = field(default_factory=lambda: deque(maxlen=HELD_SWEEPS), repr=False)
-
-    @property
-    def is_full(self) -> bool:
-        """Whether as many sweeps are held as there can be."""
-        return len(self._recent) == HELD_SWEEPS
-
-    def add(self, evidence: F32) -> None:
-        """Keep the evidence (E, SECTORS) of the next sweep."""
-        self._recent.append(evidence)
-
-    def with_next(self, evidence: F32, kinds: Mapping[str, Evidence]) -> F32:
-        """Return the evidence (E, SECTORS) of the next sweep, what it says over time held; see :func:`held`."""
-        recent = [*self._recent, evidence][-HELD_SWEEPS:]
-        return held(np.stack(recent), np.array([kind.over_time for kind in kinds.values()]))
-
-    def clear(self) -> None:
-        """Forget all sweeps."""
-        self._recent.clear()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from viewshed.arrays import F32
 from viewshed.fov.estimate import FovEstimate
 from viewshed.monitor.evidence import EVIDENCE, Evidence, MonitoredSweep
 from viewshed.monitor.over_time import EDetector
 from viewshed.monitor.report import IntegrityReport
-from viewshed.monitor.score import HeldEvidence
 from viewshed.monitor.sweep_monitor import EARLIER_SWEEPS, SweepMonitor, group_of
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.streams import AGENTS, remember, why_anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,24 +79,12 @@ class RecentSweeps:
         elif not self._kept or self._apart(now_ns, self._kept[-1].sweep.t_ns):
             self._kept.append(leveled)
 
-    def clear(self) -> None:
-        """Forget all sweeps."""
-        self._kept.clear()
-        self._sensor, self._last_ns = "", None
-
     def why_anew(self, leveled: LeveledSweep) -> str:
         """Return why the stream must begin anew with a sweep, in a sentence; empty where it goes on."""
-        now_ns, sensor = leveled.sweep.t_ns, _sensor_of(leveled)
+        sensor = _sensor_of(leveled)
         if self._sensor and sensor != self._sensor:
             return f"the sensor changed from {self._sensor} to {sensor}: the stream begins anew"
-        if now_ns is None or self._last_ns is None:
-            return ""
-        gap_s = (now_ns - self._last_ns) * 1e-9
-        if gap_s == 0.0:
-            return "the time repeats that of the sweep before: the stream begins anew"
-        if gap_s < 0.0:
-            return f"the time goes back by {-gap_s:.3g} s: the stream begins anew"
-        return f"the time jumps by {gap_s:.3g} s: the stream begins anew" if gap_s > self.jump_s else ""
+        return why_anew(self._last_ns, leveled.sweep.t_ns, self.jump_s)
 
     def _apart(self, now_ns: int, then_ns: int | None) -> bool:
         """Return whether a sweep is early enough before another to be one of its earlier sweeps."""
@@ -112,7 +101,7 @@ class _Agent:
 
     detector: EDetector
     earlier: RecentSweeps
-    held: HeldEvidence = field(default_factory=HeldEvidence)
+    evidence: list[F32] = field(default_factory=list)
     onset_ns: int | None = None
 
 
@@ -140,7 +129,7 @@ class StreamMonitor:
     detector: EDetector
     every_s: float = 0.1
     jump_s: float = 0.5
-    agents: int = 64
+    agents: int = AGENTS
     evidence: Mapping[str, Evidence] = field(default_factory=lambda: EVIDENCE)
     _agents: dict[str, _Agent] = field(default_factory=dict, repr=False)
 
@@ -148,6 +137,10 @@ class StreamMonitor:
         RecentSweeps(self.every_s, self.jump_s)
         if self.agents < 1:
             raise ValueError(f"agents must be 1 at least, got {self.agents}")
+
+    def fresh(self) -> StreamMonitor:
+        """Return a monitor like this one, without any sweep."""
+        return replace(self, _agents={})
 
     def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate] | None = None) -> StreamReport:
         """Return what the monitor says of the next sweep of an agent, and keep the sweep.
@@ -160,33 +153,24 @@ class StreamMonitor:
             ValueError: as for :meth:`SweepMonitor.check`; the sweep is then not kept.
         """
         name, now_ns = leveled.sweep.agent, leveled.sweep.t_ns
-        agent, notes = self._continued(self._agents.get(name), leveled)
+        agent = self._agents.get(name)
+        note = "" if agent is None else agent.earlier.why_anew(leveled)
+        if agent is None or note:
+            agent = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
+        elif now_ns is None:
+            note = "the sweep has no time: it is judged without earlier sweeps"
         monitored = MonitoredSweep(leveled, agent.earlier.before(leveled), estimates or {})
-        now = self.monitor.check(monitored, self.evidence, agent.held)
+        now = self.monitor.check(monitored, self.evidence, agent.evidence)
         alarm = agent.detector.add(now.tail_p_value)
         if agent.detector.doubtful_sweeps <= 1:
             agent.onset_ns = now_ns
         delay_s = 0.0 if now_ns is None or agent.onset_ns is None else (now_ns - agent.onset_ns) * 1e-9
         agent.earlier.add(leveled)
-        # Taken out and put back last: the first agent is the one that was seen longest ago.
-        self._agents.pop(name, None)
-        self._agents[name] = agent
-        while len(self._agents) > self.agents:
-            del self._agents[next(iter(self._agents))]
-        detector = agent.detector
+        remember(self._agents, name, agent, self.agents)
+        detector, notes = agent.detector, (note,) if note else ()
         return StreamReport(now, alarm, detector.wealth, detector.limit, delay_s, notes, detector.doubtful_sweeps)
 
     def reset(self, agent: str | None = None) -> None:
         """Forget an agent, or all: its stream begins anew, without earlier sweeps and without doubt."""
         for name in [agent] if agent is not None else list(self._agents):
             self._agents.pop(name, None)
-
-    def _continued(self, agent: _Agent | None, leveled: LeveledSweep) -> tuple[_Agent, tuple[str, ...]]:
-        """Return the agent of a sweep, or one that begins anew where the sweep does not follow, and why."""
-        why = "" if agent is None else agent.earlier.why_anew(leveled)
-        if agent is None or why:
-            new = _Agent(self.detector.fresh(), RecentSweeps(self.every_s, self.jump_s))
-            return new, (why,) if why else ()
-        if leveled.sweep.t_ns is None:
-            return agent, ("the sweep has no time: it is judged without earlier sweeps",)
-        return agent, ()

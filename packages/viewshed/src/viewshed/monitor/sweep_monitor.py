@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from viewshed._files import DAMAGED, read_arrays, write_atomic
-from viewshed.arrays import F64, Mask
+from viewshed.arrays import F32, F64, Mask
 from viewshed.grid import BevGrid
 from viewshed.monitor.calibration import (
     Calibration,
@@ -32,7 +32,7 @@ from viewshed.monitor.calibration import (
 from viewshed.monitor.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
 from viewshed.monitor.over_time import BenignRuns, EDetector
 from viewshed.monitor.report import IntegrityReport, cells_of_sectors
-from viewshed.monitor.score import HELD_SWEEPS, EvidenceScore, HeldEvidence, measure_all
+from viewshed.monitor.score import HELD_SWEEPS, EvidenceScore, held, measure_all
 from viewshed.monitor.sectors import discoveries
 
 NAME = "sweep"
@@ -260,7 +260,7 @@ class SweepMonitor:
         self,
         monitored: MonitoredSweep,
         evidence: Mapping[str, Evidence] = EVIDENCE,
-        held: HeldEvidence | None = None,
+        before: list[F32] | None = None,
     ) -> IntegrityReport:
         """Return what the monitor says of a sweep.
 
@@ -271,8 +271,8 @@ class SweepMonitor:
         Args:
             monitored: the sweep, with those before it.
             evidence: what is measured.
-            held: what was measured of the sweeps before it in its stream, to which this one is added; None for a sweep
-                by itself. Evidence over time is held if all sweeps have poses.
+            before: (E, SECTORS) each, what was measured of up to ``HELD_SWEEPS`` sweeps before it in its stream, to
+                which this one is added; None for a sweep by itself. Evidence over time is held if all have poses.
 
         Raises:
             ValueError: the sweep has no returns, lacks an estimate that the evidence needs, is of no calibrated group,
@@ -289,16 +289,13 @@ class SweepMonitor:
             raise ValueError("sweep must have usable returns, got none; nothing can be said of it")
         grid = next((estimate.grid for estimate in monitored.estimates.values()), None)
         monitored, group, notes = self._as_calibrated(monitored)
-        alone = measured = measure_all(monitored, evidence)
-        is_held = held is not None and group.earlier == "posed"
-        if held is not None and is_held:
-            measured = held.with_next(alone, evidence)
-        report = self.report(measured, group, grid, notes, evidence)
+        recent = [measure_all(monitored, evidence)]
+        if before and group.earlier == "posed":
+            recent = [*before, *recent][-HELD_SWEEPS:]
+        report = self.report(held(recent, [kind.over_time for kind in evidence.values()]), group, grid, notes, evidence)
         # Only what was judged is kept.
-        if held is not None and is_held:
-            held.add(alone)
-        elif held is not None:
-            held.clear()
+        if before is not None:
+            before[:] = recent if group.earlier == "posed" else ()
         if returns >= SECTORS:
             return report
         # Hardly anything is measured, so nothing is found: that is no sign of health.

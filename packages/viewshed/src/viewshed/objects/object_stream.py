@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -26,9 +25,7 @@ from viewshed.objects.single import SingleFusion
 from viewshed.objects.tracker import Tracker
 from viewshed.objects.views import BeamView
 from viewshed.preprocess.leveling import LeveledSweep
-
-AGENTS = 64
-"""Agents whose tracks are remembered; of more the one that was heard longest ago is forgotten."""
+from viewshed.preprocess.streams import remember
 
 PERIOD_S = 0.1
 """Between two sweeps that do not tell their times."""
@@ -98,9 +95,13 @@ class ObjectStream:
         self._detector = Detector() if detector is None else detector
         self._tamper, self._clock, self._found = tamper, clock, detection_table().prob
         self._model = stream_model() if model is None else model
-        self._agents: OrderedDict[str, _Agent] = OrderedDict()
+        self._agents: dict[str, _Agent] = {}
         self._agent("")  # what is not installed is said now
         self.reset()
+
+    def fresh(self) -> ObjectStream:
+        """Return a stream like this one, without any track."""
+        return ObjectStream(self._detector, self._tamper, self._model, self._clock)
 
     def reset(self) -> None:
         """Forget all tracks of all agents."""
@@ -157,10 +158,8 @@ class ObjectStream:
         return detections, (tracks, found, (seen,))
 
     def _agent(self, name: str) -> _Agent:
-        agent = self._agents.pop(name, None) or _Agent(SingleFusion(self._model))
-        self._agents[name] = agent
-        while len(self._agents) > AGENTS:
-            self._agents.popitem(last=False)
+        agent = self._agents.get(name) or _Agent(SingleFusion(self._model))
+        remember(self._agents, name, agent)
         return agent
 
 

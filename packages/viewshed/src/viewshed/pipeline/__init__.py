@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from viewshed.pipeline.clocks import RateLimit
+from viewshed.pipeline.agent import Agent, Answer
+from viewshed.pipeline.inbox import RateLimit
 from viewshed.pipeline.process import prepare_process
 from viewshed.pipeline.reactions import (
     Caution,
@@ -14,9 +15,9 @@ from viewshed.pipeline.reactions import (
     speed_for_view,
     withdraw,
 )
-from viewshed.pipeline.stream import Answer, Pipeline, Statistics
+from viewshed.pipeline.stream import Pipeline, Statistics
 
 __all__ = [
-    "Answer", "Caution", "Finding", "Pipeline", "RateLimit", "ReactionRules", "ReactionState", "Statistics", "Vehicle",
-    "prepare_process", "react", "speed_for_view", "withdraw",
+    "Agent", "Answer", "Caution", "Finding", "Pipeline", "RateLimit", "ReactionRules", "ReactionState", "Statistics",
+    "Vehicle", "prepare_process", "react", "speed_for_view", "withdraw",
 ]  # fmt: skip

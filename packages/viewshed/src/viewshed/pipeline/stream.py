@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter, OrderedDict, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
-from statistics import median
 from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -20,7 +18,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.io import read_sweep
 from viewshed.io.samples import junction_path
 from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
-from viewshed.pipeline.clocks import AGENTS, Clocks, remember
+from viewshed.pipeline.agent import Agent, Agents, Answer
 from viewshed.pipeline.inbox import Inbox
 from viewshed.pipeline.latency import Latencies
 from viewshed.pipeline.reactions import (
@@ -37,7 +35,7 @@ from viewshed.pipeline.reactions import (
 )
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
-from viewshed.sensors import LidarModel
+from viewshed.preprocess.streams import AGENTS
 from viewshed.sweep import Sweep
 
 Item = TypeVar("Item")
@@ -56,50 +54,8 @@ STALE_AFTER_S = 0.5
 
 REPLACED, UNRETURNED = "newer ones replaced them", "publish did not return"
 
-_LONGEST_PERIOD_S = 1.0
-"""Of sweeps whose view is stale after two periods; a slower sensor needs a larger ``stale_after_s``."""
-
 _PATIENCE_S, _PUBLISH_PATIENCE_S = 60.0, 2.0
 """How long one step of a sweep may take while the pipeline closes, and how long a live ``publish`` may."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """What became of one sweep; or, with STALE caution and a number that was answered before, that none came since.
-
-    Attributes:
-        agent: whose it was.
-        number: of the sweep among all that were put in, from 0.
-        leveled: the sweep; None where it could not be decoded.
-        estimate: what it sees, without what the reaction withdraws; None where it could not be had.
-        report: what the monitor says; None without one, or without an estimate.
-        reaction: how far the view is trusted.
-        speed_mps: from which a vehicle stops within what is seen free ahead of it; 0 without an estimate, or if STALE.
-        notes: what was noticed on the way (a clock that jumps, say), a sentence each.
-        refused: why there is no estimate; empty where there is one.
-        latency_s: from putting the sweep in to its answer.
-        objects: detections and explained tracks, by the estimate before anything was withdrawn; None where nobody asked
-            for them, or they failed: a note says why.
-        put_s: when the sweep was put in, on the clock of :func:`time.perf_counter`.
-    """
-
-    agent: str
-    number: int
-    leveled: LeveledSweep | None
-    estimate: FovEstimate | None
-    report: StreamReport | None
-    reaction: ReactionState
-    speed_mps: float
-    notes: tuple[str, ...]
-    refused: str
-    latency_s: float
-    objects: SeenObjects | None = None
-    put_s: float = field(default_factory=time.perf_counter)
-
-    @property
-    def age_s(self) -> float:
-        """Seconds since the sweep was put in, whatever its own clock says."""
-        return time.perf_counter() - self.put_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +93,7 @@ class Statistics:
 class _Step:
     """A sweep on its way: where it is from, and what has become of it so far."""
 
-    agent: str
+    agent: Agent
     number: int
     put_s: float
     source: Sweep | Callable[[], Sweep]
@@ -150,39 +106,6 @@ class _Step:
     speed_mps: float = 0.0
     notes: tuple[str, ...] = ()
     refused: str = ""
-
-
-@dataclass(slots=True)
-class _Agent:
-    """What is remembered of an agent.
-
-    Attributes:
-        reaction: the last one.
-        newest: its newest answer.
-        seen_s: when the sweep of its newest estimate was put in; inf where there is none yet.
-        puts_s: when its last sweeps with an answer were put in.
-    """
-
-    reaction: ReactionState = field(default_factory=ReactionState)
-    newest: Answer | None = None
-    seen_s: float = math.inf
-    puts_s: deque[float] = field(default_factory=lambda: deque(maxlen=6))
-
-    @property
-    def period_s(self) -> float:
-        """Median time between its sweeps; 0 where it is not known yet."""
-        apart_s = [after_s - before_s for before_s, after_s in pairwise(self.puts_s.copy())]
-        return min(median(apart_s), _LONGEST_PERIOD_S) if apart_s else 0.0
-
-    @property
-    def age_s(self) -> float:
-        """Seconds since the sweep of its newest view was put in; -inf where there is none yet."""
-        return time.perf_counter() - self.seen_s
-
-    @property
-    def stale_note(self) -> str:
-        """What is said of a view that is too old."""
-        return f"the newest view is {self.age_s:.2g} s old: nothing is claimed"
 
 
 @dataclass(slots=True, eq=False)
@@ -271,8 +194,7 @@ class Pipeline:
         self._to_estimate: Inbox[_Step] = Inbox(lossless=True)
         self._to_check: Inbox[_Step] = Inbox(lossless=True)
         self._to_publish: Inbox[Answer] = Inbox(lossless=lossless)
-        self._clocks, self._sensors = Clocks(), OrderedDict[str, LidarModel | None]()
-        self._agents: OrderedDict[str, _Agent] = OrderedDict()
+        self._agents = Agents()
         self._reacting = Lock()
         """Held while an answer follows from what is remembered of its agent, and is handed out."""
         self._lock, self._put, self._answered = Lock(), 0, 0
@@ -289,8 +211,7 @@ class Pipeline:
         sample = leveled_on(read_sweep(junction_path()), estimator.grid)
         first = estimator.estimate(sample)
         if objects is not None:
-            objects.follow(sample, first)
-            objects.reset()
+            objects.fresh().follow(sample, first)
         checks = monitor is not None or objects is not None
         self._answering: list[_Stage[_Step]] = [
             _Stage(
@@ -339,9 +260,24 @@ class Pipeline:
             if self._put == 0:
                 self._began = now_s, time.process_time()
             number, self._put = self._put, self._put + 1
-        self._inbox.put(agent, _Step(agent, number, now_s, source))
+            heard = self._agents.heard(agent, now_s, self._begun, self._inbox)
+        if heard is not None:
+            self._inbox.put(agent, _Step(heard, number, now_s, source))
         if self._ended is not None:
             raise self._ended
+
+    def _begun(self, name: str) -> Agent:
+        """Return an agent of which nothing is remembered yet."""
+        history, monitor, objects = self._history, self._monitor, self._objects
+        return Agent(
+            name, history=history and history.fresh(), monitor=monitor and monitor.fresh(),
+            objects=objects and objects.fresh(),
+        )  # fmt: skip
+
+    def _known(self) -> list[Agent]:
+        """Return the agents that have a place."""
+        with self._lock:
+            return list(self._agents.values())
 
     def newest(self, agent: str = "ego") -> Answer | None:
         """Return the newest answer of an agent, STALE if that is too old by now; None where there is none."""
@@ -375,8 +311,8 @@ class Pipeline:
             replaced = 0 if is_left else self._to_publish.dropped
             unpublished = self._unpublished + Counter({REPLACED: replaced, UNRETURNED: lost})
             refused = dict(self._refused)
-            if self._inbox.refused:
-                refused[MORE_AGENTS] = self._inbox.refused
+            if self._agents.refused:
+                refused[MORE_AGENTS] = self._agents.refused
             return Statistics(
                 self._answered, self._inbox.dropped, refused, self._latencies.line(), busy, objects,
                 dict(unpublished),
@@ -463,24 +399,29 @@ class Pipeline:
     def _level(self, step: _Step) -> _Step:
         """Decode and level; the sensor of the agent's sweep before is expected again."""
         sweep = step.source() if callable(step.source) else step.source
-        if sweep.agent != step.agent:
-            sweep = sweep.replace(agent=step.agent)
-        note = self._clocks.note(step.agent, sweep.t_ns)
-        leveled = leveled_on(sweep, self._estimator.grid, self._sensors.get(step.agent))
-        remember(self._sensors, step.agent, leveled.sensor_id.model)
+        agent = step.agent
+        if sweep.agent != agent.name:
+            sweep = sweep.replace(agent=agent.name)
+        note = agent.time_note(sweep.t_ns)
+        leveled = leveled_on(sweep, self._estimator.grid, agent.sensor)
+        agent.sensor = leveled.sensor_id.model
         return replace(step, leveled=leveled, notes=(note,) if note else ())
 
     def _estimate(self, step: _Step) -> _Step:
         """Estimate, with the agent's earlier sweeps where there are any."""
         if step.leveled is None:
             return step
-        seen = None if self._history is None else self._history.history(step.leveled)
+        history = step.agent.history
+        seen = None if history is None else history.history(step.leveled)
         leveled = step.leveled if seen is None else seen.now
         estimate = self._estimator.estimate(leveled, seen)
         if not isinstance(estimate, FovEstimate):
             raise TypeError(f"an estimator must return a FovEstimate, got {type(estimate).__name__}; mend it")
-        if self._history is not None:
-            self._history.add(leveled)
+        if history is not None:
+            history.add(leveled)
+            for agent in self._known():
+                if agent.history is not None and leveled.sweep.t_ns is not None:
+                    agent.history.drop_gone(leveled.sweep.t_ns)
         return replace(step, leveled=leveled, seen=seen, estimate=estimate)
 
     def _check(self, step: _Step) -> _Step:
@@ -488,10 +429,10 @@ class Pipeline:
         leveled, estimate = step.leveled, step.estimate
         if leveled is None or estimate is None:
             return step
-        if self._monitor is not None:
-            report = self._monitor.check(leveled, {estimate.method: estimate})
+        if step.agent.monitor is not None:
+            report = step.agent.monitor.check(leveled, {estimate.method: estimate})
             step = replace(step, report=report, notes=step.notes or report.notes)
-        return step if self._objects is None else self._follow(self._objects, leveled, estimate, step)
+        return step if step.agent.objects is None else self._follow(step.agent.objects, leveled, estimate, step)
 
     def _follow(self, stream: ObjectStream, leveled: LeveledSweep, estimate: FovEstimate, step: _Step) -> _Step:
         """Return a sweep with its objects; without, counted and noted, where they cannot be had."""
@@ -507,12 +448,12 @@ class Pipeline:
 
     def _answer(self, step: _Step) -> None:
         """React, remember, count and hand out."""
+        agent = step.agent
         with self._reacting:
-            remember(self._agents, step.agent, agent := self._agents.get(step.agent, _Agent()))
             agent.puts_s.append(step.put_s)
             if step.estimate is not None:
                 agent.seen_s = step.put_s
-            step = self._tried(partial(self._react, agent), step)
+            step = self._tried(self._react, step)
             # An answer without a reaction has no view either.
             before = agent.reaction
             agent.reaction = step.reaction or replace(before, caution=max(before.caution, Caution.ASK), calm=0)
@@ -524,14 +465,15 @@ class Pipeline:
                     self._answered += 1
                     self._latencies.add(latency_s)
             agent.newest = Answer(
-                step.agent, step.number, step.leveled, step.estimate, step.report, agent.reaction, step.speed_mps,
+                agent.name, step.number, step.leveled, step.estimate, step.report, agent.reaction, step.speed_mps,
                 step.notes, step.refused, latency_s, step.objects, step.put_s,
             )  # fmt: skip
             self._hand_out(agent.newest)
 
-    def _react(self, agent: _Agent, step: _Step) -> _Step:
+    def _react(self, step: _Step) -> _Step:
         """Return a sweep with its reaction, without what does not hold any more, and with the speed for the rest."""
-        found = _finding(step.estimate, step.report, step.objects, is_accused=step.agent in self._accused)
+        agent = step.agent
+        found = _finding(step.estimate, step.report, step.objects, is_accused=agent.name in self._accused)
         if self._is_stale(agent):
             found = replace(found, stale=True)
             step = replace(step, notes=(*step.notes, agent.stale_note))
@@ -567,11 +509,11 @@ class Pipeline:
 
     # What becomes of a view that nothing follows
 
-    def _lasts_s(self, agent: _Agent) -> float:
+    def _lasts_s(self, agent: Agent) -> float:
         """Return for how long the view of an agent is believed."""
         return max(self._stale_after_s, 2.0 * agent.period_s)
 
-    def _is_stale(self, agent: _Agent) -> bool:
+    def _is_stale(self, agent: Agent) -> bool:
         """Return whether the newest view of an agent is too old by now."""
         return agent.age_s > self._lasts_s(agent)
 
@@ -581,7 +523,7 @@ class Pipeline:
         while not self._closed.wait(wait_s):
             wait_s = self._stale_after_s
             with self._reacting:
-                for agent in self._agents.values():
+                for agent in self._known():
                     if agent.reaction.caution != Caution.STALE:
                         if self._is_stale(agent):
                             return agent.newest
@@ -597,7 +539,7 @@ class Pipeline:
                 agent.reaction = agent.newest.reaction
                 self._hand_out(agent.newest)
 
-    def _withdrawn(self, agent: _Agent, answer: Answer) -> Answer:
+    def _withdrawn(self, agent: Agent, answer: Answer) -> Answer:
         """Return the newest answer of an agent as one that is stale."""
         reaction = react(Finding(stale=True), agent.reaction, self._rules)
         estimate = None if answer.estimate is None else withdraw(answer.estimate, reaction, None, self._rules)

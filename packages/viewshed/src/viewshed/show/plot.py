@@ -97,6 +97,11 @@ def draw(panel: Panel, dark: bool = False) -> bytes:
     return picture(panel, dark) if is_mask else maps_picture(panel, dark)
 
 
+def draw_estimate(estimate: FovEstimate, leveled: LeveledSweep | None, heading: str, dark: bool) -> bytes:
+    """Return a PNG of an estimate by itself; see :meth:`FovEstimate.plot`."""
+    return draw(Panel(estimate, heading, leveled, estimate.threshold), dark)
+
+
 def picture(panel: Panel, dark: bool = False) -> bytes:
     """Return a PNG of one estimate: states, edge of the view, points by height, sensor, scale bar, legend."""
     side, lines = 768, _title_lines(panel)

@@ -21,12 +21,14 @@ from tests.monitor.evidence.by_hand import (
 
 from viewshed import _core
 from viewshed.monitor.evidence import ABSTAINS, EVIDENCE, SECTORS
-from viewshed.monitor.evidence.before_surface import measure_before_surface
-from viewshed.monitor.evidence.behind_surface import measure_behind_surface
-from viewshed.monitor.evidence.double_returns import measure_double_returns
-from viewshed.monitor.evidence.isolated import measure_isolated
-from viewshed.monitor.evidence.off_beam import measure_off_beam
-from viewshed.monitor.evidence.return_image import return_image_of
+from viewshed.monitor.evidence.beams import (
+    measure_before_surface,
+    measure_behind_surface,
+    measure_double_returns,
+    measure_isolated,
+    measure_off_beam,
+    return_image_of,
+)
 
 AHEAD = sector_at(2.0)
 COLUMN = int(np.flatnonzero(columns_at(2.0, 2.6))[0])

@@ -16,13 +16,14 @@ from tests.monitor.evidence.by_hand import (
 
 from viewshed import _core
 from viewshed.monitor.evidence import SECTORS
-from viewshed.monitor.evidence.below_ground import measure_below_ground
-from viewshed.monitor.evidence.beyond_ground import measure_beyond_ground
-from viewshed.monitor.evidence.common_steps import measure_common_steps
-from viewshed.monitor.evidence.empty_runs import measure_empty_runs
-from viewshed.monitor.evidence.range_noise import measure_ground_noise, measure_near_noise, measure_surface_noise
-from viewshed.monitor.evidence.range_offset import measure_range_offset
-from viewshed.monitor.evidence.straight_edges import measure_straight_edges
+from viewshed.monitor.evidence.beams import measure_empty_runs, measure_straight_edges
+from viewshed.monitor.evidence.ground import (
+    measure_below_ground,
+    measure_beyond_ground,
+    measure_common_steps,
+    measure_range_offset,
+)
+from viewshed.monitor.evidence.noise import measure_ground_noise, measure_near_noise, measure_surface_noise
 
 BEHIND, AHEAD = sector_at(-178.0), sector_at(2.0)
 

@@ -10,7 +10,7 @@ from tests.monitor.evidence.drives import HEIGHT_M, YARD, leveled, look, measure
 from viewshed import _core
 from viewshed.geometry import Rigid
 from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
-from viewshed.monitor.evidence.views import view_of
+from viewshed.monitor.evidence.history import view_of
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.sim import Scene, cast

@@ -154,3 +154,8 @@ def write_export(estimate: FovEstimate, name: str, path: str | Path, *, crs: str
     place = Path(path)
     for file, content in EXPORTERS[name].files(estimate, place.name, crs).items():
         write_atomic(place.with_name(file), content)
+
+
+def save_estimate(estimate: FovEstimate, path: Path) -> None:
+    """Write the estimate in the format of the path's suffix; see :meth:`FovEstimate.save`."""
+    write_export(estimate, format_of_path(path), path)

@@ -1,0 +1,250 @@
+"""Evidence of a sweep against those before it: obstacles that come, leave and are pierced, views that are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+from weakref import ref
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed import _core
+from viewshed.arrays import F32
+from viewshed.geometry import Rigid
+from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep, sector_of
+from viewshed.preprocess.leveling import LeveledSweep
+
+MOST_GAP_S = 0.6
+"""Sweeps that lie further apart in time are not compared."""
+
+USUAL_GAP_S = 0.1
+"""Time between two sweeps that have no times."""
+
+FOLLOWED = 3
+"""Sweeps through which an obstacle is followed back."""
+
+LEAST_RETURNS = 100
+"""A sweep with fewer returns shows nothing."""
+
+SURE_YAW, SURE_SHIFT_M = np.deg2rad(0.1), 0.1
+"""Deviations of a pose that are no cause for worry: time stamps, motion within a sweep, the grain of its returns."""
+
+SIGMA_M = 0.05
+"""Least deviation of a return from its surface."""
+
+DEPENDENT = 4.0
+"""This number of returns of one surface says no more than one."""
+
+ENOUGH_SEEN, CARRIED_M = 0.25, 1.0
+"""A shift is seen where this share of the returns shows it; fewer may lie on cars beside, which drove about so far."""
+
+LEAST_MATCHES = 80
+"""Returns on surfaces that an estimated pose needs."""
+
+_STAYS = np.eye(3, 4, dtype=np.float32)
+
+_SECTOR = 2 * np.pi / SECTORS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """A sweep held against those before it, the newest first: K of them, with poses.
+
+    Attributes:
+        view: what the sweep saw.
+        earlier: what those before it saw.
+        to_earlier: (K, 3, 4) transforms from the sensor's frame now to the sensor's frames then.
+        gaps_s: (K,) time from each to the next one.
+        arrival_mps: (SECTORS,) speed that obstacles need to have come from the nearest cover. What stands where a beam
+            passed freely came from behind an obstacle, from beyond the beams, or was one of the things near by. Where
+            the last sweep found the obstacle as well, the one before it is asked: it gives itself away for three.
+        appeared_m2: (SECTORS,) area of obstacles through which the last sweep looked. A beam that ended beyond a place
+            proves that the place was empty. What moves uncovers and covers little of it between two sweeps: the front
+            of a car, as wide as it drove. A spoofed object or wall stands there at once with all its surface.
+        departure_mps: (SECTORS,) speed that obstacles of the last sweep need to have left as they did: the distance to
+            the nearest place where they may be now, over the time between the two.
+        vanished_m2: (SECTORS,) area of obstacles of the last sweep through which this one looks. A far wall, or returns
+            pushed away, open a corridor through surfaces; what moves opens no more than it drove.
+        lost: (SECTORS,) share of the last sweep's obstacles at whose places no beam returns now.
+        pierced: (SECTORS,) share of the last sweep's obstacles through which a beam passes now while beams on both
+            sides of it end there. An obstacle hides the ground behind it from all beams that meet it, also when the
+            sensor has moved a little. A phantom hides only what its maker's beams won: the others report what lies
+            behind it, in other places in each sweep.
+    """
+
+    view: _core.SweepView
+    earlier: list[_core.SweepView]
+    to_earlier: F32
+    gaps_s: F32
+    arrival_mps: F32
+    appeared_m2: F32
+    departure_mps: F32
+    vanished_m2: F32
+    lost: F32
+    pierced: F32
+
+
+def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
+    """Return what a sweep saw, made once; None where its rings are not known or it has hardly any return."""
+    # Each sweep of a stream is compared with five after it.
+    view: _core.SweepView | None = leveled.derived.get(("sweep_view",))
+    image = leveled.range_image
+    if view is not None or image is None or len(leveled.points) < LEAST_RETURNS or image.columns < SECTORS:
+        return view
+    elevation = image.elevation if np.isfinite(image.elevation).all() else _elevations(leveled, len(image.elevation))
+    from_level = leveled.level_from_sensor.rotation.T
+    view = leveled.derived[("sweep_view",)] = _core.SweepView(
+        image.squared_range_m2, image.phase, elevation.astype(np.float32), image.origin_m.astype(np.float32),
+        leveled.points, leveled.height_m, leveled.range_m, leveled.azimuth, image.isolated[leveled.rows],
+        _rows(from_level, -from_level @ leveled.level_from_sensor.translation),
+    )  # fmt: skip
+    return view
+
+
+def _elevations(leveled: LeveledSweep, rings: int) -> NDArray[np.float64]:
+    """Return the mean elevation (rings,) of the returns of each ring; of those without returns, what lies between."""
+    step = max(len(leveled.sweep) // 4000, 1)  # so many rows are enough for a mean
+    points, ring = leveled.sweep.points[::step].astype(np.float64), leveled.sensor_id.ring
+    assert ring is not None  # there is a range image
+    ring = ring[::step]
+    used = (ring >= 0) & (np.abs(points).sum(axis=1) > 1.0)
+    elevation = np.arctan2(points[used, 2], np.hypot(points[used, 0], points[used, 1]))
+    count = np.bincount(ring[used], minlength=rings)
+    mean = np.bincount(ring[used], elevation, rings) / np.maximum(count, 1)
+    known = np.flatnonzero(count)
+    return mean if len(known) == 0 else np.interp(np.arange(rings), known, mean[known])
+
+
+def compare(monitored: MonitoredSweep) -> Comparison | None:
+    """Return a sweep held against those before it, up to the first of them that cannot be compared; None without any.
+
+    That is one without a view or a pose, or that is not before the next one by its time.
+    """
+    now = monitored.leveled
+    view, pose = view_of(now), now.sweep.world_from_sensor
+    if view is None or pose is None:
+        return None
+    # 1. The earlier sweeps that can be compared, the newest first.
+    earlier, views, poses, gaps = list[LeveledSweep](), list[_core.SweepView](), list[Rigid](), list[float]()
+    for before in reversed(monitored.earlier):
+        seen, at = view_of(before), before.sweep.world_from_sensor
+        gap_s = _seconds_between(before, earlier[-1] if earlier else now)
+        if seen is None or at is None or not 0.0 < gap_s <= MOST_GAP_S:
+            break
+        earlier.append(before)
+        views.append(seen)
+        poses.append(at)
+        gaps.append(gap_s)
+    if not earlier:
+        return None
+    # Most evidence asks for the same comparison; it holds no sweep, or the past of a stream would be kept.
+    key = ("comparison", *map(ref, earlier))
+    comparison: Comparison | None = now.derived.get(key)
+    if comparison is None:
+        # 2. Where the sensor is now, seen from where it was.
+        turned = np.stack([at.rotation.T for at in poses])
+        shifts_m = np.stack([pose.translation - at.translation for at in poses])
+        to_earlier = np.empty((len(poses), 3, 4), np.float32)
+        to_earlier[:, :, :3] = turned @ pose.rotation
+        to_earlier[:, :, 3] = np.einsum("kij,kj->ki", turned, shifts_m)
+        from_last = _rows(to_earlier[0, :, :3].T, -pose.rotation.T @ shifts_m[0])
+        gaps_s = np.array(gaps, np.float32)
+        # 3. Obstacles now where they were not, and those of the last sweep where they are not now.
+        came = view.follow(views[:FOLLOWED], to_earlier[:FOLLOWED], gaps_s[:FOLLOWED], view, _STAYS, SECTORS)
+        left = views[0].follow([view], from_last[None], gaps_s[:1], view, from_last, SECTORS)
+        comparison = now.derived[key] = Comparison(view, views, to_earlier, gaps_s, *came[:2], *left)
+    return comparison
+
+
+def _seconds_between(before: LeveledSweep, after: LeveledSweep) -> float:
+    """Return the seconds from one sweep to another."""
+    first_ns, last_ns = before.sweep.t_ns, after.sweep.t_ns
+    return USUAL_GAP_S if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+
+
+def _rows(rotation: NDArray[np.floating[Any]], translation: NDArray[np.floating[Any]]) -> F32:
+    """Return the upper rows (3, 4) of a transform."""
+    return np.column_stack([rotation, translation]).astype(np.float32, order="C")
+
+
+def _part(part: Callable[[Comparison], F32]) -> Callable[[MonitoredSweep], F32]:
+    """Return what measures a part of a sweep's comparison; it abstains without poses, earlier sweeps or rings."""
+
+    def measure(monitored: MonitoredSweep) -> F32:
+        comparison = compare(monitored)
+        return ABSTAINS if comparison is None else part(comparison)
+
+    return measure
+
+
+measure_seen_through = _part(lambda comparison: _around(comparison.appeared_m2))
+measure_arrival = _part(lambda comparison: comparison.arrival_mps)
+measure_vanished = _part(lambda comparison: _around(comparison.vanished_m2))
+measure_departure = _part(lambda comparison: comparison.departure_mps)
+measure_phantom_shadow = _part(lambda comparison: comparison.pierced)
+
+
+def measure_lost_view(monitored: MonitoredSweep) -> F32:
+    """Return the share by sector (SECTORS,) of the last sweep's obstacles at whose places no beam returns now.
+
+    A surface that returned beams a moment ago returns them again, unless something came before it, which would be seen.
+    Beams that fall silent are removed, jammed, or the sensor is blocked. Dark and smooth surfaces were silent before as
+    well, so they are not counted. A sweep of a turning sensor does not close by what it turned: where it begins nothing
+    is lost.
+    """
+    comparison = compare(monitored)
+    if comparison is None:
+        return ABSTAINS
+    sweep, begin = monitored.leveled.sweep, -np.pi
+    # A sweep begins at its first return, or straight behind where it has no times.
+    if sweep.time_s is not None:
+        x, y, _ = sweep.points[int(np.argmin(sweep.time_s))]
+        begin = float(np.arctan2(y, x))
+    turned = np.arctan2(comparison.to_earlier[0, 1, 0], comparison.to_earlier[0, 0, 0])
+    # Half of the gap to either side, and half a sector for what it cuts.
+    edges = np.arange(-abs(turned) / 2 - _SECTOR / 2, abs(turned) / 2 + _SECTOR, _SECTOR / 2)
+    lost = comparison.lost.copy()
+    lost[sector_of(begin + edges)] = 0.0
+    return lost
+
+
+def _around(area_m2: F32) -> F32:
+    """Return the sum of each sector of (SECTORS,) and two on either side: a car near by is 25° wide."""
+    ends = np.concatenate([area_m2[-2:], area_m2, area_m2[:2]])
+    return np.convolve(ends, np.ones(5, np.float32), "valid").astype(np.float32)
+
+
+def measure_registration(monitored: MonitoredSweep) -> F32:
+    """Return how far the pose is off, in units of what is known of that (SECTORS,), the same in all sectors.
+
+    Sweeps laid over each other by their poses must show one world. The obstacles of this sweep are put on the surfaces
+    of earlier ones; a turn and a shift that lay them better are estimated, point to plane. A direction in which nothing
+    is seen, as along a tunnel or on an open field, has no information and so no weight. The sweep before tells of a
+    pose that jumps, the oldest one when all poses since are off by the same: the greater one counts.
+    """
+    comparison = compare(monitored)
+    if comparison is None:
+        return ABSTAINS
+    compared = sorted({0, len(comparison.earlier) - 1})
+    found = comparison.view.register_on([comparison.earlier[k] for k in compared], comparison.to_earlier[compared])
+    distances = [
+        _deviations(step, information, sigma_m, matches)
+        for step, information, sigma_m, matches in zip(*found, strict=True)
+        if matches >= LEAST_MATCHES
+    ]
+    return np.full(SECTORS, max(distances), np.float32) if distances else ABSTAINS
+
+
+def _deviations(step: NDArray[np.float64], information: NDArray[np.float64], sigma_m: float, matches: int) -> float:
+    """Return the Mahalanobis distance of a turn and a shift (3,) with their information (3, 3) for unit noise."""
+    variance_m2 = max(sigma_m, SIGMA_M) ** 2 * DEPENDENT
+    covariance = variance_m2 * np.linalg.inv(information + 1e-6 * np.eye(3))
+    covariance += np.diag([SURE_YAW**2, SURE_SHIFT_M**2, SURE_SHIFT_M**2])
+    # Directions of shift that few returns show: those may lie on things that move.
+    seen, directions = np.linalg.eigh(information[1:, 1:] / matches)
+    carried_m = CARRIED_M * np.clip(1.0 - seen / ENOUGH_SEEN, 0.0, 1.0)
+    covariance[1:, 1:] += (directions * carried_m**2) @ directions.T
+    squared = float(step @ np.linalg.solve(covariance, step))
+    return float(np.sqrt(max(squared, 0.0)))
