@@ -32,8 +32,9 @@ from viewshed_lab.sim.raycast.scan import ExactScan
 from viewshed_lab.sim.world import Agent, AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
 
-SETS = ("own", "training", "development", "sealed")
-"""``own``: worlds and sensors of the presets, as a yardstick; the other three share no style, sensor or mounting."""
+SETS = ("own", "training", "learning", "development", "sealed")
+"""``own``: worlds and sensors of the presets, as a yardstick; ``training``, ``development`` and ``sealed`` share no
+style, sensor or mounting. ``learning``: land drawn without styles, with sensors and mountings of ``training``."""
 
 SEALED = "sealed"
 
@@ -158,14 +159,15 @@ def check_apart(domains: tuple[WildDomain, ...]) -> None:
     """
     owners: dict[tuple[str, object], str] = {}
     for domain in domains:
-        if domain.set_name == SETS[0]:
+        if domain.set_name == "own":
             continue
         named: list[tuple[str, object]] = [("seed", domain.seed)]
+        set_name = "training" if domain.set_name == "learning" else domain.set_name
         for key in ("styles", "sensors", "mountings"):
             named += [(key, value) for value in getattr(domain, key)]
         for key, value in named:
-            owner = owners.setdefault((key, value), domain.set_name)
-            if owner != domain.set_name:
+            owner = owners.setdefault((key, value), set_name)
+            if owner != set_name:
                 raise ValueError(f"{owner} and {domain.set_name} must share no {key}, got {value} in both")
 
 

@@ -22,6 +22,7 @@ from viewshed_lab.sim.worlds.indoor.rooms import rooms
 from viewshed_lab.sim.worlds.indoor.tunnel import tunnel
 from viewshed_lab.sim.worlds.indoor.warehouse import warehouse
 from viewshed_lab.sim.worlds.junction import junction
+from viewshed_lab.sim.worlds.land import land
 from viewshed_lab.sim.worlds.oblique import oblique
 from viewshed_lab.sim.worlds.open_field import open_field
 from viewshed_lab.sim.worlds.parking import parking
@@ -60,6 +61,7 @@ WORLDS: dict[str, WorldMaker] = {
     "embankment": embankment,
     "cutting": cutting,
     "country_road": country_road,
+    "land": land,
 }
 """Every kind of world by name; to add one, write a file and add a line."""
 
