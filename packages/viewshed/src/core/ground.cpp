@@ -39,7 +39,7 @@ constexpr double STEEPEST = 1.2, EVEN_SLOPE = 0.3;
 
 // Such a patch may lie this far from what the nodes nearer to the sensor predict, or up to this far above it if it is this
 // large: a terrace, and neither the roof of a car nor a ceiling or a deck, which may be all that is seen behind things.
-constexpr double EVEN_STEP_M = 0.5, LEVEL_STEP_M = 1.0, LEVEL_M2 = 40.0;
+constexpr double EVEN_STEP_M = 0.5, LEVEL_STEP_M = 1.5, LEVEL_M2 = 40.0;
 
 // A patch that climbs from accepted ground is a slope if it is this large, and not the front of a car, and meets that ground
 // to within this.
