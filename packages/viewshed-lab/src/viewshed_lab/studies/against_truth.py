@@ -13,13 +13,13 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
 from viewshed.metrics import ConfusionCounts
 from viewshed.sweep import Sweep, bare_points, unorganized, unorganized_no_sensor
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.data import Archive
 from viewshed_lab.data.sample import Sample
 from viewshed_lab.studies.formatting import by_name, format_number, lines, pivot
+from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Record, Results, Series
 from viewshed_lab.studies.samples import CLEAR, SENSOR, parts_of
-from viewshed_lab.studies.templates import fill_template
 
 DEFINITION = Case("definition")
 """The case in which no estimator but another definition of visible is held against ours."""
@@ -182,11 +182,6 @@ def page_of(
     results = [ArchiveResults.of(data, evaluation, limit, on_step) for data in archives]
     first, *_ = evaluation.forms
     forms = {f"{form[0].upper()}{form[1:]}": form_case(form) for form in evaluation.forms}
-    title, blocks = fill_template("against_truth.md", {"archives": results, "forms": list(forms), "first": first}, {
-        "summary": lambda data, form: data.summary(forms[form]),
-        "by_range": lambda data: data.by_range(form_case(first)),
-        "by_sensor": lambda data: data.by_sensor(form_case(first)),
-        "definitions": lambda data: data.summary(DEFINITION),
-        "definitions_by_range": lambda data: data.by_range(DEFINITION),
-    })  # fmt: skip
-    return to_markdown(title, facts(target=evaluation.target.name, split=split), blocks)
+    page = fill_template("against_truth.md", archives=results, forms=forms, first=first, clean=form_case(first),
+                         definition=DEFINITION)  # fmt: skip
+    return page.markdown(facts(target=evaluation.target.name, split=split))

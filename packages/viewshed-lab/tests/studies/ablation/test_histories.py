@@ -108,7 +108,7 @@ def test_the_page_has_them_apart_and_nothing_where_nothing_was_found() -> None:
     }  # fmt: skip
     results = setting_results(found)
     assert results.alone == ["whole", "viewnet", "majority_vote"]
-    names = results.with_history("viewnet")
+    names = results.helped
     assert names == [f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]
     table = views_table(results, names)
     assert table.header == ["case", *names]

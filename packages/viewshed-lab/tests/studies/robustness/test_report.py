@@ -4,7 +4,6 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,6 @@ from matplotlib.image import imread
 from tests.studies.by_hand import records, refused
 
 from viewshed import BevGrid
-from viewshed_lab._page import Heading, Picture, Table, Text, to_html, to_markdown
-from viewshed_lab._page import PageBlock as Block
 from viewshed_lab.studies.figures import (
     AGREE,
     HIDDEN,
@@ -185,7 +182,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
         ["*no defense*", ".800 / .800", "–", ".500 / 1.000"],
         ["radius", ".800 / .800", ".667 / .800", ".571 / .800"],
     ]
-    page = to_markdown("Report", {}, main_page(store, store.results())[1])
+    page = main_page(store, store.results()).body
     asking = page.split("## Adaptive attackers, who query their victim first")[1].split("## The bar")[0]
     assert "- **quantized** withstands 1 of 1 in every domain: `adaptive_over_claim`." in asking
     assert re.search(r"- Withstand 0 of 1 in every domain: .*\*\*majority_vote\*\*", asking)
@@ -197,8 +194,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
 def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) -> None:
     store = _store(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
     found = store.results()
-    blocks = main_page(store, found, ["ugv 1 corruptions: no more memory"])[1]
-    words = to_markdown("Report", provenance(found), blocks)
+    words = main_page(store, found, ["ugv 1 corruptions: no more memory"]).markdown(provenance(found))
     assert "**Not finished: 6 of 9 jobs are done; a sample has up to 5.** 1 jobs failed: ugv 1 corruptions" in words
     assert "| ugv | replay | full |  | 2 | replay needs an earlier sweep |" in words
     assert "falls by 25 to 25 % (the paper: 18 to 60 %)" in words
@@ -207,36 +203,8 @@ def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) ->
     everywhere = words.split("### Up to a full wedge")[1]
     assert re.search(r"- Withstand 0 of 2 in every domain: .*\*\*majority_vote\*\*", everywhere)
     assert "Adaptive attackers" not in words
-    words += to_markdown("Tables", provenance(found), long_page(found)[1])
+    words += long_page(found).markdown(provenance(found))
     assert re.findall(r"\bnan\b", words) == []
-
-
-class _Fetches(HTMLParser):
-    """Remembers every tag, and every address that a page would fetch."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.addresses: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
-
-
-def test_the_html_fetches_nothing_and_hides_nothing() -> None:
-    picture = Picture("a.png", b"\x89PNG", 'a "picture" & more')
-    blocks: list[Block] = [Heading(2, "A < B"), Text("one `x_y`\nand *two*"), Text("- a\n  b\n- **c**"),
-              Table(["n", "*m*"], [["1 & 2", "**3**"]]), picture]  # fmt: skip
-    page, read = to_html("T", {"seed": "0"}, blocks), _Fetches()
-    read.feed(page)
-    assert read.addresses == ["data:image/png;base64,iVBORw=="]
-    assert "http" not in page
-    assert "url(" not in page
-    for part in ("<h2>A &lt; B</h2>", "<p>one <code>x_y</code> and <i>two</i></p>", "<li>a b</li>", "<li><b>c</b></li>",
-                 "<td>1 &amp; 2</td><td><b>3</b></td>", 'alt="a &quot;picture&quot; &amp; more"'):  # fmt: skip
-        assert part in page
-    assert read.tags.count("td") == 2
 
 
 def test_a_claim_is_painted_by_what_it_gets_right() -> None:

@@ -69,9 +69,11 @@ class SettingResults(Domain[AblationPlan]):
         """Methods that see one sweep alone."""
         return [name for name in self.methods if not name.endswith(_HISTORIES)]
 
-    def with_history(self, name: str) -> list[str]:
-        """Return a method on sweeps that have a history: alone, with it, and confirmed by it."""
-        return [one for one in self.methods if one.startswith(f"{name}, ") and one.endswith(_HISTORIES)]
+    @property
+    def helped(self) -> list[str]:
+        """Methods that earlier sweeps help, on sweeps that have some: alone, with them, and confirmed by them."""
+        helped = tuple(f"{name}, " for name in (OURS, SHADOW_MAP))
+        return [one for one in self.methods if one.startswith(helped) and one.endswith(_HISTORIES)]
 
     @property
     def attacks(self) -> tuple[str, ...]:

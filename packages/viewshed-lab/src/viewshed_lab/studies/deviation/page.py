@@ -8,14 +8,14 @@ from math import isnan
 from typing import Any
 
 from viewshed.monitor.roc import auroc, auroc_interval, tpr_at_fpr
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.cases import generator
 from viewshed_lab.studies.deviation.jobs import METHOD
 from viewshed_lab.studies.deviation.plan import DeviationPlan
 from viewshed_lab.studies.formatting import by_name, commits, format_interval, format_rate, pivot
+from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.records import BENIGN, Results, Series
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.threats.attacks import FAMILY
 
 REGIONS = ("touched", "wedge", "changed")
@@ -184,14 +184,11 @@ def page_of(store: ResultStore[DeviationPlan]) -> str:
     plan, results = store.plan, store.results("watch")
     store.require(results)
     rows = rows_of(results, plan.domain, METHOD, plan.seed)
-    title, blocks = fill_template("deviation/page.md", {"severity": plan.severity}, {
-        "attacks": lambda: monitor_table({"": rows}, "attack"),
-        "corruptions": lambda: monitor_table({"": rows}, "corruption"),
-        "located": lambda: located_table(rows),
-    })  # fmt: skip
+    page = fill_template("deviation/page.md", severity=plan.severity, rows=rows, monitor_table=monitor_table,
+                         located_table=located_table)  # fmt: skip
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domain=f"{plan.domain}, {plan.target}",
         sweeps=f"{plan.frames} to fit, {plan.frames} to calibrate, {rows[0].frames} of {plan.frames} to report",
         passes=str(plan.passes), false_alarm_rate=f"{plan.false_alarm_rate:g}", commits=commits(results),
     )  # fmt: skip
-    return to_markdown(title, about, blocks)
+    return page.markdown(about)

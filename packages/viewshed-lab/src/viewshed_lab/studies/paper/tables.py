@@ -8,7 +8,6 @@ from math import isnan
 import numpy as np
 
 from viewshed.metrics import ConfusionCounts
-from viewshed_lab._page import Table
 from viewshed_lab.studies.cases import DEFAULT
 from viewshed_lab.studies.deviation.page import monitor_table as table_of_monitor
 from viewshed_lab.studies.deviation.page import rows_of
@@ -24,6 +23,7 @@ from viewshed_lab.studies.formatting import (
     lines,
     pivot,
 )
+from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.paper.jobs import TRADE
 from viewshed_lab.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of

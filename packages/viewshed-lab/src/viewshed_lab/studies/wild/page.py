@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from viewshed_lab._page import Picture, Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.data.wild import TOLD
 from viewshed_lab.studies.formatting import (
     commits,
@@ -15,9 +15,9 @@ from viewshed_lab.studies.formatting import (
     format_rate,
     format_rates,
 )
+from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.statistics import f1
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.studies.wild.evaluate import AS_TOLD, LADDER
 from viewshed_lab.studies.wild.figures import picture_of
 from viewshed_lab.studies.wild.plan import WildPlan
@@ -53,19 +53,15 @@ def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
     def part(domain: str, target: str, what: str) -> Pool:
         return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.judged)
 
-    values = {"domains": pool.names("domain"), "targets": plan.targets, "knowledge": list(knowledge)}
-    title, blocks = fill_template("wild/page.md", values, {
-        "agreement": lambda *names: _agreement(part(*names)),
-        "beyond_f1": lambda *names: _beyond_f1(part(*names)),
-        "broken_down": lambda domain, target: _broken_down(other.of(domain=domain, target=target, told=told)),
-        "ladder": lambda domain, target: _ladder(other.of(domain=domain, target=target, told="rings")),
-        "worst": lambda domain: _worst(plan, other.of(domain=domain, target=plan.targets[0], told=told)),
-    })  # fmt: skip
-    pictures = {block.name: block.png for block in blocks if isinstance(block, Picture)}
+    page = fill_template(
+        "wild/page.md", domains=pool.names("domain"), targets=plan.targets, knowledge=knowledge, part=part, plan=plan,
+        other=lambda domain, target, told=told: other.of(domain=domain, target=target, told=told),
+        agreement=_agreement, beyond_f1=_beyond_f1, broken_down=_broken_down, ladder=_ladder, worst=_worst,
+    )  # fmt: skip
     about = facts(
         plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(tables)), commits=commits(results)
     )  # fmt: skip
-    return pictures | {"wild.md": to_markdown(title, about, blocks).encode()}
+    return page.files("wild.md", about)
 
 
 def _agreement(pool: Pool) -> Table:
