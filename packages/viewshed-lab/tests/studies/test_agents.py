@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.studies.by_hand import stored
 
 from viewshed.agents.claims import ClaimTable
 from viewshed.agents.honest import HonestModel
@@ -105,9 +106,9 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, PLAN)
     assert not list(run_study(store, LocalEngine(1), ("scenes",)))
     assert not list(run_study(store, LocalEngine(1), ("runs",)))
-    before = store.path.read_bytes()
+    before = stored(store)
     assert not list(run_study(store, LocalEngine(1)))
-    assert store.path.read_bytes() == before
+    assert stored(store) == before
     _center_judges_as_the_study(store)
     page = page_of(store)
     for heading in ("Against the targets", "Where nobody lies", "Found", "What claims are worth"):

@@ -7,7 +7,6 @@ from typing import Any
 import jinja2
 import pytest
 
-from viewshed_lab.studies import pages
 from viewshed_lab.studies.pages import Page, Picture, Table, fill_template
 
 TABLE = Table(["a"], [["1"]])
@@ -95,7 +94,7 @@ def fill(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
 
     def filled(text: str = TEMPLATE, **values: Any) -> Page:
         (tmp_path / "page.md").write_text(text, encoding="utf-8")
-        monkeypatch.setattr(pages.jinja2, "PackageLoader", lambda *_: jinja2.FileSystemLoader(tmp_path))
+        monkeypatch.setattr(jinja2, "PackageLoader", lambda *_: jinja2.FileSystemLoader(tmp_path))
         known = {"missing": "", "seed": 3, "table": TABLE, "nothing": None, "domains": ["one"]}
         return fill_template("page.md", cell=lambda domain: f"{domain} and x", **known | values)
 

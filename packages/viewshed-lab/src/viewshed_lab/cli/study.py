@@ -335,9 +335,9 @@ def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _require_results(folder: Path, *, run: bool) -> None:
-    from viewshed_lab.studies.store import FILE
+    from viewshed_lab.studies.store import PLAN
 
-    if not run and not (folder / FILE).exists():
+    if not run and not (folder / PLAN).exists():
         raise ValueError(f"{folder} must hold results, got none; run without --no-run")
 
 

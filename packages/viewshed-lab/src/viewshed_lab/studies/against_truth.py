@@ -18,7 +18,7 @@ from viewshed_lab.data import Archive
 from viewshed_lab.data.sample import Sample
 from viewshed_lab.studies.formatting import by_name, format_number, lines, pivot
 from viewshed_lab.studies.pages import Table, fill_template
-from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Record, Results, Series
+from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Results, Row, Series, row_of
 from viewshed_lab.studies.samples import CLEAR, SENSOR, parts_of
 
 DEFINITION = Case("definition")
@@ -45,7 +45,7 @@ class TruthEvaluation:
     bands: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.415)
     threshold: float = THRESHOLD
 
-    def records(self, samples: Iterable[Sample]) -> Iterator[Record]:
+    def rows(self, samples: Iterable[Sample]) -> Iterator[Row]:
         """Yield the counts of every estimator on each sample in each form; one that cannot use a sweep claims nothing.
 
         Args:
@@ -62,18 +62,18 @@ class TruthEvaluation:
                     claimed = made[key].estimate(sweep).visible(self.threshold)
                     yield from self._compare(sample, name, form_case(form), claimed)
 
-    def definitions(self, samples: Iterable[Sample]) -> Iterator[Record]:
+    def definitions(self, samples: Iterable[Sample]) -> Iterator[Row]:
         """Yield the counts of the other definitions of visible against ``probe``, ours."""
         for sample in samples:
             for name in OTHER_DEFINITIONS:
                 if name in sample.truth.definitions:
                     yield from self._compare(sample, name, DEFINITION, sample.truth.definitions[name])
 
-    def _compare(self, sample: Sample, method: str, case: Case, claimed: Mask) -> Iterator[Record]:
+    def _compare(self, sample: Sample, method: str, case: Case, claimed: Mask) -> Iterator[Row]:
         true = sample.truth.visible(self.target)
         for region, mask in self.regions(sample).items():
             counts = ConfusionCounts.of(claimed, true, mask, sample.truth.grid.cell_area_m2)
-            yield Record(Series("", method, case, region), sample.scene, SEVERAL, counts)
+            yield row_of(Series("", method, case, region), sample.scene, SEVERAL, counts)
 
     def regions(self, sample: Sample) -> dict[str, Mask]:
         """Return the known cells by region: all of them, and the parts of the view."""
@@ -107,7 +107,7 @@ class ArchiveResults:
     Attributes:
         name: of its preset.
         about: its seed, and how many samples were looked at.
-        found: on them; the domain of these records has no name.
+        found: on them; the domain of these rows has no name.
     """
 
     name: str
@@ -119,11 +119,11 @@ class ArchiveResults:
         """Return the results of at most ``limit`` samples, spread evenly over a data set."""
         count, recipe = min(limit, len(data)), data.manifest.recipe
         on_step(f"{recipe.get('preset')}: {count} samples")
-        results: Results[TruthEvaluation] = Results(evaluation)
-        results.add(evaluation.records(data[k * len(data) // count] for k in range(count)))
-        results.add(evaluation.definitions(data[k * len(data) // count] for k in range(count)))
+        samples = [k * len(data) // count for k in range(count)]
+        rows = [*evaluation.rows(data[k] for k in samples), *evaluation.definitions(data[k] for k in samples)]
         spread = f"{count} of {len(data)} samples, spread evenly over {len(data.scenes)} scenes."
-        return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", Domain(results, ""))
+        found = Domain(Results.of(evaluation, rows), "")
+        return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", found)
 
     def methods(self, case: Case) -> dict[str, str]:
         """Return who was tried in a case."""

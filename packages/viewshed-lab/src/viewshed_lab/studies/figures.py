@@ -187,7 +187,7 @@ def violins_of(domain: Domain[Any], methods: Mapping[str, str], attacked: Sequen
         return domain.results.each(domain.series(method, case), precision)
 
     def areas(method: str, case: Case) -> F64:
-        return domain.results.numbers(domain.series(method, case), "auprc")
+        return np.asarray(domain.results.numbers(domain.series(method, case), "auprc"))
 
     return {
         f"{domain.name}: {word}": {

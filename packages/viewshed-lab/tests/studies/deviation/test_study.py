@@ -17,7 +17,7 @@ from viewshed_lab._config import preset_names
 from viewshed_lab.studies.deviation.jobs import fit_monitor, watch
 from viewshed_lab.studies.deviation.page import CaseRow, rows_of
 from viewshed_lab.studies.deviation.plan import DeviationPlan, Trials
-from viewshed_lab.studies.records import Record, Results, from_table, to_table
+from viewshed_lab.studies.records import Results, Row
 from viewshed_lab.studies.samples import StudySample
 
 GRID = BevGrid(64, 64.0)
@@ -64,20 +64,18 @@ def _sets(more: Sequence[int]) -> list[list[StudySample]]:
     return [same, calibrate, [_sample(RETURNS + count, 77) for count in more]]
 
 
-def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Trials) -> list[Record]:
+def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Trials) -> list[Row]:
     fit, calibrate, report = sets
     monitor = fit_monitor(estimator, fit, calibrate, trials)
     return [
-        record
+        row
         for number, sample in enumerate(report)
-        for record in watch(monitor, estimator, sample, trials, domain="ugv", method="mcd", number=number)
+        for row in watch(monitor, estimator, sample, trials, domain="ugv", method="mcd", number=number)
     ]
 
 
-def _rows(records: Iterable[Record]) -> list[CaseRow]:
-    results: Results[None] = Results(None)
-    results.add(records)
-    return rows_of(results, "ugv", "mcd")
+def _rows(records: Iterable[Row]) -> list[CaseRow]:
+    return rows_of(Results.of(None, records), "ugv", "mcd")
 
 
 def _by_name(rows: list[CaseRow]) -> dict[str, CaseRow]:
@@ -124,13 +122,10 @@ def test_suspect_cells_are_those_that_were_touched() -> None:
     assert 0.7 < spread.located["touched"].recall <= 1.0
 
 
-def test_records_survive_a_file_in_any_order() -> None:
+def test_the_order_of_rows_changes_nothing() -> None:
     trials, estimator = Trials(("uniform", "cluster"), ("fog",)), _Outside()
-    records = _records(estimator, _sets((0, 7, 30)), trials)
-    again = list(from_table(json.loads(json.dumps(to_table(records)))))
-    assert {json.dumps(asdict(row)) for row in _rows(again[::-1])} == {
-        json.dumps(asdict(row)) for row in _rows(records)
-    }
+    rows = _records(estimator, _sets((0, 7, 30)), trials)
+    assert {json.dumps(asdict(row)) for row in _rows(rows[::-1])} == {json.dumps(asdict(row)) for row in _rows(rows)}
     assert _rows([]) == []
 
 
@@ -172,14 +167,14 @@ def test_the_command_runs_goes_on_and_writes_its_page(tmp_path: Path, capsys: py
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert not stop.value.code
-    page, results = tmp_path / "deviation.md", (tmp_path / "results.jsonl").read_bytes()
+    page, results = tmp_path / "deviation.md", sorted((tmp_path / "jobs").iterdir())
     text = page.read_text("utf-8")
     assert all(f"\n| {name} " in text for name in ("*benign*", "uniform (1)", "removal (8)", "fog"))
     assert "sweeps: 4 to fit, 4 to calibrate, 4 of 4 to report" in text
     with pytest.raises(SystemExit) as stop:
         main([*words, "--no-run"])
     assert not stop.value.code
-    assert (tmp_path / "results.jsonl").read_bytes() == results
+    assert sorted((tmp_path / "jobs").iterdir()) == results
     with pytest.raises(SystemExit) as stop:
         main(["study", "deviation", "--preset", "tiny", "--out", str(tmp_path / "none"), "--no-run"])
     assert stop.value.code == 2

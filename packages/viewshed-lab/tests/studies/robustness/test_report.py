@@ -5,11 +5,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from tests.studies.by_hand import records, refused
+from tests.studies.by_hand import refused, rows
 
 from viewshed import BevGrid
 from viewshed_lab.studies.figures import (
@@ -24,7 +25,7 @@ from viewshed_lab.studies.figures import (
     scene_figure,
     violin_figure,
 )
-from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Record, Series
+from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Row, Series, row_of
 from viewshed_lab.studies.robustness import tables
 from viewshed_lab.studies.robustness.page import long_page, main_page, provenance
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
@@ -43,8 +44,8 @@ def _cells(view: Sequence[int], wedge: Sequence[int] = ()) -> dict[str, list[Seq
     return {"majority_vote": [view, wedge] if wedge else [view], "quantized": [CLEAN, CALM] if wedge else [CLEAN]}
 
 
-def _judged(number: int, case: Case, **numbers: int) -> Record:
-    return Record(Series("ugv", "", case), f"s{number}", number, numbers=numbers)
+def _judged(number: int, case: Case, **numbers: Any) -> Row:
+    return row_of(Series("ugv", "", case), f"s{number}", number, **numbers)
 
 
 def _store(folder: Path, worst: list[int], wedge: list[int]) -> Store:
@@ -54,26 +55,26 @@ def _store(folder: Path, worst: list[int], wedge: list[int]) -> Store:
     full, uniform = Case("attack", "ghost_wall", "full"), Case("paper", "uniform", "150")
     for number in (0, 1):
         attacks = [
-            *records("ugv", number, BENIGN, _cells(CLEAN), AREAS),
-            *records("ugv", number, Case("attack", "uniform", "0"), _cells(CLEAN)),
-            *records("ugv", number, Case("attack", "uniform", "150"), _cells([80, 60, 20, 40])),
-            *records("ugv", number, Case("attack", "ghost_wall", "0"), _cells(CLEAN, CALM)),
-            *records("ugv", number, Case("attack", "ghost_wall", "150"), _cells(CLEAN, CALM)),
-            *records("ugv", number, full, _cells(worst, wedge)),
+            *rows("ugv", number, BENIGN, _cells(CLEAN), AREAS),
+            *rows("ugv", number, Case("attack", "uniform", "0"), _cells(CLEAN)),
+            *rows("ugv", number, Case("attack", "uniform", "150"), _cells([80, 60, 20, 40])),
+            *rows("ugv", number, Case("attack", "ghost_wall", "0"), _cells(CLEAN, CALM)),
+            *rows("ugv", number, Case("attack", "ghost_wall", "150"), _cells(CLEAN, CALM)),
+            *rows("ugv", number, full, _cells(worst, wedge)),
             refused("ugv", number, Case("attack", "replay", "full"), "replay needs an earlier sweep"),
         ]
         paper = [
-            *records("ugv", number, BENIGN, {"paper_quantized": [CLEAN]}, {"paper_quantized": 0.8}, PAPER),
-            *records("ugv", number, uniform, {"paper_quantized": [[60, 40, 20, 80]]}, {}, PAPER),
+            *rows("ugv", number, BENIGN, {"paper_quantized": [CLEAN]}, {"paper_quantized": 0.8}, PAPER),
+            *rows("ugv", number, uniform, {"paper_quantized": [[60, 40, 20, 80]]}, {}, PAPER),
         ]
         behind = replace(full, defense="radius")
         defenses = [
             _judged(number, replace(BENIGN, defense="radius"), caught=0, added=0, lost=3, others=100),
-            *records("ugv", number, replace(BENIGN, defense="radius"), _cells(CLEAN)),
+            *rows("ugv", number, replace(BENIGN, defense="radius"), _cells(CLEAN)),
             _judged(number, behind, caught=5, added=50, lost=1, others=100),
-            *records("ugv", number, behind, _cells(worst, wedge)),
+            *rows("ugv", number, behind, _cells(worst, wedge)),
             _judged(number, replace(full, defense="empty_sector"), caught=0, added=50, lost=0, others=100, alarm=1),
-            *records("ugv", number, replace(full, defense="empty_sector"), _cells(worst, wedge)),
+            *rows("ugv", number, replace(full, defense="empty_sector"), _cells(worst, wedge)),
         ]
         for part, found in (("attacks", attacks), ("paper", paper), ("defenses", defenses)):
             store.append((part, "ugv", str(number)), JobResult(found))
@@ -143,17 +144,17 @@ def _adaptive(folder: Path) -> Store:
     for number in range(3):
         wall = little if number == 0 else opened  # samples that nobody who queries meets do not count beside him
         store.append(("attacks", "ugv", str(number)), JobResult([
-            *records("ugv", number, BENIGN, _cells(CLEAN)),
-            *records("ugv", number, Case("attack", "far_wall", "0"), _cells(CLEAN, CALM)),
-            *records("ugv", number, Case("attack", "far_wall", "150"), _cells(*wall)),
+            *rows("ugv", number, BENIGN, _cells(CLEAN)),
+            *rows("ugv", number, Case("attack", "far_wall", "0"), _cells(CLEAN, CALM)),
+            *rows("ugv", number, Case("attack", "far_wall", "150"), _cells(*wall)),
         ]))  # fmt: skip
     name = "adaptive_over_claim"
     store.append(("adaptive", "ugv", "0"), JobResult([
-        *records("ugv", 0, Case("adaptive", name, "0"), _cells(CLEAN, CALM)),
-        *records("ugv", 0, Case("adaptive", name, "150"), _cells(*opened)),
-        *records("ugv", 0, Case("adaptive", name, "0", "radius"), {"majority_vote": [CLEAN, CALM]}),
-        *records("ugv", 0, Case("unaware", name, "150", "radius"), {"majority_vote": little}),
-        *records("ugv", 0, Case("adaptive", name, "150", "radius"), {"majority_vote": half}),
+        *rows("ugv", 0, Case("adaptive", name, "0"), _cells(CLEAN, CALM)),
+        *rows("ugv", 0, Case("adaptive", name, "150"), _cells(*opened)),
+        *rows("ugv", 0, Case("adaptive", name, "0", "radius"), {"majority_vote": [CLEAN, CALM]}),
+        *rows("ugv", 0, Case("unaware", name, "150", "radius"), {"majority_vote": little}),
+        *rows("ugv", 0, Case("adaptive", name, "150", "radius"), {"majority_vote": half}),
     ]))  # fmt: skip
     return store
 

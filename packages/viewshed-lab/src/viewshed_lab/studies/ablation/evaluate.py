@@ -28,7 +28,7 @@ from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed_lab.data.simulated import simulate_frame
 from viewshed_lab.studies.cases import BARE, DEFAULT, TOUCHING, attack_of, generator
 from viewshed_lab.studies.evaluate import Evaluation, Reference
-from viewshed_lab.studies.records import BENIGN, Case, Record, pool
+from viewshed_lab.studies.records import BENIGN, Case, Row, pool
 from viewshed_lab.studies.samples import StudySample, parts_of
 from viewshed_lab.studies.suite import EstimatorSuite
 from viewshed_lab.threats.attacks import BlackBox, Knowledge, OverClaim
@@ -135,13 +135,13 @@ def evaluate(
     seed: int,
     target: Target = CAR,
     with_history: Sequence[str] = (),
-) -> list[Record]:
+) -> list[Row]:
     """Return what every estimator says of the samples in every case, all samples together.
 
     Args:
         samples: by their number, all on the estimators' grid.
         estimators: by name.
-        setting: domain of the records.
+        setting: domain of the rows.
         seed: of the attacks.
         target: what would have to be seen.
         with_history: names of estimators that are also given earlier sweeps, as methods of their own; on sweeps with
@@ -157,7 +157,7 @@ def evaluate(
 
 def evaluate_sample(
     evaluation: Evaluation, target: Target, seed: int, helped: Mapping[str, Estimator]
-) -> Iterator[Record]:
+) -> Iterator[Row]:
     """Yield the scores of one sample in every case; attacks that its sweep does not allow are left out."""
     sample, grid = evaluation.sample, evaluation.suite.grid
     parts = parts_of(sample.sample, target, BANDS, MARGIN)
@@ -179,7 +179,7 @@ def evaluate_sample(
                 prob = evaluation.reference.prob_of(estimate)
                 for part, mask in parts.items():
                     counts = evaluation.reference.counts(prob, THRESHOLD, sample.known & mask)
-                    yield evaluation.record(name, case, part, counts)
+                    yield evaluation.row(name, case, part, counts)
 
 
 def _attacked(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | None) -> AttackedSweep:
@@ -254,7 +254,7 @@ def attack_on(victim: Estimator, queries: int) -> BlackBox:
     return BlackBox(OverClaim(victim), POINTS, queries, sector_deg=SECTOR_DEG, aim_m=_AIM_M * scale, mode="free_form")
 
 
-def evaluate_chosen(evaluation: Evaluation, queries: Mapping[str, Sequence[int]], seed: int) -> Iterator[Record]:
+def evaluate_chosen(evaluation: Evaluation, queries: Mapping[str, Sequence[int]], seed: int) -> Iterator[Row]:
     """Yield what every victim says of a sweep untouched and with points chosen against it.
 
     Args:

@@ -421,7 +421,7 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
     """
     plan, results = store.plan, store.results("run")
     if not results.facts:
-        raise ValueError(f"{store.path} must hold runs, got none; run the steps scenes and runs")
+        raise ValueError(f"{store.folder} must hold runs, got none; run the steps scenes and runs")
     found = AgentsResults(plan, results)
     values: dict[str, Any] = {
         "agents": plan.moving + plan.roadside, "moving": plan.moving, "roadside": plan.roadside,

@@ -95,9 +95,9 @@ def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> l
     """Return one row for each case of a method in a domain.
 
     Args:
-        results: records of ``jobs.watch``; their order changes nothing.
-        domain: of the records.
-        method: of the records.
+        results: rows of ``jobs.watch``; their order changes nothing.
+        domain: of the rows.
+        method: of the rows.
         seed: of the intervals.
     """
     found = [s.case for s in results.series(domain) if s.method == method]
@@ -109,9 +109,10 @@ def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> l
 
 
 def _row(results: Results[Any], series: Series, refused: int, seed: int) -> CaseRow:
-    scores, alarms = results.by_sweep(series, "score"), results.numbers(series, "alarm")
-    nothing = (_NAN, (_NAN, _NAN), _NAN, _NAN)
-    compared = nothing if series.case == BENIGN or not scores else _compared(results, series, list(scores), seed)
+    scores, alarms = results.numbers(series, "score"), results.numbers(series, "alarm")
+    compared = (_NAN, (_NAN, _NAN), _NAN, _NAN)
+    if series.case != BENIGN and not scores.empty:
+        compared = _compared(results, series, list(scores.index), seed)
     idle = int((results.numbers(series, "returns") == 0).sum())
     located = {region: found for region in REGIONS if (found := _located(results, series, region)) is not None}
     mean = float(alarms.mean()) if len(alarms) else _NAN
@@ -124,8 +125,7 @@ def _compared(
     """Return AUROC, its interval, the share caught, and the AUROC of the mean deviation, sweep beside sweep."""
 
     def both(name: str) -> list[list[float]]:
-        found = (results.by_sweep(one, name) for one in (series.under(BENIGN), series))
-        return [[values[sweep] for sweep in sweeps] for values in found]
+        return [results.numbers(one, name).reindex(sweeps).tolist() for one in (series.under(BENIGN), series)]
 
     benign, spoilt = both("score")
     bounds = auroc_interval(benign, spoilt, generator(seed, series.case.name), paired=True)
@@ -133,13 +133,12 @@ def _compared(
 
 
 def _located(results: Results[Any], series: Series, region: str) -> Located | None:
-    cells, both = (results.by_sweep(series, f"{region} {name}") for name in ("cells", "suspects"))
-    if not cells:
+    cells, both = (results.numbers(series, f"{region} {name}") for name in ("cells", "suspects"))
+    if cells.empty:
         return None
-    suspects, watched = (results.by_sweep(series, name) for name in ("suspects", "watched"))
+    suspects, watched = (results.numbers(series, name) for name in ("suspects", "watched"))
     return Located(
-        int(sum(cells.values())), int(sum(suspects[sweep] for sweep in cells)), int(sum(both.values())),
-        int(sum(watched[sweep] for sweep in cells)),
+        int(cells.sum()), int(suspects[cells.index].sum()), int(both.sum()), int(watched[cells.index].sum())
     )  # fmt: skip
 
 

@@ -151,7 +151,7 @@ def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
         ValueError: there are no results of the protocol.
     """
     if not results.pairs.series(protocol=protocol):
-        raise ValueError(f"{results.store.path} must hold pairs of the {protocol} protocol, got none; run step pairs")
+        raise ValueError(f"{results.store.folder} must hold pairs of the {protocol} protocol, got none; run step pairs")
     every = (*SUB_TABLES, *OTHERS)
     page = fill_template(
         TEMPLATES[protocol], results=results, plan=results.plan, protocol=protocol, tables=tables,

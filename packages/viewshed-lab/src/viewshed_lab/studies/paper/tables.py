@@ -86,7 +86,7 @@ def trade_table(results: PaperResults) -> Table | None:
 def monitor_table(results: PaperResults, kind: str) -> Table | None:
     """Return what the monitor does in each attack or corruption, by what its network was trained on."""
     domain, seed = results.plan.monitor_domain, results.plan.test_seed
-    methods = results.monitor.methods(domain)
+    methods = Domain(results.monitor, domain).methods
     rows = {f"{name}-trained": rows_of(results.monitor, domain, name, seed) for name in MIXTURES if name in methods}
     return table_of_monitor(rows, kind) if results.monitor.facts else None
 

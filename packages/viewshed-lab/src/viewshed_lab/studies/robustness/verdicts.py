@@ -62,8 +62,7 @@ class AttackedDomain(Domain[RobustnessPlan]):
     def methods(self) -> list[str]:
         """Estimators that there are results of: the paper's first, ours in the order of their table."""
         order = list(TESTED)
-        found = self.results.methods(self.name, self.protocol)
-        return sorted(found, key=lambda name: order.index(name) if name in order else -1)
+        return sorted(super().methods, key=lambda name: order.index(name) if name in order else -1)
 
     @cached_property
     def paper(self) -> AttackedDomain:

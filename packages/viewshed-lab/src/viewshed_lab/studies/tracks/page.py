@@ -308,7 +308,7 @@ def page_of(store: ResultStore[TracksPlan]) -> str:
     """
     plan, found = store.plan, store.results("test")
     if not found.facts:
-        raise ValueError(f"{store.path} must hold attacked drives, got none; run the study")
+        raise ValueError(f"{store.folder} must hold attacked drives, got none; run the study")
     results = TracksResults(plan, found.facts, store.results("lidar").facts)
     values = {
         "seconds": f"{plan.seconds:g}", "objects": plan.objects, "accused": f"{plan.accused:.0%}",

@@ -9,10 +9,9 @@ from viewshed_lab.data.wild import WildScene, wild_tables
 from viewshed_lab.studies.plan import JobKey
 from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
-from viewshed_lab.studies.wild.evaluate import records_of
+from viewshed_lab.studies.wild.evaluate import rows_of
 from viewshed_lab.studies.wild.openings import SetOpening
 from viewshed_lab.studies.wild.plan import WildPlan
-from viewshed_lab.studies.wild.records import to_table
 
 
 def run_study(
@@ -49,4 +48,4 @@ def scene_of(key: JobKey) -> WildScene:
 def do_job(job: Job[WildPlan]) -> JobResult:
     """Return what is counted of one sweep."""
     seen = scene_of(job.key).observe(int(job.key[3]))
-    return JobResult(facts=to_table(records_of(seen, job.plan)))
+    return JobResult(list(rows_of(seen, job.plan)))
