@@ -29,21 +29,14 @@ Form = Callable[[Sweep], Sweep]
 
 @dataclass(frozen=True, slots=True)
 class TruthEvaluation:
-    """Who is compared, and how.
+    """Who is compared, and how."""
 
-    Attributes:
-        estimators: by name, what makes one for a grid.
-        target: what would have to be seen.
-        forms: by name, in which form the estimators are given the sweep.
-        bands: edges of the range bands, as shares of half the grid's side.
-        threshold: probability from which an estimate calls a cell visible.
-    """
-
-    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]
-    target: Target
-    forms: Mapping[str, Form]
+    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]  # by name, what makes one for a grid
+    target: Target  # what would have to be seen
+    forms: Mapping[str, Form]  # by name, in which form the estimators are given the sweep
+    # edges of the range bands, as shares of half the grid's side
     bands: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.415)
-    threshold: float = THRESHOLD
+    threshold: float = THRESHOLD  # probability from which an estimate calls a cell visible
 
     def rows(self, samples: Iterable[Sample]) -> Iterator[Row]:
         """Yield the counts of every estimator on each sample in each form; one that cannot use a sweep claims nothing.
@@ -102,17 +95,11 @@ FORMS: dict[str, Form] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchiveResults:
-    """What was found on one data set.
+    """What was found on one data set."""
 
-    Attributes:
-        name: of its preset.
-        about: its seed, and how many samples were looked at.
-        found: on them; the domain of these rows has no name.
-    """
-
-    name: str
-    about: str
-    found: Domain[TruthEvaluation]
+    name: str  # of its preset
+    about: str  # its seed, and how many samples were looked at
+    found: Domain[TruthEvaluation]  # on them; the domain of these rows has no name
 
     @classmethod
     def of(cls, data: Archive, evaluation: TruthEvaluation, limit: int, on_step: Callable[[str], None]) -> Self:

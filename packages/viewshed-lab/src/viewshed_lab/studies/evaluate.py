@@ -36,19 +36,12 @@ AIMED_AS = Case("attack", "far_wall", "0")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What estimates of a sample are held against.
+    """What estimates of a sample are held against."""
 
-    Attributes:
-        grid: of the masks.
-        visible: (cells, cells) bool, truth.
-        known: (cells, cells) bool, the cells that count.
-        pose: of the clean sweep's ``level`` frame in the map, or None.
-    """
-
-    grid: BevGrid
-    visible: Mask
-    known: Mask
-    pose: Rigid | None = None
+    grid: BevGrid  # of the masks
+    visible: Mask  # (cells, cells) bool, truth
+    known: Mask  # (cells, cells) bool, the cells that count
+    pose: Rigid | None = None  # of the clean sweep's ``level`` frame in the map, or None
 
     @classmethod
     def of(cls, sample: StudySample, visible: Mask, known: Mask, grid: BevGrid) -> Reference:
@@ -104,27 +97,16 @@ def _moved(one: Rigid, other: Rigid) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """One sample, who is tried on it, and against what.
+    """One sample, who is tried on it, and against what."""
 
-    Attributes:
-        sample: the sweep and what was measured before.
-        suite: the estimators.
-        reference: the truth.
-        domain: of the sample.
-        number: of the sample in its domain.
-        rng_of: generator of a case on this sample, as it begins.
-        protocol: ``STRICT`` or ``PAPER``.
-        defenses: by name.
-    """
-
-    sample: StudySample
-    suite: EstimatorSuite
-    reference: Reference
-    domain: str
-    number: int
-    rng_of: Callable[[Case], np.random.Generator]
-    protocol: str = STRICT
-    defenses: Mapping[str, Defense] = field(default_factory=dict)
+    sample: StudySample  # the sweep and what was measured before
+    suite: EstimatorSuite  # the estimators
+    reference: Reference  # the truth
+    domain: str  # of the sample
+    number: int  # of the sample in its domain
+    rng_of: Callable[[Case], np.random.Generator]  # generator of a case on this sample, as it begins
+    protocol: str = STRICT  # ``STRICT`` or ``PAPER``
+    defenses: Mapping[str, Defense] = field(default_factory=dict)  # by name
     _tampered: dict[Case, Tampered] = field(init=False, repr=False, default_factory=dict)
     _references: dict[tuple[str, str], Reference] = field(init=False, repr=False, default_factory=dict)
 
@@ -227,15 +209,10 @@ def _judged(defended: Defended, tampered: Tampered) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DefendedEstimator:
-    """An estimator that reads only what a defense leaves.
+    """An estimator that reads only what a defense leaves."""
 
-    Attributes:
-        defense: that every sweep goes through first.
-        estimator: that reads the rest.
-    """
-
-    defense: Defense
-    estimator: FovEstimator
+    defense: Defense  # that every sweep goes through first
+    estimator: FovEstimator  # that reads the rest
 
     @property
     def grid(self) -> BevGrid:
@@ -249,17 +226,11 @@ class DefendedEstimator:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveEvaluation:
-    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept.
+    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept."""
 
-    Attributes:
-        evaluation: the sample, the victims, the truth and the defenses.
-        queries: that an attacker makes.
-        defended: victims that stand behind the defenses.
-    """
-
-    evaluation: Evaluation
-    queries: int
-    defended: Sequence[str]
+    evaluation: Evaluation  # the sample, the victims, the truth and the defenses
+    queries: int  # that an attacker makes
+    defended: Sequence[str]  # victims that stand behind the defenses
     _attacked: dict[tuple[str, str], Sweep] = field(init=False, repr=False, default_factory=dict)
 
     def rows(self, cases: Iterable[Case]) -> Iterator[Row]:

@@ -32,19 +32,12 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, order=True)
 class Case:
-    """What is done to a sweep before it is estimated.
+    """What is done to a sweep before it is estimated."""
 
-    Attributes:
-        kind: of ``cases.KINDS``.
-        name: of the attack or corruption.
-        level: budget, severity or ``attribute value``.
-        defense: that the result goes through; empty for none.
-    """
-
-    kind: str
-    name: str = ""
-    level: str = ""
-    defense: str = ""
+    kind: str  # of ``cases.KINDS``
+    name: str = ""  # of the attack or corruption
+    level: str = ""  # budget, severity or ``attribute value``
+    defense: str = ""  # that the result goes through; empty for none
 
 
 BENIGN = Case("benign")
@@ -52,21 +45,13 @@ BENIGN = Case("benign")
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """What rows have in common that are pooled.
+    """What rows have in common that are pooled."""
 
-    Attributes:
-        domain: where the sweeps are from.
-        method: an estimator by name; empty where the case alone decides.
-        case: what was done to the sweeps.
-        region: of the grid.
-        protocol: ``STRICT`` or ``PAPER``.
-    """
-
-    domain: str
-    method: str
-    case: Case = BENIGN
-    region: str = VIEW
-    protocol: str = STRICT
+    domain: str  # where the sweeps are from
+    method: str  # an estimator by name; empty where the case alone decides
+    case: Case = BENIGN  # what was done to the sweeps
+    region: str = VIEW  # of the grid
+    protocol: str = STRICT  # ``STRICT`` or ``PAPER``
 
     def of(self, region: str) -> Series:
         """Return the same of another region."""
@@ -125,19 +110,13 @@ def _series(keys: tuple[str, ...]) -> Series:
 
 @dataclass(frozen=True, eq=False)
 class Results(Generic[P]):
-    """All that a study has found so far.
+    """All that a study has found so far."""
 
-    Attributes:
-        plan: of the study.
-        rows: what its jobs counted, one row as of :func:`row_of` each.
-        facts: of each finished job by its key: what is no row.
-        commits: of the code that did the jobs, as far as they are known.
-    """
-
-    plan: P
-    rows: pd.DataFrame
+    plan: P  # of the study
+    rows: pd.DataFrame  # what its jobs counted, one row as of :func:`row_of` each
+    # of each finished job by its key: what is no row
     facts: Mapping[tuple[str, ...], dict[str, Any]] = field(default_factory=dict)
-    commits: Iterable[str] = ()
+    commits: Iterable[str] = ()  # of the code that did the jobs, as far as they are known
 
     @classmethod
     def of(
@@ -237,17 +216,11 @@ def _counts_of(sums: Iterable[float]) -> ConfusionCounts:
 
 @dataclass(frozen=True, eq=False)
 class Domain(Generic[P]):
-    """What a study has found in one domain by one protocol, by method, case and region.
+    """What a study has found in one domain by one protocol, by method, case and region."""
 
-    Attributes:
-        results: of the study.
-        name: of the domain.
-        protocol: ``STRICT`` or ``PAPER``.
-    """
-
-    results: Results[P]
-    name: str
-    protocol: str = STRICT
+    results: Results[P]  # of the study
+    name: str  # of the domain
+    protocol: str = STRICT  # ``STRICT`` or ``PAPER``
 
     @property
     def plan(self) -> P:

@@ -27,28 +27,18 @@ P = TypeVar("P", bound=Plan)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JobResult:
-    """What a job found.
+    """What a job found."""
 
-    Attributes:
-        rows: what it counted.
-        facts: plain values that are no rows.
-    """
-
-    rows: Sequence[Row] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    rows: Sequence[Row] = ()  # what it counted
+    facts: Mapping[str, Any] = field(default_factory=dict)  # plain values that are no rows
 
 
 @dataclass(frozen=True, slots=True)
 class ResultStore(Generic[P]):
-    """Results of one plan in a folder. Those of several machines are together once their files are in one folder.
+    """Results of one plan in a folder. Those of several machines are together once their files are in one folder."""
 
-    Attributes:
-        folder: where all of the study lies.
-        plan: whose results it holds.
-    """
-
-    folder: Path
-    plan: P
+    folder: Path  # where all of the study lies
+    plan: P  # whose results it holds
 
     @classmethod
     def open(cls, folder: str | Path, plan: P) -> ResultStore[P]:

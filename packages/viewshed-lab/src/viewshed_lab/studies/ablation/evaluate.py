@@ -55,17 +55,11 @@ CASES = (BENIGN, BARE, *ATTACKS)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorSweeps:
-    """What a sensor measured before a sweep.
+    """What a sensor measured before a sweep."""
 
-    Attributes:
-        sweeps: the last ones, the oldest first, as measured.
-        levels: the same, leveled.
-        grid: on which.
-    """
-
-    sweeps: tuple[Sweep, ...]
-    levels: tuple[LeveledSweep, ...]
-    grid: BevGrid
+    sweeps: tuple[Sweep, ...]  # the last ones, the oldest first, as measured
+    levels: tuple[LeveledSweep, ...]  # the same, leveled
+    grid: BevGrid  # on which
 
     @classmethod
     def of(cls, sample: StudySample) -> PriorSweeps:
@@ -191,15 +185,10 @@ def _attacked(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | N
 
 @dataclass(frozen=True, slots=True)
 class Enveloped(ClassicalEstimator):
-    """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim.
+    """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim."""
 
-    Attributes:
-        inner: whose probability is kept where the other claims.
-        bound: the first blocker, not limited by the farthest return.
-    """
-
-    inner: Estimator
-    bound: Estimator
+    inner: Estimator  # whose probability is kept where the other claims
+    bound: Estimator  # the first blocker, not limited by the farthest return
     name: str = "enveloped"
 
     @property

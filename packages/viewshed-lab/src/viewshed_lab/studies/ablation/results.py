@@ -144,17 +144,11 @@ class SettingResults(Domain[AblationPlan]):
 
 @dataclass(frozen=True, slots=True)
 class Sure:
-    """What is claimed where only sure cells are: claimed from a probability on, denied below 1 less it.
+    """What is claimed where only sure cells are: claimed from a probability on, denied below 1 less it."""
 
-    Attributes:
-        share: of the cells of which anything is said.
-        claims: share of the claimed cells that are visible; NaN where none is claimed.
-        denials: share of the denied cells that are not visible; NaN where none is denied.
-    """
-
-    share: float
-    claims: float
-    denials: float
+    share: float  # of the cells of which anything is said
+    claims: float  # share of the claimed cells that are visible; NaN where none is claimed
+    denials: float  # share of the denied cells that are not visible; NaN where none is denied
 
     @classmethod
     def of(cls, scores: Scores, sure: float) -> Sure:
@@ -198,19 +192,12 @@ SHADOW_MAP = "shadow_map"
 
 @dataclass(frozen=True, slots=True)
 class AblationTarget:
-    """One figure.
+    """One figure."""
 
-    Attributes:
-        what: it is of.
-        wanted: in words.
-        found: in words.
-        met: whether.
-    """
-
-    what: str
-    wanted: str
-    found: str
-    met: bool
+    what: str  # it is of
+    wanted: str  # in words
+    found: str  # in words
+    met: bool  # whether
 
 
 def targets_of(validation: SettingResults, test: SettingResults, chosen: SettingResults) -> list[AblationTarget]:

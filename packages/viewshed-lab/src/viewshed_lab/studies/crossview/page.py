@@ -49,19 +49,13 @@ FLOOR_RULES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorScenes:
-    """The scenes of one sensor, and what its sweeps know about each other.
+    """The scenes of one sensor, and what its sweeps know about each other."""
 
-    Attributes:
-        name: of the sensor.
-        scenes: sweeps of each.
-        truths: by the names of ``RULES``.
-        differences: by the same names the smallest differences that their columns show; empty if the metric's own
-            error was not measured.
-    """
-
-    name: str
-    scenes: list[list[Sweep]]
-    truths: Mapping[str, CrossViewTruth]
+    name: str  # of the sensor
+    scenes: list[list[Sweep]]  # sweeps of each
+    truths: Mapping[str, CrossViewTruth]  # by the names of ``RULES``
+    # by the same names the smallest differences that their columns show; empty if the metric's own error was
+    # not measured
     differences: Mapping[str, SmallestDifference]
 
     @property

@@ -29,19 +29,12 @@ _NAN = float("nan")
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """How well suspect cells fit a region, counted over all sweeps that have one.
+    """How well suspect cells fit a region, counted over all sweeps that have one."""
 
-    Attributes:
-        cells: watched cells of the region.
-        suspects: suspect cells.
-        both: suspect cells of the region.
-        watched: watched cells.
-    """
-
-    cells: int
-    suspects: int
-    both: int
-    watched: int
+    cells: int  # watched cells of the region
+    suspects: int  # suspect cells
+    both: int  # suspect cells of the region
+    watched: int  # watched cells
 
     @property
     def precision(self) -> float:
@@ -61,34 +54,21 @@ class Located:
 
 @dataclass(frozen=True, slots=True)
 class CaseRow:
-    """One case over all sweeps; ``dataclasses.asdict`` makes it plain.
+    """One case over all sweeps; ``dataclasses.asdict`` makes it plain."""
 
-    Attributes:
-        kind: benign, attack or corruption.
-        name: of the attack or corruption.
-        frames: sweeps that it was done to.
-        refused: sweeps that it could not be done to.
-        idle: frames on which the attack added and removed no return: nothing to see, yet counted as missed.
-        alarms: share of the frames that alarm at the calibrated limit.
-        auroc: P(score > that of a benign sweep), ties half; NaN for benign sweeps themselves.
-        auroc_interval: its 95 % interval over samples.
-        caught: share of the frames above a limit that at most 1 % of these benign frames pass (with fewer than 100
-            frames: that none of them passes); NaN for benign sweeps themselves.
-        auroc_mean: AUROC of the plain mean deviation over the watched cells, for comparison; NaN likewise.
-        located: by region of ``REGIONS``, where the case has one.
-    """
-
-    kind: str
-    name: str
-    frames: int
-    refused: int
-    idle: int
-    alarms: float
-    auroc: float
-    auroc_interval: tuple[float, float]
+    kind: str  # benign, attack or corruption
+    name: str  # of the attack or corruption
+    frames: int  # sweeps that it was done to
+    refused: int  # sweeps that it could not be done to
+    idle: int  # frames on which the attack added and removed no return: nothing to see, yet counted as missed
+    alarms: float  # share of the frames that alarm at the calibrated limit
+    auroc: float  # P(score > that of a benign sweep), ties half; NaN for benign sweeps themselves
+    auroc_interval: tuple[float, float]  # its 95 % interval over samples
+    # share of the frames above a limit that at most 1 % of these benign frames pass (with fewer than 100
+    # frames: that none of them passes); NaN for benign sweeps themselves
     caught: float
-    auroc_mean: float
-    located: dict[str, Located]
+    auroc_mean: float  # AUROC of the plain mean deviation over the watched cells, for comparison; NaN likewise
+    located: dict[str, Located]  # by region of ``REGIONS``, where the case has one
 
 
 def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> list[CaseRow]:

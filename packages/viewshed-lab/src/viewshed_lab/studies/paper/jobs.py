@@ -195,20 +195,14 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
 class Scope:
     """What of a study is done, and with what.
 
-    Attributes:
-        steps: of ``STEPS``.
-        protocols: of ``PROTOCOLS``.
-        device: ``cpu`` or ``cuda``, for trainings and networks.
-        workers: jobs under way at a time; None is one for each core.
-
     Raises:
         ValueError: a name is not known.
     """
 
-    steps: tuple[str, ...] = STEPS
-    protocols: tuple[str, ...] = PROTOCOLS
-    device: str = "cpu"
-    workers: int | None = None
+    steps: tuple[str, ...] = STEPS  # of ``STEPS``
+    protocols: tuple[str, ...] = PROTOCOLS  # of ``PROTOCOLS``
+    device: str = "cpu"  # ``cpu`` or ``cuda``, for trainings and networks
+    workers: int | None = None  # jobs under way at a time; None is one for each core
 
     def __post_init__(self) -> None:
         for name, given, known in (("only", self.steps, STEPS), ("protocol", self.protocols, PROTOCOLS),

@@ -58,19 +58,12 @@ def passes_of(plan: PaperPlan, model: Model) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkAlone(ClassicalEstimator):
-    """A network as the published study tries it: its probabilities as they are, on the grid of the setting.
+    """A network as the published study tries it: its probabilities as they are, on the grid of the setting."""
 
-    Attributes:
-        runner: of the network.
-        card: of the network as it is used here, wherever it was trained.
-        passes: 1 with dropout off, or how many with dropout on.
-        seed: of the masks, the same for every sweep.
-    """
-
-    runner: Runner
-    card: NetworkCard
-    passes: int
-    seed: int
+    runner: Runner  # of the network
+    card: NetworkCard  # of the network as it is used here, wherever it was trained
+    passes: int  # 1 with dropout off, or how many with dropout on
+    seed: int  # of the masks, the same for every sweep
     name: str = "network"
 
     @property

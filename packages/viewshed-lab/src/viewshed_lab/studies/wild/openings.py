@@ -27,16 +27,12 @@ run on them adds a line here before it starts.
 class SetOpening:
     """One opening.
 
-    Attributes:
-        reason: in one line.
-        methods: that are run.
-
     Raises:
         ValueError: there is no reason, or it is none that fits a line of a table.
     """
 
-    reason: str
-    methods: Sequence[str]
+    reason: str  # in one line
+    methods: Sequence[str]  # that are run
 
     def __post_init__(self) -> None:
         if not self.reason.strip() or any(sign in self.reason for sign in "|\n"):
