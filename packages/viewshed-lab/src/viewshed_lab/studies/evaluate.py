@@ -173,11 +173,7 @@ class Evaluation:
         return self.row("", case, refused=" ".join(str(error).split()))
 
     def tampered(self, case: Case) -> Tampered:
-        """Return the sweep as a case leaves it, without its defense; the last one is kept for the next defense.
-
-        Raises:
-            ValueError: the case cannot be made of this sample.
-        """
+        """Return the sweep as a case leaves it, without its defense; the last one is kept for the next defense."""
         bare = replace(case, defense="")
         if bare not in self._tampered:
             self._tampered.clear()

@@ -277,9 +277,6 @@ def preview_png(preset: str, seed: int) -> bytes:
     """Return a PNG that shows one sample of each kind of world that a preset has, with its truth.
 
     Moving agents and those on masts take turns where a preset has both.
-
-    Raises:
-        ValueError: there is no such preset, or the seed is out of range.
     """
     composed = replace(preset_named(preset), seed=seed)
     rows = [row_of(preview_sample(scene, agent)) for scene, agent in _choice(composed)]

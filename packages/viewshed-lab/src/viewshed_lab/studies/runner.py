@@ -74,9 +74,6 @@ def run_jobs(
         step: name of all of them together.
         device: ``cpu`` or ``cuda``.
         missing: says what a job needs that is not done yet; such a job is left, and its line yielded.
-
-    Raises:
-        OSError: something cannot be written.
     """
     done = store.keys()
     pending = [key for key in keys if key not in done]

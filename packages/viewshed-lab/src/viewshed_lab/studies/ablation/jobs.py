@@ -45,11 +45,6 @@ def run_study(
         steps: of ``STEPS``.
         workers: processes; None is one for each core.
         on_progress: is called as jobs are done.
-
-    Raises:
-        ValueError: a step is not known.
-        ImportError: trainings are wanted and the extra for them is not installed.
-        OSError: something cannot be written.
     """
     check_names("only", steps, STEPS)
     models = set(store.plan.job_keys_of("models"))

@@ -20,11 +20,7 @@ WHOLE = "whole"
 
 @dataclass(frozen=True, slots=True)
 class AblationPlan(Plan):
-    """What is trained and tried.
-
-    Raises:
-        ValueError: a value is wrong; the message says which.
-    """
+    """What is trained and tried."""
 
     FOLDER: ClassVar[str] = "studies/ablation/plans"
 
@@ -82,11 +78,7 @@ class AblationPlan(Plan):
         return self.domain if setting == self.config else self.others[setting]
 
     def config_in(self, setting: str) -> TrainConfig:
-        """Return the training config whose grid, target and attacks count in a setting.
-
-        Raises:
-            ValueError: there is no such config.
-        """
+        """Return the training config whose grid, target and attacks count in a setting."""
         return self.config_of(WHOLE) if setting == self.config else read_config(setting)
 
     def title_of(self, setting: str) -> str:
@@ -94,11 +86,7 @@ class AblationPlan(Plan):
         return f"{self.preset_in(setting)}, {self.config_in(setting).target}"
 
     def config_of(self, variant: str) -> TrainConfig:
-        """Return how a variant is trained.
-
-        Raises:
-            ValueError: there is no such variant, or it changes what a config does not have.
-        """
+        """Return how a variant is trained."""
         if variant not in self.variants:
             raise ValueError(f"variant must be one of {', '.join(self.variants)}, got {variant!r}")
         changes = {**self.base, **self.variants[variant]}

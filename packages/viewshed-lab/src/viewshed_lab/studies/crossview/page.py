@@ -94,10 +94,6 @@ def page_of(
         seed: of the bootstrap.
         on_step: is called with what is done next.
         floor: whether the metric's own error is measured in a simulation as well.
-
-    Raises:
-        ValueError: an attack is not known, or the index has no scene.
-        OSError: a file cannot be read.
     """
     check_names("attacks", attacks, ATTACKS)
     found, floors = _scenes(index), dict[str, list[CrossViewRow]]()

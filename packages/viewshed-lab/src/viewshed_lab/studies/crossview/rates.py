@@ -223,11 +223,7 @@ def evaluate_crossview(
     rules: CrossViewRules | None = None,
     on_step: OnStep = lambda _: None,
 ) -> list[CrossViewRow]:
-    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
-
-    Raises:
-        ValueError: a sweep has no pose or no time.
-    """
+    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene)."""
     return rows_of(crossview_truth(sequences, rules, on_step), estimators, rng=rng, on_step=on_step)
 
 

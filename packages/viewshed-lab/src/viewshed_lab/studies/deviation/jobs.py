@@ -36,11 +36,7 @@ METHOD = "mc_dropout"
 def fit_monitor(
     estimator: FovEstimator, fit: Iterable[StudySample], calibrate: Iterable[StudySample], trials: Trials
 ) -> DeviationMonitor:
-    """Return a monitor fitted on one set of benign sweeps and calibrated on another.
-
-    Raises:
-        ValueError: the estimator has no standard deviation, or there are too few sweeps for the false-alarm rate.
-    """
+    """Return a monitor fitted on one set of benign sweeps and calibrated on another."""
     rule = replace(RULE, sigmas=trials.sigmas)
     monitor = DeviationMonitor.fit((estimator.estimate(sample.sweep) for sample in fit), rule)
     return monitor.calibrated((estimator.estimate(sample.sweep) for sample in calibrate), trials.false_alarm_rate)
@@ -88,11 +84,7 @@ class _Bench:
     clean: FovEstimate
 
     def tampered(self, case: Case, rng: np.random.Generator, severity: int) -> Tampered:
-        """Return the sweep in a case; an attack has its own budget and the scale of the monitor's grid.
-
-        Raises:
-            ValueError: the case cannot be made of this sweep.
-        """
+        """Return the sweep in a case; an attack has its own budget and the scale of the monitor's grid."""
         levels = {"attack": DEFAULT, "corruption": str(severity)}
         return apply(replace(case, level=levels.get(case.kind, "")), self.sample, rng, self.monitor.grid.half_extent_m)
 

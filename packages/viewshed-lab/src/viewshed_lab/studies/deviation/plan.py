@@ -15,11 +15,7 @@ from viewshed_lab.threats.corruptions import CORRUPTIONS
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """What is done to the sweeps that a monitor is reported on.
-
-    Raises:
-        ValueError: there is no such attack, corruption or severity.
-    """
+    """What is done to the sweeps that a monitor is reported on."""
 
     attacks: tuple[str, ...] = tuple(ATTACKS)  # names of ``ATTACKS``, each with its own budget
     corruptions: tuple[str, ...] = tuple(CORRUPTIONS)  # names of ``CORRUPTIONS``
@@ -41,11 +37,7 @@ class Trials:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviationPlan(Trials, Plan):
-    """The study of the monitor with the shipped network.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """The study of the monitor with the shipped network."""
 
     FOLDER: ClassVar[str] = "studies/deviation/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"attacks": ATTACKS, "corruptions": CORRUPTIONS}

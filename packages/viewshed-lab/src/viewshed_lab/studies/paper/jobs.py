@@ -193,11 +193,7 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What of a study is done, and with what.
-
-    Raises:
-        ValueError: a name is not known.
-    """
+    """What of a study is done, and with what."""
 
     steps: tuple[str, ...] = STEPS  # of ``STEPS``
     protocols: tuple[str, ...] = PROTOCOLS  # of ``PROTOCOLS``
@@ -223,11 +219,6 @@ def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress
         store: of the study.
         scope: what of it is done.
         on_progress: is called as jobs are done.
-
-    Raises:
-        ValueError: there is no such device, or data of another plan lie in the folder.
-        ImportError: trainings are wanted and the extra for them is not installed.
-        OSError: something cannot be written.
     """
     if {"models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)

@@ -36,12 +36,7 @@ def weights_of(folder: Path, model: Model) -> Path:
 
 
 def load_runner(path: Path, device: str = "cpu") -> Runner:
-    """Return what runs a network: one core, as jobs run beside each other, or a GPU.
-
-    Raises:
-        ValueError: the file is damaged or of another version.
-        OSError: it cannot be read.
-    """
+    """Return what runs a network: one core, as jobs run beside each other, or a GPU."""
     if device == "cpu":
         from viewshed.networks.runtime import OnnxRunner
 
@@ -149,11 +144,6 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str,
         out: folder of its checkpoints and weights.
         cache: folder of labels that all trainings share.
         device: ``cpu`` or ``cuda``.
-
-    Raises:
-        ImportError: the extra for training is not installed.
-        ValueError: there is no such device, or the folder holds another training.
-        OSError: something cannot be read or written.
     """
     from viewshed_lab.training import run
 
@@ -167,12 +157,7 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str,
 
 
 def check_training(device: str) -> None:
-    """Check that trainings can run on a device.
-
-    Raises:
-        ImportError: the extra for training is not installed.
-        ValueError: there is no such device.
-    """
+    """Check that trainings can run on a device."""
     from viewshed_lab.training.log import Machines
     from viewshed_lab.training.run import require_torch
 

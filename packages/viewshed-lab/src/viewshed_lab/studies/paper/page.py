@@ -145,11 +145,7 @@ def _severities(domain: tables.StrictDomain, methods: list[str], region: str) ->
 
 
 def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
-    """Return the files of a protocol's page by name: pictures first, the page last.
-
-    Raises:
-        ValueError: there are no results of the protocol.
-    """
+    """Return the files of a protocol's page by name: pictures first, the page last."""
     if not results.pairs.series(protocol=protocol):
         raise ValueError(f"{results.store.folder} must hold pairs of the {protocol} protocol, got none; run step pairs")
     every = (*SUB_TABLES, *OTHERS)

@@ -58,11 +58,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class PaperPlan(Plan):
-    """What is run over what. ``all`` in the TOML stands for a whole table of names.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """What is run over what. ``all`` in the TOML stands for a whole table of names."""
 
     FOLDER: ClassVar[str] = "studies/paper/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"monitor_corruptions": CORRUPTIONS}

@@ -142,9 +142,6 @@ def files_of(
         store: of the study.
         failed: jobs that failed, one line each.
         stem: of the names of the pages.
-
-    Raises:
-        ValueError: there are no results.
     """
     results = store.results()
     store.require(results)

@@ -34,11 +34,7 @@ the attackers who know their victim."""
 
 @dataclass(frozen=True, slots=True)
 class RobustnessPlan(Plan):
-    """What is run over what. Names come from the tables of the package; ``all`` in the TOML stands for a whole table.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """What is run over what. Names are of the tables of the package; ``all`` in the TOML is a whole table."""
 
     FOLDER: ClassVar[str] = "studies/robustness/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {

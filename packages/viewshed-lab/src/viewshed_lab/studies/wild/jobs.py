@@ -27,9 +27,6 @@ def run_study(
         engine: does the jobs.
         on_progress: is called after each job.
         opening: who opens the sealed set and why, logged before anything is run.
-
-    Raises:
-        ValueError: the plan has the sealed set, and no opening is given.
     """
     if store.plan.opens_sealed and opening is None:
         raise ValueError(

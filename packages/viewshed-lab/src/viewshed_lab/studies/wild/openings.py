@@ -25,11 +25,7 @@ run on them adds a line here before it starts.
 
 @dataclass(frozen=True, slots=True)
 class SetOpening:
-    """One opening.
-
-    Raises:
-        ValueError: there is no reason, or it is none that fits a line of a table.
-    """
+    """One opening."""
 
     reason: str  # in one line
     methods: Sequence[str]  # that are run
@@ -39,12 +35,7 @@ class SetOpening:
             raise ValueError(f"the reason must be one line of words without |, got {self.reason!r}")
 
     def log(self, path: Path = LOG) -> None:
-        """Append the line to the log, on the disk when this returns; the log is begun if there is none.
-
-        Raises:
-            ValueError: the log's folder does not exist: this is no checkout.
-            OSError: it cannot be written.
-        """
+        """Append the line to the log, on the disk when this returns; the log is begun if there is none."""
         if not path.parent.is_dir():
             raise ValueError(f"{path} must lie in a checkout of viewshed, where it is committed; go there, or name it")
         now = facts()

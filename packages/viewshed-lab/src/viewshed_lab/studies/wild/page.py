@@ -38,11 +38,7 @@ _WHAT = {
 
 
 def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
-    """Return the page ``wild.md``, the last, and its pictures, as files by name.
-
-    Raises:
-        ValueError: the store holds no results.
-    """
+    """Return the page ``wild.md``, the last, and its pictures, as files by name."""
     results, plan = store.results(), store.plan
     store.require(results)
     pool = Pool(results.rows)

@@ -17,11 +17,7 @@ DOMAINS = ("road", "indoor")
 
 @dataclass(frozen=True, slots=True)
 class WildPlan(Plan):
-    """What is run. ``all`` in the TOML stands for a whole table of names.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """What is run. ``all`` in the TOML stands for a whole table of names."""
 
     FOLDER: ClassVar[str] = "studies/wild/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"methods": ESTIMATORS, "told": TOLD, "targets": TARGETS}
