@@ -16,6 +16,7 @@ from viewshed.metrics import Scores
 from viewshed.networks.weights import manifest
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.studies.ablation.evaluate import (
     ATTACKS,
     BANDS,
@@ -26,7 +27,7 @@ from viewshed_lab.studies.ablation.evaluate import (
     evaluation_of,
 )
 from viewshed_lab.studies.ablation.jobs import run_study
-from viewshed_lab.studies.ablation.page import page_of
+from viewshed_lab.studies.ablation.page import files_of
 from viewshed_lab.studies.ablation.plan import STEPS, WHOLE, AblationPlan
 from viewshed_lab.studies.ablation.results import OURS, SettingResults, sure_from
 from viewshed_lab.studies.cases import BARE, DEFAULT
@@ -200,11 +201,13 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     pytest.importorskip("torch", reason="torch is not installed: the plan is not run")
     plan, seen = AblationPlan.load("tiny"), list[tuple[str, int, int]]()
     store = ResultStore.open(tmp_path, plan)
-    assert list(run_study(store, ("validation",), 1, ignore_progress)) == ["validation: not all variants are trained"]
-    assert list(run_study(store, STEPS, 1, lambda *step: seen.append(step))) == []
+    assert list(run_study(store, LocalEngine(1), ("validation",), ignore_progress)) == [
+        "validation: not all variants are trained"
+    ]
+    assert list(run_study(store, LocalEngine(1), STEPS, lambda *step: seen.append(step))) == []
     assert ("test", 2, 2) in seen
     assert seen[-1] == ("chosen", 1, 1)
-    page = page_of(store)
+    page = files_of(store)["ablation.md"].decode()
     for words in ("| whole |", "| counts alone |", "| majority_vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
     assert "| shadow_map | 20 | 1 |" in page
@@ -219,7 +222,7 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert page.index("### Targets, ugv-small, pedestrian") < page.index("| F1, benign | ≥ 0.94 |")
     before = stored(store)
     store.path_of(plan.job_keys()[-1]).unlink()
-    assert list(run_study(store, STEPS, 1, ignore_progress)) == []
+    assert list(run_study(store, LocalEngine(1), STEPS, ignore_progress)) == []
     assert stored(store) == before
     with pytest.raises(ValueError, match="only must be among models, validation, test, chosen, page, got 'trade'"):
-        list(run_study(store, ("trade",), 1, ignore_progress))
+        list(run_study(store, LocalEngine(1), ("trade",), ignore_progress))

@@ -24,7 +24,7 @@ from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, row_of, rows_of
 from viewshed_lab.studies.wild.jobs import do_job, run_study, scene_of
 from viewshed_lab.studies.wild.openings import SetOpening
-from viewshed_lab.studies.wild.page import page_of
+from viewshed_lab.studies.wild.page import files_of
 from viewshed_lab.studies.wild.plan import WildPlan
 from viewshed_lab.studies.wild.pool import FINE_BINS, Pool
 
@@ -184,17 +184,17 @@ def test_means_are_over_scenes_and_shares_over_cells() -> None:
     assert pool.names("scene") == ["a", "b", "c"]
 
 
-def test_the_page_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
+def test_the_files_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, FAST)
     with pytest.raises(ValueError, match="must hold results"):
-        page_of(store)
+        files_of(store)
     assert list(run_study(store, LocalEngine(1))) == []
     before, last = stored(store), FAST.job_keys()[-1]
     store.path_of(last).unlink()
     again = ResultStore.open(tmp_path, FAST)
     assert list(run_study(again, LocalEngine(1))) == []
     assert stored(again) == before
-    page = page_of(again)["wild.md"].decode()
+    page = files_of(again)["wild.md"].decode()
     for word in ("own: F1", "other: F1", "shadow_map", *LADDER, "cutting"):
         assert word in page
 
@@ -205,7 +205,7 @@ def test_a_network_of_ones_own_stands_in_the_tables_by_its_files_name(tmp_path: 
     plan = replace(FAST, methods=("shadow_map",), ladder=False, sets=("development",), networks=(str(file),))
     store = ResultStore.open(tmp_path / "study", plan)
     assert list(run_study(store, LocalEngine(1))) == []
-    assert "| mine |" in page_of(store)["wild.md"].decode()
+    assert "| mine |" in files_of(store)["wild.md"].decode()
     with pytest.raises(ValueError, match="networks must have file names of their own"):
         replace(plan, networks=(str(file), "elsewhere/mine.onnx"))
 
@@ -214,7 +214,7 @@ def test_worst_scenes_are_pictures(tmp_path: Path) -> None:
     plan = replace(FAST, worst=1, ladder=False)
     store = ResultStore.open(tmp_path, plan)
     assert list(run_study(store, LocalEngine(1))) == []
-    files = page_of(store)
+    files = files_of(store)
     pictures = [name for name in files if name.endswith(".png")]
     assert len(pictures) == 1
     assert files[pictures[0]].startswith(b"\x89PNG")

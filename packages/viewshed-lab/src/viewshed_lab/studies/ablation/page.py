@@ -13,8 +13,8 @@ from viewshed_lab.studies.samples import CLEAR
 from viewshed_lab.studies.store import ResultStore
 
 
-def page_of(store: ResultStore[AblationPlan]) -> str:
-    """Return the page as Markdown; parts without results are left out."""
+def files_of(store: ResultStore[AblationPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name; parts without results are left out."""
     plan = store.plan
     validation = SettingResults.read(store, "validation", plan.config)
     tests = {setting: SettingResults.read(store, "test", setting) for setting in plan.settings}
@@ -33,4 +33,4 @@ def page_of(store: ResultStore[AblationPlan]) -> str:
         others=", ".join(f"{preset} ({config})" for config, preset in plan.others.items()) or "none",
         other_sweeps=str(plan.other_sweeps), chosen_sweeps=str(plan.chosen_sweeps),
     )  # fmt: skip
-    return page.markdown(about)
+    return page.files("ablation.md", about)

@@ -413,8 +413,8 @@ def _masts(plan: AgentsPlan) -> str:
     )
 
 
-def page_of(store: ResultStore[AgentsPlan]) -> str:
-    """Return the page as Markdown.
+def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name.
 
     Raises:
         ValueError: there are no runs.
@@ -434,4 +434,4 @@ def page_of(store: ResultStore[AgentsPlan]) -> str:
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), worlds=", ".join(plan.worlds),
         sensors=", ".join(plan.sensors), scenes=scenes, commits=commits(results),
     )  # fmt: skip
-    return page.markdown(about)
+    return page.files("agents.md", about)

@@ -109,8 +109,8 @@ def located_table(rows: pd.DataFrame) -> Table:
     return pivot("", {row["name"]: row for row in located}, by_name(REGIONS), words)
 
 
-def page_of(store: ResultStore[DeviationPlan]) -> str:
-    """Return the page as Markdown."""
+def files_of(store: ResultStore[DeviationPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name."""
     plan, results = store.plan, store.results("watch")
     store.require(results)
     rows = rows_of(results, plan.domain, METHOD, plan.seed)
@@ -121,4 +121,4 @@ def page_of(store: ResultStore[DeviationPlan]) -> str:
         sweeps=f"{plan.frames} to fit, {plan.frames} to calibrate, {rows['frames'][0]} of {plan.frames} to report",
         passes=str(plan.passes), false_alarm_rate=f"{plan.false_alarm_rate:g}", commits=commits(results),
     )  # fmt: skip
-    return page.markdown(about)
+    return page.files("deviation.md", about)

@@ -636,8 +636,8 @@ def _interval(rate: Rate) -> str:
     return format_interval(rate.value, rate.interval)
 
 
-def page_of(store: ResultStore[MonitorPlan]) -> str:
-    """Return the page as Markdown.
+def files_of(store: ResultStore[MonitorPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name.
 
     Raises:
         ValueError: there are no drives or scores.
@@ -660,4 +660,4 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         drives=f"{sum(plan.train)} + {sum(plan.unattacked)} train, {', '.join(drives)}",
         commits=commits(store.results("score")),
     )  # fmt: skip
-    return page.markdown(about)
+    return page.files("monitor.md", about)

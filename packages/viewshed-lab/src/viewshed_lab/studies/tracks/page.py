@@ -300,8 +300,8 @@ def _ece(outcomes: Outcomes) -> float:
     return float(np.abs(existence - is_object).sum() / max(count.sum(), 1))
 
 
-def page_of(store: ResultStore[TracksPlan]) -> str:
-    """Return the page as Markdown.
+def files_of(store: ResultStore[TracksPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name.
 
     Raises:
         ValueError: no drive was attacked yet.
@@ -322,4 +322,4 @@ def page_of(store: ResultStore[TracksPlan]) -> str:
         drives=f"{plan.count} counted, {plan.limit} for limits, {len(found.facts)} with forged detections,"
         f" {len(results.sweeps)} with forged sweeps", commits=commits(found),
     )  # fmt: skip
-    return page.markdown(about)
+    return page.files("tracks.md", about)

@@ -37,7 +37,7 @@ _WHAT = {
 }
 
 
-def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
+def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
     """Return the page ``wild.md``, the last, and its pictures, as files by name."""
     results, plan = store.results(), store.plan
     store.require(results)
