@@ -22,7 +22,7 @@ FUSION = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/agents"
 def main() -> None:
     """Write the files."""
     study = Path(sys.argv[1])
-    head = json.loads((study / PLAN).open(encoding="utf-8").readline())
+    head = json.loads((study / PLAN).read_text(encoding="utf-8"))
     plan = AgentsPlan.from_json(head["plan"])
     results = AgentsResults(plan, ResultStore.open(study, plan).results("run"))
     limits = results.limits
