@@ -14,7 +14,7 @@ from viewshed._files import write_atomic
 from viewshed_lab.studies.agents.jobs import CLAIMS, HONEST_MODEL
 from viewshed_lab.studies.agents.page import AgentsResults
 from viewshed_lab.studies.agents.plan import AgentsPlan
-from viewshed_lab.studies.store import FILE, ResultStore
+from viewshed_lab.studies.store import PLAN, ResultStore
 
 FUSION = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/agents"
 
@@ -22,7 +22,7 @@ FUSION = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/agents"
 def main() -> None:
     """Write the files."""
     study = Path(sys.argv[1])
-    head = json.loads((study / FILE).open(encoding="utf-8").readline())
+    head = json.loads((study / PLAN).read_text(encoding="utf-8"))
     plan = AgentsPlan.from_json(head["plan"])
     results = AgentsResults(plan, ResultStore.open(study, plan).results("run"))
     limits = results.limits

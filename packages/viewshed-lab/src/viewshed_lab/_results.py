@@ -106,7 +106,7 @@ def shortened(name: str, markdown: str) -> str:
     skipping = 0  # depth of the heading whose section is left out, or 0
     heading, count = "", 0  # of the present section, and of its tables so far
     for block in re.split(r"\n{2,}", rest.strip("\n")):
-        depth = _depth(block)
+        depth = depth_of(block)
         if depth:
             heading, count = block.lstrip("# "), 0
             if depth <= skipping:
@@ -126,7 +126,7 @@ def shortened(name: str, markdown: str) -> str:
     # A heading under which nothing is left says nothing.
     kept = [
         block for block, after in zip(kept, [*kept[1:], "#"], strict=True)
-        if not _depth(block) or not _depth(after) or _depth(after) > _depth(block)
+        if not depth_of(block) or not depth_of(after) or depth_of(after) > depth_of(block)
     ]  # fmt: skip
     if kept == re.split(r"\n{2,}", rest.strip("\n")):
         return markdown
@@ -151,7 +151,7 @@ def write_page(path: Path, markdown: str) -> None:
 def _without_rows(patterns: Sequence[str], address: str, table: str) -> str:
     head, rule, *rows = table.splitlines()
     return "\n".join(
-        [head, rule, *(row for row in rows if not _any(patterns, f"{address} | {_plain(' | '.join(_cells(row)))}"))]
+        [head, rule, *(row for row in rows if not _any(patterns, f"{address} | {_plain(' | '.join(cells_of(row)))}"))]
     )
 
 
@@ -159,7 +159,8 @@ def _any(patterns: Sequence[str], text: str) -> bool:
     return any(re.fullmatch(pattern, text) for pattern in patterns)
 
 
-def _depth(block: str) -> int:
+def depth_of(block: str) -> int:
+    """Return the level of a heading of Markdown, 0 for any other block."""
     return len(block) - len(block.lstrip("#")) if block.startswith("#") else 0
 
 
@@ -167,15 +168,16 @@ def _tables(markdown: str) -> Iterator[tuple[str, list[str], list[list[str]]]]:
     """Yield the tables of a page with heading and number, header, and rows."""
     heading, count = "", 0
     for block in re.split(r"\n{2,}", markdown.strip("\n")):
-        if _depth(block):
+        if depth_of(block):
             heading, count = block.lstrip("# "), 0
         elif block.startswith("|"):
             count += 1
-            header, _, *rows = [_cells(line) for line in block.splitlines()]
+            header, _, *rows = [cells_of(line) for line in block.splitlines()]
             yield f"{heading} #{count}", header, rows
 
 
-def _cells(line: str) -> list[str]:
+def cells_of(line: str) -> list[str]:
+    """Return the cells of one line of a Markdown table."""
     return [cell.strip() for cell in _BAR.split(line.strip().removeprefix("|").removesuffix("|"))]
 
 

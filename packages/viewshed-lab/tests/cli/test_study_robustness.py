@@ -1,6 +1,7 @@
 """``viewshed study robustness``: it runs, goes on, writes its pages, and refuses with one line."""
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -45,14 +46,14 @@ def test_attacks_of_the_tiny_study_hurt_whom_they_must(made: Path) -> None:
 
 
 def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path) -> None:
-    before = (made / "results.jsonl").read_bytes()
+    before = sorted((made / "jobs").iterdir())
     page = tmp_path / "page.md"
     words = ("--preset", "tiny", "--out", made, "--workers", "1", "--page", page)
     code, said, progress = run("study", "robustness", *words)
     assert code == 0
     assert f"Markdown in {page}" in said
     assert "9 of 9" in progress
-    assert (made / "results.jsonl").read_bytes() == before
+    assert sorted((made / "jobs").iterdir()) == before
     assert (tmp_path / "robustness_scenes.png").exists()
     assert "### majority_vote behind each defense" in (tmp_path / "page_tables.md").read_text("utf-8")
 
@@ -71,9 +72,8 @@ def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path) -> None:
     code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(tmp_path / "file"))
     assert (code, complaint.count("\n")) == (2, 1)
     damaged = tmp_path / "damaged"
-    damaged.mkdir()
-    lines = (made / "results.jsonl").read_bytes().splitlines(keepends=True)
-    (damaged / "results.jsonl").write_bytes(b"".join([*lines[:3], lines[3][:90] + b"\n", *lines[4:]]))
+    shutil.copytree(made, damaged)
+    (damaged / "jobs" / "attacks ugv 0.parquet").write_bytes(b"PAR1")
     code, _, complaint = run("study", "robustness", "--preset", "tiny", "--out", str(damaged), "--no-run")
     assert (code, complaint.count("\n")) == (2, 1)
-    assert "line 4 is damaged; delete that line, its job is done again" in complaint
+    assert "attacks ugv 0.parquet must hold what a job found, it is damaged; delete it and run again" in complaint

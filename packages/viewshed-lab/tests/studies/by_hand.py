@@ -1,15 +1,20 @@
-"""Records of counts that are known."""
+"""Rows of counts that are known."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import pandas as pd
 
 from viewshed.metrics import ConfusionCounts
-from viewshed_lab.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Record, Series
+from viewshed_lab.studies.plan import JobKey
+from viewshed_lab.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Row, Series, row_of
+from viewshed_lab.studies.store import ResultStore
 
 REGIONS = (VIEW, WEDGE, UNTOUCHED)
 CELL_M2 = 0.25
 
 
-def records(
+def rows(
     domain: str,
     number: int,
     case: Case,
@@ -17,16 +22,27 @@ def records(
     auprc: Mapping[str, float] | None = None,
     protocol: str = STRICT,
     scene: str = "",
-) -> Iterator[Record]:
-    """Yield records of one sweep: by method the cells (both, over, under, neither) of up to three regions."""
+) -> Iterator[Row]:
+    """Yield rows of one sweep: by method the cells (both, over, under, neither) of up to three regions."""
     for method, regions in cells.items():
         for region, (both, over, under, neither) in zip(REGIONS, regions, strict=False):
             counts = ConfusionCounts(both, over, under, neither, (both + over + under + neither) * CELL_M2)
-            areas = {"auprc": auprc[method]} if region == VIEW and auprc and method in auprc else {}
+            areas: dict[str, Any] = {"auprc": auprc[method]} if region == VIEW and auprc and method in auprc else {}
             series = Series(domain, method, case, region, protocol)
-            yield Record(series, scene or f"s{number}", number, counts, numbers=areas)
+            yield row_of(series, scene or f"s{number}", number, counts, None, **areas)
 
 
-def refused(domain: str, number: int, case: Case, reason: str) -> Record:
-    """Return the record of a case that could not be made."""
-    return Record(Series(domain, "", case), f"s{number}", number, refused=reason)
+def refused(domain: str, number: int, case: Case, reason: str) -> Row:
+    """Return the row of a case that could not be made."""
+    return row_of(Series(domain, "", case), f"s{number}", number, refused=reason)
+
+
+def plain(some: Iterable[Row]) -> list[str]:
+    """Return rows as words that can be compared."""
+    return [repr(row | {"scores": row["scores"].to_json()} if "scores" in row else row) for row in some]
+
+
+def stored(store: ResultStore[Any]) -> dict[JobKey, tuple[str, str]]:
+    """Return what each finished job found, less the commits of the code that did it."""
+    frames = {key: pd.read_parquet(store.path_of(key)) for key in sorted(store.keys())}
+    return {key: (frame.to_json(), repr(frame.attrs["facts"])) for key, frame in frames.items()}

@@ -46,9 +46,7 @@ Counted = Callable[[str, str, str], ConfusionCounts]
 
 def _evaluate(samples: Sequence[Sample], evaluation: TruthEvaluation) -> Counted:
     """Return the counts by estimator, form (empty for another definition) and region."""
-    results: Results[TruthEvaluation] = Results(evaluation)
-    results.add(evaluation.records(samples))
-    results.add(evaluation.definitions(samples))
+    results = Results.of(evaluation, [*evaluation.rows(samples), *evaluation.definitions(samples)])
 
     def counted(method: str, form: str, region: str) -> ConfusionCounts:
         series = Series("", method, form_case(form) if form else DEFINITION, region)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.studies.by_hand import stored
 
 from viewshed.agents.claims import ClaimTable
 from viewshed.agents.honest import HonestModel
@@ -17,7 +18,7 @@ from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.simulated import world_of
 from viewshed_lab.studies.agents.jobs import CLAIMS, HONEST_MODEL, run_study
 from viewshed_lab.studies.agents.lies import APART_M, FORGED, LIES, Liars
-from viewshed_lab.studies.agents.page import AgentsResults, page_of
+from viewshed_lab.studies.agents.page import AgentsResults, files_of
 from viewshed_lab.studies.agents.plan import HONEST, SPLITS, AgentsPlan
 from viewshed_lab.studies.agents.runs import seen_objects
 from viewshed_lab.studies.agents.scenes import Scene, scene_path, with_tall_masts
@@ -105,11 +106,11 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, PLAN)
     assert not list(run_study(store, LocalEngine(1), ("scenes",)))
     assert not list(run_study(store, LocalEngine(1), ("runs",)))
-    before = store.path.read_bytes()
+    before = stored(store)
     assert not list(run_study(store, LocalEngine(1)))
-    assert store.path.read_bytes() == before
+    assert stored(store) == before
     _center_judges_as_the_study(store)
-    page = page_of(store)
+    page = files_of(store)["agents.md"].decode()
     for heading in ("Against the targets", "Where nobody lies", "Found", "What claims are worth"):
         assert f"## {heading}" in page
 

@@ -3,6 +3,7 @@
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +21,7 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed_lab.data import Sample
 from viewshed_lab.studies.cases import case_generator
 from viewshed_lab.studies.evaluate import Evaluation, Reference
-from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case
+from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case, counts_of
 from viewshed_lab.studies.samples import StudySample, sample_of
 from viewshed_lab.studies.suite import EstimatorSuite, paper_suite, strict_suite
 from viewshed_lab.threats.attacks import Wedge
@@ -95,13 +96,15 @@ def test_view_and_wedge_are_counted_apart() -> None:
     evaluation = _evaluation(_sample(visible, known), prob, visible)
     estimate = evaluation.suite.estimators["fixed"].estimate(evaluation.sample.sweep)
     found = list(evaluation.compare("fixed", BENIGN, estimate, Wedge(np.pi / 4, np.pi / 2)))
-    assert [record.series.region for record in found] == [VIEW, WEDGE]
-    assert found[0].counts == ConfusionCounts(1, 1, 2, 8, 12 * 16.0)
-    assert found[1].counts == ConfusionCounts(0, 0, 2, 2, 4 * 16.0)  # rows 2 and 3, columns 2 and 3: none claimed
-    assert {(record.scene, record.sweep, record.series.domain) for record in found} == {("street", 3, "ugv")}
-    assert set(found[0].numbers) == {"auprc"}
-    scored = [record.scores for record in evaluation.score("fixed", BENIGN, estimate, Wedge(np.pi / 4, np.pi / 2))]
-    assert [None if scores is None else scores.counts() for scores in scored] == [(1, 1, 2, 8), (0, 0, 2, 2)]
+    assert [row["region"] for row in found] == [VIEW, WEDGE]
+    assert counts_of(pd.DataFrame(found[:1])) == ConfusionCounts(1, 1, 2, 8, 12 * 16.0)
+    assert counts_of(pd.DataFrame(found[1:])) == ConfusionCounts(
+        0, 0, 2, 2, 4 * 16.0
+    )  # rows 2 and 3, columns 2 and 3: none claimed
+    assert {(row["scene"], row["sweep"], row["domain"]) for row in found} == {("street", 3, "ugv")}
+    assert ["auprc" in row for row in found] == [True, False]
+    scored = evaluation.score("fixed", BENIGN, estimate, Wedge(np.pi / 4, np.pi / 2))
+    assert [row["scores"].counts() for row in scored] == [(1, 1, 2, 8), (0, 0, 2, 2)]
     assert len(list(evaluation.compare("fixed", BENIGN, estimate, None))) == 1
 
 
@@ -170,7 +173,7 @@ def test_a_case_that_cannot_be_made_is_named_and_the_rest_goes_on() -> None:
     alone = StudySample(sample.sample)
     suite, reference = strict_suite(sample.truth.grid, ["quantized"]), Reference.exact(sample)
     evaluation = Evaluation(alone, suite, reference, "ugv", 0, partial(case_generator, 7, "ugv", 0))
-    replay, uniform = evaluation.records([Case("attack", "replay", "full"), Case("attack", "uniform", "150")])
-    assert replay.refused.startswith("replay needs an earlier sweep, got none")
-    assert replay.counts is None
-    assert uniform.counts is not None
+    replay, uniform = evaluation.rows([Case("attack", "replay", "full"), Case("attack", "uniform", "150")])
+    assert replay["refused"].startswith("replay needs an earlier sweep, got none")
+    assert "both" not in replay
+    assert uniform["both"] > 0

@@ -1,41 +1,27 @@
-"""Records survive their plain values, are pooled in any order, and depend on scenes."""
+"""Rows are pooled in any order, and intervals depend on scenes."""
 
-import json
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from tests.studies.by_hand import records, refused
+from tests.studies.by_hand import refused, rows
 
 from viewshed.metrics import ConfusionCounts, Scores
-from viewshed_lab.studies.records import (
-    BENIGN,
-    PAPER,
-    SEVERAL,
-    WEDGE,
-    Case,
-    Record,
-    Results,
-    Series,
-    from_table,
-    pool,
-    to_table,
-)
+from viewshed_lab.studies.records import BENIGN, PAPER, SEVERAL, WEDGE, Case, Results, Row, Series, pool, row_of
 from viewshed_lab.studies.statistics import bootstrap, f1, precision
 
 WALL = Case("attack", "ghost_wall", "full")
 KEY = Series("ugv", "vote", WALL)
 
 
-def _results() -> Results[None]:
+def _results(more: Iterable[Row] = ()) -> Results[None]:
     """Two sweeps: one without average precision, and one that comes first though its number is larger."""
-    found: Results[None] = Results(None)
-    found.add(records("ugv", 2, WALL, {"vote": [[3, 1, 1, 5], [1, 0, 1, 0]]}, {"vote": 0.5}))
-    found.add(records("ugv", 0, WALL, {"vote": [[1, 1, 3, 5], [0, 0, 1, 1]]}))
+    found = [*rows("ugv", 2, WALL, {"vote": [[3, 1, 1, 5], [1, 0, 1, 0]]}, {"vote": 0.5}),
+             *rows("ugv", 0, WALL, {"vote": [[1, 1, 3, 5], [0, 0, 1, 1]]})]  # fmt: skip
     for number in (2, 0):
-        found.add(records("ugv", number, BENIGN, {"vote": [[8, 0, 0, 2]]}, {"vote": 1.0}))
-        found.add([refused("ugv", number, Case("attack", "replay", "full"), "no earlier sweep")])
-    return found
+        found += rows("ugv", number, BENIGN, {"vote": [[8, 0, 0, 2]]}, {"vote": 1.0})
+        found.append(refused("ugv", number, Case("attack", "replay", "full"), "no earlier sweep"))
+    return Results.of(None, [*found, *more])
 
 
 def test_sweeps_are_pooled_whatever_their_order() -> None:
@@ -52,8 +38,7 @@ def test_sweeps_are_pooled_whatever_their_order() -> None:
 
 
 def test_only_sweeps_that_met_a_kind_of_case_are_compared() -> None:
-    found = _results()
-    found.add(records("ugv", 2, Case("adaptive", "a", "150"), {"vote": [[1, 0, 0, 9]]}))
+    found = _results(rows("ugv", 2, Case("adaptive", "a", "150"), {"vote": [[1, 0, 0, 9]]}))
     met = found.met("ugv", "adaptive")
     assert met.counts(KEY) == ConfusionCounts(3, 1, 1, 5, 2.5, 1)
     assert met.numbers(KEY, "auprc").tolist() == [0.5]
@@ -87,45 +72,12 @@ def _scores(prob: float, visible: bool) -> Scores:
     return scores
 
 
-EVERY = [
-    *records("ugv", 0, WALL, {"vote": [[3, 1, 1, 5], [1, 0, 1, 0]]}, {"vote": 0.5}),
-    Record(Series("ugv", "a", protocol=PAPER), "s", 0, scores=_scores(0.7, True)),
-    refused("ugv", 1, WALL, "no rings"),
-]
-
-
-@dataclass
-class _Plain:
-    """What of a record can be compared."""
-
-    record: Record
-    told: object = field(init=False)
-
-    def __post_init__(self) -> None:
-        scores = None if self.record.scores is None else self.record.scores.to_json()
-        record = self.record
-        self.told = (record.series, record.scene, record.sweep, record.counts, scores, dict(record.numbers),
-                     record.refused)  # fmt: skip
-
-
-@pytest.mark.parametrize("some", [EVERY, EVERY[:1], []])
-def test_records_survive_their_plain_values(some: list[Record]) -> None:
-    table = json.loads(json.dumps(to_table(some)))
-    assert [_Plain(record).told for record in from_table(table)] == [_Plain(record).told for record in some]
-
-
-def test_what_all_records_share_is_written_once() -> None:
-    table = to_table(EVERY)
-    assert table["same"]["domain"] == "ugv"
-    assert set(table["same"]) & set(table["columns"]) == set()
-
-
-def test_pooled_records_are_the_sums() -> None:
+def test_pooled_rows_are_the_sums() -> None:
     """Probabilities of .7 and .2, of which only the first is visible."""
-    both = [Record(KEY, "s", n, ConfusionCounts(n, 1, 0, 0), _scores(p, v), {"auprc": 1.0})
+    both = [row_of(KEY, "s", n, ConfusionCounts(n, 1, 0, 0), _scores(p, v), auprc=1.0)
             for n, p, v in ((0, 0.7, True), (1, 0.2, False))]  # fmt: skip
     [found] = pool(both)
-    assert (found.sweep, found.scene, found.numbers) == (SEVERAL, "", {})
-    assert found.counts == ConfusionCounts(1, 2, 0, 0, 0.0, 2)
-    assert found.scores is not None
-    assert found.scores.counts() == (1, 0, 0, 1)
+    assert (found["sweep"], found["scene"], "auprc" in found) == (SEVERAL, "", False)
+    results = Results.of(None, [found])
+    assert results.counts(KEY) == ConfusionCounts(1, 2, 0, 0, 0.0, 2)
+    assert results.scores([KEY]).counts() == (1, 0, 0, 1)

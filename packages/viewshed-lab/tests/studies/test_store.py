@@ -4,17 +4,19 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
-from tests.studies.by_hand import records
+from tests.studies.by_hand import refused, rows
 
+from viewshed.metrics import ConfusionCounts, Scores
 from viewshed_lab.studies.paper.plan import PaperPlan
-from viewshed_lab.studies.records import BENIGN, Series
+from viewshed_lab.studies.records import BENIGN, PAPER, Series, row_of
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
-from viewshed_lab.studies.store import FILE, JobResult, ResultStore
+from viewshed_lab.studies.store import PLAN, JobResult, ResultStore
 
 TINY = RobustnessPlan.load("tiny")
 KEY = ("paper", "ugv", "0")
-FOUND = JobResult(list(records("ugv", 0, BENIGN, {"vote": [[1, 2, 3, 4]]})), {"limit": 0.5})
+FOUND = JobResult(list(rows("ugv", 0, BENIGN, {"vote": [[1, 2, 3, 4]]})), {"limit": 0.5})
 
 
 def test_finished_jobs_are_there_when_it_is_opened_again(tmp_path: Path) -> None:
@@ -28,20 +30,11 @@ def test_finished_jobs_are_there_when_it_is_opened_again(tmp_path: Path) -> None
     assert again.results("attacks").series() == []
 
 
-def test_a_line_cut_in_half_is_dropped_and_the_rest_kept(tmp_path: Path) -> None:
+def test_what_a_crash_left_of_a_file_is_no_result(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, TINY)
     store.append(KEY, FOUND)
-    whole = (tmp_path / FILE).read_bytes()
-    with (tmp_path / FILE).open("ab") as file:
-        file.write(b'{"job":["attacks","ugv","1"],"fa')
-    assert ResultStore.open(tmp_path, TINY).keys() == {KEY}
-    assert (tmp_path / FILE).read_bytes() == whole
-
-
-def test_a_first_line_cut_in_half_begins_anew(tmp_path: Path) -> None:
-    (tmp_path / FILE).write_bytes(b'{"format":3')
+    store.path_of(KEY).rename(store.path_of(KEY).with_suffix(".parquet.tmp"))
     assert ResultStore.open(tmp_path, TINY).keys() == set()
-    assert json.loads((tmp_path / FILE).read_text("utf-8"))["plan"]["seed"] == TINY.seed
 
 
 @pytest.mark.parametrize("other", [replace(TINY, seed=1), replace(TINY, budgets=("0", "50")), PaperPlan.load("tiny")])
@@ -51,46 +44,45 @@ def test_another_plan_is_refused(tmp_path: Path, other: RobustnessPlan | PaperPl
         ResultStore.open(tmp_path, other)
 
 
+HEAD = {"format": 4, "version": "0.3.0", "plan": TINY.to_json()}
+
+
 @pytest.mark.parametrize(
     ("head", "complaint"),
     [
-        ({"format": 2, "version": "0.3.0", "study": TINY.to_json()}, "got those of an older version of the study"),
-        ({"format": 1, "version": "0.3.0", "plan": TINY.to_json()}, "got those of an older version of the study"),
-        ({"format": 3, "version": "0.0.1", "plan": TINY.to_json()}, "got another version; choose another folder"),
+        (HEAD | {"format": 3}, "got another version; choose another folder"),
+        (HEAD | {"version": "0.0.1"}, "got another version; choose another folder"),
         (7, "got something else; choose another folder"),
+        ("\xff", "got something else; choose another folder"),
     ],
 )
 def test_files_of_other_versions_are_refused_and_left_alone(tmp_path: Path, head: object, complaint: str) -> None:
-    line = json.dumps(head) + "\n"
-    (tmp_path / FILE).write_text(line, "utf-8")
+    content = head.encode("latin-1") if isinstance(head, str) else json.dumps(head).encode()
+    (tmp_path / PLAN).write_bytes(content)
     with pytest.raises(ValueError, match=complaint):
         ResultStore.open(tmp_path, TINY)
-    assert (tmp_path / FILE).read_text("utf-8") == line
+    assert (tmp_path / PLAN).read_bytes() == content
 
 
-_EMPTY = '"commits":[],"facts":{},"records":{"same":{},"columns":[],"rows":[]}'
+def _without_facts() -> bytes:
+    content: bytes = pd.DataFrame([{"sweep": 1}]).to_parquet(None)
+    return content
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "7", "[1]", '{"job":3}', '{"job":["paper","ugv",0],' + _EMPTY + "}", "nonsense",
-        '{"job":["paper","moon","0"],' + _EMPTY + "}", '{"job":["paper","ugv","2"],' + _EMPTY + "}",
-        '{"job":["attacks","ugv","0"],"commits":[],"facts":{}}',
-        '{"job":["attacks","ugv","0"],"commits":[],"facts":{},"records":{"same":{},"columns":["sweep"],"rows":[[1]]}}',
-    ],
-)  # fmt: skip
-def test_a_line_that_no_job_wrote_is_named(tmp_path: Path, line: str) -> None:
+@pytest.mark.parametrize("content", [b"", b"nonsense", _without_facts()])
+def test_a_file_that_no_job_wrote_is_named(tmp_path: Path, content: bytes) -> None:
     store = ResultStore.open(tmp_path, TINY)
-    store.append(KEY, FOUND)
-    with (tmp_path / FILE).open("a") as file:
-        file.write(line + "\n")
-    with pytest.raises(ValueError, match="line 3 is damaged; delete that line, its job is done again"):
+    store.path_of(KEY).write_bytes(content)
+    with pytest.raises(ValueError, match=r"paper ugv 0.parquet must hold what a job found.* delete it and run again"):
         ResultStore.open(tmp_path, TINY).results()
 
 
-def test_a_first_line_that_is_no_text_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / FILE).write_bytes(b"\xff\n")
-    with pytest.raises(ValueError, match="line 1 is damaged; choose another folder"):
-        ResultStore.open(tmp_path, TINY)
-    assert (tmp_path / FILE).read_bytes() == b"\xff\n"
+def test_what_was_counted_comes_back(tmp_path: Path) -> None:
+    scores = Scores()
+    scores.add([0.7], [True], [0.1])
+    store, series = ResultStore.open(tmp_path, TINY), Series("ugv", "a", protocol=PAPER)
+    store.append(KEY, JobResult([*FOUND.rows, row_of(series, "s", 0, None, scores), refused("ugv", 1, BENIGN, "why")]))
+    results = store.results()
+    assert results.counts(Series("ugv", "vote")) == ConfusionCounts(1, 2, 3, 4, 2.5)
+    assert results.scores([series]).to_json() == scores.to_json()
+    assert results.refused == {("ugv", BENIGN, "why"): 1}

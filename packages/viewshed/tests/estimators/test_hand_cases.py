@@ -159,16 +159,16 @@ def test_trimmed_drops_exactly_the_farthest(make_level: MakeLevel) -> None:
 
 
 def test_first_blocker_without_farthest_limit_sees_to_the_reach(make_level: MakeLevel) -> None:
-    # Without a table the reach is the cube root of 2.5 · 11.4 · 65², 49.4 m, and a cell's center may lie one cell of
+    # Without a table, and with returns as near as here, the reach is 85 m, and a cell's center may lie one cell of
     # 0.5 m beyond it.
-    grid = BevGrid(240, 60.0)
+    grid = BevGrid(360, 90.0)
     leveled = make_level(np.array([[0.1, 5.0, 0.0], [9.0, 0.1, 0.0], [-12.0, -0.1, 0.0]]))
     limited, open_ = (
         FirstBlocker(grid, azimuth_bins=36, limit_farthest=limit).estimate(leveled) for limit in (True, False)
     )
     assert [float(e.at(np.array([0.3, 9.0]))) for e in (limited, open_)] == [0.0, 1.0]
-    assert [float(open_.at(np.array([0.3, y]))) for y in (49.8, 50.3)] == [1.0, 0.0]
-    assert not open_.visible()[:, : grid.cells // 2 - 20].any()
+    assert [float(open_.at(np.array([0.3, y]))) for y in (85.3, 85.8)] == [1.0, 0.0]
+    assert not open_.visible()[:, : grid.cells // 2 - 30].any()
     # One beam is too few to support what either says.
     assert (limited.state == CellState.UNKNOWN).all()
     assert (open_.state == CellState.UNKNOWN).all()

@@ -70,6 +70,35 @@ def test_parked_vans_are_no_ground() -> None:
     assert np.abs(level_heights(leveled, under)).max() < 0.2
 
 
+def test_a_ceiling_is_no_ground_where_furniture_hides_the_floor() -> None:
+    dome = LidarModel("dome", np.deg2rad(np.linspace(-30, 45, 64)), azimuth_columns=900, max_range_m=40.0)
+    walls = (Box(13, 1, 0.3, 16, 2.7), Box(-9, 1, 0.3, 16, 2.7), Box(2, 9, 22, 0.3, 2.7), Box(2, -7, 22, 0.3, 2.7))
+    ceiling, cupboard, table = Box(2, 1, 22, 16, 3.0, bottom_m=2.7), Box(4, 1, 0.6, 10, 0.9), Box(-3, 4, 2, 1, 0.8)
+    points = cast(dome, Scene((*walls, ceiling, cupboard, table)), 0.5, rng=np.random.default_rng(1)).points
+    leveled = level(Sweep(points), GRIDS["indoor"])
+    assert leveled.sensor_height_m == pytest.approx(0.5, abs=0.05)
+    assert np.abs(leveled.ground.heights_m).max() < 0.3
+
+
+def test_a_deck_is_no_ground_where_lorries_hide_the_road_below_it() -> None:
+    steep = LidarModel("steep", np.deg2rad(np.linspace(-25, 15, 128)), azimuth_columns=900, max_range_m=120.0)
+    lorries = tuple(Box(12.0, y, 9.0, 2.9, 3.0) for y in (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0))
+    deck, end = Box(32, 0, 50, 40, 6.0, bottom_m=5.0), Box(57, 0, 0.5, 40, 5.0)
+    leveled = _level(cast(steep, Scene((deck, end, *lorries)), 1.8, rng=np.random.default_rng(1)).points)
+    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.05)
+    assert np.abs(leveled.ground.heights_m).max() < 0.3
+
+
+@pytest.mark.parametrize(("up_m", "is_ground"), [(0.7, True), (1.3, True), (1.7, False), (2.5, False)])
+def test_a_level_up_to_one_and_a_half_meters_higher_is_climbed(up_m: float, is_ground: bool) -> None:
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(-50, 50, (60_000, 2))
+    z = np.where(xy[:, 0] > 10.0, up_m, 0.0) - 1.8 + rng.normal(0, 0.02, len(xy))
+    leveled = _level(np.column_stack([xy, z]).astype(np.float32))
+    found = level_heights(leveled, np.array([[14.0, 0.0], [25.0, -5.0], [35.0, 8.0]]))
+    assert np.allclose(found, up_m if is_ground else 0.0, atol=0.1)
+
+
 def test_returns_below_the_ground_do_not_pull_it_down() -> None:
     points = _cast(Scene(WALLS))
     rng = np.random.default_rng(3)

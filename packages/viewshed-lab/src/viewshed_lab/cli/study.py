@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,7 +14,11 @@ from viewshed.cli._options import EngineName, Workers
 from viewshed_lab.cli.evaluate import crossview
 
 if TYPE_CHECKING:
+    from viewshed_lab.studies.monitor.plan import MonitorPlan
+    from viewshed_lab.studies.plan import Plan
     from viewshed_lab.studies.runner import Progress
+    from viewshed_lab.studies.store import ResultStore
+    from viewshed_lab.studies.tracks.plan import TracksPlan
 
 study_app = typer.Typer(help="Run a study and write its page; a stopped study goes on.")
 
@@ -27,6 +32,12 @@ Run = Annotated[bool, typer.Option(help="Run what is not there yet; --no-run onl
 Pages = Annotated[Path | None, typer.Option("--page", help="Folder of the pages and figures; --out if not given.")]
 
 _BOTH = "both"
+
+_Work = Callable[..., Iterator[str]]
+"""Does the jobs of a store and yields one line for each that failed."""
+
+_Files = Callable[[Any], dict[str, bytes]]
+"""Makes the pages of a store, by the names of their files."""
 
 
 @study_app.callback()
@@ -128,17 +139,14 @@ def ablation(
 
     Example: viewshed study ablation --preset tiny --out study
     """
+    from viewshed_lab._jobs import LocalEngine
     from viewshed_lab.studies.ablation.jobs import run_study
-    from viewshed_lab.studies.ablation.page import page_of
+    from viewshed_lab.studies.ablation.page import files_of
     from viewshed_lab.studies.ablation.plan import STEPS, AblationPlan
-    from viewshed_lab.studies.store import ResultStore
 
-    steps, folder = _steps(only, STEPS), _folder(out, "ablation")
-    store = ResultStore.open(folder, AblationPlan.load(preset))
-    failed = _with_bars(lambda progress: run_study(store, steps, workers, progress))
-    if "page" in steps:
-        _show(page or folder, {"ablation.md": page_of(store).encode()})
-    _require_all_done(failed)
+    steps = _steps(only, STEPS)
+    work, pages = partial(run_study, engine=LocalEngine(workers), steps=steps), files_of if "page" in steps else None
+    _run(AblationPlan.load(preset), _folder(out, "ablation"), page, work, pages)
 
 
 @study_app.command()
@@ -157,16 +165,11 @@ def deviation(
     """
     from viewshed_lab._jobs import LocalEngine
     from viewshed_lab.studies.deviation.jobs import run_study
-    from viewshed_lab.studies.deviation.page import page_of
+    from viewshed_lab.studies.deviation.page import files_of
     from viewshed_lab.studies.deviation.plan import DeviationPlan
-    from viewshed_lab.studies.store import ResultStore
 
-    folder = _folder(out, "deviation")
-    _require_results(folder, run=run)
-    store = ResultStore.open(folder, DeviationPlan.load(preset))
-    failed = _with_bars(lambda progress: run_study(store, LocalEngine(workers), progress)) if run else []
-    _show(page or folder, {"deviation.md": page_of(store).encode()})
-    _require_all_done(failed)
+    work = partial(run_study, engine=LocalEngine(workers)) if run else None
+    _run(DeviationPlan.load(preset), _folder(out, "deviation"), page, work, files_of)
 
 
 @study_app.command()
@@ -193,20 +196,19 @@ def monitor(
     from viewshed_lab._jobs import engine_named
     from viewshed_lab.studies.monitor.archive import FOLDER
     from viewshed_lab.studies.monitor.jobs import run_study
-    from viewshed_lab.studies.monitor.page import page_of
+    from viewshed_lab.studies.monitor.page import files_of
     from viewshed_lab.studies.monitor.plan import STEPS, MonitorPlan
-    from viewshed_lab.studies.store import ResultStore
 
-    steps, folder = _steps(only, STEPS), _folder(out, "monitor")
-    store, runner = ResultStore.open(folder, MonitorPlan.load(preset)), engine_named(engine, workers)
-    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
-    if recorded is not None:
-        from viewshed_lab.studies.monitor.recorded import measure_recorded
+    steps = _steps(only, STEPS)
 
-        measure_recorded(recorded, folder / FOLDER, store.plan)
-    if "page" in steps:
-        _show(page or folder, {"monitor.md": page_of(store).encode()})
-    _require_all_done(failed)
+    def work(store: ResultStore[MonitorPlan], on_progress: Progress) -> Iterator[str]:
+        yield from run_study(store, engine_named(engine, workers), steps, on_progress)
+        if recorded is not None:
+            from viewshed_lab.studies.monitor.recorded import measure_recorded
+
+            measure_recorded(recorded, store.folder / FOLDER, store.plan)
+
+    _run(MonitorPlan.load(preset), _folder(out, "monitor"), page, work, files_of if "page" in steps else None)
 
 
 @study_app.command()
@@ -228,16 +230,12 @@ def agents(
     """
     from viewshed_lab._jobs import engine_named
     from viewshed_lab.studies.agents.jobs import run_study
-    from viewshed_lab.studies.agents.page import page_of
+    from viewshed_lab.studies.agents.page import files_of
     from viewshed_lab.studies.agents.plan import STEPS, AgentsPlan
-    from viewshed_lab.studies.store import ResultStore
 
-    steps, folder = _steps(only, STEPS), _folder(out, "agents")
-    store, runner = ResultStore.open(folder, AgentsPlan.load(preset)), engine_named(engine, workers)
-    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
-    if "page" in steps:
-        _show(page or folder, {"agents.md": page_of(store).encode()})
-    _require_all_done(failed)
+    steps = _steps(only, STEPS)
+    work = partial(run_study, engine=engine_named(engine, workers), steps=steps)
+    _run(AgentsPlan.load(preset), _folder(out, "agents"), page, work, files_of if "page" in steps else None)
 
 
 @study_app.command()
@@ -259,18 +257,17 @@ def tracks(
     Example: viewshed study tracks --preset tiny --out study
     """
     from viewshed_lab._jobs import engine_named
-    from viewshed_lab.studies.store import ResultStore
     from viewshed_lab.studies.tracks.jobs import run_study, save_models
-    from viewshed_lab.studies.tracks.page import page_of
+    from viewshed_lab.studies.tracks.page import files_of
     from viewshed_lab.studies.tracks.plan import STEPS, TracksPlan
 
-    steps, folder = _steps(only, STEPS), _folder(out, "tracks")
-    store, runner = ResultStore.open(folder, TracksPlan.load(preset)), engine_named(engine, workers)
-    failed = _with_bars(lambda progress: run_study(store, runner, steps, progress))
-    if "page" in steps:
+    def pages(store: ResultStore[TracksPlan]) -> dict[str, bytes]:
         save_models(store)
-        _show(page or folder, {"tracks.md": page_of(store).encode()})
-    _require_all_done(failed)
+        return files_of(store)
+
+    steps = _steps(only, STEPS)
+    work = partial(run_study, engine=engine_named(engine, workers), steps=steps)
+    _run(TracksPlan.load(preset), _folder(out, "tracks"), page, work, pages if "page" in steps else None)
 
 
 @study_app.command()
@@ -298,10 +295,9 @@ def wild(
     """
     from viewshed.networks.runtime import load_runner
     from viewshed_lab._jobs import LocalEngine
-    from viewshed_lab.studies.store import ResultStore
     from viewshed_lab.studies.wild.jobs import run_study
     from viewshed_lab.studies.wild.openings import SetOpening
-    from viewshed_lab.studies.wild.page import page_of
+    from viewshed_lab.studies.wild.page import files_of
     from viewshed_lab.studies.wild.plan import WildPlan
 
     folder, plan = _folder(out, "wild"), WildPlan.load(preset)
@@ -313,13 +309,23 @@ def wild(
     if run and plan.opens_sealed and open_sealed:
         opening = SetOpening(open_sealed, plan.methods)
         opening.log(log)
-    store, engine = ResultStore.open(folder, plan), LocalEngine(workers)
-    failed = _with_bars(lambda progress: run_study(store, engine, progress, opening)) if run else []
-    _show(page or folder, page_of(store))
-    _require_all_done(failed)
+    work = partial(run_study, engine=LocalEngine(workers), opening=opening) if run else None
+    _run(plan, folder, page, work, files_of)
 
 
 study_app.command()(crossview)
+
+
+def _run(plan: Plan, folder: Path, page: Path | None, work: _Work | None, files_of: _Files | None) -> None:
+    """Do what is not done of a plan (None: nothing), write its pages (None: none), and refuse if a job failed."""
+    from viewshed_lab.studies.store import ResultStore
+
+    _require_results(folder, run=work is not None)
+    store = ResultStore.open(folder, plan)
+    failed = _with_bars(lambda progress: work(store, on_progress=progress)) if work else []
+    if files_of is not None:
+        _show(page or folder, files_of(store))
+    _require_all_done(failed)
 
 
 def _folder(out: Path | None, name: str) -> Path:
@@ -335,9 +341,9 @@ def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _require_results(folder: Path, *, run: bool) -> None:
-    from viewshed_lab.studies.store import FILE
+    from viewshed_lab.studies.store import PLAN
 
-    if not run and not (folder / FILE).exists():
+    if not run and not (folder / PLAN).exists():
         raise ValueError(f"{folder} must hold results, got none; run without --no-run")
 
 

@@ -13,13 +13,13 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
 from viewshed.metrics import ConfusionCounts
 from viewshed.sweep import Sweep, bare_points, unorganized, unorganized_no_sensor
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.data import Archive
 from viewshed_lab.data.sample import Sample
 from viewshed_lab.studies.formatting import by_name, format_number, lines, pivot
-from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Record, Results, Series
+from viewshed_lab.studies.pages import Table, fill_template
+from viewshed_lab.studies.records import SEVERAL, VIEW, Case, Domain, Results, Row, Series, row_of
 from viewshed_lab.studies.samples import CLEAR, SENSOR, parts_of
-from viewshed_lab.studies.templates import fill_template
 
 DEFINITION = Case("definition")
 """The case in which no estimator but another definition of visible is held against ours."""
@@ -29,23 +29,16 @@ Form = Callable[[Sweep], Sweep]
 
 @dataclass(frozen=True, slots=True)
 class TruthEvaluation:
-    """Who is compared, and how.
+    """Who is compared, and how."""
 
-    Attributes:
-        estimators: by name, what makes one for a grid.
-        target: what would have to be seen.
-        forms: by name, in which form the estimators are given the sweep.
-        bands: edges of the range bands, as shares of half the grid's side.
-        threshold: probability from which an estimate calls a cell visible.
-    """
-
-    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]
-    target: Target
-    forms: Mapping[str, Form]
+    estimators: Mapping[str, Callable[[BevGrid], FovEstimator]]  # by name, what makes one for a grid
+    target: Target  # what would have to be seen
+    forms: Mapping[str, Form]  # by name, in which form the estimators are given the sweep
+    # edges of the range bands, as shares of half the grid's side
     bands: tuple[float, ...] = (0.0, 0.125, 0.25, 0.5, 0.75, 1.0, 1.415)
-    threshold: float = THRESHOLD
+    threshold: float = THRESHOLD  # probability from which an estimate calls a cell visible
 
-    def records(self, samples: Iterable[Sample]) -> Iterator[Record]:
+    def rows(self, samples: Iterable[Sample]) -> Iterator[Row]:
         """Yield the counts of every estimator on each sample in each form; one that cannot use a sweep claims nothing.
 
         Args:
@@ -62,18 +55,18 @@ class TruthEvaluation:
                     claimed = made[key].estimate(sweep).visible(self.threshold)
                     yield from self._compare(sample, name, form_case(form), claimed)
 
-    def definitions(self, samples: Iterable[Sample]) -> Iterator[Record]:
+    def definitions(self, samples: Iterable[Sample]) -> Iterator[Row]:
         """Yield the counts of the other definitions of visible against ``probe``, ours."""
         for sample in samples:
             for name in OTHER_DEFINITIONS:
                 if name in sample.truth.definitions:
                     yield from self._compare(sample, name, DEFINITION, sample.truth.definitions[name])
 
-    def _compare(self, sample: Sample, method: str, case: Case, claimed: Mask) -> Iterator[Record]:
+    def _compare(self, sample: Sample, method: str, case: Case, claimed: Mask) -> Iterator[Row]:
         true = sample.truth.visible(self.target)
         for region, mask in self.regions(sample).items():
             counts = ConfusionCounts.of(claimed, true, mask, sample.truth.grid.cell_area_m2)
-            yield Record(Series("", method, case, region), sample.scene, SEVERAL, counts)
+            yield row_of(Series("", method, case, region), sample.scene, SEVERAL, counts)
 
     def regions(self, sample: Sample) -> dict[str, Mask]:
         """Return the known cells by region: all of them, and the parts of the view."""
@@ -102,28 +95,22 @@ FORMS: dict[str, Form] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchiveResults:
-    """What was found on one data set.
+    """What was found on one data set."""
 
-    Attributes:
-        name: of its preset.
-        about: its seed, and how many samples were looked at.
-        found: on them; the domain of these records has no name.
-    """
-
-    name: str
-    about: str
-    found: Domain[TruthEvaluation]
+    name: str  # of its preset
+    about: str  # its seed, and how many samples were looked at
+    found: Domain[TruthEvaluation]  # on them; the domain of these rows has no name
 
     @classmethod
     def of(cls, data: Archive, evaluation: TruthEvaluation, limit: int, on_step: Callable[[str], None]) -> Self:
         """Return the results of at most ``limit`` samples, spread evenly over a data set."""
         count, recipe = min(limit, len(data)), data.manifest.recipe
         on_step(f"{recipe.get('preset')}: {count} samples")
-        results: Results[TruthEvaluation] = Results(evaluation)
-        results.add(evaluation.records(data[k * len(data) // count] for k in range(count)))
-        results.add(evaluation.definitions(data[k * len(data) // count] for k in range(count)))
+        samples = [k * len(data) // count for k in range(count)]
+        rows = [*evaluation.rows(data[k] for k in samples), *evaluation.definitions(data[k] for k in samples)]
         spread = f"{count} of {len(data)} samples, spread evenly over {len(data.scenes)} scenes."
-        return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", Domain(results, ""))
+        found = Domain(Results.of(evaluation, rows), "")
+        return cls(str(recipe.get("preset")), f"Seed {recipe.get('seed')}; {spread}", found)
 
     def methods(self, case: Case) -> dict[str, str]:
         """Return who was tried in a case."""
@@ -182,11 +169,6 @@ def page_of(
     results = [ArchiveResults.of(data, evaluation, limit, on_step) for data in archives]
     first, *_ = evaluation.forms
     forms = {f"{form[0].upper()}{form[1:]}": form_case(form) for form in evaluation.forms}
-    title, blocks = fill_template("against_truth.md", {"archives": results, "forms": list(forms), "first": first}, {
-        "summary": lambda data, form: data.summary(forms[form]),
-        "by_range": lambda data: data.by_range(form_case(first)),
-        "by_sensor": lambda data: data.by_sensor(form_case(first)),
-        "definitions": lambda data: data.summary(DEFINITION),
-        "definitions_by_range": lambda data: data.by_range(DEFINITION),
-    })  # fmt: skip
-    return to_markdown(title, facts(target=evaluation.target.name, split=split), blocks)
+    page = fill_template("against_truth.md", archives=results, forms=forms, first=first, clean=form_case(first),
+                         definition=DEFINITION)  # fmt: skip
+    return page.markdown(facts(target=evaluation.target.name, split=split))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from viewshed.metrics import ConfusionCounts, Scores, average_precision
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_lab.studies.cases import apply, visible_with
-from viewshed_lab.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Record, Series
+from viewshed_lab.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Row, Series, row_of
 from viewshed_lab.studies.samples import StudySample
 from viewshed_lab.studies.suite import LABEL, EstimatorSuite
 from viewshed_lab.threats.attacks import ATTACKS, Knowledge
@@ -35,19 +36,12 @@ AIMED_AS = Case("attack", "far_wall", "0")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What estimates of a sample are held against.
+    """What estimates of a sample are held against."""
 
-    Attributes:
-        grid: of the masks.
-        visible: (cells, cells) bool, truth.
-        known: (cells, cells) bool, the cells that count.
-        pose: of the clean sweep's ``level`` frame in the map, or None.
-    """
-
-    grid: BevGrid
-    visible: Mask
-    known: Mask
-    pose: Rigid | None = None
+    grid: BevGrid  # of the masks
+    visible: Mask  # (cells, cells) bool, truth
+    known: Mask  # (cells, cells) bool, the cells that count
+    pose: Rigid | None = None  # of the clean sweep's ``level`` frame in the map, or None
 
     @classmethod
     def of(cls, sample: StudySample, visible: Mask, known: Mask, grid: BevGrid) -> Reference:
@@ -103,32 +97,21 @@ def _moved(one: Rigid, other: Rigid) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """One sample, who is tried on it, and against what.
+    """One sample, who is tried on it, and against what."""
 
-    Attributes:
-        sample: the sweep and what was measured before.
-        suite: the estimators.
-        reference: the truth.
-        domain: of the sample.
-        number: of the sample in its domain.
-        rng_of: generator of a case on this sample, as it begins.
-        protocol: ``STRICT`` or ``PAPER``.
-        defenses: by name.
-    """
-
-    sample: StudySample
-    suite: EstimatorSuite
-    reference: Reference
-    domain: str
-    number: int
-    rng_of: Callable[[Case], np.random.Generator]
-    protocol: str = STRICT
-    defenses: Mapping[str, Defense] = field(default_factory=dict)
+    sample: StudySample  # the sweep and what was measured before
+    suite: EstimatorSuite  # the estimators
+    reference: Reference  # the truth
+    domain: str  # of the sample
+    number: int  # of the sample in its domain
+    rng_of: Callable[[Case], np.random.Generator]  # generator of a case on this sample, as it begins
+    protocol: str = STRICT  # ``STRICT`` or ``PAPER``
+    defenses: Mapping[str, Defense] = field(default_factory=dict)  # by name
     _tampered: dict[Case, Tampered] = field(init=False, repr=False, default_factory=dict)
     _references: dict[tuple[str, str], Reference] = field(init=False, repr=False, default_factory=dict)
 
-    def records(self, cases: Iterable[Case], *, untouched: bool = False) -> Iterator[Record]:
-        """Yield the records of every estimator in each case, or why the case cannot be made.
+    def rows(self, cases: Iterable[Case], *, untouched: bool = False) -> Iterator[Row]:
+        """Yield the rows of every estimator in each case, or why the case cannot be made.
 
         Args:
             cases: what is done to the sweep.
@@ -142,58 +125,55 @@ class Evaluation:
                 yield self.refusal(case, error)
                 continue
             if defended is not None:
-                yield self.record("", case, numbers=_judged(defended, tampered))
+                yield self.row("", case, **_judged(defended, tampered))
             sweep = tampered.sweep if defended is None else defended.sweep
             for name, estimate in self.suite.estimates(level(sweep, self.suite.grid)).items():
                 yield from self.compare(name, case, estimate, tampered.wedge)
                 if untouched and tampered.wedge is not None:
                     yield self._untouched(name, case, tampered.wedge)
 
-    def compare(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Record]:
+    def compare(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Row]:
         """Yield what an estimate is worth in the whole view, and in the attacker's wedge if there is one."""
         reference = self.reference_of(case)
         prob, threshold = reference.prob_of(estimate), self.suite.threshold
         area = average_precision(prob[reference.known], reference.visible[reference.known])
-        numbers = {} if np.isnan(area) else {"auprc": round(area, 6)}
-        yield self.record(method, case, VIEW, reference.counts(prob, threshold, reference.known), numbers)
+        numbers: dict[str, Any] = {} if np.isnan(area) else {"auprc": round(area, 6)}
+        yield self.row(method, case, VIEW, reference.counts(prob, threshold, reference.known), **numbers)
         if wedge is not None:
-            yield self.record(method, case, WEDGE, reference.counts(prob, threshold, reference.inside(wedge)))
+            yield self.row(method, case, WEDGE, reference.counts(prob, threshold, reference.inside(wedge)))
 
-    def score(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Record]:
+    def score(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Row]:
         """Yield the same with all cells by their probability and deviation."""
         reference, prob = self.reference, self.reference.prob_of(estimate)
         masks = {VIEW: reference.known} if wedge is None else {VIEW: reference.known, WEDGE: reference.inside(wedge)}
         for region, mask in masks.items():
             counts = reference.counts(prob, self.suite.threshold, mask)
-            yield replace(self.record(method, case, region, counts), scores=reference.scores(estimate, mask))
+            yield self.row(method, case, region, counts, reference.scores(estimate, mask))
 
-    def _untouched(self, method: str, case: Case, wedge: Wedge) -> Record:
+    def _untouched(self, method: str, case: Case, wedge: Wedge) -> Row:
         clean = self.suite.estimates(level(self.sample.sweep, self.suite.grid))[method]
         prob, inside = self.reference.prob_of(clean), self.reference.inside(wedge)
-        return self.record(method, case, UNTOUCHED, self.reference.counts(prob, self.suite.threshold, inside))
+        return self.row(method, case, UNTOUCHED, self.reference.counts(prob, self.suite.threshold, inside))
 
-    def record(
+    def row(
         self,
         method: str,
         case: Case,
         region: str = VIEW,
         counts: ConfusionCounts | None = None,
-        numbers: Mapping[str, float] | None = None,
-    ) -> Record:
-        """Return a record of this sample."""
+        scores: Scores | None = None,
+        **other: Any,
+    ) -> Row:
+        """Return a row of this sample; ``other`` as of :func:`row_of`."""
         series = Series(self.domain, method, case, region, self.protocol)
-        return Record(series, self.sample.sample.scene, self.number, counts, numbers=numbers or {})
+        return row_of(series, self.sample.sample.scene, self.number, counts, scores, **other)
 
-    def refusal(self, case: Case, error: ValueError) -> Record:
-        """Return the record of a case that cannot be made."""
-        return replace(self.record("", case), refused=" ".join(str(error).split()))
+    def refusal(self, case: Case, error: ValueError) -> Row:
+        """Return the row of a case that cannot be made."""
+        return self.row("", case, refused=" ".join(str(error).split()))
 
     def tampered(self, case: Case) -> Tampered:
-        """Return the sweep as a case leaves it, without its defense; the last one is kept for the next defense.
-
-        Raises:
-            ValueError: the case cannot be made of this sample.
-        """
+        """Return the sweep as a case leaves it, without its defense; the last one is kept for the next defense."""
         bare = replace(case, defense="")
         if bare not in self._tampered:
             self._tampered.clear()
@@ -215,25 +195,20 @@ def defense_of(name: str, sample: StudySample) -> Defense:
     return replace(defense, earlier=sample.earlier[-1:]) if isinstance(defense, TemporalConsistency) else defense
 
 
-def _judged(defended: Defended, tampered: Tampered) -> dict[str, float]:
+def _judged(defended: Defended, tampered: Tampered) -> dict[str, Any]:
     """Return how many of the attacker's and of the other returns a defense drops, and whether it alarms."""
     added, dropped = tampered.added, defended.dropped
-    numbers: dict[str, float] = {"caught": int((dropped & added).sum()), "added": int(added.sum()),
+    numbers: dict[str, Any] = {"caught": int((dropped & added).sum()), "added": int(added.sum()),
                "lost": int((dropped & ~added).sum()), "others": int((~added).sum())}  # fmt: skip
     return numbers if defended.alarm is None else numbers | {"alarm": int(defended.alarm)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DefendedEstimator:
-    """An estimator that reads only what a defense leaves.
+    """An estimator that reads only what a defense leaves."""
 
-    Attributes:
-        defense: that every sweep goes through first.
-        estimator: that reads the rest.
-    """
-
-    defense: Defense
-    estimator: FovEstimator
+    defense: Defense  # that every sweep goes through first
+    estimator: FovEstimator  # that reads the rest
 
     @property
     def grid(self) -> BevGrid:
@@ -247,32 +222,26 @@ class DefendedEstimator:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveEvaluation:
-    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept.
+    """One sample on which attackers who query meet their victims. What was found against a bare victim is kept."""
 
-    Attributes:
-        evaluation: the sample, the victims, the truth and the defenses.
-        queries: that an attacker makes.
-        defended: victims that stand behind the defenses.
-    """
-
-    evaluation: Evaluation
-    queries: int
-    defended: Sequence[str]
+    evaluation: Evaluation  # the sample, the victims, the truth and the defenses
+    queries: int  # that an attacker makes
+    defended: Sequence[str]  # victims that stand behind the defenses
     _attacked: dict[tuple[str, str], Sweep] = field(init=False, repr=False, default_factory=dict)
 
-    def records(self, cases: Iterable[Case]) -> Iterator[Record]:
-        """Yield the records of every victim under the attack that was made against it, case by case."""
+    def rows(self, cases: Iterable[Case]) -> Iterator[Row]:
+        """Yield the rows of every victim under the attack that was made against it, case by case."""
         suite, defenses = self.evaluation.suite, self.evaluation.defenses
         for case in cases:
             try:
-                records: list[Record] = []
+                rows: list[Row] = []
                 for victim in self.defended if case.defense else suite.estimators:
                     sweep = self._sweep(case, victim)
                     if case.defense:
                         sweep = defenses[case.defense].apply(sweep).sweep
                     estimate = suite.only(victim).estimates(level(sweep, suite.grid))[victim]
-                    records += self.evaluation.compare(victim, case, estimate, self.wedge)
-                yield from records
+                    rows += self.evaluation.compare(victim, case, estimate, self.wedge)
+                yield from rows
             except ValueError as error:
                 yield self.evaluation.refusal(case, error)
 

@@ -50,17 +50,11 @@ _MAP_INCHES = 1.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Map:
-    """One picture from above.
+    """One picture from above."""
 
-    Attributes:
-        title: of the picture.
-        kind: what the values are, which decides their colors.
-        values: (cells, cells), forward with the first index, left with the second.
-    """
-
-    title: str
-    kind: Kind
-    values: NDArray[Any]
+    title: str  # of the picture
+    kind: Kind  # what the values are, which decides their colors
+    values: NDArray[Any]  # (cells, cells), forward with the first index, left with the second
 
 
 def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
@@ -151,27 +145,16 @@ Curves = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureRow:
-    """One row of pictures: an attacked sweep over the truth, then what estimators make of it.
+    """One row of pictures: an attacked sweep over the truth, then what estimators make of it."""
 
-    Attributes:
-        title: of the row.
-        grid: of the masks.
-        truth: (cells, cells) bool.
-        known: (cells, cells) bool, where there is truth.
-        points: (N, 2) x and y of the returns in meters.
-        added: (N,) bool, the attacker's.
-        wedge: azimuth and width in radians, or None.
-        claims: by estimator, (cells, cells) bool.
-    """
-
-    title: str
-    grid: BevGrid
-    truth: Mask
-    known: Mask
-    points: NDArray[np.float32]
-    added: Mask
-    wedge: tuple[float, float] | None
-    claims: Mapping[str, Mask]
+    title: str  # of the row
+    grid: BevGrid  # of the masks
+    truth: Mask  # (cells, cells) bool
+    known: Mask  # (cells, cells) bool, where there is truth
+    points: NDArray[np.float32]  # (N, 2) x and y of the returns in meters
+    added: Mask  # (N,) bool, the attacker's
+    wedge: tuple[float, float] | None  # azimuth and width in radians, or None
+    claims: Mapping[str, Mask]  # by estimator, (cells, cells) bool
 
 
 def violins_of(domain: Domain[Any], methods: Mapping[str, str], attacked: Sequence[Case]) -> dict[str, Violins]:
@@ -187,7 +170,7 @@ def violins_of(domain: Domain[Any], methods: Mapping[str, str], attacked: Sequen
         return domain.results.each(domain.series(method, case), precision)
 
     def areas(method: str, case: Case) -> F64:
-        return domain.results.numbers(domain.series(method, case), "auprc")
+        return np.asarray(domain.results.numbers(domain.series(method, case), "auprc"))
 
     return {
         f"{domain.name}: {word}": {

@@ -7,7 +7,7 @@ from math import isnan
 from typing import Any, TypeVar
 
 from viewshed.metrics import Scores
-from viewshed_lab._page import Table
+from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.records import Results
 
 R = TypeVar("R")

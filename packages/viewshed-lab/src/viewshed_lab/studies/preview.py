@@ -60,21 +60,13 @@ class PreviewRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """What is drawn over the view from above, in its pixels (across, down).
+    """What is drawn over the view from above, in its pixels (across, down)."""
 
-    Attributes:
-        arrows: (n, 4) start and end of things that move: where they will be in two seconds.
-        agents: (m, 2) the other agents.
-        sensor: this agent's.
-        scale_m: length of the scale bar.
-        scale_pixels: the same in pixels.
-    """
-
-    arrows: NDArray[np.float64]
-    agents: NDArray[np.float64]
-    sensor: tuple[float, float]
-    scale_m: float
-    scale_pixels: float
+    arrows: NDArray[np.float64]  # (n, 4) start and end of things that move: where they will be in two seconds
+    agents: NDArray[np.float64]  # (m, 2) the other agents
+    sensor: tuple[float, float]  # this agent's
+    scale_m: float  # length of the scale bar
+    scale_pixels: float  # the same in pixels
 
 
 def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: BevGrid) -> Image:
@@ -270,34 +262,21 @@ _ABOVE_ROBOT_M = np.array([[-5.0, 0.0, 6.5]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewSample:
-    """One sample and what it was made from.
+    """One sample and what it was made from."""
 
-    Attributes:
-        world: the world it was made in.
-        agent: index of the agent that measured it.
-        t_s: time in the world.
-        sweep: what the sensor measured.
-        truth: what it could have seen.
-        known: (cells, cells) where that is known.
-        title: what it is, for the reader.
-    """
-
-    world: World
-    agent: int
-    t_s: float
-    sweep: Sweep
-    truth: Truth
-    known: NDArray[np.bool_]
-    title: str
+    world: World  # the world it was made in
+    agent: int  # index of the agent that measured it
+    t_s: float  # time in the world
+    sweep: Sweep  # what the sensor measured
+    truth: Truth  # what it could have seen
+    known: NDArray[np.bool_]  # (cells, cells) where that is known
+    title: str  # what it is, for the reader
 
 
 def preview_png(preset: str, seed: int) -> bytes:
     """Return a PNG that shows one sample of each kind of world that a preset has, with its truth.
 
     Moving agents and those on masts take turns where a preset has both.
-
-    Raises:
-        ValueError: there is no such preset, or the seed is out of range.
     """
     composed = replace(preset_named(preset), seed=seed)
     rows = [row_of(preview_sample(scene, agent)) for scene, agent in _choice(composed)]

@@ -1,13 +1,15 @@
-"""What a study counts: one record for each sweep, method, case and region, and all of them pooled."""
+"""What a study counts: one row for each sweep, method, case and region, and all of them together as a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import astuple, dataclass, field, replace
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from viewshed.arrays import F64
 from viewshed.metrics import ConfusionCounts, Scores
@@ -20,24 +22,22 @@ STRICT, PAPER = "strict", "paper"
 """Protocols: exact truth on our grids; the paper's label on its own."""
 
 SEVERAL = -1
-"""Number of the sweep in a record of several sweeps together."""
+"""Number of the sweep in a row of several sweeps together."""
+
+P = TypeVar("P")
+
+Row = dict[str, Any]
+"""Whose it is and what was counted, see :func:`row_of`."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Case:
-    """What is done to a sweep before it is estimated.
+    """What is done to a sweep before it is estimated."""
 
-    Attributes:
-        kind: of ``cases.KINDS``.
-        name: of the attack or corruption.
-        level: budget, severity or ``attribute value``.
-        defense: that the result goes through; empty for none.
-    """
-
-    kind: str
-    name: str = ""
-    level: str = ""
-    defense: str = ""
+    kind: str  # of ``cases.KINDS``
+    name: str = ""  # of the attack or corruption
+    level: str = ""  # budget, severity or ``attribute value``
+    defense: str = ""  # that the result goes through; empty for none
 
 
 BENIGN = Case("benign")
@@ -45,21 +45,13 @@ BENIGN = Case("benign")
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """What records have in common that are pooled.
+    """What rows have in common that are pooled."""
 
-    Attributes:
-        domain: where the sweeps are from.
-        method: an estimator by name; empty where the case alone decides.
-        case: what was done to the sweeps.
-        region: of the grid.
-        protocol: ``STRICT`` or ``PAPER``.
-    """
-
-    domain: str
-    method: str
-    case: Case = BENIGN
-    region: str = VIEW
-    protocol: str = STRICT
+    domain: str  # where the sweeps are from
+    method: str  # an estimator by name; empty where the case alone decides
+    case: Case = BENIGN  # what was done to the sweeps
+    region: str = VIEW  # of the grid
+    protocol: str = STRICT  # ``STRICT`` or ``PAPER``
 
     def of(self, region: str) -> Series:
         """Return the same of another region."""
@@ -70,230 +62,165 @@ class Series:
         return replace(self, case=case)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
-    """What was counted of one sweep, or of several together.
+_KEYS = ["domain", "method", "kind", "name", "level", "defense", "region", "protocol"]
+_COUNTS = [one.name for one in fields(ConfusionCounts)]
+_COLUMNS = [*_KEYS, "scene", "sweep", "refused", *_COUNTS, "scores"]
 
-    Attributes:
+
+def row_of(
+    series: Series,
+    scene: str,
+    sweep: int,
+    counts: ConfusionCounts | None = None,
+    scores: Scores | None = None,
+    refused: str = "",
+    **numbers: float,
+) -> Row:
+    """Return the row of one sweep, or of several together.
+
+    Args:
         series: what it is of.
         scene: of the sweep.
         sweep: its number in the domain, or ``SEVERAL``.
-        counts: agreement with the truth at the threshold of the study, or None.
-        scores: cells by probability, or None.
-        numbers: other figures by name: ``auprc``, or what a defense dropped.
+        counts: agreement with the truth at the threshold of the study.
+        scores: cells by probability.
         refused: why the case could not be made of this sweep; then there is nothing else.
+        numbers: other figures by name: ``auprc``, or what a defense dropped.
     """
-
-    series: Series
-    scene: str
-    sweep: int
-    counts: ConfusionCounts | None = None
-    scores: Scores | None = None
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    refused: str = ""
+    keys = (series.domain, series.method, *astuple(series.case), series.region, series.protocol)
+    row = dict(zip(_KEYS, keys, strict=True)) | {"scene": scene, "sweep": sweep, "refused": refused} | numbers
+    return row | ({} if counts is None else asdict(counts)) | ({} if scores is None else {"scores": scores})
 
 
-_COLUMNS = ("domain", "scene", "sweep", "method", "kind", "name", "level", "defense", "region", "protocol", "counts",
-            "scores", "numbers", "refused")  # fmt: skip
-
-
-def to_table(records: Iterable[Record]) -> dict[str, Any]:
-    """Return records as a table of plain values: columns that are the same in all rows once, the others by row."""
-    rows = [_row(record) for record in records]
-    same = {
-        name: rows[0][k] for k, name in enumerate(_COLUMNS) if rows and all(row[k] == rows[0][k] for row in rows)
-    }  # fmt: skip
-    varying = [k for k, name in enumerate(_COLUMNS) if name not in same]
-    columns = [_COLUMNS[k] for k in varying]
-    return {"same": same, "columns": columns, "rows": [[row[k] for k in varying] for row in rows]}
-
-
-def _row(record: Record) -> list[Any]:
-    of, case = record.series, record.series.case
-    counts = None if record.counts is None else list(astuple(record.counts))
-    scores = None if record.scores is None else record.scores.to_json()
-    return [of.domain, record.scene, record.sweep, of.method, case.kind, case.name, case.level, case.defense,
-            of.region, of.protocol, counts, scores, dict(record.numbers), record.refused]  # fmt: skip
-
-
-def from_table(table: Mapping[str, Any]) -> Iterator[Record]:
-    """Yield the records that :func:`to_table` returned.
-
-    Raises:
-        ValueError, TypeError, KeyError: the table is damaged.
-    """
-    for values in table["rows"]:
-        row = table["same"] | dict(zip(table["columns"], values, strict=True))
-        domain, scene, sweep, method, kind, name, level, defense, region, protocol, counts, scores, numbers, refused = (
-            row[column] for column in _COLUMNS
-        )
-        series = Series(domain, method, Case(kind, name, level, defense), region, protocol)
-        yield Record(
-            series, scene, int(sweep), None if counts is None else ConfusionCounts(*counts),
-            None if scores is None else Scores.from_json(scores), dict(numbers), refused,
-        )  # fmt: skip
-
-
-def pool(records: Iterable[Record]) -> list[Record]:
-    """Return one record for each series, of all its sweeps together; other figures than counts are left out."""
-    pooled: dict[Series, Record] = {}
-    for record in records:
-        before = pooled.get(record.series, Record(record.series, "", SEVERAL))
-        pooled[record.series] = replace(
-            before, counts=_sum(before.counts, record.counts), scores=_sum(before.scores, record.scores),
-            refused=record.refused,
-        )  # fmt: skip
+def pool(rows: Iterable[Row]) -> list[Row]:
+    """Return one row for each series, of all its sweeps together; other figures than counts are left out."""
+    pooled: dict[tuple[str, ...], Row] = {}
+    for row in rows:
+        keys = {name: row[name] for name in _KEYS}
+        both = pooled.setdefault(tuple(keys.values()), keys | {"scene": "", "sweep": SEVERAL, "refused": ""})
+        both |= {name: both[name] + row[name] if name in both else row[name]
+                 for name in (*_COUNTS, "scores") if name in row}  # fmt: skip
     return list(pooled.values())
 
 
-N = TypeVar("N", ConfusionCounts, Scores)
+def _series(keys: tuple[str, ...]) -> Series:
+    domain, method, *case, region, protocol = keys
+    return Series(domain, method, Case(*case), region, protocol)
 
 
-def _sum(one: N | None, other: N | None) -> N | None:
-    return other if one is None else one if other is None else one + other
-
-
-@dataclass(slots=True, eq=False)
-class _Rows:
-    """The records of one series, column by column."""
-
-    sweeps: list[int] = field(default_factory=list)
-    scenes: list[str] = field(default_factory=list)
-    counts: list[ConfusionCounts] = field(default_factory=list)
-    numbers: list[Mapping[str, float]] = field(default_factory=list)
-    scores: Scores | None = None
-
-    def add(self, record: Record) -> None:
-        self.scores = _sum(self.scores, record.scores)
-        if record.counts is not None or record.numbers:
-            self.sweeps.append(record.sweep)
-            self.scenes.append(record.scene)
-            self.numbers.append(record.numbers)
-        if record.counts is not None:
-            self.counts.append(record.counts)
-
-    def cells(self) -> F64:
-        """Return the cells (S, 4) of each sweep: both, over, under, neither."""
-        return np.array([[c.both, c.over, c.under, c.neither] for c in self.counts], np.float64).reshape(-1, 4)
-
-
-P = TypeVar("P")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Results(Generic[P]):
-    """All that a study has found so far.
+    """All that a study has found so far."""
 
-    Attributes:
-        plan: of the study.
-        facts: of each finished job by its key: what is no record.
-        refused: domain, case, and why it could not be made, with how many sweeps that was.
-        commits: of the code that did the jobs, as far as they are known.
-    """
+    plan: P  # of the study
+    rows: pd.DataFrame  # what its jobs counted, one row as of :func:`row_of` each
+    # of each finished job by its key: what is no row
+    facts: Mapping[tuple[str, ...], dict[str, Any]] = field(default_factory=dict)
+    commits: Iterable[str] = ()  # of the code that did the jobs, as far as they are known
 
-    plan: P
-    facts: dict[tuple[str, ...], dict[str, Any]] = field(default_factory=dict)
-    refused: dict[tuple[str, Case, str], int] = field(default_factory=dict)
-    commits: set[str] = field(default_factory=set)
-    _rows: dict[Series, _Rows] = field(default_factory=dict)
+    @classmethod
+    def of(
+        cls,
+        plan: P,
+        rows: Iterable[Row] | pd.DataFrame,
+        facts: Mapping[tuple[str, ...], dict[str, Any]] | None = None,
+        commits: Iterable[str] = (),
+    ) -> Self:
+        """Return the results of a plan from rows; their order changes no figure."""
+        frame = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows))
+        frame = frame.reindex(columns=[*_COLUMNS, *(name for name in frame.columns if name not in _COLUMNS)])
+        return cls(plan, frame.reset_index(drop=True), facts or {}, commits)
 
-    def add(self, records: Iterable[Record]) -> None:
-        """Take records; their order changes no figure."""
-        for record in records:
-            if record.refused:
-                reason = (record.series.domain, record.series.case, record.refused)
-                self.refused[reason] = self.refused.get(reason, 0) + 1
-            else:
-                self._rows.setdefault(record.series, _Rows()).add(record)
+    @cached_property
+    def refused(self) -> dict[tuple[str, Case, str], int]:
+        """Domain, case, and why it could not be made, with how many sweeps that was."""
+        refused = self.rows[self.rows["refused"] != ""]
+        reasons = refused[["domain", "kind", "name", "level", "defense", "refused"]].itertuples(index=False, name=None)
+        return dict(Counter((domain, Case(*case), why) for domain, *case, why in reasons))
+
+    @cached_property
+    def _groups(self) -> dict[Series, pd.DataFrame]:
+        """The rows of each series in the order of the sweeps."""
+        groups = self.rows[self.rows["refused"] == ""].groupby(_KEYS, sort=False)
+        return {_series(keys): group.sort_values("sweep", kind="stable") for keys, group in groups}
+
+    @cached_property
+    def _counts(self) -> dict[Series, ConfusionCounts]:
+        pooled = self.rows.dropna(subset="both").groupby(_KEYS, sort=False)[_COUNTS].sum()
+        every = zip(pooled.index, pooled.itertuples(index=False, name=None), strict=True)
+        return {_series(keys): _counts_of(n) for keys, n in every}
 
     def __contains__(self, series: Series) -> bool:
-        return series in self._rows
+        return series in self._groups
 
     def series(self, domain: str = "", protocol: str = "") -> list[Series]:
-        """Return of what there are records, of a domain and a protocol if they are given."""
-        return [s for s in self._rows if domain in ("", s.domain) and protocol in ("", s.protocol)]
-
-    def methods(self, domain: str, protocol: str = STRICT) -> list[str]:
-        """Return the methods that there are records of, in the order in which they came."""
-        return list(dict.fromkeys(s.method for s in self.series(domain, protocol) if s.method))
-
-    def cases(self, domain: str, protocol: str = STRICT) -> list[Case]:
-        """Return the cases that there are records of, in the order in which they came."""
-        return list(dict.fromkeys(s.case for s in self.series(domain, protocol)))
+        """Return of what there are rows, of a domain and a protocol if they are given."""
+        return [s for s in self._groups if domain in ("", s.domain) and protocol in ("", s.protocol)]
 
     def sweeps(self, domain: str, protocol: str = STRICT) -> int:
-        """Return how many sweeps of a domain there are records of."""
-        return max((len(self._rows[s].counts) for s in self.series(domain, protocol)), default=0)
+        """Return how many sweeps of a domain there are counts of."""
+        return max((len(self._counted(s)) for s in self.series(domain, protocol)), default=0)
 
     def scenes(self, series: Series) -> set[str]:
-        """Return the scenes of the sweeps that there are records of."""
-        return set(self._rows[series].scenes) if series in self._rows else set()
+        """Return the scenes of the sweeps that there are counts of."""
+        return set(self._counted(series)["scene"])
 
     def met(self, domain: str, kind: str) -> Results[P]:
-        """Return the records of only those sweeps of a domain that met a kind of case, to compare like with like."""
-        of_kind = [s for s in self.series(domain) if s.case.kind == kind]
-        numbers = {number for s in of_kind for number in self._rows[s].sweeps}
-        found = Results(self.plan)
-        for series in self.series(domain):
-            rows = self._rows[series]
-            kept = [k for k, number in enumerate(rows.sweeps) if number in numbers]
-            if kept and len(rows.counts) == len(rows.sweeps):
-                found._rows[series] = _Rows(
-                    [rows.sweeps[k] for k in kept], [rows.scenes[k] for k in kept],
-                    [rows.counts[k] for k in kept], [rows.numbers[k] for k in kept],
-                )  # fmt: skip
-        return found
+        """Return the counts of only those sweeps of a domain that met a kind of case, to compare like with like."""
+        here = self.rows[(self.rows["domain"] == domain) & (self.rows["refused"] == "")]
+        same = here["sweep"].isin(here["sweep"][here["kind"] == kind])
+        return Results.of(self.plan, here[same & here["both"].notna()])
 
     def counts(self, series: Series) -> ConfusionCounts:
         """Return the cells of all sweeps together; of none where there are none."""
-        rows = self._rows.get(series)
-        if rows is None or not rows.counts:
-            return ConfusionCounts()
-        return sum(rows.counts[1:], rows.counts[0])
+        return self._counts.get(series, ConfusionCounts())
 
     def scores(self, series: Iterable[Series]) -> Scores:
         """Return the cells of several series together by probability."""
-        found = (self._rows[s].scores for s in series if s in self._rows)
-        return sum((scores for scores in found if scores is not None), Scores())
+        every = (self._groups[s]["scores"].dropna() for s in series if s in self._groups)
+        return sum((one for scores in every for one in scores), Scores())
 
-    def array(self, series: Series) -> F64:
-        """Return the cells (S, 4) of each sweep in the order of their numbers: both, over, under, neither."""
-        rows = self._rows.get(series, _Rows())
-        return rows.cells()[np.argsort(rows.sweeps[: len(rows.counts)], kind="stable")]
+    def _counted(self, series: Series) -> pd.DataFrame:
+        return self._groups.get(series, self.rows[:0]).dropna(subset="both")
 
     def each(self, series: Series, measure: Measure) -> F64:
-        """Return a measure of each sweep (S,), NaN where it has none."""
-        return measure(self.array(series))
+        """Return a measure of each sweep (S,) in the order of their numbers, NaN where it has none."""
+        return measure(cells_of(self._counted(series)))
 
-    def by_sweep(self, series: Series, name: str) -> dict[int, float]:
+    def numbers(self, series: Series, name: str) -> pd.Series[float]:
         """Return another figure of each sweep that has it, by the number of the sweep in ascending order."""
-        rows = self._rows.get(series, _Rows())
-        return dict(sorted((sweep, n[name]) for sweep, n in zip(rows.sweeps, rows.numbers, strict=True) if name in n))
-
-    def numbers(self, series: Series, name: str) -> F64:
-        """Return another figure of each sweep that has it (S,), in the order of their numbers."""
-        return np.array(list(self.by_sweep(series, name).values()), np.float64)
+        rows = self._groups.get(series, self.rows[:0])
+        found = rows.set_index("sweep")[name].dropna() if name in rows else pd.Series(dtype=np.float64)
+        return found.astype(np.float64)
 
     def interval(self, series: Iterable[Series], measure: Measure) -> tuple[float, float]:
         """Return the 95 % interval of the mean of a pooled measure over series, by a bootstrap over scenes."""
-        found = [self._rows[s] for s in series if s in self._rows]
-        cases = [(rows.cells(), rows.scenes) for rows in found if rows.counts]
-        return bootstrap(cases, measure) if cases else NO_INTERVAL
+        found = [rows for rows in map(self._counted, series) if len(rows)]
+        return bootstrap([(cells_of(rows), list(rows["scene"])) for rows in found], measure) if found else NO_INTERVAL
+
+
+def cells_of(rows: pd.DataFrame) -> F64:
+    """Return the cells (S, 4) of some rows: both, over, under, neither."""
+    return np.asarray(rows[_COUNTS[:4]], np.float64)
+
+
+def counts_of(rows: pd.DataFrame) -> ConfusionCounts:
+    """Return the cells of some rows together."""
+    return _counts_of(rows[_COUNTS].sum())
+
+
+def _counts_of(sums: Iterable[float]) -> ConfusionCounts:
+    both, over, under, neither, area_m2, samples = sums
+    return ConfusionCounts(int(both), int(over), int(under), int(neither), float(area_m2), int(samples))
 
 
 @dataclass(frozen=True, eq=False)
 class Domain(Generic[P]):
-    """What a study has found in one domain by one protocol, by method, case and region.
+    """What a study has found in one domain by one protocol, by method, case and region."""
 
-    Attributes:
-        results: of the study.
-        name: of the domain.
-        protocol: ``STRICT`` or ``PAPER``.
-    """
-
-    results: Results[P]
-    name: str
-    protocol: str = STRICT
+    results: Results[P]  # of the study
+    name: str  # of the domain
+    protocol: str = STRICT  # ``STRICT`` or ``PAPER``
 
     @property
     def plan(self) -> P:
@@ -302,16 +229,16 @@ class Domain(Generic[P]):
 
     @cached_property
     def methods(self) -> list[str]:
-        """Methods that there are records of, in the order in which they came."""
-        return self.results.methods(self.name, self.protocol)
+        """Methods that there are rows of, in the order in which they came."""
+        return list(dict.fromkeys(s.method for s in self.results.series(self.name, self.protocol) if s.method))
 
     @cached_property
     def cases(self) -> list[Case]:
-        """Cases that there are records of, in the order in which they came."""
-        return self.results.cases(self.name, self.protocol)
+        """Cases that there are rows of, in the order in which they came."""
+        return list(dict.fromkeys(s.case for s in self.results.series(self.name, self.protocol)))
 
     def series(self, method: str, case: Case = BENIGN, region: str = VIEW) -> Series:
-        """Return what records of this domain have in common."""
+        """Return what rows of this domain have in common."""
         return Series(self.name, method, case, region, self.protocol)
 
     def has(self, method: str, case: Case) -> bool:

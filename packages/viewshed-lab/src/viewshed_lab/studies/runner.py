@@ -28,19 +28,12 @@ def ignore_progress(_step: str, _done: int, _total: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Job(Generic[P]):
-    """One line of results that is to be found.
+    """One line of results that is to be found."""
 
-    Attributes:
-        plan: of the study.
-        folder: of the study.
-        key: its step, and what tells it from the others of that step.
-        device: ``cpu`` or ``cuda``.
-    """
-
-    plan: P
-    folder: Path
-    key: JobKey
-    device: str = "cpu"
+    plan: P  # of the study
+    folder: Path  # of the study
+    key: JobKey  # its step, and what tells it from the others of that step
+    device: str = "cpu"  # ``cpu`` or ``cuda``
 
 
 def lacking(needed: Set[JobKey], what: str) -> Callable[[JobKey, set[JobKey]], str]:
@@ -81,9 +74,6 @@ def run_jobs(
         step: name of all of them together.
         device: ``cpu`` or ``cuda``.
         missing: says what a job needs that is not done yet; such a job is left, and its line yielded.
-
-    Raises:
-        OSError: something cannot be written.
     """
     done = store.keys()
     pending = [key for key in keys if key not in done]

@@ -28,16 +28,12 @@ _LOOK_BACK = 256
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudySample:
-    """One sweep with exact truth, and what the same sensor measured before.
+    """One sweep with exact truth, and what the same sensor measured before."""
 
-    Attributes:
-        sample: the sweep, its truth and where that is known.
-        earlier: sweeps of the same sensor about ``BEFORE_S`` before, the oldest first; fewer where there are none.
-        frame: the scene and the number of the frame that was simulated, or None for a recorded sample.
-    """
-
-    sample: Sample
+    sample: Sample  # the sweep, its truth and where that is known
+    # sweeps of the same sensor about ``BEFORE_S`` before, the oldest first; fewer where there are none
     earlier: tuple[Sweep, ...] = ()
+    # the scene and the number of the frame that was simulated, or None for a recorded sample
     frame: tuple[ScenePlan, int] | None = None
 
     @property

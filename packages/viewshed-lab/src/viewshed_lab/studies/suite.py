@@ -46,17 +46,11 @@ Estimates = dict[str, FovEstimate]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatorSuite:
-    """Estimators on one grid.
+    """Estimators on one grid."""
 
-    Attributes:
-        grid: theirs.
-        threshold: probability from which a cell counts as claimed.
-        estimators: by name.
-    """
-
-    grid: BevGrid
-    threshold: float
-    estimators: Mapping[str, Estimator]
+    grid: BevGrid  # theirs
+    threshold: float  # probability from which a cell counts as claimed
+    estimators: Mapping[str, Estimator]  # by name
     _recent: dict[bytes, Estimates] = field(init=False, repr=False, default_factory=dict)
 
     def only(self, name: str) -> EstimatorSuite:

@@ -7,7 +7,7 @@ import numpy as np
 from viewshed.metrics import ConfusionCounts, Scores
 from viewshed_lab.studies.ablation.plan import AblationPlan
 from viewshed_lab.studies.ablation.results import SettingResults
-from viewshed_lab.studies.records import SEVERAL, VIEW, WEDGE, Case, Record, Results, Series
+from viewshed_lab.studies.records import SEVERAL, VIEW, WEDGE, Case, Results, Row, Series, row_of
 
 
 def scores(right: int, wrong: int) -> Scores:
@@ -30,14 +30,14 @@ def setting_results(
 ) -> SettingResults:
     """Return results of claims in the view and, the same if not given, in the wedge."""
     plan = AblationPlan.load("small")
-    results = Results(plan)
+    rows: list[Row] = []
     for method, cases in methods.items():
         for case, claims in cases.items():
             inside = (wedges or {}).get((method, case), claims)
             for region, (right, wrong) in ((VIEW, claims), (WEDGE, inside)):
                 counts = ConfusionCounts(right, wrong, 0, 0, (right + wrong) * 0.25, sweeps)
                 series = Series(setting, method, case, region)
-                results.add([Record(series, "", SEVERAL, counts, scores(right, wrong))])
+                rows.append(row_of(series, "", SEVERAL, counts, scores(right, wrong)))
     for (method, case, part), counts in (parts or {}).items():
-        results.add([Record(Series(setting, method, case, part), "", SEVERAL, counts)])
-    return SettingResults(results, setting)
+        rows.append(row_of(Series(setting, method, case, part), "", SEVERAL, counts))
+    return SettingResults(Results.of(plan, rows), setting)

@@ -1,12 +1,12 @@
 """The ablation's parts: who says what of which sweep, and its tiny plan from start to end."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.studies.by_hand import stored
 
 from viewshed.estimators.classical import ClassicalEstimator
 from viewshed.estimators.first_blocker import FirstBlocker
@@ -16,6 +16,7 @@ from viewshed.metrics import Scores
 from viewshed.networks.weights import manifest
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.studies.ablation.evaluate import (
     ATTACKS,
     BANDS,
@@ -26,7 +27,7 @@ from viewshed_lab.studies.ablation.evaluate import (
     evaluation_of,
 )
 from viewshed_lab.studies.ablation.jobs import run_study
-from viewshed_lab.studies.ablation.page import page_of
+from viewshed_lab.studies.ablation.page import files_of
 from viewshed_lab.studies.ablation.plan import STEPS, WHOLE, AblationPlan
 from viewshed_lab.studies.ablation.results import OURS, SettingResults, sure_from
 from viewshed_lab.studies.cases import BARE, DEFAULT
@@ -70,8 +71,7 @@ def test_every_case_is_shown_and_only_bare_clouds_lose_their_rings(sample: Study
 def test_who_says_the_truth_has_all_of_it_and_wedges_are_parts_of_views(sample: StudySample) -> None:
     visible, known = sample.truth.visible(), sample.known
     methods = {"right": Fixed(visible.astype(np.float32)), "none": Fixed(np.zeros(GRID.shape, np.float32))}
-    found = Results(None)
-    found.add(evaluate({0: sample, 1: sample}, methods, "roads", 1))
+    found = Results.of(None, evaluate({0: sample, 1: sample}, methods, "roads", 1))
     for case in CASES:
         right, none = (found.scores([Series("roads", name, case)]) for name in methods)
         assert right.f1() == 1.0
@@ -109,9 +109,8 @@ def test_parts_are_counted_untouched_and_add_up(sample: StudySample) -> None:
     truth, known = sample.truth.visible(), sample.known
     wrong_far = truth ^ (np.hypot(GRID.centers[..., 0], GRID.centers[..., 1]) >= 40)
     plan = AblationPlan.load("small")
-    results = Results(plan)
-    for _ in range(2):
-        results.add(evaluate({0: sample, 1: sample}, {OURS: Fixed(wrong_far.astype(np.float32))}, "roads", 1))
+    rows = evaluate({0: sample, 1: sample}, {OURS: Fixed(wrong_far.astype(np.float32))}, "roads", 1)
+    results = Results.of(plan, [*rows, *rows])
     assert {s.case for s in results.series() if s.region not in (VIEW, WEDGE)} == {BENIGN}
     found = SettingResults(results, "roads")
     assert found.parts["sensor HDL-32E"] == 4
@@ -129,8 +128,7 @@ def test_parts_are_counted_untouched_and_add_up(sample: StudySample) -> None:
 def test_truth_is_that_of_the_target(sample: StudySample) -> None:
     known, truth = sample.known, sample.truth.visible(PEDESTRIAN)
     assert (truth != sample.truth.visible(CAR))[known].any()
-    found = Results(None)
-    found.add(evaluate({0: sample}, {"right": Fixed(truth.astype(np.float32))}, "roads", 1, PEDESTRIAN))
+    found = Results.of(None, evaluate({0: sample}, {"right": Fixed(truth.astype(np.float32))}, "roads", 1, PEDESTRIAN))
     assert found.scores([Series("roads", "right")]).f1() == 1.0
 
 
@@ -170,7 +168,7 @@ def test_variants_change_what_they_say_and_nothing_else() -> None:
     for name, changes in plan.variants.items():
         table, other = whole.to_json(), plan.config_of(name).to_json()
         assert {key for key in table if table[key] != other[key]} - {"name"} == set(changes)
-    none = SettingResults(Results(plan), plan.config)
+    none = SettingResults(Results.of(plan, ()), plan.config)
     assert not set(none.trained) & set(none.unseen)
     assert len(none.unseen) >= 5
 
@@ -203,11 +201,13 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     pytest.importorskip("torch", reason="torch is not installed: the plan is not run")
     plan, seen = AblationPlan.load("tiny"), list[tuple[str, int, int]]()
     store = ResultStore.open(tmp_path, plan)
-    assert list(run_study(store, ("validation",), 1, ignore_progress)) == ["validation: not all variants are trained"]
-    assert list(run_study(store, STEPS, 1, lambda *step: seen.append(step))) == []
+    assert list(run_study(store, LocalEngine(1), ("validation",), ignore_progress)) == [
+        "validation: not all variants are trained"
+    ]
+    assert list(run_study(store, LocalEngine(1), STEPS, lambda *step: seen.append(step))) == []
     assert ("test", 2, 2) in seen
     assert seen[-1] == ("chosen", 1, 1)
-    page = page_of(store)
+    page = files_of(store)["ablation.md"].decode()
     for words in ("| whole |", "| counts alone |", "| majority_vote |", "far_wall \\*", "| relay |", "| sensor "):
         assert words in page
     assert "| shadow_map | 20 | 1 |" in page
@@ -220,11 +220,9 @@ def test_the_tiny_plan_runs_to_its_page_and_goes_on_where_it_was_stopped(tmp_pat
     assert [part.count("\n| 0.95 | ") for part in (road, indoor)] == [0, 2]
     assert "### Targets, nuscenes-small" not in page
     assert page.index("### Targets, ugv-small, pedestrian") < page.index("| F1, benign | ≥ 0.94 |")
-    lines = store.path.read_text().splitlines()
-    store.path.write_text("\n".join(lines[:-1]) + "\n")
-    assert list(run_study(store, STEPS, 1, ignore_progress)) == []
-    assert [json.loads(line)["records"] for line in store.path.read_text().splitlines()[1:]] == [
-        json.loads(line)["records"] for line in lines[1:]
-    ]
+    before = stored(store)
+    store.path_of(plan.job_keys()[-1]).unlink()
+    assert list(run_study(store, LocalEngine(1), STEPS, ignore_progress)) == []
+    assert stored(store) == before
     with pytest.raises(ValueError, match="only must be among models, validation, test, chosen, page, got 'trade'"):
-        list(run_study(store, ("trade",), 1, ignore_progress))
+        list(run_study(store, LocalEngine(1), ("trade",), ignore_progress))

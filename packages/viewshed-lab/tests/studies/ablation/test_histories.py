@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from tests.studies.ablation.by_hand import setting_results
+from tests.studies.by_hand import plain
 
 from viewshed.estimators import Estimator
 from viewshed.estimators.first_blocker import FirstBlocker
@@ -25,7 +26,7 @@ from viewshed_lab.studies.ablation.evaluate import (
 )
 from viewshed_lab.studies.ablation.tables import ablation_table, views_table
 from viewshed_lab.studies.cases import BARE, DEFAULT, apply, attack_of, generator
-from viewshed_lab.studies.records import BENIGN, WEDGE, Case, Record, Results, Series, to_table
+from viewshed_lab.studies.records import BENIGN, WEDGE, Case, Domain, Results, Row, Series
 from viewshed_lab.studies.samples import StudySample
 from viewshed_lab.training.samples import AttackedSweep
 
@@ -63,10 +64,8 @@ def test_a_history_is_honest_or_attacked_as_well(sample: StudySample) -> None:
             assert [len(one.points) for one in honest.earlier] != [len(one.points) for one in attacked.earlier]
 
 
-def _results(records: Iterable[Record]) -> Results[None]:
-    results: Results[None] = Results(None)
-    results.add(records)
-    return results
+def _results(rows: Iterable[Row]) -> Results[None]:
+    return Results.of(None, rows)
 
 
 def test_only_those_whom_history_helps_are_given_one(sample: StudySample) -> None:
@@ -75,15 +74,15 @@ def test_only_those_whom_history_helps_are_given_one(sample: StudySample) -> Non
     records = run(with_history=("shadow_map", "first_blocker", "nobody"))
     found = _results(records)
     kinds = ALONE, HONEST, f"{CONFIRMED}{HONEST}", ATTACKED, f"{CONFIRMED}{ATTACKED}"
-    assert found.methods("roads") == ["shadow_map", "first_blocker", *(f"shadow_map, {kind}" for kind in kinds)]
+    assert Domain(found, "roads").methods == ["shadow_map", "first_blocker", *(f"shadow_map, {kind}" for kind in kinds)]
 
     def cases(method: str) -> set[Case]:
         return {series.case for series in found.series() if series.method == method}
 
     assert cases(f"shadow_map, {ALONE}") == cases(f"shadow_map, {HONEST}") == cases("shadow_map") == set(CASES)
     assert {BENIGN, BARE} & cases(f"shadow_map, {ATTACKED}") == set()
-    alone = [record for record in records if record.series.method in estimators]
-    assert to_table(run()) == to_table(alone)
+    alone = [row for row in records if row["method"] in estimators]
+    assert plain(run()) == plain(alone)
     bare, helped, confirmed = (
         found.counts(Series("roads", name, WALL, WEDGE))
         for name in ("shadow_map", "shadow_map, past", f"shadow_map, {CONFIRMED}{HONEST}")
@@ -96,7 +95,7 @@ def test_sweeps_with_fewer_earlier_ones_have_no_part_in_it(sample: StudySample) 
     recorded = replace(sample, frame=None)
     assert len(PriorSweeps.of(recorded).sweeps) == 2
     found = _results(evaluate({1: recorded}, {"shadow_map": SM}, "roads", 5, with_history=("shadow_map",)))
-    assert found.methods("roads") == ["shadow_map"]
+    assert Domain(found, "roads").methods == ["shadow_map"]
 
 
 def test_the_page_has_them_apart_and_nothing_where_nothing_was_found() -> None:
@@ -108,7 +107,7 @@ def test_the_page_has_them_apart_and_nothing_where_nothing_was_found() -> None:
     }  # fmt: skip
     results = setting_results(found)
     assert results.alone == ["whole", "viewnet", "majority_vote"]
-    names = results.with_history("viewnet")
+    names = results.helped
     assert names == [f"viewnet, {HONEST}", f"viewnet, {ATTACKED}"]
     table = views_table(results, names)
     assert table.header == ["case", *names]

@@ -1,9 +1,10 @@
 """The study with estimators whose deviation is known by hand, so that AUROC and found cells follow on paper."""
 
-import json
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.geometry import Rigid
 from viewshed_lab._config import preset_names
 from viewshed_lab.studies.deviation.jobs import fit_monitor, watch
-from viewshed_lab.studies.deviation.page import CaseRow, rows_of
+from viewshed_lab.studies.deviation.page import REGIONS, rows_of
 from viewshed_lab.studies.deviation.plan import DeviationPlan, Trials
-from viewshed_lab.studies.records import Record, Results, from_table, to_table
+from viewshed_lab.studies.records import Results, Row
 from viewshed_lab.studies.samples import StudySample
 
 GRID = BevGrid(64, 64.0)
@@ -64,43 +65,39 @@ def _sets(more: Sequence[int]) -> list[list[StudySample]]:
     return [same, calibrate, [_sample(RETURNS + count, 77) for count in more]]
 
 
-def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Trials) -> list[Record]:
+def _records(estimator: FovEstimator, sets: list[list[StudySample]], trials: Trials) -> list[Row]:
     fit, calibrate, report = sets
     monitor = fit_monitor(estimator, fit, calibrate, trials)
     return [
-        record
+        row
         for number, sample in enumerate(report)
-        for record in watch(monitor, estimator, sample, trials, domain="ugv", method="mcd", number=number)
+        for row in watch(monitor, estimator, sample, trials, domain="ugv", method="mcd", number=number)
     ]
 
 
-def _rows(records: Iterable[Record]) -> list[CaseRow]:
-    results: Results[None] = Results(None)
-    results.add(records)
-    return rows_of(results, "ugv", "mcd")
-
-
-def _by_name(rows: list[CaseRow]) -> dict[str, CaseRow]:
-    return {row.name or row.kind: row for row in rows}
+def _rows(rows: Iterable[Row]) -> dict[str, Any]:
+    """Return what was found by case."""
+    found = rows_of(Results.of(None, rows), "ugv", "mcd")
+    return {row["name"] or row["kind"]: SimpleNamespace(**row) for row in found.to_dict("records")}
 
 
 def test_areas_alarms_and_refusals_worked_out_by_hand() -> None:
     """Scores count returns beyond 1000: clean 0, 100, 200, 300; 150 more under the attack; the limit lies at 180."""
     plan = Trials(("uniform", "removal", "pose_spoof", "replay"), ("dropped_beams",), 5)
-    rows = _by_name(_rows(_records(_Counter(), _sets((0, 100, 200, 300)), plan)))
+    rows = _rows(_records(_Counter(), _sets((0, 100, 200, 300)), plan))
     assert set(rows) == {"benign", *plan.attacks, *plan.corruptions}
     assert (rows["benign"].alarms, rows["benign"].frames) == (0.5, 4)
     assert np.isnan(rows["benign"].auroc)
     uniform = rows["uniform"]
     assert uniform.auroc == 13 / 16  # 150 beats 0 and 100; 250 beats three; 350 and 450 beat all
     assert (uniform.alarms, uniform.caught) == (0.75, 0.5)  # above 180: all but 150; above every clean one: 350 and 450
-    assert uniform.auroc_interval[0] < 13 / 16 < uniform.auroc_interval[1]
+    assert uniform.low < 13 / 16 < uniform.high
     assert uniform.auroc_mean == 13 / 16
-    assert (rows["pose_spoof"].auroc, rows["pose_spoof"].located) == (0.5, {})
+    assert (rows["pose_spoof"].auroc, _cells(rows["pose_spoof"])) == (0.5, [0, 0, 0])
     assert rows["dropped_beams"].auroc == 0.125  # 70 % are gone: four scores of 0 tie with the clean sweep's 0
     assert (rows["dropped_beams"].alarms, rows["dropped_beams"].caught) == (0.0, 0.0)
     assert rows["removal"].auroc < 0.5
-    assert rows["removal"].located["touched"].cells > 10, "cells that lost a return"
+    assert _cells(rows["removal"])[0] > 10, "cells that lost a return"
     assert [rows[name].idle for name in ("uniform", "removal", "pose_spoof")] == [0, 0, 4]
     assert (rows["replay"].frames, rows["replay"].refused) == (0, 4)
     assert np.isnan(rows["replay"].auroc)
@@ -109,29 +106,33 @@ def test_areas_alarms_and_refusals_worked_out_by_hand() -> None:
 def test_suspect_cells_are_those_that_were_touched() -> None:
     """What an attacker puts beyond 6 m is all that lies there: each such cell is suspect, and no other."""
     plan = Trials(("wedge_cluster_free", "relay", "uniform"), ())
-    rows = _by_name(_rows(_records(_Outside(), _sets([5 * k for k in range(6)]), plan)))
+    rows = _rows(_records(_Outside(), _sets([5 * k for k in range(6)]), plan))
     cluster, relay, spread = (rows[name] for name in plan.attacks)
     assert (cluster.auroc, cluster.caught, cluster.alarms, cluster.idle) == (1.0, 1.0, 1.0, 0)
     for region in ("touched", "changed"):
-        found = cluster.located[region]
-        assert found.cells == found.suspects == found.both > 6
-        assert (found.precision, found.recall, found.watched) == (1.0, 1.0, 6 * GRID.cells**2)
-    wedge = relay.located["wedge"]
-    assert wedge.chance == pytest.approx(30 / 360, abs=0.003)
-    assert wedge.precision > 6 * wedge.chance  # a cell of 2 m at 8 m often has its middle outside
-    assert relay.located["touched"].precision == 1.0
-    assert set(spread.located) == {"touched", "changed"}
-    assert 0.7 < spread.located["touched"].recall <= 1.0
+        cells, *rates = (vars(cluster)[f"{region} {word}"] for word in ("cells", "precision", "recall", "chance"))
+        assert cells > 6
+        assert rates == [1.0, 1.0, cells / (6 * GRID.cells**2)]
+    located = vars(relay)
+    assert located["wedge chance"] == pytest.approx(30 / 360, abs=0.003)
+    assert located["wedge precision"] > 6 * located["wedge chance"]  # a cell of 2 m at 8 m often has its middle outside
+    assert located["touched precision"] == 1.0
+    assert [cells > 0 for cells in _cells(spread)] == [True, False, True]
+    assert 0.7 < vars(spread)["touched recall"] <= 1.0
 
 
-def test_records_survive_a_file_in_any_order() -> None:
+def _cells(row: SimpleNamespace) -> list[float]:
+    """Return the watched cells of each region."""
+    return [vars(row)[f"{region} cells"] for region in REGIONS]
+
+
+def test_the_order_of_rows_changes_nothing() -> None:
     trials, estimator = Trials(("uniform", "cluster"), ("fog",)), _Outside()
-    records = _records(estimator, _sets((0, 7, 30)), trials)
-    again = list(from_table(json.loads(json.dumps(to_table(records)))))
-    assert {json.dumps(asdict(row)) for row in _rows(again[::-1])} == {
-        json.dumps(asdict(row)) for row in _rows(records)
+    rows = _records(estimator, _sets((0, 7, 30)), trials)
+    assert {name: repr(row) for name, row in _rows(rows[::-1]).items()} == {
+        name: repr(row) for name, row in _rows(rows).items()
     }
-    assert _rows([]) == []
+    assert _rows([]) == {}
 
 
 def test_too_few_sweeps_and_wrong_names() -> None:
@@ -172,14 +173,14 @@ def test_the_command_runs_goes_on_and_writes_its_page(tmp_path: Path, capsys: py
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert not stop.value.code
-    page, results = tmp_path / "deviation.md", (tmp_path / "results.jsonl").read_bytes()
+    page, results = tmp_path / "deviation.md", sorted((tmp_path / "jobs").iterdir())
     text = page.read_text("utf-8")
     assert all(f"\n| {name} " in text for name in ("*benign*", "uniform (1)", "removal (8)", "fog"))
     assert "sweeps: 4 to fit, 4 to calibrate, 4 of 4 to report" in text
     with pytest.raises(SystemExit) as stop:
         main([*words, "--no-run"])
     assert not stop.value.code
-    assert (tmp_path / "results.jsonl").read_bytes() == results
+    assert sorted((tmp_path / "jobs").iterdir()) == results
     with pytest.raises(SystemExit) as stop:
         main(["study", "deviation", "--preset", "tiny", "--out", str(tmp_path / "none"), "--no-run"])
     assert stop.value.code == 2

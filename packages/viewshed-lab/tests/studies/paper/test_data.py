@@ -13,7 +13,7 @@ from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.studies.cases import DEFAULT, case_generator
 from viewshed_lab.studies.evaluate import Evaluation, Reference
-from viewshed_lab.studies.paper.jobs import ATTACKED, both_records, strict_cases
+from viewshed_lab.studies.paper.jobs import ATTACKED, both_rows, strict_cases
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.records import BENIGN, UNTOUCHED, VIEW, WEDGE, Case, Results, Series
@@ -43,12 +43,12 @@ def _evaluation() -> Evaluation:
 
 
 def test_benign_and_attacked_sweeps_are_counted_apart_and_only_where_the_truth_is_known() -> None:
-    evaluation, results = _evaluation(), Results(PLAN)
-    records = list(both_records(evaluation, Case("attack", "removal", DEFAULT), PLAN.test_seed))
-    assert [(record.series.case, record.scores is None) for record in records] == [
-        (BENIGN, True), (BENIGN, False), (ATTACKED, True), (ATTACKED, False)
+    evaluation = _evaluation()
+    rows = list(both_rows(evaluation, Case("attack", "removal", DEFAULT), PLAN.test_seed))
+    assert [(row["name"], "scores" in row) for row in rows] == [
+        ("", False), ("", True), (ATTACKED.name, False), (ATTACKED.name, True)
     ]  # fmt: skip
-    results.add(records)
+    results = Results.of(PLAN, rows)
     sample = evaluation.sample
     visible, cells = int((sample.truth.visible() & sample.known).sum()), int(sample.known.sum())
     benign, attacked = (results.counts(Series("ugv", "fooled", case)) for case in (BENIGN, ATTACKED))
@@ -58,8 +58,8 @@ def test_benign_and_attacked_sweeps_are_counted_apart_and_only_where_the_truth_i
 
 
 def test_the_untouched_wedge_is_that_of_the_clean_sweep() -> None:
-    evaluation, results = _evaluation(), Results(PLAN)
-    results.add(evaluation.records(strict_cases(PLAN), untouched=True))
+    evaluation = _evaluation()
+    results = Results.of(PLAN, evaluation.rows(strict_cases(PLAN), untouched=True))
     removal = Series("ugv", "fooled", Case("attack", "removal", DEFAULT))
     view, wedge, untouched = (results.counts(removal.of(region)) for region in (VIEW, WEDGE, UNTOUCHED))
     assert (wedge.both, wedge.over) == (0, 0)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.studies.by_hand import records, refused
+from tests.studies.by_hand import refused, rows
 
 from viewshed_lab.studies.cases import DEFAULT
 from viewshed_lab.studies.paper import tables
@@ -12,7 +12,7 @@ from viewshed_lab.studies.paper.jobs import ATTACKED
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.published import ADVERSARIAL, LEFT_OUT, PaperResults, targets_of
 from viewshed_lab.studies.paper.published import BENIGN_TABLE as PUBLISHED
-from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, Case, Domain, Record
+from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, Case, Domain, Row
 from viewshed_lab.studies.store import JobResult, ResultStore
 
 DOMAINS = ("carla", "nuscenes", "ugv")
@@ -20,9 +20,9 @@ GOOD, BAD = [96, 4, 4, 96], [50, 50, 50, 50]
 """Both, over, under, neither: F1 of .96 and of .5."""
 
 
-def _twice(domain: str, case: Case, name: str, cells: list[int]) -> list[Record]:
+def _twice(domain: str, case: Case, name: str, cells: list[int]) -> list[Row]:
     """The same counts on two sweeps, each of a scene of its own."""
-    return [r for n in (0, 1) for r in records(domain, n, case, {name: [cells]}, {name: 0.9}, PAPER)]
+    return [r for n in (0, 1) for r in rows(domain, n, case, {name: [cells]}, {name: 0.9}, PAPER)]
 
 
 def _results(folder: Path) -> PaperResults:
@@ -87,8 +87,8 @@ def _strict(folder: Path) -> PaperResults:
     walled = {"mle-benign": [[82, 28, 18, 72], [10, 10, 0, 0], calm], "majority_vote": [clean, calm, calm]}
     for n in range(2):
         found = [
-            *records("ugv", n, BENIGN, {"mle-benign": [clean], "majority_vote": [clean]}),
-            *records("ugv", n, WALL, walled),
+            *rows("ugv", n, BENIGN, {"mle-benign": [clean], "majority_vote": [clean]}),
+            *rows("ugv", n, WALL, walled),
             refused("ugv", n, Case("attack", "replay", DEFAULT), "replay needs an earlier sweep"),
         ]
         store.append(("strict", "ugv", str(n)), JobResult(found))

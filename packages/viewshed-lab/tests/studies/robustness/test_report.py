@@ -4,17 +4,15 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from tests.studies.by_hand import records, refused
+from tests.studies.by_hand import refused, rows
 
 from viewshed import BevGrid
-from viewshed_lab._page import Heading, Picture, Table, Text, to_html, to_markdown
-from viewshed_lab._page import PageBlock as Block
 from viewshed_lab.studies.figures import (
     AGREE,
     HIDDEN,
@@ -27,7 +25,7 @@ from viewshed_lab.studies.figures import (
     scene_figure,
     violin_figure,
 )
-from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Record, Series
+from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Row, Series, row_of
 from viewshed_lab.studies.robustness import tables
 from viewshed_lab.studies.robustness.page import long_page, main_page, provenance
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
@@ -46,8 +44,8 @@ def _cells(view: Sequence[int], wedge: Sequence[int] = ()) -> dict[str, list[Seq
     return {"majority_vote": [view, wedge] if wedge else [view], "quantized": [CLEAN, CALM] if wedge else [CLEAN]}
 
 
-def _judged(number: int, case: Case, **numbers: int) -> Record:
-    return Record(Series("ugv", "", case), f"s{number}", number, numbers=numbers)
+def _judged(number: int, case: Case, **numbers: Any) -> Row:
+    return row_of(Series("ugv", "", case), f"s{number}", number, **numbers)
 
 
 def _store(folder: Path, worst: list[int], wedge: list[int]) -> Store:
@@ -57,26 +55,26 @@ def _store(folder: Path, worst: list[int], wedge: list[int]) -> Store:
     full, uniform = Case("attack", "ghost_wall", "full"), Case("paper", "uniform", "150")
     for number in (0, 1):
         attacks = [
-            *records("ugv", number, BENIGN, _cells(CLEAN), AREAS),
-            *records("ugv", number, Case("attack", "uniform", "0"), _cells(CLEAN)),
-            *records("ugv", number, Case("attack", "uniform", "150"), _cells([80, 60, 20, 40])),
-            *records("ugv", number, Case("attack", "ghost_wall", "0"), _cells(CLEAN, CALM)),
-            *records("ugv", number, Case("attack", "ghost_wall", "150"), _cells(CLEAN, CALM)),
-            *records("ugv", number, full, _cells(worst, wedge)),
+            *rows("ugv", number, BENIGN, _cells(CLEAN), AREAS),
+            *rows("ugv", number, Case("attack", "uniform", "0"), _cells(CLEAN)),
+            *rows("ugv", number, Case("attack", "uniform", "150"), _cells([80, 60, 20, 40])),
+            *rows("ugv", number, Case("attack", "ghost_wall", "0"), _cells(CLEAN, CALM)),
+            *rows("ugv", number, Case("attack", "ghost_wall", "150"), _cells(CLEAN, CALM)),
+            *rows("ugv", number, full, _cells(worst, wedge)),
             refused("ugv", number, Case("attack", "replay", "full"), "replay needs an earlier sweep"),
         ]
         paper = [
-            *records("ugv", number, BENIGN, {"paper_quantized": [CLEAN]}, {"paper_quantized": 0.8}, PAPER),
-            *records("ugv", number, uniform, {"paper_quantized": [[60, 40, 20, 80]]}, {}, PAPER),
+            *rows("ugv", number, BENIGN, {"paper_quantized": [CLEAN]}, {"paper_quantized": 0.8}, PAPER),
+            *rows("ugv", number, uniform, {"paper_quantized": [[60, 40, 20, 80]]}, {}, PAPER),
         ]
         behind = replace(full, defense="radius")
         defenses = [
             _judged(number, replace(BENIGN, defense="radius"), caught=0, added=0, lost=3, others=100),
-            *records("ugv", number, replace(BENIGN, defense="radius"), _cells(CLEAN)),
+            *rows("ugv", number, replace(BENIGN, defense="radius"), _cells(CLEAN)),
             _judged(number, behind, caught=5, added=50, lost=1, others=100),
-            *records("ugv", number, behind, _cells(worst, wedge)),
+            *rows("ugv", number, behind, _cells(worst, wedge)),
             _judged(number, replace(full, defense="empty_sector"), caught=0, added=50, lost=0, others=100, alarm=1),
-            *records("ugv", number, replace(full, defense="empty_sector"), _cells(worst, wedge)),
+            *rows("ugv", number, replace(full, defense="empty_sector"), _cells(worst, wedge)),
         ]
         for part, found in (("attacks", attacks), ("paper", paper), ("defenses", defenses)):
             store.append((part, "ugv", str(number)), JobResult(found))
@@ -146,17 +144,17 @@ def _adaptive(folder: Path) -> Store:
     for number in range(3):
         wall = little if number == 0 else opened  # samples that nobody who queries meets do not count beside him
         store.append(("attacks", "ugv", str(number)), JobResult([
-            *records("ugv", number, BENIGN, _cells(CLEAN)),
-            *records("ugv", number, Case("attack", "far_wall", "0"), _cells(CLEAN, CALM)),
-            *records("ugv", number, Case("attack", "far_wall", "150"), _cells(*wall)),
+            *rows("ugv", number, BENIGN, _cells(CLEAN)),
+            *rows("ugv", number, Case("attack", "far_wall", "0"), _cells(CLEAN, CALM)),
+            *rows("ugv", number, Case("attack", "far_wall", "150"), _cells(*wall)),
         ]))  # fmt: skip
     name = "adaptive_over_claim"
     store.append(("adaptive", "ugv", "0"), JobResult([
-        *records("ugv", 0, Case("adaptive", name, "0"), _cells(CLEAN, CALM)),
-        *records("ugv", 0, Case("adaptive", name, "150"), _cells(*opened)),
-        *records("ugv", 0, Case("adaptive", name, "0", "radius"), {"majority_vote": [CLEAN, CALM]}),
-        *records("ugv", 0, Case("unaware", name, "150", "radius"), {"majority_vote": little}),
-        *records("ugv", 0, Case("adaptive", name, "150", "radius"), {"majority_vote": half}),
+        *rows("ugv", 0, Case("adaptive", name, "0"), _cells(CLEAN, CALM)),
+        *rows("ugv", 0, Case("adaptive", name, "150"), _cells(*opened)),
+        *rows("ugv", 0, Case("adaptive", name, "0", "radius"), {"majority_vote": [CLEAN, CALM]}),
+        *rows("ugv", 0, Case("unaware", name, "150", "radius"), {"majority_vote": little}),
+        *rows("ugv", 0, Case("adaptive", name, "150", "radius"), {"majority_vote": half}),
     ]))  # fmt: skip
     return store
 
@@ -185,7 +183,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
         ["*no defense*", ".800 / .800", "–", ".500 / 1.000"],
         ["radius", ".800 / .800", ".667 / .800", ".571 / .800"],
     ]
-    page = to_markdown("Report", {}, main_page(store, store.results())[1])
+    page = main_page(store, store.results()).body
     asking = page.split("## Adaptive attackers, who query their victim first")[1].split("## The bar")[0]
     assert "- **quantized** withstands 1 of 1 in every domain: `adaptive_over_claim`." in asking
     assert re.search(r"- Withstand 0 of 1 in every domain: .*\*\*majority_vote\*\*", asking)
@@ -197,8 +195,7 @@ def test_a_defense_stands_with_and_without_being_known(tmp_path: Path) -> None:
 def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) -> None:
     store = _store(tmp_path, [82, 26, 18, 74], [10, 10, 0, 0])
     found = store.results()
-    blocks = main_page(store, found, ["ugv 1 corruptions: no more memory"])[1]
-    words = to_markdown("Report", provenance(found), blocks)
+    words = main_page(store, found, ["ugv 1 corruptions: no more memory"]).markdown(provenance(found))
     assert "**Not finished: 6 of 9 jobs are done; a sample has up to 5.** 1 jobs failed: ugv 1 corruptions" in words
     assert "| ugv | replay | full |  | 2 | replay needs an earlier sweep |" in words
     assert "falls by 25 to 25 % (the paper: 18 to 60 %)" in words
@@ -207,36 +204,8 @@ def test_the_report_says_what_is_missing_and_what_was_refused(tmp_path: Path) ->
     everywhere = words.split("### Up to a full wedge")[1]
     assert re.search(r"- Withstand 0 of 2 in every domain: .*\*\*majority_vote\*\*", everywhere)
     assert "Adaptive attackers" not in words
-    words += to_markdown("Tables", provenance(found), long_page(found)[1])
+    words += long_page(found).markdown(provenance(found))
     assert re.findall(r"\bnan\b", words) == []
-
-
-class _Fetches(HTMLParser):
-    """Remembers every tag, and every address that a page would fetch."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags: list[str] = []
-        self.addresses: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "data")]
-
-
-def test_the_html_fetches_nothing_and_hides_nothing() -> None:
-    picture = Picture("a.png", b"\x89PNG", 'a "picture" & more')
-    blocks: list[Block] = [Heading(2, "A < B"), Text("one `x_y`\nand *two*"), Text("- a\n  b\n- **c**"),
-              Table(["n", "*m*"], [["1 & 2", "**3**"]]), picture]  # fmt: skip
-    page, read = to_html("T", {"seed": "0"}, blocks), _Fetches()
-    read.feed(page)
-    assert read.addresses == ["data:image/png;base64,iVBORw=="]
-    assert "http" not in page
-    assert "url(" not in page
-    for part in ("<h2>A &lt; B</h2>", "<p>one <code>x_y</code> and <i>two</i></p>", "<li>a b</li>", "<li><b>c</b></li>",
-                 "<td>1 &amp; 2</td><td><b>3</b></td>", 'alt="a &quot;picture&quot; &amp; more"'):  # fmt: skip
-        assert part in page
-    assert read.tags.count("td") == 2
 
 
 def test_a_claim_is_painted_by_what_it_gets_right() -> None:

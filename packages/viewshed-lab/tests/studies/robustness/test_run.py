@@ -1,6 +1,5 @@
 """What one job finds, against the same steps taken one by one; a study that is stopped and goes on."""
 
-import json
 import os
 import signal
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.studies.by_hand import stored
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators import CLASSICAL
@@ -19,12 +19,12 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.metrics import ConfusionCounts
 from viewshed_lab._jobs import engine_named
 from viewshed_lab.studies.cases import apply, attack_of, case_generator, visible_with
-from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case, Results, Series
+from viewshed_lab.studies.records import VIEW, WEDGE, Case, Domain, Results, Series
 from viewshed_lab.studies.robustness.jobs import do_job, evaluation_of, run_study
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
 from viewshed_lab.studies.runner import Job
 from viewshed_lab.studies.samples import StudySample, sample_of
-from viewshed_lab.studies.store import FILE, JobResult, ResultStore
+from viewshed_lab.studies.store import JOBS, JobResult, ResultStore
 from viewshed_lab.threats.attacks import Wedge
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 from viewshed_lab.threats.attacks.replay import Replay
@@ -50,9 +50,7 @@ def _job(part: str, plan: RobustnessPlan = PLAN) -> Job[RobustnessPlan]:
 
 
 def _results(part: str, plan: RobustnessPlan = PLAN) -> Results[RobustnessPlan]:
-    results = Results(plan)
-    results.add(do_job(_job(part, plan)).records)
-    return results
+    return Results.of(plan, do_job(_job(part, plan)).rows)
 
 
 def _counted(sample: StudySample, method: str, sweep: Sweep, wedge: Wedge | None = None) -> ConfusionCounts:
@@ -83,9 +81,9 @@ def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySamp
 
 def test_an_attack_with_nothing_to_spend_scores_as_none() -> None:
     results = _results("attacks")
-    assert results.methods("ugv")[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
-    assert set(results.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
-    for name in results.methods("ugv"):
+    assert Domain(results, "ugv").methods[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
+    assert set(Domain(results, "ugv").methods) == {*CLASSICAL, "shadow_map_unknown"}
+    for name in Domain(results, "ugv").methods:
         clean = results.counts(Series("ugv", name))
         assert results.counts(Series("ugv", name, replace(UNIFORM, level="0"))) == clean
     assert results.counts(Series("ugv", "quantized", UNIFORM)) != results.counts(Series("ugv", "quantized"))
@@ -143,7 +141,7 @@ def test_each_victim_meets_the_attack_that_queried_it(
     assert adaptive_results.counts(attacked.of(WEDGE)) == _counted(sample, victim, sweep, wedge)
     assert adaptive_results.counts(calm.of(WEDGE)) == _counted(sample, victim, sample.sweep, wedge)
     assert adaptive_results.counts(attacked.of(WEDGE)).over > adaptive_results.counts(calm.of(WEDGE)).over
-    assert set(adaptive_results.methods("ugv")) == {*CLASSICAL, "shadow_map_unknown"}
+    assert set(Domain(adaptive_results, "ugv").methods) == {*CLASSICAL, "shadow_map_unknown"}
 
 
 def test_who_knows_the_defense_queries_behind_it(
@@ -175,8 +173,7 @@ def test_every_estimator_is_counted_on_the_same_cells() -> None:
     counts = [results.counts(series) for series in results.series() if series.region == VIEW]
     assert {one.cells for one in counts} == {counts[0].cells}
     assert counts[0].area_m2 / counts[0].cells == pytest.approx((32 / 256) ** 2)
-    assert results.cases("ugv") == [Case("corruption", "fog", "3")]
-    assert BENIGN not in results.cases("ugv")
+    assert Domain(results, "ugv").cases == [Case("corruption", "fog", "3")]
 
 
 SMALLEST = replace(
@@ -186,30 +183,22 @@ SMALLEST = replace(
 )  # fmt: skip
 
 
-def _lines(folder: Path) -> dict[tuple[str, ...], object]:
-    head, *jobs = [json.loads(line) for line in (folder / FILE).read_text("utf-8").splitlines()]
-    assert head["plan"]["name"] == "tiny"
-    for job in jobs:
-        del job["commits"]  # the code may be committed between two runs
-    return {tuple(job["job"]): job for job in jobs}
-
-
 def test_two_workers_and_one_find_the_same(tmp_path: Path) -> None:
-    for workers in (1, 2):
-        store = ResultStore.open(tmp_path / str(workers), SMALLEST)
+    one, two = (ResultStore.open(tmp_path / str(workers), SMALLEST) for workers in (1, 2))
+    for workers, store in ((1, one), (2, two)):
         assert list(run_study(store, engine_named("local", workers))) == []
-    assert len(_lines(tmp_path / "1")) == 9
-    assert _lines(tmp_path / "1") == _lines(tmp_path / "2")
+    assert len(stored(one)) == 9
+    assert stored(one) == stored(two)
 
 
 def test_what_is_there_is_not_done_again(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, SMALLEST)
     for key in SMALLEST.job_keys():
         store.append(key, JobResult())
-    before = (tmp_path / FILE).read_bytes()
+    before = stored(store)
     seen: list[tuple[str, int, int]] = []
     assert list(run_study(store, engine_named("local", 1), lambda *step: seen.append(step))) == []
-    assert (tmp_path / FILE).read_bytes() == before
+    assert stored(store) == before
     assert seen == [("tiny", 9, 9)]
 
 
@@ -229,14 +218,15 @@ def test_a_run_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> Non
     )
     root = Path(__file__).resolve().parents[3]
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "a")], cwd=root)
-    path = tmp_path / "a" / FILE
+    jobs = tmp_path / "a" / JOBS
     end_s = time.monotonic() + 120
-    while time.monotonic() < end_s and (not path.exists() or path.read_bytes().count(b"\n") < 3):
+    while time.monotonic() < end_s and len(list(jobs.glob("*.parquet"))) < 2:
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     store = ResultStore.open(tmp_path / "a", SMALLEST)
     assert 2 <= len(store.keys()) < 9
-    for folder in ("a", "b"):
-        assert list(run_study(ResultStore.open(tmp_path / folder, SMALLEST), engine_named("local", 1))) == []
-    assert _lines(tmp_path / "a") == _lines(tmp_path / "b")
+    other = ResultStore.open(tmp_path / "b", SMALLEST)
+    for one in (store, other):
+        assert list(run_study(one, engine_named("local", 1))) == []
+    assert stored(store) == stored(other)

@@ -20,7 +20,7 @@ from viewshed_lab.studies.tracks.drives import FOVS, Moment, ObjectsTruth, Simul
 from viewshed_lab.studies.tracks.evaluate import compare, evaluate, is_at_object, track_drive
 from viewshed_lab.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_study, save_models
 from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
-from viewshed_lab.studies.tracks.page import page_of
+from viewshed_lab.studies.tracks.page import files_of
 from viewshed_lab.studies.tracks.plan import TracksPlan
 
 TINY = TracksPlan.load("tiny")
@@ -135,7 +135,7 @@ def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     save_models(store)
     assert (tmp_path / MODELS / "perception-default.json").exists()
     assert rules_of(tmp_path, "perception", "published") in [PublishedRules(coast_s=each) for each in COASTING_S]
-    page = page_of(store)
+    page = files_of(store)["tracks.md"].decode()
     assert "| of the package | fabricate_static |" in page
     assert "| ghost_car_clean | default, probability |" in page
     assert "fabricated found within 1 s" in page

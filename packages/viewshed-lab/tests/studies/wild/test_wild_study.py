@@ -1,11 +1,13 @@
 """The study in the wild: what is counted by hand, records that come back, the sealed set's log, the page."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.typing import NDArray
+from tests.studies.by_hand import stored
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.height_map import HeightMap
@@ -17,13 +19,14 @@ from viewshed.preprocess.leveling import level
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.wild import WildObservation, wild_scenes
 from viewshed_lab.sim.lidar.optics import optics_of
+from viewshed_lab.studies.records import Row
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, record_of, records_of
+from viewshed_lab.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, row_of, rows_of
 from viewshed_lab.studies.wild.jobs import do_job, run_study, scene_of
 from viewshed_lab.studies.wild.openings import SetOpening
-from viewshed_lab.studies.wild.page import page_of
+from viewshed_lab.studies.wild.page import files_of
 from viewshed_lab.studies.wild.plan import WildPlan
-from viewshed_lab.studies.wild.records import FINE_BINS, Pool, WildRecord, from_table, to_table
+from viewshed_lab.studies.wild.pool import FINE_BINS, Pool
 
 TINY = WildPlan.load("tiny")
 FAST = replace(TINY, scenes=1, methods=("first_blocker", "shadow_map"), told=("rings",), worst=0)
@@ -41,10 +44,15 @@ def perfect(seen: WildObservation) -> FovEstimate:
     return FovEstimate(truth.grid, truth.visible(CAR).astype(np.float32), truth.state["car"], method="perfect")
 
 
-def record(seen: WildObservation, estimate: FovEstimate) -> WildRecord:
+def row(seen: WildObservation, estimate: FovEstimate) -> Row:
     """Return what is counted of an estimate."""
     sample = seen.sample("rings")
-    return record_of(seen, sample, estimate, level(sample.sweep, seen.truth.grid), "hand")
+    return row_of(seen, sample, estimate, level(sample.sweep, seen.truth.grid), "hand")
+
+
+def pool_of(*rows: Row) -> Pool:
+    """Return rows together, with the columns that there must be."""
+    return Pool(pd.DataFrame(list(rows), columns=None if rows else list(_blank())))
 
 
 def within_reach(seen: WildObservation) -> NDArray[np.bool_]:
@@ -55,36 +63,36 @@ def within_reach(seen: WildObservation) -> NDArray[np.bool_]:
 
 
 def test_the_truth_itself_makes_no_mistake(seen: WildObservation) -> None:
-    found = record(seen, perfect(seen))
-    assert (found.counts.over, found.counts.under) == (0, 0)
-    assert found.counts.cells == within_reach(seen).sum()
-    assert (found.numbers["beyond_m2"], found.numbers["unaimed_hidden"]) == (0.0, 0.0)
-    assert Pool([found]).ece() == 0.0
-    assert np.isnan(found.numbers["auroc"])
+    found = row(seen, perfect(seen))
+    assert (found["over"], found["under"]) == (0, 0)
+    assert found["both"] + found["neither"] == within_reach(seen).sum()
+    assert (found["beyond_m2"], found["unaimed_hidden"]) == (0.0, 0.0)
+    assert pool_of(found).ece() == 0.0
+    assert np.isnan(found["auroc"])
 
 
 def test_everything_claimed_counts_as_beyond_off_and_wrong(seen: WildObservation) -> None:
     """By hand: the cells of the grid out of range, times the area of one; all claims are sure."""
     truth, grid = seen.truth, seen.truth.grid
     ones = np.ones(grid.shape, np.float32)
-    found = record(seen, FovEstimate(grid, ones, np.full(grid.shape, CellState.FREE, np.uint8)))
+    found = row(seen, FovEstimate(grid, ones, np.full(grid.shape, CellState.FREE, np.uint8)))
     range_m = np.hypot(*np.moveaxis(grid.centers, -1, 0))
     beyond = seen.known & (range_m > seen.sensor.model.max_range_m + grid.cell_m)
-    assert found.numbers["beyond_m2"] == pytest.approx(beyond.sum() * grid.cell_area_m2)
-    assert found.numbers["claimed_m2"] == pytest.approx(seen.known.sum() * grid.cell_area_m2)
-    assert found.numbers["off_m2"] == found.numbers["off_sure_m2"]
+    assert found["beyond_m2"] == pytest.approx(beyond.sum() * grid.cell_area_m2)
+    assert found["claimed_m2"] == pytest.approx(seen.known.sum() * grid.cell_area_m2)
+    assert found["off_m2"] == found["off_sure_m2"]
     within = within_reach(seen)
-    assert found.counts.over == (within & ~truth.visible(CAR)).sum()
+    assert found["over"] == (within & ~truth.visible(CAR)).sum()
     share = truth.visible(CAR)[within].mean()
-    assert Pool([found]).ece() == pytest.approx(1 - share)
+    assert pool_of(found).ece() == pytest.approx(1 - share)
 
 
 def test_hidden_where_no_beam_aims_is_counted(seen: WildObservation) -> None:
     grid, unaimed = seen.truth.grid, within_reach(seen) & (seen.truth.state["car"] == CellState.UNKNOWN)
     all_hidden = FovEstimate(grid, np.zeros(grid.shape, np.float32), np.full(grid.shape, CellState.HIDDEN, np.uint8))
-    found = record(seen, all_hidden)
-    assert found.numbers["unaimed_hidden"] == found.numbers["unaimed"] == unaimed.sum() > 0
-    assert Pool([found]).share("unaimed_hidden", "unaimed") == 1.0
+    found = row(seen, all_hidden)
+    assert found["unaimed_hidden"] == found["unaimed"] == unaimed.sum() > 0
+    assert pool_of(found).share("unaimed_hidden", "unaimed") == 1.0
 
 
 def test_doubt_that_knows_its_errors_has_an_auroc_of_one(seen: WildObservation) -> None:
@@ -93,10 +101,10 @@ def test_doubt_that_knows_its_errors_has_an_auroc_of_one(seen: WildObservation) 
     prob[100:110] = np.where(true[100:110], 0.4, 0.6)
     std = np.where(np.abs(prob - 0.5) < 0.2, 0.3, 0.01).astype(np.float32)
     estimate = FovEstimate(grid, prob, np.zeros(grid.shape, np.uint8), std)
-    found = record(seen, estimate)
-    assert (found.numbers["auroc"], found.numbers["auroc_std"]) == (1.0, 1.0)
-    worse = record(seen, FovEstimate(grid, prob, np.zeros(grid.shape, np.uint8), 0.31 - std))
-    assert worse.numbers["auroc_std"] == 0.0
+    found = row(seen, estimate)
+    assert (found["auroc"], found["auroc_std"]) == (1.0, 1.0)
+    worse = row(seen, FovEstimate(grid, prob, np.zeros(grid.shape, np.uint8), 0.31 - std))
+    assert worse["auroc_std"] == 0.0
 
 
 def test_exact_ground_and_beams_give_the_truth_but_for_the_kernel(seen: WildObservation) -> None:
@@ -124,16 +132,10 @@ def test_ground_that_follows_the_returns_is_right_whatever_the_attitude(seen: Wi
         assert error[4:-4, 4:-4] == pytest.approx(raised * np.cos(np.deg2rad(4.0)), abs=0.01)
 
 
-def test_records_come_back_from_their_table(seen: WildObservation) -> None:
-    records = list(records_of(seen, FAST))
-    assert [one.method for one in records] == ["first_blocker", "shadow_map", *LADDER]
-    table = to_table(records)
-    back = list(from_table(table))
-    assert to_table(back) == table
-    assert back[1].bins == pytest.approx(records[1].bins, abs=1e-3)
-    assert (back[1].counts, back[1].style) == (records[1].counts, seen.scene.style)
-    with pytest.raises(ValueError, match="columns must be"):
-        next(from_table(table | {"columns": ["x"]}))
+def test_every_method_and_each_step_of_the_ladder_is_a_row(seen: WildObservation) -> None:
+    rows = list(rows_of(seen, FAST))
+    assert [one["method"] for one in rows] == ["first_blocker", "shadow_map", *LADDER]
+    assert {one["style"] for one in rows} == {seen.scene.style}
 
 
 def test_pooled_calibration_is_that_of_all_cells_together() -> None:
@@ -144,15 +146,20 @@ def test_pooled_calibration_is_that_of_all_cells_together() -> None:
     for part in (slice(0, 100), slice(100, 500)):
         bins = np.minimum((prob[part] * FINE_BINS).astype(int), FINE_BINS - 1)
         sums = [np.bincount(bins, weights, FINE_BINS) for weights in (np.ones(len(bins)), true[part], prob[part])]
-        records.append(replace(_blank(), bins=np.stack(sums, axis=1)))
+        records.append(_blank() | {"bins": np.stack(sums, axis=1).ravel()})
     scores = Scores()
     scores.add(prob, true)
-    assert Pool(records).ece() == pytest.approx(scores.ece(), abs=1e-6)
+    assert pool_of(*records).ece() == pytest.approx(scores.ece(), abs=1e-6)
 
 
-def _blank() -> WildRecord:
-    counts = ConfusionCounts(1, 1, 1, 1, 1.0)
-    return WildRecord("own", "road", "s", 0, "a", "b", "c", "rings", "car", "m", counts, np.zeros((FINE_BINS, 3)), {})
+def _blank() -> Row:
+    keys = ("set_name", "domain", "scene", "style", "sensor", "mounting", "told", "target", "method")
+    bins = np.zeros(3 * FINE_BINS)
+    return (
+        {"bins": bins, "clear_both": 0.0, "clear_over": 0.0, "clear_under": 0.0}
+        | dict.fromkeys(keys, "x")
+        | asdict(ConfusionCounts(1, 1, 1, 1, 1.0))
+    )
 
 
 def test_recall_at_a_precision_and_clear_cells_by_hand() -> None:
@@ -160,34 +167,34 @@ def test_recall_at_a_precision_and_clear_cells_by_hand() -> None:
     bins = np.zeros((FINE_BINS, 3))
     bins[140], bins[90] = (10, 9, 9.4), (10, 5, 6.0)
     numbers = {"clear_both": 3.0, "clear_over": 1.0, "clear_under": 1.0}
-    pool = Pool([replace(_blank(), bins=bins, numbers=numbers)])
+    pool = pool_of(_blank() | {"bins": bins.ravel()} | numbers)
     assert (pool.recall_at(0.9), pool.recall_at(0.7), pool.recall_at(0.95)) == (9 / 14, 1.0, 0.0)
     assert pool.clear_f1() == 0.75
-    assert np.isnan(Pool([]).recall_at(0.5))
+    assert np.isnan(pool_of().recall_at(0.5))
 
 
 def test_means_are_over_scenes_and_shares_over_cells() -> None:
     numbers = [("a", 1.0, 1.0, 10.0), ("a", 0.0, 1.0, 10.0), ("b", 1.0, 8.0, 20.0), ("c", float("nan"), 0.0, 0.0)]
-    pool = Pool([replace(_blank(), scene=s, numbers={"x": x, "part": p, "whole": w}) for s, x, p, w in numbers])
+    pool = pool_of(*(_blank() | {"scene": s, "x": x, "part": p, "whole": w} for s, x, p, w in numbers))
     assert pool.mean("x") == 0.75
     assert pool.share("part", "whole") == 0.25
     assert pool.counts.samples == 4
     assert pool.mean_f1() == 0.5
-    assert np.isnan(Pool([]).mean_f1())
+    assert np.isnan(pool_of().mean_f1())
     assert pool.names("scene") == ["a", "b", "c"]
 
 
-def test_the_page_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
+def test_the_files_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
     store = ResultStore.open(tmp_path, FAST)
     with pytest.raises(ValueError, match="must hold results"):
-        page_of(store)
+        files_of(store)
     assert list(run_study(store, LocalEngine(1))) == []
-    lines = store.path.read_text(encoding="utf-8").splitlines(keepends=True)
-    store.path.write_text("".join(lines[:2]), encoding="utf-8")
+    before, last = stored(store), FAST.job_keys()[-1]
+    store.path_of(last).unlink()
     again = ResultStore.open(tmp_path, FAST)
     assert list(run_study(again, LocalEngine(1))) == []
-    assert again.path.read_text(encoding="utf-8").splitlines(keepends=True) == lines
-    page = page_of(again)["wild.md"].decode()
+    assert stored(again) == before
+    page = files_of(again)["wild.md"].decode()
     for word in ("own: F1", "other: F1", "shadow_map", *LADDER, "cutting"):
         assert word in page
 
@@ -198,7 +205,7 @@ def test_a_network_of_ones_own_stands_in_the_tables_by_its_files_name(tmp_path: 
     plan = replace(FAST, methods=("shadow_map",), ladder=False, sets=("development",), networks=(str(file),))
     store = ResultStore.open(tmp_path / "study", plan)
     assert list(run_study(store, LocalEngine(1))) == []
-    assert "| mine |" in page_of(store)["wild.md"].decode()
+    assert "| mine |" in files_of(store)["wild.md"].decode()
     with pytest.raises(ValueError, match="networks must have file names of their own"):
         replace(plan, networks=(str(file), "elsewhere/mine.onnx"))
 
@@ -207,7 +214,7 @@ def test_worst_scenes_are_pictures(tmp_path: Path) -> None:
     plan = replace(FAST, worst=1, ladder=False)
     store = ResultStore.open(tmp_path, plan)
     assert list(run_study(store, LocalEngine(1))) == []
-    files = page_of(store)
+    files = files_of(store)
     pictures = [name for name in files if name.endswith(".png")]
     assert len(pictures) == 1
     assert files[pictures[0]].startswith(b"\x89PNG")

@@ -5,9 +5,10 @@ On a lattice about the sensor (nodes of 1 m on roads, of .5 m indoors), from the
 1. The plane that carries the sensor, through the nodes around it (``src/core/ground_plane.cpp``).
 2. Patches: nodes that lie on one plane with their neighbors, and how many of them hang together.
 3. A walk outwards from the sensor that carries height and slope and takes a node for ground where ground can make the
-   step to it: up as far as a curb, or any way along a patch; down to whatever returns agree on or is clearly lower, for
-   nothing but ground lies below ground. What goes on beside accepted ground is attached to it, and the walk repeated:
-   now a level that only one narrow sector shows is hardly carried on any more (``src/core/ground.cpp``).
+   step to it: up as far as a curb, 1.5 m onto a large patch, or any way along a slope that meets the ground at its
+   foot; down to whatever returns agree on or is clearly lower, for nothing but ground lies below ground. What goes on
+   beside accepted ground is attached to it, and the walk repeated: now a level that only one narrow sector shows is
+   hardly carried on any more (``src/core/ground.cpp``).
 4. Heights in between, by averages over coarser and coarser nodes above the carrier's plane, whose slope fades beyond
    the ground that is seen (pull-push, Gortler et al. 1996), with the spread of what was averaged as standard deviation.
    Where the ground breaks off along a line of sight it lies between the beam that passes the edge and not far below

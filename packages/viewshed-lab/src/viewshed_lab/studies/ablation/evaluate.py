@@ -28,7 +28,7 @@ from viewshed.sweep import Sweep, unorganized_no_sensor
 from viewshed_lab.data.simulated import simulate_frame
 from viewshed_lab.studies.cases import BARE, DEFAULT, TOUCHING, attack_of, generator
 from viewshed_lab.studies.evaluate import Evaluation, Reference
-from viewshed_lab.studies.records import BENIGN, Case, Record, pool
+from viewshed_lab.studies.records import BENIGN, Case, Row, pool
 from viewshed_lab.studies.samples import StudySample, parts_of
 from viewshed_lab.studies.suite import EstimatorSuite
 from viewshed_lab.threats.attacks import BlackBox, Knowledge, OverClaim
@@ -55,17 +55,11 @@ CASES = (BENIGN, BARE, *ATTACKS)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorSweeps:
-    """What a sensor measured before a sweep.
+    """What a sensor measured before a sweep."""
 
-    Attributes:
-        sweeps: the last ones, the oldest first, as measured.
-        levels: the same, leveled.
-        grid: on which.
-    """
-
-    sweeps: tuple[Sweep, ...]
-    levels: tuple[LeveledSweep, ...]
-    grid: BevGrid
+    sweeps: tuple[Sweep, ...]  # the last ones, the oldest first, as measured
+    levels: tuple[LeveledSweep, ...]  # the same, leveled
+    grid: BevGrid  # on which
 
     @classmethod
     def of(cls, sample: StudySample) -> PriorSweeps:
@@ -135,13 +129,13 @@ def evaluate(
     seed: int,
     target: Target = CAR,
     with_history: Sequence[str] = (),
-) -> list[Record]:
+) -> list[Row]:
     """Return what every estimator says of the samples in every case, all samples together.
 
     Args:
         samples: by their number, all on the estimators' grid.
         estimators: by name.
-        setting: domain of the records.
+        setting: domain of the rows.
         seed: of the attacks.
         target: what would have to be seen.
         with_history: names of estimators that are also given earlier sweeps, as methods of their own; on sweeps with
@@ -157,7 +151,7 @@ def evaluate(
 
 def evaluate_sample(
     evaluation: Evaluation, target: Target, seed: int, helped: Mapping[str, Estimator]
-) -> Iterator[Record]:
+) -> Iterator[Row]:
     """Yield the scores of one sample in every case; attacks that its sweep does not allow are left out."""
     sample, grid = evaluation.sample, evaluation.suite.grid
     parts = parts_of(sample.sample, target, BANDS, MARGIN)
@@ -179,7 +173,7 @@ def evaluate_sample(
                 prob = evaluation.reference.prob_of(estimate)
                 for part, mask in parts.items():
                     counts = evaluation.reference.counts(prob, THRESHOLD, sample.known & mask)
-                    yield evaluation.record(name, case, part, counts)
+                    yield evaluation.row(name, case, part, counts)
 
 
 def _attacked(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | None) -> AttackedSweep:
@@ -191,15 +185,10 @@ def _attacked(evaluation: Evaluation, case: Case, sweep: Sweep, wedge: Wedge | N
 
 @dataclass(frozen=True, slots=True)
 class Enveloped(ClassicalEstimator):
-    """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim.
+    """An estimator that claims nothing behind the nearest obstacle: no point that somebody adds can widen its claim."""
 
-    Attributes:
-        inner: whose probability is kept where the other claims.
-        bound: the first blocker, not limited by the farthest return.
-    """
-
-    inner: Estimator
-    bound: Estimator
+    inner: Estimator  # whose probability is kept where the other claims
+    bound: Estimator  # the first blocker, not limited by the farthest return
     name: str = "enveloped"
 
     @property
@@ -254,7 +243,7 @@ def attack_on(victim: Estimator, queries: int) -> BlackBox:
     return BlackBox(OverClaim(victim), POINTS, queries, sector_deg=SECTOR_DEG, aim_m=_AIM_M * scale, mode="free_form")
 
 
-def evaluate_chosen(evaluation: Evaluation, queries: Mapping[str, Sequence[int]], seed: int) -> Iterator[Record]:
+def evaluate_chosen(evaluation: Evaluation, queries: Mapping[str, Sequence[int]], seed: int) -> Iterator[Row]:
     """Yield what every victim says of a sweep untouched and with points chosen against it.
 
     Args:

@@ -12,14 +12,14 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.networks.card import INT8
 from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.networks.weights import default_name, float32_name
-from viewshed_lab._jobs import LocalEngine
+from viewshed_lab._jobs import Engine
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.studies.ablation.evaluate import Enveloped, evaluate, evaluate_chosen, evaluation_of
 from viewshed_lab.studies.ablation.plan import STEPS, WHOLE, AblationPlan
 from viewshed_lab.studies.ablation.results import FLOAT, OURS, RIVAL, SEVERAL, SHADOW_MAP
 from viewshed_lab.studies.paper.models import train
 from viewshed_lab.studies.plan import check_names
-from viewshed_lab.studies.runner import Job, Progress, run_jobs
+from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
 from viewshed_lab.studies.samples import StudySample, sample_of_preset
 from viewshed_lab.studies.store import JobResult, ResultStore
 from viewshed_lab.training.config import TrainConfig
@@ -36,21 +36,12 @@ ENVELOPED = "whole, within first blocker"
 
 
 def run_study(
-    store: ResultStore[AblationPlan], steps: tuple[str, ...], workers: int | None, on_progress: Progress
+    store: ResultStore[AblationPlan],
+    engine: Engine,
+    steps: tuple[str, ...] = STEPS,
+    on_progress: Progress = ignore_progress,
 ) -> Iterator[str]:
-    """Do what is not done yet, and yield one line for each job that failed.
-
-    Args:
-        store: of the ablation.
-        steps: of ``STEPS``.
-        workers: processes; None is one for each core.
-        on_progress: is called as jobs are done.
-
-    Raises:
-        ValueError: a step is not known.
-        ImportError: trainings are wanted and the extra for them is not installed.
-        OSError: something cannot be written.
-    """
+    """Do what is not done yet of some of ``STEPS``, and yield one line for each job that failed."""
     check_names("only", steps, STEPS)
     models = set(store.plan.job_keys_of("models"))
     for step in STEPS[:-1]:
@@ -62,7 +53,7 @@ def run_study(
             if step == "validation" and not models <= done:
                 yield "validation: not all variants are trained"
                 continue
-            yield from run_jobs(store, do_job, keys, LocalEngine(workers), on_progress, step=step)
+            yield from run_jobs(store, do_job, keys, engine, on_progress, step=step)
 
 
 def cache_of(folder: Path) -> Path:

@@ -20,47 +20,29 @@ WHOLE = "whole"
 
 @dataclass(frozen=True, slots=True)
 class AblationPlan(Plan):
-    """What is trained and tried.
-
-    Attributes:
-        config: name of the training config that the variants change.
-        domain: preset whose scenes variants are tried on, on the grid of the config.
-        others: further settings in which the shipped networks are reported: by the name of the training config whose
-            grid, target and attacks count there, the preset.
-        seed: of the scenes on which variants are compared.
-        test_seed: of the scenes on which the shipped network is reported.
-        sweeps: how many sweeps variants are compared on, each from a scene of its own.
-        test_sweeps: how many the shipped network is reported on.
-        other_sweeps: the same in each of ``others``.
-        chosen_sweeps: how many of those of the domain are attacked by points chosen against their victim.
-        queries: that such an attacker makes: the first number of every victim, each number of our network.
-        chunk: sweeps of one job; points are chosen for one at a time.
-        claim_precision: precision of cells claimed in attacked wedges after abstention, for which it is calibrated.
-        base: changes of the config that all variants share.
-        variants: by name, the further changes of each.
-
-    Raises:
-        ValueError: a value is wrong; the message says which.
-    """
+    """What is trained and tried."""
 
     FOLDER: ClassVar[str] = "studies/ablation/plans"
 
     name: str
     about: str
-    config: str
-    domain: str
+    config: str  # name of the training config that the variants change
+    domain: str  # preset whose scenes variants are tried on, on the grid of the config
+    # further settings in which the shipped networks are reported: by the name of the training config whose
+    # grid, target and attacks count there, the preset
     others: Mapping[str, str]
-    seed: int
-    test_seed: int
-    sweeps: int
-    test_sweeps: int
-    other_sweeps: int
-    chosen_sweeps: int
+    seed: int  # of the scenes on which variants are compared
+    test_seed: int  # of the scenes on which the shipped network is reported
+    sweeps: int  # how many sweeps variants are compared on, each from a scene of its own
+    test_sweeps: int  # how many the shipped network is reported on
+    other_sweeps: int  # the same in each of ``others``
+    chosen_sweeps: int  # how many of those of the domain are attacked by points chosen against their victim
+    # that such an attacker makes: the first number of every victim, each number of our network
     queries: tuple[int, ...]
-    chunk: int
-    claim_precision: float
-    base: Mapping[str, Any]
-    variants: Mapping[str, Mapping[str, Any]]
+    chunk: int  # sweeps of one job; points are chosen for one at a time
+    claim_precision: float  # precision of cells claimed in attacked wedges after abstention, for which it is calibrated
+    base: Mapping[str, Any]  # changes of the config that all variants share
+    variants: Mapping[str, Mapping[str, Any]]  # by name, the further changes of each
 
     def __post_init__(self) -> None:
         self._check_seeds()
@@ -96,11 +78,7 @@ class AblationPlan(Plan):
         return self.domain if setting == self.config else self.others[setting]
 
     def config_in(self, setting: str) -> TrainConfig:
-        """Return the training config whose grid, target and attacks count in a setting.
-
-        Raises:
-            ValueError: there is no such config.
-        """
+        """Return the training config whose grid, target and attacks count in a setting."""
         return self.config_of(WHOLE) if setting == self.config else read_config(setting)
 
     def title_of(self, setting: str) -> str:
@@ -108,11 +86,7 @@ class AblationPlan(Plan):
         return f"{self.preset_in(setting)}, {self.config_in(setting).target}"
 
     def config_of(self, variant: str) -> TrainConfig:
-        """Return how a variant is trained.
-
-        Raises:
-            ValueError: there is no such variant, or it changes what a config does not have.
-        """
+        """Return how a variant is trained."""
         if variant not in self.variants:
             raise ValueError(f"variant must be one of {', '.join(self.variants)}, got {variant!r}")
         changes = {**self.base, **self.variants[variant]}

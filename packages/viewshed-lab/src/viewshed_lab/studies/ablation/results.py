@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,9 +69,11 @@ class SettingResults(Domain[AblationPlan]):
         """Methods that see one sweep alone."""
         return [name for name in self.methods if not name.endswith(_HISTORIES)]
 
-    def with_history(self, name: str) -> list[str]:
-        """Return a method on sweeps that have a history: alone, with it, and confirmed by it."""
-        return [one for one in self.methods if one.startswith(f"{name}, ") and one.endswith(_HISTORIES)]
+    @property
+    def helped(self) -> list[str]:
+        """Methods that earlier sweeps help, on sweeps that have some: alone, with them, and confirmed by them."""
+        helped = tuple(f"{name}, " for name in (OURS, SHADOW_MAP))
+        return [one for one in self.methods if one.startswith(helped) and one.endswith(_HISTORIES)]
 
     @property
     def attacks(self) -> tuple[str, ...]:
@@ -142,17 +144,11 @@ class SettingResults(Domain[AblationPlan]):
 
 @dataclass(frozen=True, slots=True)
 class Sure:
-    """What is claimed where only sure cells are: claimed from a probability on, denied below 1 less it.
+    """What is claimed where only sure cells are: claimed from a probability on, denied below 1 less it."""
 
-    Attributes:
-        share: of the cells of which anything is said.
-        claims: share of the claimed cells that are visible; NaN where none is claimed.
-        denials: share of the denied cells that are not visible; NaN where none is denied.
-    """
-
-    share: float
-    claims: float
-    denials: float
+    share: float  # of the cells of which anything is said
+    claims: float  # share of the claimed cells that are visible; NaN where none is claimed
+    denials: float  # share of the denied cells that are not visible; NaN where none is denied
 
     @classmethod
     def of(cls, scores: Scores, sure: float) -> Sure:
@@ -194,16 +190,8 @@ SHADOW_MAP = "shadow_map"
 """The classical estimator that earlier sweeps help."""
 
 
-@dataclass(frozen=True, slots=True)
-class AblationTarget:
-    """One figure.
-
-    Attributes:
-        what: it is of.
-        wanted: in words.
-        found: in words.
-        met: whether.
-    """
+class AblationTarget(NamedTuple):
+    """What a figure is of, what was wanted and what was found in words, and whether it is met."""
 
     what: str
     wanted: str
@@ -211,51 +199,66 @@ class AblationTarget:
     met: bool
 
 
-def targets_of(validation: SettingResults, test: SettingResults, chosen: SettingResults) -> list[AblationTarget]:
-    """Return the targets with what was found on the reported scenes; none where our network was not tried."""
-    if OURS not in test.methods:
-        return []
-    parts = (_agreement(test), _parts(test), _wedges(validation, test), _with_history(test), _chosen(chosen),
-             _calibration(test), _doubt(test))  # fmt: skip
-    return list(chain.from_iterable(parts))
-
-
-def targets_elsewhere(test: SettingResults) -> list[AblationTarget]:
-    """Return the targets of another setting; none where our network was not tried."""
-    return list(_elsewhere(test)) if OURS in test.methods else []
-
-
-def _elsewhere(test: SettingResults) -> Iterator[AblationTarget]:
-    pedestrian = test.config.target == PEDESTRIAN.name
-    yield _at_least("F1, benign", test.f1(OURS, [BENIGN]), 0.94 if pedestrian else 0.96)
-    if not pedestrian:
-        yield from _clear(test)
-    yield _at_least("mean F1 over the attacks, jamming apart", test.f1(OURS, FAMILIES), 0.93)
-    yield _lead(test, (BENIGN, *ATTACKS), "least lead over the vote, benign and under any attack")
-
-
 def label(case: Case) -> str:
     """Return what a case is called in tables."""
     return case.name or case.kind
 
 
-def _agreement(test: SettingResults) -> Iterator[AblationTarget]:
-    benign, bare = (test.f1(OURS, [case]) for case in (BENIGN, BARE))
-    mean, rival = (test.f1(name, FAMILIES) for name in (OURS, RIVAL))
-    yield _at_least("F1, benign", benign, 0.96)
-    yield _at_least("mean F1 over the attacks, jamming apart", mean, 0.93)
-    yield _more_by("the same less that of the vote", mean - rival, 0.02)
-    yield _lead(test, ATTACKS, "least lead over the vote under any attack")
-    yield _at_least("F1, jamming", test.f1(OURS, [JAMMING]), 0.88)
-    yield _more_by("F1 without rings, less that with rings", bare - benign, -0.02)
-    if FLOAT in test.methods:
-        for words, cases in (("benign", [BENIGN]), ("mean over the attacks", list(ATTACKS))):
-            less = test.f1(OURS, cases) - test.f1(FLOAT, cases)
-            yield AblationTarget(
-                f"F1 in bytes, less that in float32, {words}", "≥ -.002", f"{less:+.4f}", less >= -0.002
-            )
+def targets_of(validation: SettingResults, test: SettingResults, chosen: SettingResults) -> list[AblationTarget]:
+    """Return the targets with what was found on the reported scenes; none where our network was not tried."""
+    if OURS not in test.methods:
+        return []
+    benign, bare, mean = (test.f1(OURS, cases) for cases in ([BENIGN], [BARE], FAMILIES))
+    targets = [
+        _at_least("F1, benign", benign, 0.96),
+        _at_least("mean F1 over the attacks, jamming apart", mean, 0.93),
+        _more_by("the same less that of the vote", mean - test.f1(RIVAL, FAMILIES), 0.02),
+        _lead(test, ATTACKS, "least lead over the vote under any attack"),
+        _at_least("F1, jamming", test.f1(OURS, [JAMMING]), 0.88),
+        _more_by("F1 without rings, less that with rings", bare - benign, -0.02),
+    ]
+    for words, several in (("benign", [BENIGN]), ("mean over the attacks", list(ATTACKS))):
+        if FLOAT in test.methods:
+            less = test.f1(OURS, several) - test.f1(FLOAT, several)
+            what = f"F1 in bytes, less that in float32, {words}"
+            targets.append(AblationTarget(what, "≥ -.002", f"{less:+.4f}", less >= -0.002))
     less = test.f1(OURS, test.unseen) - test.f1(OURS, test.trained)
-    yield _more_by("mean F1, unseen attacks less those trained on", less, -0.02)
+    targets += [_more_by("mean F1, unseen attacks less those trained on", less, -0.02), *_parts(test)]
+    # Precision in opened wedges: after abstention, and confirmed by earlier sweeps.
+    groups = tuple(zip(("trained on", "unseen"), test.opening, strict=True))
+    if WHOLE in validation.methods:
+        step = validation.sure
+        for (words, cases), wanted in zip(groups, (0.8, 0.5), strict=True):
+            scores = test.wedge(OURS, cases)
+            one = _opened(f"precision / recall in opened wedges after abstention, {words}", scores, wanted, step)
+            found = f"{one.found} from {step:g}" if scores.counts(step)[0] else "no such probability"
+            targets.append(one._replace(found=found))
+    for kind, attacked in ((HONEST, ""), (ATTACKED, ", attacked")):
+        if (name := f"{OURS}, {CONFIRMED}{kind}") in test.methods:
+            what = f"precision / recall in opened wedges, confirmed by earlier sweeps{attacked}"
+            targets += [_opened(f"{what}, {words}", test.wedge(name, cases), 0.9) for words, cases in groups]
+    for case in chosen.cases_of(OURS):
+        if case != UNTOUCHED:
+            precision, wedge = chosen.scores(OURS, [case]).precision(), chosen.wedge(OURS, [case]).precision()
+            what = f"precision against {POINTS} points chosen with {case.level} queries"
+            targets.append(AblationTarget(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9))
+    for words, unseen, most in (("benign", (BENIGN,), 0.02), ("unseen attacks", test.unseen, 0.05)):
+        ece = test.scores(OURS, unseen).ece()
+        targets.append(AblationTarget(f"ECE, {words}", f"≤ {most}", f"{ece:.4f}", ece <= most))
+    return [*targets, *_doubt(test)]
+
+
+def targets_elsewhere(test: SettingResults) -> list[AblationTarget]:
+    """Return the targets of another setting; none where our network was not tried."""
+    if OURS not in test.methods:
+        return []
+    pedestrian = test.config.target == PEDESTRIAN.name
+    return [
+        _at_least("F1, benign", test.f1(OURS, [BENIGN]), 0.94 if pedestrian else 0.96),
+        *([] if pedestrian else _clear(test)),
+        _at_least("mean F1 over the attacks, jamming apart", test.f1(OURS, FAMILIES), 0.93),
+        _lead(test, (BENIGN, *ATTACKS), "least lead over the vote, benign and under any attack"),
+    ]
 
 
 def _lead(test: SettingResults, cases: Iterable[Case], what: str) -> AblationTarget:
@@ -273,61 +276,23 @@ def _parts(test: SettingResults) -> Iterator[AblationTarget]:
         yield AblationTarget("least F1 of any sensor, benign", "≥ 0.93", found, sensors[worst] >= 0.93)
 
 
-def _clear(test: SettingResults) -> Iterator[AblationTarget]:
-    if CLEAR in test.parts:
-        yield _at_least(f"F1, benign, cells {CLEAR}", test.counts(OURS, BENIGN, CLEAR).f1, 0.98)
-
-
-def _wedges(validation: SettingResults, test: SettingResults) -> Iterator[AblationTarget]:
-    if WHOLE not in validation.methods:
-        return
-    step, (seen, unseen) = validation.sure, test.opening
-    for words, cases, wanted in (("trained on", seen, 0.8), ("unseen", unseen, 0.5)):
-        what = f"precision / recall in opened wedges after abstention, {words}"
-        scores = test.wedge(OURS, cases)
-        target = _opened(what, scores, wanted, step)
-        yield replace(
-            target, found=f"{target.found} from {step:g}" if scores.counts(step)[0] else "no such probability"
-        )
-
-
-def _with_history(test: SettingResults) -> Iterator[AblationTarget]:
-    for kind, attacked in ((HONEST, ""), (ATTACKED, ", attacked")):
-        name = f"{OURS}, {CONFIRMED}{kind}"
-        for words, cases in zip(("trained on", "unseen"), test.opening, strict=True):
-            if name in test.methods:
-                what = f"precision / recall in opened wedges, confirmed by earlier sweeps{attacked}, {words}"
-                yield _opened(what, test.wedge(name, cases), 0.9)
+def _clear(test: SettingResults) -> list[AblationTarget]:
+    found = test.counts(OURS, BENIGN, CLEAR).f1
+    return [_at_least(f"F1, benign, cells {CLEAR}", found, 0.98)] if CLEAR in test.parts else []
 
 
 def _opened(what: str, scores: Scores, wanted: float, threshold: float = 0.5) -> AblationTarget:
     """Return the target of a precision in opened wedges, at a recall of at least one half."""
     precision, recall = scores.precision(threshold), scores.recall(threshold)
-    found = f"{precision:.3f} / {recall:.3f}"
-    return AblationTarget(what, f"≥ {wanted:.2f} / .50", found, precision >= wanted and recall >= 0.5)
-
-
-def _chosen(chosen: SettingResults) -> Iterator[AblationTarget]:
-    for case in chosen.cases_of(OURS):
-        if case != UNTOUCHED:
-            precision, wedge = chosen.scores(OURS, [case]).precision(), chosen.wedge(OURS, [case]).precision()
-            what = f"precision against {POINTS} points chosen with {case.level} queries"
-            yield AblationTarget(what, "≥ 0.90", f"{precision:.3f} (wedge {wedge:.3f})", precision >= 0.9)
-
-
-def _calibration(test: SettingResults) -> Iterator[AblationTarget]:
-    for words, cases, most in (("benign", (BENIGN,), 0.02), ("unseen attacks", test.unseen, 0.05)):
-        ece = test.scores(OURS, cases).ece()
-        yield AblationTarget(f"ECE, {words}", f"≤ {most}", f"{ece:.4f}", ece <= most)
+    met = precision >= wanted and recall >= 0.5
+    return AblationTarget(what, f"≥ {wanted:.2f} / .50", f"{precision:.3f} / {recall:.3f}", met)
 
 
 def _doubt(test: SettingResults) -> Iterator[AblationTarget]:
-    if SEVERAL not in test.methods:
-        return
-    for words, cases in (("benign", (BENIGN,)), ("attacked", ATTACKS)):
+    """Yield how good the doubt of one pass is beside that of several."""
+    for words, cases in (("benign", (BENIGN,)), ("attacked", ATTACKS)) if SEVERAL in test.methods else ():
         one, several = (test.scores(name, cases) for name in (OURS, SEVERAL))
-        figures = {"Brier score": Scores.brier, "AURC": Scores.aurc}
-        for name, figure in figures.items():
+        for name, figure in (("Brier score", Scores.brier), ("AURC", Scores.aurc)):
             ours, theirs = figure(one), figure(several)
             what = f"{name} of one pass beside that of 20, {words}"
             yield AblationTarget(what, f"≤ {theirs:.4f}", f"{ours:.4f}", ours <= theirs)

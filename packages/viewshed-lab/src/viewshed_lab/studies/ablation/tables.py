@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from viewshed.metrics import Scores
-from viewshed_lab._page import Table
 from viewshed_lab.studies.ablation.evaluate import CASES, UNTOUCHED
 from viewshed_lab.studies.ablation.plan import WHOLE, AblationPlan
 from viewshed_lab.studies.ablation.results import JAMMING, OURS, AblationTarget, SettingResults, Sure, label
@@ -18,6 +17,7 @@ from viewshed_lab.studies.formatting import (
     format_rates,
     pivot,
 )
+from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case
 
 SURE = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)

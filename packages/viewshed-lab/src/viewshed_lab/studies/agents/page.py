@@ -15,16 +15,16 @@ from viewshed.agents.suspicion import Suspicion
 from viewshed.agents.trust import TrustLimits, Verdicts
 from viewshed.agents.view_checks import VIEW_CHECKS
 from viewshed.arrays import F64
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.agents.jobs import EXPECTED
 from viewshed_lab.studies.agents.lies import LIES
 from viewshed_lab.studies.agents.plan import HONEST, ONSET_S, AgentsPlan
 from viewshed_lab.studies.agents.runs import Run
 from viewshed_lab.studies.agents.scenes import MAST_M, PITCH_DEG
 from viewshed_lab.studies.formatting import commits, format_interval, format_rate, mean
+from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.records import Results
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 
 RATE = 0.01
 """Share of benign scenes in which somebody may be accused; more where there are too few scenes for it."""
@@ -413,34 +413,25 @@ def _masts(plan: AgentsPlan) -> str:
     )
 
 
-def page_of(store: ResultStore[AgentsPlan]) -> str:
-    """Return the page as Markdown.
+def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name.
 
     Raises:
         ValueError: there are no runs.
     """
     plan, results = store.plan, store.results("run")
     if not results.facts:
-        raise ValueError(f"{store.path} must hold runs, got none; run the steps scenes and runs")
+        raise ValueError(f"{store.folder} must hold runs, got none; run the steps scenes and runs")
     found = AgentsResults(plan, results)
     values: dict[str, Any] = {
         "agents": plan.moving + plan.roadside, "moving": plan.moving, "roadside": plan.roadside,
         "rate": f"{100 * found.rate:.3g}", "seconds": f"{plan.seconds:g}", "hz": f"{plan.hz:g}",
         "onset": f"{ONSET_S:g}", "masts": _masts(plan),
     }  # fmt: skip
-    title, blocks = fill_template("agents/page.md", values, {
-        "targets": found.target_table,
-        "benign": found.benign_table,
-        "found": found.found_table,
-        "flips": found.flip_table,
-        "published": found.published_table,
-        "overlap": found.overlap_table,
-        "checks": found.checks_table,
-        "claims": found.claims_table,
-    })  # fmt: skip
+    page = fill_template("agents/page.md", results=found, **values)
     scenes = f"{plan.claims} claims, {plan.calibration} calibration, {plan.test} test, {plan.benign} benign"
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), worlds=", ".join(plan.worlds),
         sensors=", ".join(plan.sensors), scenes=scenes, commits=commits(results),
     )  # fmt: skip
-    return to_markdown(title, about, blocks)
+    return page.files("agents.md", about)

@@ -53,15 +53,10 @@ KNOWN_FAULTS: dict[str, Change] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultyEstimator:
-    """An estimator whose mask is given a known fault.
+    """An estimator whose mask is given a known fault."""
 
-    Attributes:
-        estimator: that gives the mask.
-        change: what is done to it.
-    """
-
-    estimator: FovEstimator
-    change: Change
+    estimator: FovEstimator  # that gives the mask
+    change: Change  # what is done to it
 
     @property
     def grid(self) -> BevGrid:
@@ -104,19 +99,12 @@ _DRAWS, _POWER, _CHANCE = 200, 0.8, 0.05
 
 @dataclass(frozen=True, slots=True)
 class SmallestDifference:
-    """The smallest share of wrongly called ground that a table shows; NaN where it would show none of ``SHARES``.
+    """The smallest share of wrongly called ground that a table shows; NaN where it would show none of ``SHARES``."""
 
-    Attributes:
-        over: of the ground that is not visible, called visible.
-        under: of the ground that is visible, not called so.
-        hidden_columns: that ``over`` rests on.
-        hidden_sweeps: that these are from.
-    """
-
-    over: float
-    under: float
-    hidden_columns: int
-    hidden_sweeps: int
+    over: float  # of the ground that is not visible, called visible
+    under: float  # of the ground that is visible, not called so
+    hidden_columns: int  # that ``over`` rests on
+    hidden_sweeps: int  # that these are from
 
     @classmethod
     def of(cls, truth: CrossViewTruth, floor: tuple[float, float], rng: np.random.Generator) -> SmallestDifference:

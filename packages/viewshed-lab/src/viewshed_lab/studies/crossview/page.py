@@ -16,7 +16,7 @@ from viewshed.fov.estimate import FovEstimator
 from viewshed.io import read_index, read_indexed
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.crossview.faults import BLOB_M, SmallestDifference, with_known_faults
 from viewshed_lab.studies.crossview.rates import (
     FIRST_RULES,
@@ -30,8 +30,8 @@ from viewshed_lab.studies.crossview.rates import (
 )
 from viewshed_lab.studies.crossview.simulated import evaluate_floor
 from viewshed_lab.studies.formatting import format_number, lines
+from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.plan import check_names
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 
 POINTS = 150
@@ -49,19 +49,13 @@ FLOOR_RULES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorScenes:
-    """The scenes of one sensor, and what its sweeps know about each other.
+    """The scenes of one sensor, and what its sweeps know about each other."""
 
-    Attributes:
-        name: of the sensor.
-        scenes: sweeps of each.
-        truths: by the names of ``RULES``.
-        differences: by the same names the smallest differences that their columns show; empty if the metric's own
-            error was not measured.
-    """
-
-    name: str
-    scenes: list[list[Sweep]]
-    truths: Mapping[str, CrossViewTruth]
+    name: str  # of the sensor
+    scenes: list[list[Sweep]]  # sweeps of each
+    truths: Mapping[str, CrossViewTruth]  # by the names of ``RULES``
+    # by the same names the smallest differences that their columns show; empty if the metric's own error was
+    # not measured
     differences: Mapping[str, SmallestDifference]
 
     @property
@@ -69,10 +63,10 @@ class SensorScenes:
         """The sensor, how many scenes and sweeps."""
         return f"{self.name}, {len(self.scenes)} scene(s), {sum(map(len, self.scenes))} sweeps"
 
-    def seen(self, rules: str) -> str:
-        """Return in words what the columns of some rules would show."""
+    def seen(self, rules: str) -> str | None:
+        """Return in words what the columns of some rules would show; None where that was not measured."""
         if rules not in self.differences:
-            return ""
+            return None
         found = self.differences[rules]
         over, under = (
             f"no {kind} at all" if isnan(share) else f"{kind} of {share:g} or more of the {ground} ground"
@@ -100,10 +94,6 @@ def page_of(
         seed: of the bootstrap.
         on_step: is called with what is done next.
         floor: whether the metric's own error is measured in a simulation as well.
-
-    Raises:
-        ValueError: an attack is not known, or the index has no scene.
-        OSError: a file cannot be read.
     """
     check_names("attacks", attacks, ATTACKS)
     found, floors = _scenes(index), dict[str, list[CrossViewRow]]()
@@ -118,20 +108,14 @@ def page_of(
         return _table(rows_of(of.truths[name], tried, rng=np.random.default_rng(seed), on_step=on_step))
 
     whole, first = RULES
-    title, blocks = fill_template("crossview/page.md", {
-        "sensors": sensors, "attacked": sensors if attacks else (), "floors": list(floors), "points": POINTS,
-        "blob_m": BLOB_M,
-    }, {
-        "rates": lambda of: rates(of, whole, estimators),
-        "seen": lambda of: of.seen(whole),
-        "first_rates": lambda of: rates(of, first, estimators),
-        "first_seen": lambda of: of.seen(first),
-        "known_faults": lambda of: rates(of, whole, _with_known_faults(estimators)) if floor else None,
-        "attacked_rates": lambda of: _under_attack(of.truths[whole], estimators, attacks, seed, on_step),
-        "floor": lambda name: _table(floors[name]),
-    })  # fmt: skip
+    page = fill_template(
+        "crossview/page.md", sensors=sensors, attacked=sensors if attacks else (), floors=floors, points=POINTS,
+        blob_m=BLOB_M, whole=whole, first=first, estimators=estimators, rates=rates, table=_table,
+        faulty=_with_known_faults(estimators) if floor else None,
+        attacked_rates=lambda of: _under_attack(of.truths[whole], estimators, attacks, seed, on_step),
+    )  # fmt: skip
     about = facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car")
-    return to_markdown(title, about, blocks)
+    return page.markdown(about)
 
 
 def _looked_at(

@@ -27,45 +27,29 @@ OnStep = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class CrossViewRules:
-    """How columns are chosen; every length in meters above each sweep's own local ground.
+    """How columns are chosen; every length in meters above each sweep's own local ground."""
 
-    Attributes:
-        body_m: a column needs ``body_returns`` returns of B between these heights.
-        body_returns: how many.
-        top_m: and one return between these, so that it is about as tall as a car.
-        foot_m: a column counts as not seen only if another sweep has a return near it between these heights, so that
-            A's beams cannot pass below it as they do below a bus; None demands nothing.
-        range_a_m: distance of the column from A.
-        range_b_m: and from B.
-        static_s: another sweep, this many seconds from B or more, must see it too, or it may have moved.
-        together_s: what B measured within this time of A needs no such witness.
-        near_m: returns within this distance of the column's middle belong to it.
-        seen_m: A sees the column with ``seen_returns`` returns between these heights.
-        seen_returns: how many.
-        clear_m: A does not see it if it has no return between those heights within this distance.
-        coverage: returned beams of A that must aim at the column.
-        through_share: a column that this share (and at least two) of those beams pass by ``through_m`` has moved or
-            can be seen through, and is dropped.
-        through_m: see there.
-        across_m: a column counts as not seen only if the scene is as tall this far to its left and right as A looks
-            at it, so that it hides a target and not a post in front of a gap; 0 demands nothing.
-    """
-
-    body_m: tuple[float, float] = (0.5, 1.5)
-    body_returns: int = 3
-    top_m: tuple[float, float] = (1.1, 2.2)
+    body_m: tuple[float, float] = (0.5, 1.5)  # a column needs ``body_returns`` returns of B between these heights
+    body_returns: int = 3  # how many
+    top_m: tuple[float, float] = (1.1, 2.2)  # and one return between these, so that it is about as tall as a car
+    # a column counts as not seen only if another sweep has a return near it between these heights, so that
+    # A's beams cannot pass below it as they do below a bus; None demands nothing
     foot_m: tuple[float, float] | None = (0.1, 0.3)
-    range_a_m: tuple[float, float] = (4.0, 45.0)
-    range_b_m: tuple[float, float] = (3.0, 50.0)
-    static_s: float = 0.7
-    together_s: float = 0.02
-    near_m: float = 0.5
-    seen_m: tuple[float, float] = (0.2, 1.7)
-    seen_returns: int = 2
-    clear_m: float = 1.5
-    coverage: int = 3
+    range_a_m: tuple[float, float] = (4.0, 45.0)  # distance of the column from A
+    range_b_m: tuple[float, float] = (3.0, 50.0)  # and from B
+    static_s: float = 0.7  # another sweep, this many seconds from B or more, must see it too, or it may have moved
+    together_s: float = 0.02  # what B measured within this time of A needs no such witness
+    near_m: float = 0.5  # returns within this distance of the column's middle belong to it
+    seen_m: tuple[float, float] = (0.2, 1.7)  # A sees the column with ``seen_returns`` returns between these heights
+    seen_returns: int = 2  # how many
+    clear_m: float = 1.5  # A does not see it if it has no return between those heights within this distance
+    coverage: int = 3  # returned beams of A that must aim at the column
+    # a column that this share (and at least two) of those beams pass by ``through_m`` has moved or can be
+    # seen through, and is dropped
     through_share: float = 0.3
-    through_m: float = 1.0
+    through_m: float = 1.0  # see there
+    # a column counts as not seen only if the scene is as tall this far to its left and right as A looks at
+    # it, so that it hides a target and not a post in front of a gap; 0 demands nothing
     across_m: float = 0.9
 
 
@@ -75,17 +59,11 @@ FIRST_RULES = CrossViewRules(foot_m=None, across_m=0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenColumns:
-    """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each.
+    """What is known of A's view: columns (M, 2) in A's ``level`` frame, and whether A sees each."""
 
-    Attributes:
-        xy: (M, 2) meters.
-        seen: (M,) bool: A sees the column; the others it does not.
-        through: (M,) bool: not seen, but A's beams pass it: moved or see-through; left out of ``over``.
-    """
-
-    xy: NDArray[np.float64]
-    seen: NDArray[np.bool_]
-    through: NDArray[np.bool_]
+    xy: NDArray[np.float64]  # (M, 2) meters
+    seen: NDArray[np.bool_]  # (M,) bool: A sees the column; the others it does not
+    through: NDArray[np.bool_]  # (M,) bool: not seen, but A's beams pass it: moved or see-through; left out of ``over``
 
     @property
     def hidden(self) -> NDArray[np.bool_]:
@@ -245,11 +223,7 @@ def evaluate_crossview(
     rules: CrossViewRules | None = None,
     on_step: OnStep = lambda _: None,
 ) -> list[CrossViewRow]:
-    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene).
-
-    Raises:
-        ValueError: a sweep has no pose or no time.
-    """
+    """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene)."""
     return rows_of(crossview_truth(sequences, rules, on_step), estimators, rng=rng, on_step=on_step)
 
 

@@ -32,9 +32,6 @@ def view(
         pose: x and y in meters and yaw in radians, in the scene.
         height_m: sensor height above the ground.
         rng: noise of the measured ranges.
-
-    Raises:
-        ValueError: the scene's ground slopes.
     """
     if any(scene.slope):
         raise ValueError(f"scene must have level ground to be seen from several places, got slope {scene.slope}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from viewshed_lab._jobs import Engine, LocalEngine
 from viewshed_lab.studies.cases import DEFAULT, apply, generator
 from viewshed_lab.studies.deviation.plan import DeviationPlan, Trials
 from viewshed_lab.studies.plan import JobKey
-from viewshed_lab.studies.records import BENIGN, Case, Record, Series
+from viewshed_lab.studies.records import BENIGN, Case, Row, Series, row_of
 from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
 from viewshed_lab.studies.samples import StudySample, sample_of
 from viewshed_lab.studies.store import JobResult, ResultStore
@@ -35,11 +36,7 @@ METHOD = "mc_dropout"
 def fit_monitor(
     estimator: FovEstimator, fit: Iterable[StudySample], calibrate: Iterable[StudySample], trials: Trials
 ) -> DeviationMonitor:
-    """Return a monitor fitted on one set of benign sweeps and calibrated on another.
-
-    Raises:
-        ValueError: the estimator has no standard deviation, or there are too few sweeps for the false-alarm rate.
-    """
+    """Return a monitor fitted on one set of benign sweeps and calibrated on another."""
     rule = replace(RULE, sigmas=trials.sigmas)
     monitor = DeviationMonitor.fit((estimator.estimate(sample.sweep) for sample in fit), rule)
     return monitor.calibrated((estimator.estimate(sample.sweep) for sample in calibrate), trials.false_alarm_rate)
@@ -54,7 +51,7 @@ def watch(
     domain: str,
     method: str,
     number: int,
-) -> Iterator[Record]:
+) -> Iterator[Row]:
     """Yield what the monitor says of one sweep, clean, attacked and corrupted.
 
     Args:
@@ -62,19 +59,19 @@ def watch(
         estimator: with standard deviations.
         sample: a benign sweep that the monitor was neither fitted nor calibrated on.
         trials: what is done.
-        domain: of the records.
-        method: of the records.
+        domain: of the rows.
+        method: of the rows.
         number: of the sweep in the domain.
     """
     bench = _Bench(monitor, estimator, sample, estimator.estimate(sample.sweep))
     for case in trials.cases():
-        record = Record(Series(domain, method, case), sample.sample.scene, number)
+        of = Series(domain, method, case), sample.sample.scene, number
         try:
             tampered = bench.tampered(case, generator(trials.seed, number, case.kind, case.name), trials.severity)
         except ValueError as error:
-            yield replace(record, refused=" ".join(str(error).split()))
+            yield row_of(*of, refused=" ".join(str(error).split()))
             continue
-        yield replace(record, numbers=bench.numbers(case, tampered))
+        yield row_of(*of, **bench.numbers(case, tampered))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,15 +84,11 @@ class _Bench:
     clean: FovEstimate
 
     def tampered(self, case: Case, rng: np.random.Generator, severity: int) -> Tampered:
-        """Return the sweep in a case; an attack has its own budget and the scale of the monitor's grid.
-
-        Raises:
-            ValueError: the case cannot be made of this sweep.
-        """
+        """Return the sweep in a case; an attack has its own budget and the scale of the monitor's grid."""
         levels = {"attack": DEFAULT, "corruption": str(severity)}
         return apply(replace(case, level=levels.get(case.kind, "")), self.sample, rng, self.monitor.grid.half_extent_m)
 
-    def numbers(self, case: Case, tampered: Tampered) -> dict[str, float]:
+    def numbers(self, case: Case, tampered: Tampered) -> dict[str, Any]:
         """Return score, alarm, mean deviation and suspect cells, and those of each region that the case has."""
         sweep, seen = tampered.sweep, self.monitor.watched
         estimate = self.clean if case == BENIGN else self.estimator.estimate(sweep)
@@ -155,11 +148,11 @@ def do_job(job: Job[DeviationPlan]) -> JobResult:
         save_monitor(monitor, path)
         return JobResult(facts={"limit": monitor.limit})
     number = int(job.key[1])
-    records = watch(
+    rows = watch(
         load_monitor(path), _estimator(plan), _sample(plan, 2, number), plan,
         domain=plan.domain, method=METHOD, number=number,
     )  # fmt: skip
-    return JobResult(list(records))
+    return JobResult(list(rows))
 
 
 @lru_cache(maxsize=1)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import isnan
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from viewshed.monitor.roc import auroc, auroc_interval, tpr_at_fpr
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.cases import generator
 from viewshed_lab.studies.deviation.jobs import METHOD
 from viewshed_lab.studies.deviation.plan import DeviationPlan
 from viewshed_lab.studies.formatting import by_name, commits, format_interval, format_rate, pivot
-from viewshed_lab.studies.records import BENIGN, Results, Series
+from viewshed_lab.studies.pages import Table, fill_template
+from viewshed_lab.studies.records import Results
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.threats.attacks import FAMILY
 
 REGIONS = ("touched", "wedge", "changed")
@@ -24,126 +26,60 @@ reaches; cells that the estimate calls visible on only one of the clean and the 
 
 FALSE_ALARM_RATE = 0.01
 
-_NAN = float("nan")
+_NUMBERS = ("score", "alarm", "mean_std", "suspects", "watched", "returns",
+            *(f"{region} {what}" for region in REGIONS for what in ("cells", "suspects")))  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Located:
-    """How well suspect cells fit a region, counted over all sweeps that have one.
+def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> pd.DataFrame:
+    """Return one row for each case of a method in a domain, over all sweeps that the case could be made of.
 
-    Attributes:
-        cells: watched cells of the region.
-        suspects: suspect cells.
-        both: suspect cells of the region.
-        watched: watched cells.
-    """
-
-    cells: int
-    suspects: int
-    both: int
-    watched: int
-
-    @property
-    def precision(self) -> float:
-        """Share of the suspect cells that lie in the region; NaN without suspects."""
-        return self.both / self.suspects if self.suspects else _NAN
-
-    @property
-    def recall(self) -> float:
-        """Share of the region that is suspect; NaN without a region."""
-        return self.both / self.cells if self.cells else _NAN
-
-    @property
-    def chance(self) -> float:
-        """Share of the watched cells that lie in the region: the precision of guessing; NaN without cells."""
-        return self.cells / self.watched if self.watched else _NAN
-
-
-@dataclass(frozen=True, slots=True)
-class CaseRow:
-    """One case over all sweeps; ``dataclasses.asdict`` makes it plain.
-
-    Attributes:
-        kind: benign, attack or corruption.
-        name: of the attack or corruption.
-        frames: sweeps that it was done to.
-        refused: sweeps that it could not be done to.
-        idle: frames on which the attack added and removed no return: nothing to see, yet counted as missed.
-        alarms: share of the frames that alarm at the calibrated limit.
-        auroc: P(score > that of a benign sweep), ties half; NaN for benign sweeps themselves.
-        auroc_interval: its 95 % interval over samples.
-        caught: share of the frames above a limit that at most 1 % of these benign frames pass (with fewer than 100
-            frames: that none of them passes); NaN for benign sweeps themselves.
-        auroc_mean: AUROC of the plain mean deviation over the watched cells, for comparison; NaN likewise.
-        located: by region of ``REGIONS``, where the case has one.
-    """
-
-    kind: str
-    name: str
-    frames: int
-    refused: int
-    idle: int
-    alarms: float
-    auroc: float
-    auroc_interval: tuple[float, float]
-    caught: float
-    auroc_mean: float
-    located: dict[str, Located]
-
-
-def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> list[CaseRow]:
-    """Return one row for each case of a method in a domain.
+    Columns: kind and name of the case; sweeps that it was done to (``frames``) and could not be done to (``refused``);
+    sweeps on which the attack touched no return (``idle``); the share that alarms (``alarms``); and but for benign
+    sweeps AUROC against the same sweeps untouched with its 95 % interval (``low``, ``high``), the share above a limit
+    that at most 1 % of these untouched sweeps pass (``caught``; with fewer than 100: that none passes), and the AUROC
+    of the plain mean deviation (``auroc_mean``). For each of ``REGIONS`` that the case has: how many watched cells it
+    has, the share of the suspect cells that lie in it (``precision``), of its cells that are suspect (``recall``), and
+    the precision of guessing (``chance``).
 
     Args:
-        results: records of ``jobs.watch``; their order changes nothing.
-        domain: of the records.
-        method: of the records.
+        results: rows of ``jobs.watch``; their order changes nothing.
+        domain: of the rows.
+        method: of the rows.
         seed: of the intervals.
     """
-    found = [s.case for s in results.series(domain) if s.method == method]
-    refused = {case: n for (of, case, _), n in results.refused.items() if of == domain}
-    return [
-        _row(results, Series(domain, method, case), refused.get(case, 0), seed)
-        for case in dict.fromkeys([*found, *refused])
-    ]
+    rows = results.rows[(results.rows["domain"] == domain) & (results.rows["method"] == method)]
+    rows = rows.reindex(columns=["kind", "name", "sweep", "refused", *_NUMBERS]).set_index("sweep").sort_index()
+    # Cases that could be made of no sweep come last.
+    rows = rows.sort_values("refused", kind="stable")
+    made = rows[rows["refused"] == ""]
+    cases = rows.groupby(["kind", "name"], sort=False)
+    return pd.DataFrame([
+        {"kind": kind, "name": name, "frames": (case["refused"] == "").sum(), "refused": (case["refused"] != "").sum(),
+         **_figures(case[case["refused"] == ""], made[made["kind"] == "benign"], name, seed)}
+        for (kind, name), case in cases
+    ])  # fmt: skip
 
 
-def _row(results: Results[Any], series: Series, refused: int, seed: int) -> CaseRow:
-    scores, alarms = results.by_sweep(series, "score"), results.numbers(series, "alarm")
-    nothing = (_NAN, (_NAN, _NAN), _NAN, _NAN)
-    compared = nothing if series.case == BENIGN or not scores else _compared(results, series, list(scores), seed)
-    idle = int((results.numbers(series, "returns") == 0).sum())
-    located = {region: found for region in REGIONS if (found := _located(results, series, region)) is not None}
-    mean = float(alarms.mean()) if len(alarms) else _NAN
-    return CaseRow(series.case.kind, series.case.name, len(scores), refused, idle, mean, *compared, located)
+def _figures(made: pd.DataFrame, clean: pd.DataFrame, name: str, seed: int) -> dict[str, float]:
+    """Return the figures of a case from its sweeps and the untouched ones; see :func:`rows_of`."""
+    found: dict[str, float] = {"idle": (made["returns"] == 0).sum(), "alarms": made["alarm"].mean()}
+    if name and len(made):
+        benign = clean.loc[made.index]
+        was, now = benign["score"].to_numpy(), made["score"].to_numpy()
+        low, high = auroc_interval(was, now, generator(seed, name), paired=True)
+        found |= {"auroc": auroc(was, now), "low": low, "high": high, "caught": tpr_at_fpr(was, now, FALSE_ALARM_RATE),
+                  "auroc_mean": auroc(benign["mean_std"].to_numpy(), made["mean_std"].to_numpy())}  # fmt: skip
+    for region in REGIONS:
+        here = made.dropna(subset=f"{region} cells")
+        cells, both = here[f"{region} cells"].sum(), here[f"{region} suspects"].sum()
+        suspects, watched = here["suspects"].sum(), here["watched"].sum()
+        shares = {"precision": (both, suspects), "recall": (both, cells), "chance": (cells, watched)}
+        found[f"{region} cells"] = cells
+        found |= {f"{region} {word}": part / whole if whole else np.nan for word, (part, whole) in shares.items()}
+    return found
 
 
-def _compared(
-    results: Results[Any], series: Series, sweeps: list[int], seed: int
-) -> tuple[float, tuple[float, float], float, float]:
-    """Return AUROC, its interval, the share caught, and the AUROC of the mean deviation, sweep beside sweep."""
-
-    def both(name: str) -> list[list[float]]:
-        found = (results.by_sweep(one, name) for one in (series.under(BENIGN), series))
-        return [[values[sweep] for sweep in sweeps] for values in found]
-
-    benign, spoilt = both("score")
-    bounds = auroc_interval(benign, spoilt, generator(seed, series.case.name), paired=True)
-    return auroc(benign, spoilt), bounds, tpr_at_fpr(benign, spoilt, FALSE_ALARM_RATE), auroc(*both("mean_std"))
-
-
-def _located(results: Results[Any], series: Series, region: str) -> Located | None:
-    cells, both = (results.by_sweep(series, f"{region} {name}") for name in ("cells", "suspects"))
-    if not cells:
-        return None
-    suspects, watched = (results.by_sweep(series, name) for name in ("suspects", "watched"))
-    return Located(
-        int(sum(cells.values())), int(sum(suspects[sweep] for sweep in cells)), int(sum(both.values())),
-        int(sum(watched[sweep] for sweep in cells)),
-    )  # fmt: skip
-
-
-def monitor_table(rows: Mapping[str, list[CaseRow]], kind: str) -> Table:
+def monitor_table(rows: Mapping[str, pd.DataFrame], kind: str) -> Table:
     """Return AUROC, its interval, detections at 1 % and alarms for every attack or corruption.
 
     Args:
@@ -154,44 +90,35 @@ def monitor_table(rows: Mapping[str, list[CaseRow]], kind: str) -> Table:
     header = [kind, *(f"{word}, {name}" if name else word for name in rows for word in words)]
     cells: dict[str, list[str]] = {}
     for several in rows.values():
-        for row in several:
-            if row.kind in ("benign", kind):
-                family = f" ({FAMILY[row.name]})" if row.name in FAMILY else ""
-                area = "–" if isnan(row.auroc) else format_interval(row.auroc, row.auroc_interval)
-                rates = map(format_rate, (row.caught, row.alarms, row.auroc_mean))
-                cells.setdefault(f"{row.name}{family}" if row.name else "*benign*", []).extend([area, *rates])
+        for row in several[several["kind"].isin(["benign", kind])].itertuples():
+            family = f" ({FAMILY[row.name]})" if row.name in FAMILY else ""
+            area = "–" if isnan(row.auroc) else format_interval(row.auroc, (row.low, row.high))
+            rates = map(format_rate, (row.caught, row.alarms, row.auroc_mean))
+            cells.setdefault(f"{row.name}{family}" if row.name else "*benign*", []).extend([area, *rates])
     return Table(header, [[name, *line] for name, line in cells.items()])
 
 
-def located_table(rows: list[CaseRow]) -> Table:
+def located_table(rows: pd.DataFrame) -> Table:
     """Return how well suspect cells fit what was touched, the wedge and what changed: precision (chance) / recall."""
 
-    def words(row: CaseRow, region: str) -> str:
-        found = row.located.get(region)
-        if found is None:
-            return "–"
-        return f"{format_rate(found.precision)} ({format_rate(found.chance)}) / {format_rate(found.recall)}"
+    def words(row: Mapping[str, float], region: str) -> str:
+        rates = [format_rate(row[f"{region} {word}"]) for word in ("precision", "chance", "recall")]
+        return "{} ({}) / {}".format(*rates) if row[f"{region} cells"] else "–"
 
-    return pivot("", {row.name: row for row in rows if row.located}, by_name(REGIONS), words)
+    located = rows[(rows[[f"{region} cells" for region in REGIONS]] > 0).any(axis=1)].to_dict("records")
+    return pivot("", {row["name"]: row for row in located}, by_name(REGIONS), words)
 
 
-def page_of(store: ResultStore[DeviationPlan]) -> str:
-    """Return the page as Markdown.
-
-    Raises:
-        ValueError: there are no results.
-    """
+def files_of(store: ResultStore[DeviationPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name."""
     plan, results = store.plan, store.results("watch")
     store.require(results)
     rows = rows_of(results, plan.domain, METHOD, plan.seed)
-    title, blocks = fill_template("deviation/page.md", {"severity": plan.severity}, {
-        "attacks": lambda: monitor_table({"": rows}, "attack"),
-        "corruptions": lambda: monitor_table({"": rows}, "corruption"),
-        "located": lambda: located_table(rows),
-    })  # fmt: skip
+    page = fill_template("deviation/page.md", severity=plan.severity, rows=rows, monitor_table=monitor_table,
+                         located_table=located_table)  # fmt: skip
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), domain=f"{plan.domain}, {plan.target}",
-        sweeps=f"{plan.frames} to fit, {plan.frames} to calibrate, {rows[0].frames} of {plan.frames} to report",
+        sweeps=f"{plan.frames} to fit, {plan.frames} to calibrate, {rows['frames'][0]} of {plan.frames} to report",
         passes=str(plan.passes), false_alarm_rate=f"{plan.false_alarm_rate:g}", commits=commits(results),
     )  # fmt: skip
-    return to_markdown(title, about, blocks)
+    return page.files("deviation.md", about)

@@ -15,26 +15,14 @@ from viewshed_lab.threats.corruptions import CORRUPTIONS
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """What is done to the sweeps that a monitor is reported on.
+    """What is done to the sweeps that a monitor is reported on."""
 
-    Attributes:
-        attacks: names of ``ATTACKS``, each with its own budget.
-        corruptions: names of ``CORRUPTIONS``.
-        severity: of the corruptions, 1 to 5.
-        false_alarm_rate: that the monitor is calibrated for.
-        sigmas: standard deviations above its mean from which a cell is suspect.
-        seed: of all that is random.
-
-    Raises:
-        ValueError: there is no such attack, corruption or severity.
-    """
-
-    attacks: tuple[str, ...] = tuple(ATTACKS)
-    corruptions: tuple[str, ...] = tuple(CORRUPTIONS)
-    severity: int = 3
-    false_alarm_rate: float = 0.05
-    sigmas: float = 3.0
-    seed: int = 0
+    attacks: tuple[str, ...] = tuple(ATTACKS)  # names of ``ATTACKS``, each with its own budget
+    corruptions: tuple[str, ...] = tuple(CORRUPTIONS)  # names of ``CORRUPTIONS``
+    severity: int = 3  # of the corruptions, 1 to 5
+    false_alarm_rate: float = 0.05  # that the monitor is calibrated for
+    sigmas: float = 3.0  # standard deviations above its mean from which a cell is suspect
+    seed: int = 0  # of all that is random
 
     def __post_init__(self) -> None:
         check_names("attacks", self.attacks, ATTACKS)
@@ -49,27 +37,17 @@ class Trials:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviationPlan(Trials, Plan):
-    """The study of the monitor with the shipped network.
-
-    Attributes:
-        domain: preset of simulated data, on whose grid the network must be shipped.
-        target: of the network.
-        passes: of Monte Carlo dropout.
-        frames: benign sweeps that it is fitted on, calibrated on and reported on, each from a scene of its own.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """The study of the monitor with the shipped network."""
 
     FOLDER: ClassVar[str] = "studies/deviation/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"attacks": ATTACKS, "corruptions": CORRUPTIONS}
 
     name: str
     about: str
-    domain: str
-    target: str
-    passes: int
-    frames: int
+    domain: str  # preset of simulated data, on whose grid the network must be shipped
+    target: str  # of the network
+    passes: int  # of Monte Carlo dropout
+    frames: int  # benign sweeps that it is fitted on, calibrated on and reported on, each from a scene of its own
 
     def __post_init__(self) -> None:
         check_names("domain", (self.domain,), preset_names())

@@ -17,7 +17,7 @@ from viewshed.monitor.calibration import alarm_limit, p_values
 from viewshed.monitor.over_time import EDetector, FalseAlarms, measure_false_alarms
 from viewshed.monitor.score import EvidenceScore
 from viewshed.monitor.sectors import discoveries
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.cases import DEFAULT, generator
 from viewshed_lab.studies.formatting import commits, format_interval, format_rate
 from viewshed_lab.studies.monitor.archive import FOLDER, RECORDED, SweepTable, over_time_of
@@ -51,10 +51,10 @@ from viewshed_lab.studies.monitor.results import (
     mean_rate,
     placements,
 )
+from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.plan import JobKey
 from viewshed_lab.studies.records import BENIGN, Case
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.threats.attacks import INFORMED
 
 FALSE_DISCOVERIES = 0.1
@@ -636,8 +636,8 @@ def _interval(rate: Rate) -> str:
     return format_interval(rate.value, rate.interval)
 
 
-def page_of(store: ResultStore[MonitorPlan]) -> str:
-    """Return the page as Markdown.
+def files_of(store: ResultStore[MonitorPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name.
 
     Raises:
         ValueError: there are no drives or scores.
@@ -652,24 +652,7 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         "run": f"{(FRAMES - ONSET) * INTERVAL_S:g}",
         "hours": _hours(results.every_test), "calibration_hours": _hours(results.calibration),
     }  # fmt: skip
-    title, blocks = fill_template("monitor/page.md", values, {
-        "targets": results.target_table,
-        "found": results.found_table,
-        "severities": results.severity_table,
-        "budgets": results.budget_table,
-        "rates": results.rate_table,
-        "groups": results.group_table,
-        "published": results.published_table,
-        "reliability": results.reliability_table,
-        "over_time": results.over_time_table,
-        "delays": results.delay_table,
-        "corruptions": results.corruption_table,
-        "nulls": results.null_table,
-        "where": results.where_table,
-        "recorded": results.recorded_table,
-        "recorded_attacks": results.recorded_attacks_table,
-        "evidence": results.evidence_table,
-    })  # fmt: skip
+    page = fill_template("monitor/page.md", results=results, **values)
     tables = {"calibration": results.calibration, "test": results.test, "test and benign": results.every_test}
     drives = [f"{len(np.unique(table.drive))} {word}" for word, table in tables.items()]
     about = facts(
@@ -677,4 +660,4 @@ def page_of(store: ResultStore[MonitorPlan]) -> str:
         drives=f"{sum(plan.train)} + {sum(plan.unattacked)} train, {', '.join(drives)}",
         commits=commits(store.results("score")),
     )  # fmt: skip
-    return to_markdown(title, about, blocks)
+    return page.files("monitor.md", about)

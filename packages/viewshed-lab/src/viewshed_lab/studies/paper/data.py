@@ -59,12 +59,7 @@ def make_archive(
 
 @lru_cache(maxsize=8)
 def open_archive(folder: Path, domain: str, split: str) -> Archive:
-    """Return an archive that was made.
-
-    Raises:
-        ValueError: it is not there or not finished.
-        OSError: it cannot be read.
-    """
+    """Return an archive that was made."""
     return Archive.open(archive_path(folder, domain, split))
 
 

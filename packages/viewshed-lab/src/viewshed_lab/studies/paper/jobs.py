@@ -35,7 +35,7 @@ from viewshed_lab.studies.paper.models import (
 from viewshed_lab.studies.paper.plan import CLASSICAL, MIXTURES, PROTOCOLS, STEPS, VARIANTS, Model, PaperPlan
 from viewshed_lab.studies.paper.protocols import ProtocolSetting, setting_of
 from viewshed_lab.studies.plan import JobKey, check_names
-from viewshed_lab.studies.records import BENIGN, STRICT, Case, Record, pool
+from viewshed_lab.studies.records import BENIGN, STRICT, Case, Row, pool
 from viewshed_lab.studies.runner import Job, Progress, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
 from viewshed_lab.studies.suite import EstimatorSuite
@@ -46,7 +46,7 @@ ATTACKED = Case("attack", "adversarial")
 """What held-out sweeps of the pairs face: in the paper's protocol its mixture, in the strict one attacks in turn."""
 
 TRADE = "trade"
-"""Protocol of the records of the trade study: the paper's, on grids of other resolutions."""
+"""Protocol of the rows of the trade study: the paper's, on grids of other resolutions."""
 
 THREADS = (2, 1)
 """Threads with which the trade study measures latency."""
@@ -77,28 +77,28 @@ def _pair(job: Job[PaperPlan]) -> JobResult:
     estimators: dict[str, Estimator] = {
         name: network_of(job.plan, job.folder, job.plan.model(protocol, name), setting, job.device)
     } if name != CLASSICAL else {name: make(setting.grid) for name, make in setting.classical().items()}  # fmt: skip
-    return JobResult(pair_records(job.plan, job.folder, setting, setting.suite(estimators)))
+    return JobResult(pair_rows(job.plan, job.folder, setting, setting.suite(estimators)))
 
 
-def pair_records(plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite) -> list[Record]:
+def pair_rows(plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite) -> list[Row]:
     """Return the counts of every held-out sweep, benign and attacked, and the scores of all of them together."""
-    counts: list[Record] = []
-    scores: list[Record] = []
+    counts: list[Row] = []
+    scores: list[Row] = []
     for number in range(plan.pair_frames):
         evaluation = evaluation_of(plan, folder, setting, suite, number)
-        for record in both_records(evaluation, setting.attack(number), plan.test_seed):
-            (counts if record.scores is None else scores).append(record)
+        for row in both_rows(evaluation, setting.attack(number), plan.test_seed):
+            (scores if "scores" in row else counts).append(row)
     return counts + pool(scores)
 
 
-def both_records(evaluation: Evaluation, attack: Case, seed: int) -> Iterator[Record]:
+def both_rows(evaluation: Evaluation, attack: Case, seed: int) -> Iterator[Row]:
     """Yield counts and scores of a sweep as it was measured and as an attack leaves it."""
     sweeps = {BENIGN: evaluation.sample.sweep, ATTACKED: tampered_of(evaluation, attack, seed).sweep}
     for case, sweep in sweeps.items():
         for name, estimate in evaluation.suite.estimates(level(sweep, evaluation.suite.grid)).items():
             yield from evaluation.compare(name, case, estimate, None)
             scores = evaluation.reference.scores(estimate, evaluation.reference.known)
-            yield replace(evaluation.record(name, case), scores=scores)
+            yield evaluation.row(name, case, scores=scores)
 
 
 def tampered_of(evaluation: Evaluation, attack: Case, seed: int) -> Tampered:
@@ -113,7 +113,7 @@ def _strict(job: Job[PaperPlan]) -> JobResult:
     runners = {model: load_runner(weights_of(job.folder, model), job.device) for model in in_domain(domain)}
     suite = setting.suite(strict_estimators(job.plan, setting, runners))
     evaluation = evaluation_of(job.plan, job.folder, setting, suite, int(number))
-    return JobResult(list(evaluation.records(strict_cases(job.plan), untouched=True)))
+    return JobResult(list(evaluation.rows(strict_cases(job.plan), untouched=True)))
 
 
 def strict_estimators(plan: PaperPlan, setting: ProtocolSetting, runners: dict[Model, Runner]) -> dict[str, Estimator]:
@@ -143,15 +143,15 @@ def _trade(job: Job[PaperPlan]) -> JobResult:
     for threads in THREADS:
         runner = OnnxRunner(out / WEIGHTS, threads=threads, engine="onnxruntime")
         networks[threads] = NetworkAlone(runner, setting.card(runner.card), 1, 0)
-    suite, records = setting.suite({config.name: networks[2]}), list[Record]()
+    suite, rows = setting.suite({config.name: networks[2]}), list[Row]()
     for number in range(plan.pair_frames):
         evaluation = replace(evaluation_of(plan, job.folder, setting, suite, number), protocol=TRADE)
         estimate = networks[2].estimate(evaluation.sample.sweep)
-        records += evaluation.compare(config.name, BENIGN, estimate, None)
+        rows += evaluation.compare(config.name, BENIGN, estimate, None)
     sample = held_out(plan, job.folder, setting.domain, 0)
     latency = {str(n): _latency_ms(network, sample.sweep, plan.trade_repeats) for n, network in networks.items()}
     size = {"parameters": config.shape.parameters, "flops": config.shape.flops(config.cells), "name": config.name}
-    return JobResult(records, facts | size | {"latency_ms": latency})
+    return JobResult(rows, facts | size | {"latency_ms": latency})
 
 
 def _latency_ms(network: NetworkAlone, sweep: Sweep, repeats: int) -> float:
@@ -181,34 +181,24 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
         false_alarm_rate=plan.monitor_false_alarms, seed=plan.test_seed,
     )  # fmt: skip
     monitor = fit_monitor(estimator, fit, calibrate, trials)
-    records = [
-        record
+    rows = [
+        row
         for number, sample in enumerate(report)
-        for record in watch(
+        for row in watch(
             monitor, estimator, sample, trials, domain=plan.monitor_domain, method=job.key[1], number=number
         )
     ]
-    return JobResult(records, {"limit": monitor.limit})
+    return JobResult(rows, {"limit": monitor.limit})
 
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """What of a study is done, and with what.
+    """What of a study is done, and with what."""
 
-    Attributes:
-        steps: of ``STEPS``.
-        protocols: of ``PROTOCOLS``.
-        device: ``cpu`` or ``cuda``, for trainings and networks.
-        workers: jobs under way at a time; None is one for each core.
-
-    Raises:
-        ValueError: a name is not known.
-    """
-
-    steps: tuple[str, ...] = STEPS
-    protocols: tuple[str, ...] = PROTOCOLS
-    device: str = "cpu"
-    workers: int | None = None
+    steps: tuple[str, ...] = STEPS  # of ``STEPS``
+    protocols: tuple[str, ...] = PROTOCOLS  # of ``PROTOCOLS``
+    device: str = "cpu"  # ``cpu`` or ``cuda``, for trainings and networks
+    workers: int | None = None  # jobs under way at a time; None is one for each core
 
     def __post_init__(self) -> None:
         for name, given, known in (("only", self.steps, STEPS), ("protocol", self.protocols, PROTOCOLS),
@@ -229,11 +219,6 @@ def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress
         store: of the study.
         scope: what of it is done.
         on_progress: is called as jobs are done.
-
-    Raises:
-        ValueError: there is no such device, or data of another plan lie in the folder.
-        ImportError: trainings are wanted and the extra for them is not installed.
-        OSError: something cannot be written.
     """
     if {"models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)

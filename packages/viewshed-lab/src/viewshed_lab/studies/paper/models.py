@@ -36,12 +36,7 @@ def weights_of(folder: Path, model: Model) -> Path:
 
 
 def load_runner(path: Path, device: str = "cpu") -> Runner:
-    """Return what runs a network: one core, as jobs run beside each other, or a GPU.
-
-    Raises:
-        ValueError: the file is damaged or of another version.
-        OSError: it cannot be read.
-    """
+    """Return what runs a network: one core, as jobs run beside each other, or a GPU."""
     if device == "cpu":
         from viewshed.networks.runtime import OnnxRunner
 
@@ -58,19 +53,12 @@ def passes_of(plan: PaperPlan, model: Model) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkAlone(ClassicalEstimator):
-    """A network as the published study tries it: its probabilities as they are, on the grid of the setting.
+    """A network as the published study tries it: its probabilities as they are, on the grid of the setting."""
 
-    Attributes:
-        runner: of the network.
-        card: of the network as it is used here, wherever it was trained.
-        passes: 1 with dropout off, or how many with dropout on.
-        seed: of the masks, the same for every sweep.
-    """
-
-    runner: Runner
-    card: NetworkCard
-    passes: int
-    seed: int
+    runner: Runner  # of the network
+    card: NetworkCard  # of the network as it is used here, wherever it was trained
+    passes: int  # 1 with dropout off, or how many with dropout on
+    seed: int  # of the masks, the same for every sweep
     name: str = "network"
 
     @property
@@ -156,11 +144,6 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str,
         out: folder of its checkpoints and weights.
         cache: folder of labels that all trainings share.
         device: ``cpu`` or ``cuda``.
-
-    Raises:
-        ImportError: the extra for training is not installed.
-        ValueError: there is no such device, or the folder holds another training.
-        OSError: something cannot be read or written.
     """
     from viewshed_lab.training import run
 
@@ -174,12 +157,7 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str,
 
 
 def check_training(device: str) -> None:
-    """Check that trainings can run on a device.
-
-    Raises:
-        ImportError: the extra for training is not installed.
-        ValueError: there is no such device.
-    """
+    """Check that trainings can run on a device."""
     from viewshed_lab.training.log import Machines
     from viewshed_lab.training.run import require_torch
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from viewshed_lab._page import Picture, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.cases import TOUCHING, strength_cases
 from viewshed_lab.studies.evaluate import Evaluation
 from viewshed_lab.studies.figures import (
@@ -23,6 +22,7 @@ from viewshed_lab.studies.figures import (
     violins_of,
 )
 from viewshed_lab.studies.formatting import commits
+from viewshed_lab.studies.pages import Picture, fill_template
 from viewshed_lab.studies.paper import tables
 from viewshed_lab.studies.paper.data import evaluation_of
 from viewshed_lab.studies.paper.jobs import ATTACKED, tampered_of
@@ -31,7 +31,6 @@ from viewshed_lab.studies.paper.plan import MIXTURES, STEPS, Model
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
 from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Domain
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.threats.attacks import ATTACKS, SEVERITIES
 from viewshed_lab.threats.attacks.base import Tampered
 
@@ -146,44 +145,20 @@ def _severities(domain: tables.StrictDomain, methods: list[str], region: str) ->
 
 
 def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
-    """Return the files of a protocol's page by name: pictures first, the page last.
-
-    Raises:
-        ValueError: there are no results of the protocol.
-    """
+    """Return the files of a protocol's page by name: pictures first, the page last."""
     if not results.pairs.series(protocol=protocol):
-        raise ValueError(f"{results.store.path} must hold pairs of the {protocol} protocol, got none; run step pairs")
+        raise ValueError(f"{results.store.folder} must hold pairs of the {protocol} protocol, got none; run step pairs")
     every = (*SUB_TABLES, *OTHERS)
-    values = {
-        "plan": results.plan, "unfinished": _unfinished(results, protocol),
-        "domains": results.domains, "attacks": len(ATTACKS), "published_tables": SUB_TABLES,
-        "other_tables": OTHERS,
-        "every_table": [replace(one, title=one.title.replace("Left out by the paper: t", "T")) for one in every],
-        "strict_domains": [Domain(results.strict, name) for name in results.domains] if results.strict.facts else (),
-    }  # fmt: skip
-    title, blocks = fill_template(TEMPLATES[protocol], values, {
-        "target_table": lambda: tables.target_table(results),
-        "pair_table": partial(tables.pair_table, results, protocol),
-        "area_table": partial(tables.area_table, results, protocol),
-        "violins": lambda: violin_picture(results, protocol),
-        "mixture_table": partial(tables.mixture_table, results, protocol),
-        "calibration_table": partial(tables.calibration_table, results, protocol),
-        "mcd_picture": lambda: mcd_picture(results, protocol),
-        "trade_picture": lambda: trade_picture(results),
-        "trade_table": lambda: tables.trade_table(results),
-        "seen_table": tables.seen_table,
-        "winner_table": tables.winner_table,
-        "view_table": tables.view_table,
-        "wedge_table": tables.wedge_table,
-        "severity_pictures": severity_pictures,
-        "refused": lambda: _refused(results),
-        "monitor_attacks": lambda: tables.monitor_table(results, "attack"),
-        "monitor_corruptions": lambda: tables.monitor_table(results, "corruption"),
-        "training_table": lambda: tables.training_table(results, protocol),
-    })  # fmt: skip
-    files = {block.name: block.png for block in blocks if isinstance(block, Picture)}
-    page = to_markdown(title, facts(**provenance(results, protocol)), blocks)
-    return files | {f"{STEMS[protocol]}.md": page.encode()}
+    page = fill_template(
+        TEMPLATES[protocol], results=results, plan=results.plan, protocol=protocol, tables=tables,
+        unfinished=_unfinished(results, protocol), domains=results.domains, attacks=len(ATTACKS),
+        published_tables=SUB_TABLES, other_tables=OTHERS,
+        every_table=[replace(one, title=one.title.replace("Left out by the paper: t", "T")) for one in every],
+        strict_domains=[Domain(results.strict, name) for name in results.domains] if results.strict.facts else (),
+        violin_picture=violin_picture, mcd_picture=mcd_picture, trade_picture=trade_picture,
+        severity_pictures=severity_pictures, refused=_refused,
+    )  # fmt: skip
+    return page.files(f"{STEMS[protocol]}.md", facts(**provenance(results, protocol)))
 
 
 def provenance(results: PaperResults, protocol: str) -> dict[str, str]:
@@ -221,8 +196,8 @@ def _unfinished(results: PaperResults, protocol: str) -> str:
     return f"**Not finished:** {', '.join(words)}." if words else ""
 
 
-def _refused(results: PaperResults) -> str:
-    """Return which attacks could not be made of how many sweeps, and why."""
+def _refused(results: PaperResults) -> str | None:
+    """Return which attacks could not be made of how many sweeps, and why; None where all could."""
     refused = sorted(results.strict.refused.items())
     words = [f"{case.name} in {domain} ({count} times: {why})" for (domain, case, why), count in refused]
-    return f"Could not be made: {'; '.join(words)}." if words else ""
+    return f"Could not be made: {'; '.join(words)}." if words else None

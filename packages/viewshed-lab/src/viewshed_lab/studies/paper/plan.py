@@ -33,19 +33,12 @@ PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "inter
 
 @dataclass(frozen=True, slots=True, order=True)
 class Model:
-    """One of the twelve models of a protocol.
+    """One of the twelve models of a protocol."""
 
-    Attributes:
-        protocol: of ``PROTOCOLS``.
-        variant: of ``VARIANTS``.
-        mixture: of ``MIXTURES``, what it is trained on.
-        domain: that it is trained in.
-    """
-
-    protocol: str
-    variant: str
-    mixture: str
-    domain: str
+    protocol: str  # of ``PROTOCOLS``
+    variant: str  # of ``VARIANTS``
+    mixture: str  # of ``MIXTURES``, what it is trained on
+    domain: str  # that it is trained in
 
     @property
     def name(self) -> str:
@@ -65,103 +58,55 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class PaperPlan(Plan):
-    """What is run over what. ``all`` in the TOML stands for a whole table of names.
-
-    Attributes:
-        domains: presets of simulated data.
-        train_scenes: scenes that are trained and validated on, for each domain.
-        train_times: how often each agent measures in such a scene.
-        test_scenes: held-out scenes.
-        test_times: how often each agent measures in such a scene.
-        interval_s: between two sweeps of one agent.
-        seed: of the training data and of the training.
-        test_seed: of the held-out scenes and of all that is random in the evaluation.
-        cells: cells a side, in both protocols.
-        width: channels of the network's first stage.
-        depth: its poolings.
-        dropout: share of channels that a mask sets to zero.
-        loss: what is minimized.
-        learning_rate: of the optimizer.
-        schedule: of the learning rate: ``constant`` or ``cosine``.
-        batch: frames of a step.
-        epochs: at most.
-        patience: epochs without a better validation loss after which training stops.
-        frames_per_epoch: frames of an epoch.
-        validation_share: share of the training scenes that is validated on.
-        versions: how many versions of a training frame, each attacked anew, are made once and shown in turn.
-        mirrored: whether training frames are turned by quarter turns and mirrored at random.
-        counts: how the networks are shown the returns of a cell, ``linear`` or ``log``.
-        precision: of the training's numbers, ``32`` or ``bf16``.
-        workers: processes that make training frames.
-        attack_share: share of training frames that the strict protocol attacks.
-        trained_attacks: of ``ATTACKS``; those that the strict protocol trains on, all others are unseen.
-        passes: stochastic passes of Monte Carlo dropout.
-        pair_frames: held-out sweeps that each of the 72 pairs is scored on.
-        strict_frames: held-out sweeps that face every attack.
-        strengths: whether they also face every strength of ``attacks.SEVERITIES``.
-        trade_domain: where the trade study is made.
-        trade_widths: widths that it tries.
-        trade_depths: depths that it tries.
-        trade_cells: resolutions that it tries.
-        trade_epochs: epochs of each of its trainings.
-        trade_repeats: passes of which the median is the latency.
-        monitor_domain: where the monitor of the deviation is tried.
-        monitor_frames: benign sweeps that it is fitted on, calibrated on and reported on, each.
-        monitor_false_alarms: rate of false alarms that it is calibrated for.
-        monitor_corruptions: of ``CORRUPTIONS``, whose false alarms are counted.
-        monitor_severity: of them.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """What is run over what. ``all`` in the TOML stands for a whole table of names."""
 
     FOLDER: ClassVar[str] = "studies/paper/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"monitor_corruptions": CORRUPTIONS}
 
     name: str
     about: str
-    domains: tuple[str, ...]
-    train_scenes: tuple[int, ...]
-    train_times: tuple[int, ...]
-    test_scenes: tuple[int, ...]
-    test_times: tuple[int, ...]
-    interval_s: tuple[float, ...]
-    seed: int
-    test_seed: int
-    cells: int
-    width: int
-    depth: int
-    dropout: float
-    loss: str
-    learning_rate: float
-    schedule: str
-    batch: int
-    epochs: int
-    patience: int
-    frames_per_epoch: int
-    validation_share: float
-    versions: int
-    mirrored: bool
-    counts: str
-    precision: str
-    workers: int
-    attack_share: float
-    trained_attacks: tuple[str, ...]
-    passes: int
-    pair_frames: int
-    strict_frames: int
-    strengths: bool
-    trade_domain: str
-    trade_widths: tuple[int, ...]
-    trade_depths: tuple[int, ...]
-    trade_cells: tuple[int, ...]
-    trade_epochs: int
-    trade_repeats: int
-    monitor_domain: str
-    monitor_frames: int
-    monitor_false_alarms: float
-    monitor_corruptions: tuple[str, ...]
-    monitor_severity: int
+    domains: tuple[str, ...]  # presets of simulated data
+    train_scenes: tuple[int, ...]  # scenes that are trained and validated on, for each domain
+    train_times: tuple[int, ...]  # how often each agent measures in such a scene
+    test_scenes: tuple[int, ...]  # held-out scenes
+    test_times: tuple[int, ...]  # how often each agent measures in such a scene
+    interval_s: tuple[float, ...]  # between two sweeps of one agent
+    seed: int  # of the training data and of the training
+    test_seed: int  # of the held-out scenes and of all that is random in the evaluation
+    cells: int  # cells a side, in both protocols
+    width: int  # channels of the network's first stage
+    depth: int  # its poolings
+    dropout: float  # share of channels that a mask sets to zero
+    loss: str  # what is minimized
+    learning_rate: float  # of the optimizer
+    schedule: str  # of the learning rate: ``constant`` or ``cosine``
+    batch: int  # frames of a step
+    epochs: int  # at most
+    patience: int  # epochs without a better validation loss after which training stops
+    frames_per_epoch: int  # frames of an epoch
+    validation_share: float  # share of the training scenes that is validated on
+    versions: int  # how many versions of a training frame, each attacked anew, are made once and shown in turn
+    mirrored: bool  # whether training frames are turned by quarter turns and mirrored at random
+    counts: str  # how the networks are shown the returns of a cell, ``linear`` or ``log``
+    precision: str  # of the training's numbers, ``32`` or ``bf16``
+    workers: int  # processes that make training frames
+    attack_share: float  # share of training frames that the strict protocol attacks
+    trained_attacks: tuple[str, ...]  # of ``ATTACKS``; those that the strict protocol trains on, all others are unseen
+    passes: int  # stochastic passes of Monte Carlo dropout
+    pair_frames: int  # held-out sweeps that each of the 72 pairs is scored on
+    strict_frames: int  # held-out sweeps that face every attack
+    strengths: bool  # whether they also face every strength of ``attacks.SEVERITIES``
+    trade_domain: str  # where the trade study is made
+    trade_widths: tuple[int, ...]  # widths that it tries
+    trade_depths: tuple[int, ...]  # depths that it tries
+    trade_cells: tuple[int, ...]  # resolutions that it tries
+    trade_epochs: int  # epochs of each of its trainings
+    trade_repeats: int  # passes of which the median is the latency
+    monitor_domain: str  # where the monitor of the deviation is tried
+    monitor_frames: int  # benign sweeps that it is fitted on, calibrated on and reported on, each
+    monitor_false_alarms: float  # rate of false alarms that it is calibrated for
+    monitor_corruptions: tuple[str, ...]  # of ``CORRUPTIONS``, whose false alarms are counted
+    monitor_severity: int  # of them
 
     def __post_init__(self) -> None:
         for key, table in (("domains", preset_names()), ("trained_attacks", ATTACKS),

@@ -20,25 +20,15 @@ PAPER_EXTENT_M, PAPER_INDOOR_EXTENT_M = 80.0, 18.0
 
 @dataclass(frozen=True, slots=True)
 class ProtocolSetting:
-    """What a network is given and held against in one domain.
+    """What a network is given and held against in one domain."""
 
-    Attributes:
-        protocol: of ``PROTOCOLS``.
-        domain: a preset's name.
-        grid: of input and truth.
-        truth: ``paper_label`` or ``probe``.
-        threshold: probability from which a cell is claimed.
-        max_range_m: farther returns are left out.
-        heights_m: lowest and highest return, from the sensor's own height.
-    """
-
-    protocol: str
-    domain: str
-    grid: BevGrid
-    truth: str
-    threshold: float
-    max_range_m: float
-    heights_m: tuple[float, float]
+    protocol: str  # of ``PROTOCOLS``
+    domain: str  # a preset's name
+    grid: BevGrid  # of input and truth
+    truth: str  # ``paper_label`` or ``probe``
+    threshold: float  # probability from which a cell is claimed
+    max_range_m: float  # farther returns are left out
+    heights_m: tuple[float, float]  # lowest and highest return, from the sensor's own height
 
     @property
     def indoor(self) -> bool:

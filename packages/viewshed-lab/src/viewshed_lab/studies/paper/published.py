@@ -25,23 +25,14 @@ TESTED_ON = {"benign": BENIGN, "adversarial": ATTACKED}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperResults:
-    """All that the study has found so far, by step.
+    """All that the study has found so far, by step."""
 
-    Attributes:
-        store: it is from.
-        pairs: held-out sweeps, benign and attacked, by networks and classical estimators.
-        strict: sweeps under every attack.
-        trade: networks of other widths, depths and resolutions.
-        monitor: of the deviation, by what its network was trained on.
-        models: facts of each training, by protocol and name.
-    """
-
-    store: ResultStore[PaperPlan]
-    pairs: Results[PaperPlan]
-    strict: Results[PaperPlan]
-    trade: Results[PaperPlan]
-    monitor: Results[PaperPlan]
-    models: dict[tuple[str, ...], dict[str, Any]]
+    store: ResultStore[PaperPlan]  # it is from
+    pairs: Results[PaperPlan]  # held-out sweeps, benign and attacked, by networks and classical estimators
+    strict: Results[PaperPlan]  # sweeps under every attack
+    trade: Results[PaperPlan]  # networks of other widths, depths and resolutions
+    monitor: Results[PaperPlan]  # of the deviation, by what its network was trained on
+    models: dict[tuple[str, ...], dict[str, Any]]  # facts of each training, by protocol and name
 
     @classmethod
     def read(cls, store: ResultStore[PaperPlan]) -> PaperResults:
@@ -68,19 +59,12 @@ class PaperResults:
 
 @dataclass(frozen=True, slots=True)
 class SubTable:
-    """One of the tables in the paper's layout.
+    """One of the tables in the paper's layout."""
 
-    Attributes:
-        title: of the table.
-        variant: of the models.
-        trained: what they are trained on.
-        tested: what they are tested on.
-    """
-
-    title: str
-    variant: str
-    trained: str
-    tested: str
+    title: str  # of the table
+    variant: str  # of the models
+    trained: str  # what they are trained on
+    tested: str  # what they are tested on
 
     def key(self, protocol: str, test: str, train: str) -> Series:
         """Return whose scores stand in a cell of the table."""
@@ -120,21 +104,13 @@ OTHERS = (
 
 @dataclass(frozen=True, slots=True)
 class PublishedTarget:
-    """One figure that the study set out to reach in the paper's protocol.
+    """One figure that the study set out to reach in the paper's protocol."""
 
-    Attributes:
-        what: in words.
-        published: the paper's figure.
-        least: the target.
-        found: ours, NaN where it is not measured.
-        at_half: ours with a threshold of .5, not the paper's.
-    """
-
-    what: str
-    published: float
-    least: float
-    found: float
-    at_half: float
+    what: str  # in words
+    published: float  # the paper's figure
+    least: float  # the target
+    found: float  # ours, NaN where it is not measured
+    at_half: float  # ours with a threshold of .5, not the paper's
 
     @property
     def verdict(self) -> str:

@@ -8,7 +8,6 @@ from math import isnan
 import numpy as np
 
 from viewshed.metrics import ConfusionCounts
-from viewshed_lab._page import Table
 from viewshed_lab.studies.cases import DEFAULT
 from viewshed_lab.studies.deviation.page import monitor_table as table_of_monitor
 from viewshed_lab.studies.deviation.page import rows_of
@@ -24,6 +23,7 @@ from viewshed_lab.studies.formatting import (
     lines,
     pivot,
 )
+from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.paper.jobs import TRADE
 from viewshed_lab.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
@@ -86,7 +86,7 @@ def trade_table(results: PaperResults) -> Table | None:
 def monitor_table(results: PaperResults, kind: str) -> Table | None:
     """Return what the monitor does in each attack or corruption, by what its network was trained on."""
     domain, seed = results.plan.monitor_domain, results.plan.test_seed
-    methods = results.monitor.methods(domain)
+    methods = Domain(results.monitor, domain).methods
     rows = {f"{name}-trained": rows_of(results.monitor, domain, name, seed) for name in MIXTURES if name in methods}
     return table_of_monitor(rows, kind) if results.monitor.facts else None
 

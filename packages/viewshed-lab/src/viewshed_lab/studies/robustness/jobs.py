@@ -28,9 +28,9 @@ def do_job(job: Job[RobustnessPlan]) -> JobResult:
     part, cases = job.key[0], job.plan.cases(job.key[0])
     evaluation = evaluation_of(job)
     if part != "adaptive":
-        return JobResult(list(evaluation.records(cases)))
+        return JobResult(list(evaluation.rows(cases)))
     adaptive = AdaptiveEvaluation(evaluation, job.plan.adaptive_queries, job.plan.adaptive_defended)
-    return JobResult(list(adaptive.records(cases)))
+    return JobResult(list(adaptive.rows(cases)))
 
 
 def evaluation_of(job: Job[RobustnessPlan]) -> Evaluation:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from math import isnan
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from viewshed.preprocess.leveling import level
-from viewshed_lab._page import PageBlock, Picture, Table, facts, to_html, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies import figures
 from viewshed_lab.studies.cases import MIXTURE, budget_cases, corruption_cases
 from viewshed_lab.studies.formatting import commits
-from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Domain, Results
+from viewshed_lab.studies.pages import Page, Picture, Table, fill_template
+from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Domain, Results
 from viewshed_lab.studies.robustness import tables
 from viewshed_lab.studies.robustness.jobs import evaluation_of
 from viewshed_lab.studies.robustness.plan import PARTS, RobustnessPlan
@@ -22,7 +22,6 @@ from viewshed_lab.studies.robustness.verdicts import MAX_F1_LOSS, MAX_WEDGE_LOSS
 from viewshed_lab.studies.runner import Job
 from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.studies.suite import TESTED, strict_suite
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.threats.attacks import ATTACKS, FAMILY
 
 DRAWN = ("quantized", "concave_hull", "first_blocker", "shadow_map", "majority_vote")
@@ -143,70 +142,37 @@ def files_of(
         store: of the study.
         failed: jobs that failed, one line each.
         stem: of the names of the pages.
-
-    Raises:
-        ValueError: there are no results.
     """
     results = store.results()
     store.require(results)
-    (title, blocks), (long_title, details) = main_page(store, results, failed), long_page(results)
-    about = facts(**provenance(results))
-    files = {"index.html": to_html(title, about, [*blocks, *details]).encode()}
-    files |= {block.name: block.png for block in blocks if isinstance(block, Picture)}
-    files |= {f"{stem}_tables.md": to_markdown(long_title, about, details).encode()}
-    return files | {f"{stem}.md": to_markdown(title, about, blocks).encode()}
+    about, page, details = facts(**provenance(results)), main_page(store, results, failed), long_page(results)
+    both = Page(page.title, f"{page.body}\n\n{details.body}", page.pictures)
+    files = {"index.html": both.html(about).encode(), f"{stem}_tables.md": details.markdown(about).encode()}
+    return files | page.files(f"{stem}.md", about)
 
 
-def main_page(
-    store: ResultStore[RobustnessPlan], results: Results[RobustnessPlan], failed: Sequence[str] = ()
-) -> tuple[str, list[PageBlock]]:
-    """Return the title and the blocks of the main page."""
+def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPlan], failed: Sequence[str] = ()) -> Page:
+    """Return the main page."""
     domains, plan = domains_of(results), results.plan
     adaptive = [domain for domain in domains if domain.met("adaptive").methods]
     unaware = [domain for domain in domains if domain.met("unaware").methods]
     paper = [domain for domain in domains if len(domain.paper.cases) > 1]
-    values = {
-        "plan": plan, "extent": _extent(results, failed), "domains": domains, "adaptive_domains": adaptive,
-        "unaware_domains": unaware, "paper_domains": paper, "budgets": BUDGETS,
-        "attacks_on_defenses": plan.adaptive_against_defenses if unaware else (),
-        "max_f1_loss": MAX_F1_LOSS, "max_wedge_loss": MAX_WEDGE_LOSS,
-        "adaptive_sweeps": ", ".join(f"{one.name} {one.met('adaptive').results.sweeps(one.name)}" for one in adaptive),
-    }  # fmt: skip
-    return fill_template("robustness/page.md", values, {
-        "summary_table": tables.summary_table,
-        "withstood": partial(withstood_at, domains),
-        "withstood_adaptive": lambda: withstood_adaptive(plan, adaptive),
-        "adaptive_table": tables.adaptive_table,
-        "bar_in_view": lambda: tables.bar_overview(domains, VIEW),
-        "bar_in_wedge": lambda: tables.bar_overview(domains, WEDGE),
-        "paper_findings": lambda: "\n".join(_finding(plan, domain) for domain in paper),
-        "paper_violins": lambda: violin_picture(paper, PAPER) if paper else None,
-        "paper_table": tables.paper_table,
-        "strict_violins": lambda: violin_picture(domains, STRICT),
-        "scenes": lambda: scene_picture(store),
-        "benign_table": tables.benign_table,
-        "budget_picture": budget_picture,
-        "wedge_picture": wedge_picture,
-        "corruption_picture": corruption_picture,
-        "gain_table": tables.gain_table,
-        "known_defense_table": tables.known_defense_table,
-        "refused_table": lambda: refused_table(results),
-    })  # fmt: skip
+    return fill_template(
+        "robustness/page.md", plan=plan, store=store, tables=tables, extent=_extent(results, failed), domains=domains,
+        adaptive_domains=adaptive, unaware_domains=unaware, paper_domains=paper, budgets=BUDGETS,
+        attacks_on_defenses=plan.adaptive_against_defenses if unaware else (), max_f1_loss=MAX_F1_LOSS,
+        max_wedge_loss=MAX_WEDGE_LOSS,
+        adaptive_sweeps=", ".join(f"{one.name} {one.met('adaptive').results.sweeps(one.name)}" for one in adaptive),
+        withstood_at=withstood_at, withstood_adaptive=withstood_adaptive, finding=_finding,
+        violin_picture=violin_picture, scene_picture=scene_picture, budget_picture=budget_picture,
+        wedge_picture=wedge_picture, corruption_picture=corruption_picture, refused=refused_table(results),
+    )  # fmt: skip
 
 
-def long_page(results: Results[RobustnessPlan]) -> tuple[str, list[PageBlock]]:
-    """Return the title and the blocks of the long tables, domain by domain."""
-    values = {"domains": domains_of(results), "budgets": BUDGETS, "defended": results.plan.defended}
-    return fill_template("robustness/tables.md", values, {
-        "verdict_table": lambda domain, budget: tables.verdict_table(domain, budget.most),
-        "budget_table": tables.budget_table,
-        "wedge_table": tables.wedge_table,
-        "area_table": tables.area_table,
-        "strength_table": tables.strength_table,
-        "corruption_table": tables.corruption_table,
-        "defense_table": tables.defense_table,
-        "caught_table": tables.caught_table,
-    })  # fmt: skip
+def long_page(results: Results[RobustnessPlan]) -> Page:
+    """Return the page of the long tables, domain by domain."""
+    return fill_template("robustness/tables.md", domains=domains_of(results), budgets=BUDGETS, tables=tables,
+                         defended=results.plan.defended)  # fmt: skip
 
 
 def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
@@ -240,13 +206,13 @@ def withstood_at(domains: Sequence[AttackedDomain], budget: Budget) -> str:
     return _withstood(domains[0].attacks, withstands)
 
 
-def withstood_adaptive(plan: RobustnessPlan, domains: Sequence[AttackedDomain]) -> str:
-    """Return a list of which attackers who query it each estimator withstands in every domain; empty without any."""
+def withstood_adaptive(plan: RobustnessPlan, domains: Sequence[AttackedDomain]) -> str | None:
+    """Return a list of which attackers who query it each estimator withstands in every domain; None without any."""
 
     def withstands(name: str, attack: str) -> bool:
         return all(domain.withstands_adaptive(name, attack) for domain in domains)
 
-    return _withstood(plan.adaptive, withstands) if domains else ""
+    return _withstood(plan.adaptive, withstands) if domains else None
 
 
 def _withstood(attacks: Sequence[str], withstands: Callable[[str, str], bool]) -> str:

@@ -34,32 +34,7 @@ the attackers who know their victim."""
 
 @dataclass(frozen=True, slots=True)
 class RobustnessPlan(Plan):
-    """What is run over what. Names come from the tables of the package; ``all`` in the TOML stands for a whole table.
-
-    Attributes:
-        domains: presets of simulated data (held-out scenes are made as needed), or places of archives.
-        samples: how many of each domain, one a scene as far as there are scenes.
-        seed: of everything random; simulated domains are made with it, so it must not be one that anybody trained on.
-        attacks: of ``ATTACKS``.
-        budgets: numbers of returns, ``full`` for a whole wedge; of these each attack runs what fits it.
-        strengths: whether attacks also run with other sectors, shares and offsets (``attacks.SEVERITIES``).
-        corruptions: of ``CORRUPTIONS``.
-        severities: of the corruptions, 1 to 5.
-        defenses: of ``DEFENSES``.
-        defended: estimators that the defenses stand before.
-        defended_budgets: what the defenses face besides the largest budget of each attack.
-        defended_severity: of the corruptions that the defenses face.
-        paper_points: numbers of points in the paper's own block.
-        adaptive: of ``attacks.adaptive.ADAPTIVE``: attackers who query their victim, each of all estimators.
-        adaptive_budget: most returns that they place.
-        adaptive_queries: most queries that they make.
-        adaptive_samples: how many samples of each domain they meet, spread evenly.
-        adaptive_defended: estimators whose attackers also know the defense before them, for each defense.
-        adaptive_against_defenses: which of ``adaptive`` these attackers are.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """What is run over what. Names are of the tables of the package; ``all`` in the TOML is a whole table."""
 
     FOLDER: ClassVar[str] = "studies/robustness/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {
@@ -69,25 +44,26 @@ class RobustnessPlan(Plan):
 
     name: str
     about: str
-    domains: tuple[str, ...]
-    samples: tuple[int, ...]
-    seed: int
-    attacks: tuple[str, ...]
-    budgets: tuple[str, ...]
-    strengths: bool
-    corruptions: tuple[str, ...]
-    severities: tuple[int, ...]
-    defenses: tuple[str, ...]
-    defended: tuple[str, ...]
-    defended_budgets: tuple[str, ...]
-    defended_severity: int
-    paper_points: tuple[int, ...]
+    domains: tuple[str, ...]  # presets of simulated data (held-out scenes are made as needed), or places of archives
+    samples: tuple[int, ...]  # how many of each domain, one a scene as far as there are scenes
+    seed: int  # of everything random; simulated domains are made with it, so it must not be one that anybody trained on
+    attacks: tuple[str, ...]  # of ``ATTACKS``
+    budgets: tuple[str, ...]  # numbers of returns, ``full`` for a whole wedge; of these each attack runs what fits it
+    strengths: bool  # whether attacks also run with other sectors, shares and offsets (``attacks.SEVERITIES``)
+    corruptions: tuple[str, ...]  # of ``CORRUPTIONS``
+    severities: tuple[int, ...]  # of the corruptions, 1 to 5
+    defenses: tuple[str, ...]  # of ``DEFENSES``
+    defended: tuple[str, ...]  # estimators that the defenses stand before
+    defended_budgets: tuple[str, ...]  # what the defenses face besides the largest budget of each attack
+    defended_severity: int  # of the corruptions that the defenses face
+    paper_points: tuple[int, ...]  # numbers of points in the paper's own block
+    # of ``attacks.adaptive.ADAPTIVE``: attackers who query their victim, each of all estimators
     adaptive: tuple[str, ...]
-    adaptive_budget: int
-    adaptive_queries: int
-    adaptive_samples: tuple[int, ...]
-    adaptive_defended: tuple[str, ...]
-    adaptive_against_defenses: tuple[str, ...]
+    adaptive_budget: int  # most returns that they place
+    adaptive_queries: int  # most queries that they make
+    adaptive_samples: tuple[int, ...]  # how many samples of each domain they meet, spread evenly
+    adaptive_defended: tuple[str, ...]  # estimators whose attackers also know the defense before them, for each defense
+    adaptive_against_defenses: tuple[str, ...]  # which of ``adaptive`` these attackers are
 
     def __post_init__(self) -> None:
         for key, table in self.WHOLE_TABLES.items():

@@ -9,7 +9,6 @@ from math import isnan
 import numpy as np
 
 from viewshed.metrics import ConfusionCounts
-from viewshed_lab._page import Table
 from viewshed_lab.studies.formatting import (
     best_of_columns,
     by_name,
@@ -21,6 +20,7 @@ from viewshed_lab.studies.formatting import (
     mean,
     pivot,
 )
+from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case
 from viewshed_lab.studies.robustness.verdicts import MODEST, AttackedDomain
 from viewshed_lab.studies.statistics import f1

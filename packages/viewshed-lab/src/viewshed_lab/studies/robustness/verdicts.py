@@ -24,17 +24,11 @@ MAX_WEDGE_LOSS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The worst losses of one estimator under one attack, over its budgets.
+    """The worst losses of one estimator under one attack, over its budgets."""
 
-    Attributes:
-        f1: loss of F1 in the whole view.
-        precision: loss of precision in the wedge: what is claimed and not true.
-        recall: loss of recall in the wedge: what is true and not claimed.
-    """
-
-    f1: float
-    precision: float
-    recall: float
+    f1: float  # loss of F1 in the whole view
+    precision: float  # loss of precision in the wedge: what is claimed and not true
+    recall: float  # loss of recall in the wedge: what is true and not claimed
 
     @property
     def withstands(self) -> bool:
@@ -62,8 +56,7 @@ class AttackedDomain(Domain[RobustnessPlan]):
     def methods(self) -> list[str]:
         """Estimators that there are results of: the paper's first, ours in the order of their table."""
         order = list(TESTED)
-        found = self.results.methods(self.name, self.protocol)
-        return sorted(found, key=lambda name: order.index(name) if name in order else -1)
+        return sorted(super().methods, key=lambda name: order.index(name) if name in order else -1)
 
     @cached_property
     def paper(self) -> AttackedDomain:

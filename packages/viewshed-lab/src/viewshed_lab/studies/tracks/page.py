@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from viewshed.monitor.roc import auroc
-from viewshed_lab._page import Table, facts, to_markdown
+from viewshed_lab._page import facts
 from viewshed_lab.studies.formatting import commits, format_number, format_rate
+from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.plan import JobKey
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.studies.tracks.evaluate import RANGE_M, SURE, WITHIN_S
 from viewshed_lab.studies.tracks.plan import BENIGN_CASE, LIDAR_DETECTOR, TracksPlan
 
@@ -300,35 +300,26 @@ def _ece(outcomes: Outcomes) -> float:
     return float(np.abs(existence - is_object).sum() / max(count.sum(), 1))
 
 
-def page_of(store: ResultStore[TracksPlan]) -> str:
-    """Return the page as Markdown.
+def files_of(store: ResultStore[TracksPlan]) -> dict[str, bytes]:
+    """Return the page as a file by its name.
 
     Raises:
         ValueError: no drive was attacked yet.
     """
     plan, found = store.plan, store.results("test")
     if not found.facts:
-        raise ValueError(f"{store.path} must hold attacked drives, got none; run the study")
+        raise ValueError(f"{store.folder} must hold attacked drives, got none; run the study")
     results = TracksResults(plan, found.facts, store.results("lidar").facts)
     values = {
         "seconds": f"{plan.seconds:g}", "objects": plan.objects, "accused": f"{plan.accused:.0%}",
         "range_m": f"{RANGE_M:g}",
         "detectors": " and ".join(plan.detectors),
     }  # fmt: skip
-    title, blocks = fill_template("tracks/page.md", values, {
-        "targets": results.target_table,
-        "benign": results.benign_table,
-        "found": results.found_table,
-        "known": results.known_table,
-        "lidar": results.lidar_table,
-        "auroc": results.auroc_table,
-        "gospa": results.gospa_table,
-        "places": results.place_table,
-    })  # fmt: skip
+    page = fill_template("tracks/page.md", results=results, **values)
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed), sensors=", ".join(plan.sensors),
         weather=", ".join(plan.conditions),
         drives=f"{plan.count} counted, {plan.limit} for limits, {len(found.facts)} with forged detections,"
         f" {len(results.sweeps)} with forged sweeps", commits=commits(found),
     )  # fmt: skip
-    return to_markdown(title, about, blocks)
+    return page.files("tracks.md", about)

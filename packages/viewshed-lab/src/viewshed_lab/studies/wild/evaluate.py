@@ -1,6 +1,9 @@
 """What is counted of one estimate against the exact truth and the exact ground, and the ladder of exact knowledge.
 
-Figures of a record by name. Areas are in square meters, over cells whose truth is known:
+A row says whose it is (set, domain, scene, sweep; style, sensor and mounting; what was told, target, method), counts
+the claims over the cells whose truth is known (the fields of ``ConfusionCounts``, and ``bins``: 150 × 3, by bin of
+probability cells, visible cells and sum of probabilities), and has further figures. Areas are in square meters, over
+cells whose truth is known:
 
 - ``flat``: 1 where 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor.
 - ``auroc``, ``aurc``: of the doubt for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
@@ -18,7 +21,7 @@ Figures of a record by name. Areas are in square meters, over cells whose truth 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 
 import numpy as np
@@ -35,8 +38,9 @@ from viewshed.monitor.roc import auroc
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed_lab.data.wild import WildObservation, WildSample
 from viewshed_lab.sim.lidar.optics import optics_of
+from viewshed_lab.studies.records import Row
 from viewshed_lab.studies.wild.plan import WildPlan
-from viewshed_lab.studies.wild.records import FINE_BINS, WildRecord
+from viewshed_lab.studies.wild.pool import FINE_BINS
 
 OFF_M, SURE, FLAT_M, CLEAR = 1.0, 0.8, 1.0, 2
 
@@ -47,8 +51,8 @@ LADDER = ("+ exact rings and beams' table", "+ exact height and attitude", "+ ex
 """What the shadow map is given: the first three add up; the fourth has the ground that was given; the last has all."""
 
 
-def records_of(seen: WildObservation, plan: WildPlan) -> Iterator[WildRecord]:
-    """Yield the records of one sweep: every method, target and knowledge of the plan, and the ladder."""
+def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
+    """Yield the rows of one sweep: every method, target and knowledge of the plan, and the ladder."""
     grid = seen.truth.grid
     for told in plan.told:
         sample = seen.sample(told)
@@ -57,16 +61,14 @@ def records_of(seen: WildObservation, plan: WildPlan) -> Iterator[WildRecord]:
             for name, method in zip(plan.judged, (*plan.methods, *plan.networks), strict=True):
                 estimator = estimator_named(method, seen.scene.domain.name, target)
                 if estimator is not None:
-                    yield record_of(seen, sample, estimator.estimate(leveled), leveled, name)
+                    yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
     # A base frame whose offset nobody tells has no exact beams from its own origin: no ladder there.
     if plan.ladder and seen.mounting.family.frame != "base":
         for target in plan.targets:
             yield from _ladder(seen, TARGETS[target])
 
 
-def record_of(
-    seen: WildObservation, sample: WildSample, estimate: FovEstimate, leveled: LeveledSweep, method: str
-) -> WildRecord:
+def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, leveled: LeveledSweep, method: str) -> Row:
     """Return what is counted of one estimate.
 
     Args:
@@ -74,7 +76,7 @@ def record_of(
         sample: what the estimator was given.
         estimate: what it said.
         leveled: the sweep as it was leveled, whose ground is judged.
-        method: of the record.
+        method: of the row.
     """
     grid, target, range_m, model = (
         seen.truth.grid,
@@ -110,11 +112,13 @@ def record_of(
     numbers["unaimed"] = float(unaimed.sum())
     numbers["unaimed_hidden"] = float((unaimed & (estimate.state == CellState.HIDDEN)).sum())
     numbers["height_error_m"] = leveled.sensor_height_m - sample.origin_height_m
-    return WildRecord(
-        seen.scene.domain.set_name, seen.scene.domain.name, sample.scene, seen.number, sample.style, sample.sensor,
-        sample.mounting, sample.told, target.name, method,
-        ConfusionCounts.of(claimed, true, known, grid.cell_area_m2), _bins(prob[known], true[known]), numbers,
-    )  # fmt: skip
+    return {
+        "set_name": seen.scene.domain.set_name, "domain": seen.scene.domain.name, "scene": sample.scene,
+        "sweep": seen.number, "style": sample.style, "sensor": sample.sensor, "mounting": sample.mounting,
+        "told": sample.told, "target": target.name, "method": method,
+        **asdict(ConfusionCounts.of(claimed, true, known, grid.cell_area_m2)),
+        "bins": _bins(prob[known], true[known]).round(3).ravel().tolist(), **numbers,
+    }  # fmt: skip
 
 
 def ground_error_m(leveled: LeveledSweep, sample: WildSample) -> NDArray[np.float64]:
@@ -135,8 +139,8 @@ def ground_error_m(leveled: LeveledSweep, sample: WildSample) -> NDArray[np.floa
     return error
 
 
-def _ladder(seen: WildObservation, target: Target) -> Iterator[WildRecord]:
-    """Yield the shadow map's records with more and more of what a sweep does not tell."""
+def _ladder(seen: WildObservation, target: Target) -> Iterator[Row]:
+    """Yield the shadow map's rows with more and more of what a sweep does not tell."""
     grid, sample = seen.truth.grid, seen.sample("rings")
     exact_height, exact_ground = sample.origin_height_m, sample.exact_ground
     as_told = level(sample.sweep, grid)
@@ -146,12 +150,12 @@ def _ladder(seen: WildObservation, target: Target) -> Iterator[WildRecord]:
     steps.append(replace(steps[1], ground=exact_ground))
     estimator = ShadowMap(grid, target)
     for name, leveled in zip(LADDER, steps, strict=False):
-        yield record_of(seen, sample, estimator.estimate(leveled), leveled, name)
+        yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
     # Every beam to where it really ended, over the ground as it was estimated, and over the exact one.
     beams = exact_beams(seen)
     for name, leveled in zip(LADDER[3:], (as_told, steps[2]), strict=True):
         counts, aimed = expected_returns(beams, leveled.sensor_height_m, leveled.ground, grid, target)
-        yield record_of(seen, sample, _counted(counts, aimed, grid, target), leveled, name)
+        yield row_of(seen, sample, _counted(counts, aimed, grid, target), leveled, name)
 
 
 def exact_beams(seen: WildObservation) -> Beams:

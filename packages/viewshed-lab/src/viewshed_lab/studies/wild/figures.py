@@ -17,13 +17,12 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.preprocess.leveling import level
 from viewshed_lab.studies.wild.evaluate import estimator_named, ground_error_m
 from viewshed_lab.studies.wild.jobs import scene_of
-from viewshed_lab.studies.wild.records import WildRecord
 
 
-def picture_of(record: WildRecord, methods: Sequence[str]) -> bytes:
-    """Return a PNG of one scene: exact ground, error of the estimated one, true states, each method's mistakes."""
-    seen = scene_of((record.set_name, record.domain, record.scene.split("-")[2], "0")).observe(record.sweep)
-    sample, grid, target = seen.sample(record.told), seen.truth.grid, TARGETS[record.target]
+def picture_of(row: Any, methods: Sequence[str]) -> bytes:
+    """Return a PNG of a row's scene: exact ground, error of the estimated one, true states, each method's mistakes."""
+    seen = scene_of((row.set_name, row.domain, row.scene.split("-")[2], "0")).observe(row.sweep)
+    sample, grid, target = seen.sample(row.told), seen.truth.grid, TARGETS[row.target]
     leveled = level(sample.sweep, grid)
     error = ground_error_m(leveled, sample)
     half = grid.half_extent_m
@@ -43,7 +42,7 @@ def picture_of(record: WildRecord, methods: Sequence[str]) -> bytes:
     _classes(axes[2], states, extent, ListedColormap(["white", "#9bd", "#36c", "#ddd", "#fd8"]), names)
     axes[2].set_title("true states and returns")
     for axis, method in zip(axes[3:], methods, strict=True):
-        estimator = estimator_named(method, record.domain, record.target)
+        estimator = estimator_named(method, row.domain, row.target)
         if estimator is None:
             continue
         claimed, true = estimator.estimate(leveled).visible(), seen.truth.visible(target)

@@ -9,10 +9,9 @@ from viewshed_lab.data.wild import WildScene, wild_tables
 from viewshed_lab.studies.plan import JobKey
 from viewshed_lab.studies.runner import Job, Progress, ignore_progress, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
-from viewshed_lab.studies.wild.evaluate import records_of
+from viewshed_lab.studies.wild.evaluate import rows_of
 from viewshed_lab.studies.wild.openings import SetOpening
 from viewshed_lab.studies.wild.plan import WildPlan
-from viewshed_lab.studies.wild.records import to_table
 
 
 def run_study(
@@ -28,9 +27,6 @@ def run_study(
         engine: does the jobs.
         on_progress: is called after each job.
         opening: who opens the sealed set and why, logged before anything is run.
-
-    Raises:
-        ValueError: the plan has the sealed set, and no opening is given.
     """
     if store.plan.opens_sealed and opening is None:
         raise ValueError(
@@ -49,4 +45,4 @@ def scene_of(key: JobKey) -> WildScene:
 def do_job(job: Job[WildPlan]) -> JobResult:
     """Return what is counted of one sweep."""
     seen = scene_of(job.key).observe(int(job.key[3]))
-    return JobResult(facts=to_table(records_of(seen, job.plan)))
+    return JobResult(list(rows_of(seen, job.plan)))

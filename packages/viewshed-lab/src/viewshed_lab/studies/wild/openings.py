@@ -25,30 +25,17 @@ run on them adds a line here before it starts.
 
 @dataclass(frozen=True, slots=True)
 class SetOpening:
-    """One opening.
+    """One opening."""
 
-    Attributes:
-        reason: in one line.
-        methods: that are run.
-
-    Raises:
-        ValueError: there is no reason, or it is none that fits a line of a table.
-    """
-
-    reason: str
-    methods: Sequence[str]
+    reason: str  # in one line
+    methods: Sequence[str]  # that are run
 
     def __post_init__(self) -> None:
         if not self.reason.strip() or any(sign in self.reason for sign in "|\n"):
             raise ValueError(f"the reason must be one line of words without |, got {self.reason!r}")
 
     def log(self, path: Path = LOG) -> None:
-        """Append the line to the log, on the disk when this returns; the log is begun if there is none.
-
-        Raises:
-            ValueError: the log's folder does not exist: this is no checkout.
-            OSError: it cannot be written.
-        """
+        """Append the line to the log, on the disk when this returns; the log is begun if there is none."""
         if not path.parent.is_dir():
             raise ValueError(f"{path} must lie in a checkout of viewshed, where it is committed; go there, or name it")
         now = facts()

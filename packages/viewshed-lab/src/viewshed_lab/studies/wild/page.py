@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from viewshed_lab._page import Picture, Table, facts, to_markdown
+from viewshed.metrics import ConfusionCounts
+from viewshed_lab._page import facts
 from viewshed_lab.data.wild import TOLD
 from viewshed_lab.studies.formatting import (
     commits,
@@ -15,13 +16,14 @@ from viewshed_lab.studies.formatting import (
     format_rate,
     format_rates,
 )
+from viewshed_lab.studies.pages import Picture, Table, fill_template
+from viewshed_lab.studies.records import cells_of
 from viewshed_lab.studies.statistics import f1
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.templates import fill_template
 from viewshed_lab.studies.wild.evaluate import AS_TOLD, LADDER
 from viewshed_lab.studies.wild.figures import picture_of
 from viewshed_lab.studies.wild.plan import WildPlan
-from viewshed_lab.studies.wild.records import Pool, from_table
+from viewshed_lab.studies.wild.pool import Pool
 
 OWN = "own"
 
@@ -35,37 +37,28 @@ _WHAT = {
 }
 
 
-def page_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
-    """Return the page ``wild.md``, the last, and its pictures, as files by name.
-
-    Raises:
-        ValueError: the store holds no results.
-    """
-    results = store.results()
-    if not results.facts:
-        raise ValueError(f"{store.path} must hold results, got none; run without --no-run")
-    plan, tables = store.plan, {key: list(from_table(table)) for key, table in results.facts.items()}
-    pool = Pool([record for key in plan.job_keys() for record in tables.get(key, [])])
-    other = pool.where(lambda record: record.set_name != OWN)
+def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
+    """Return the page ``wild.md``, the last, and its pictures, as files by name."""
+    results, plan = store.results(), store.plan
+    store.require(results)
+    pool = Pool(results.rows)
+    other = _own_and_other(pool)[1]
     knowledge = {_WHAT[told]: told for told in TOLD if told in plan.told}
     told = next(one for one in ("rings", *plan.told) if one in plan.told)
 
     def part(domain: str, target: str, what: str) -> Pool:
         return pool.of(domain=domain, target=target, told=knowledge[what], method=plan.judged)
 
-    values = {"domains": pool.names("domain"), "targets": plan.targets, "knowledge": list(knowledge)}
-    title, blocks = fill_template("wild/page.md", values, {
-        "agreement": lambda *names: _agreement(part(*names)),
-        "beyond_f1": lambda *names: _beyond_f1(part(*names)),
-        "broken_down": lambda domain, target: _broken_down(other.of(domain=domain, target=target, told=told)),
-        "ladder": lambda domain, target: _ladder(other.of(domain=domain, target=target, told="rings")),
-        "worst": lambda domain: _worst(plan, other.of(domain=domain, target=plan.targets[0], told=told)),
-    })  # fmt: skip
-    pictures = {block.name: block.png for block in blocks if isinstance(block, Picture)}
-    about = facts(
-        plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(tables)), commits=commits(results)
+    page = fill_template(
+        "wild/page.md", domains=pool.names("domain"), targets=plan.targets, knowledge=knowledge, part=part, plan=plan,
+        other=lambda domain, target, told=told: other.of(domain=domain, target=target, told=told),
+        agreement=_agreement, beyond_f1=_beyond_f1, broken_down=_broken_down, ladder=_ladder, worst=_worst,
     )  # fmt: skip
-    return pictures | {"wild.md": to_markdown(title, about, blocks).encode()}
+    about = facts(
+        plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(results.facts)),
+        commits=commits(results),
+    )  # fmt: skip
+    return page.files("wild.md", about)
 
 
 def _agreement(pool: Pool) -> Table:
@@ -91,7 +84,7 @@ def _beyond_f1(pool: Pool) -> Table:
         rows.append([
             method,
             format_rates(*(part.mean_f1() for part in parts)),
-            format_rates(*(part.where(lambda one: one.numbers["flat"] > 0).counts.f1 for part in parts)),
+            format_rates(*(part.where(part.rows["flat"] > 0).counts.f1 for part in parts)),
             format_rates(*(part.clear_f1() for part in parts)),
             format_rates(*(part.ece() for part in parts)),
             *(format_rates(*(part.mean(name) for part in parts)) for name in ("auroc", "auroc_std")),
@@ -106,7 +99,7 @@ def _beyond_f1(pool: Pool) -> Table:
 
 
 def _own_and_other(pool: Pool) -> tuple[Pool, Pool]:
-    return pool.of(set_name=OWN), pool.where(lambda record: record.set_name != OWN)
+    return pool.of(set_name=OWN), pool.where(pool.rows["set_name"] != OWN)
 
 
 def _broken_down(pool: Pool) -> Iterator[Table]:
@@ -124,10 +117,10 @@ def _broken_down(pool: Pool) -> Iterator[Table]:
 
 def _ladder(pool: Pool) -> Table | None:
     """Return the shadow map's figures with each step of knowledge, over the scenes that have all; None without."""
-    with_ladder = {record.scene for record in pool.of(method=LADDER[0]).records}
+    with_ladder = pool.of(method=LADDER[0]).names("scene")
     if not with_ladder:
         return None
-    same = pool.where(lambda record: record.scene in with_ladder)
+    same = pool.of(scene=with_ladder)
     rows = []
     for name in (AS_TOLD, *LADDER):
         part = same.of(method=name)
@@ -147,16 +140,17 @@ def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
     judged = [name for name in JUDGED if name in pool.names("method")]
     if not judged or not plan.worst:
         return
-    ranked = sorted(pool.of(method=judged[-1]).records, key=lambda record: np.nan_to_num(record.counts.f1))
-    worst_first = {record.style: record for record in reversed(ranked)}
-    chosen = sorted(worst_first.values(), key=lambda record: np.nan_to_num(record.counts.f1))[: plan.worst]
+    ranked = pool.of(method=judged[-1])
+    ranked = Pool(ranked.rows.assign(f1=np.nan_to_num(f1(cells_of(ranked.rows)))).sort_values("f1", kind="stable"))
+    chosen = ranked.rows.drop_duplicates("style")[: plan.worst]
+    counts = [ConfusionCounts(*map(int, cells)) for cells in cells_of(chosen)]
     yield Table(
         ["scene", "sensor", "mounting", f"{judged[-1]}: precision / recall / F1", "height off by, m"],
         [
-            [one.scene, one.sensor, one.mounting, format_rates(one.counts.precision, one.counts.recall, one.counts.f1),
-             f"{one.numbers['height_error_m']:+.2f}"] for one in chosen
+            [one.scene, one.sensor, one.mounting, format_rates(n.precision, n.recall, n.f1),
+             f"{one.height_error_m:+.2f}"] for one, n in zip(chosen.itertuples(), counts, strict=True)
         ],
     )  # fmt: skip
-    for one in chosen:
+    for one in chosen.itertuples():
         what = f"{one.scene}: exact ground, its error, true states, mistakes of {' and '.join(judged)}"
         yield Picture(f"wild_{one.domain}_{one.style}.png", picture_of(one, judged), what)

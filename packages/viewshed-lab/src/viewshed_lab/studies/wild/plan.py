@@ -17,39 +17,22 @@ DOMAINS = ("road", "indoor")
 
 @dataclass(frozen=True, slots=True)
 class WildPlan(Plan):
-    """What is run. ``all`` in the TOML stands for a whole table of names.
-
-    Attributes:
-        name: of the study.
-        about: one line for people.
-        sets: of ``datasets.wild.SETS``; ``own`` is the yardstick, all others together are *other*.
-        domains: ``road``, ``indoor``.
-        scenes: how many of each domain at most, the first ones; 0 for all.
-        methods: of ``ESTIMATORS``. A network without weights for a grid and target is left out there.
-        told: of ``TOLD``: what the sweeps say beside their points.
-        targets: of ``TARGETS``.
-        ladder: whether the shadow map is also given the exact ground, returns and rings, one by one.
-        worst: how many of the worst scenes of each domain are shown as pictures.
-        networks: files of networks that are tried as well, each by the name of its file.
-
-    Raises:
-        ValueError: a name is not known, or a number is out of range.
-    """
+    """What is run. ``all`` in the TOML stands for a whole table of names."""
 
     FOLDER: ClassVar[str] = "studies/wild/plans"
     WHOLE_TABLES: ClassVar[Mapping[str, Iterable[str]]] = {"methods": ESTIMATORS, "told": TOLD, "targets": TARGETS}
 
-    name: str
-    about: str
-    sets: tuple[str, ...]
-    domains: tuple[str, ...]
-    scenes: int
-    methods: tuple[str, ...]
-    told: tuple[str, ...]
-    targets: tuple[str, ...]
-    ladder: bool
-    worst: int
-    networks: tuple[str, ...]
+    name: str  # of the study
+    about: str  # one line for people
+    sets: tuple[str, ...]  # of ``datasets.wild.SETS``; ``own`` is the yardstick, all others together are *other*
+    domains: tuple[str, ...]  # ``road``, ``indoor``
+    scenes: int  # how many of each domain at most, the first ones; 0 for all
+    methods: tuple[str, ...]  # of ``ESTIMATORS``. A network without weights for a grid and target is left out there.
+    told: tuple[str, ...]  # of ``TOLD``: what the sweeps say beside their points
+    targets: tuple[str, ...]  # of ``TARGETS``
+    ladder: bool  # whether the shadow map is also given the exact ground, returns and rings, one by one
+    worst: int  # how many of the worst scenes of each domain are shown as pictures
+    networks: tuple[str, ...]  # files of networks that are tried as well, each by the name of its file
 
     def __post_init__(self) -> None:
         for key, table in (("sets", SETS), ("domains", DOMAINS), *self.WHOLE_TABLES.items()):

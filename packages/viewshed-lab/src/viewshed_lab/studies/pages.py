@@ -1,0 +1,161 @@
+"""Pages of results: Jinja2 templates of the package, whose expressions are tables, pictures, words, or None.
+
+Where a template shows None, the texts right above it are left out as well, and so is a section with None that shows
+neither table nor picture. A template need not ask whether there is something to show.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jinja2
+
+from viewshed_lab._page import page, table
+from viewshed_lab._results import cells_of, depth_of
+
+_NONE = "<!-- none -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of plain words; what is bold is in asterisks."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def __str__(self) -> str:
+        return table(self.header, self.rows)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A PNG with the name of its file and what it shows."""
+
+    name: str
+    png: bytes
+    alt: str
+
+    def __str__(self) -> str:
+        return f"![{self.alt}]({self.name})"
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page as Markdown, and the PNGs that it shows by the names of their files."""
+
+    title: str
+    body: str
+    pictures: Mapping[str, bytes]
+
+    def markdown(self, provenance: Mapping[str, str]) -> str:
+        """Return the page with its three numbers on top and at its foot how it was made."""
+        return page(self.title, provenance, self.body)
+
+    def files(self, name: str, provenance: Mapping[str, str]) -> dict[str, bytes]:
+        """Return the files of the page: its pictures, then the Markdown as ``name``."""
+        return {**self.pictures, name: self.markdown(provenance).encode()}
+
+    def html(self, provenance: Mapping[str, str]) -> str:
+        """Return the page as one HTML file: pictures are in it, and nothing is fetched."""
+        made = "\n".join(f"- {name}: {value}" for name, value in provenance.items())
+        blocks = [f"# {self.title}", *_blocks(self.body), "## How it was made", made]
+        body = "\n".join(_html(block, self.pictures) for block in blocks)
+        head = f"<!DOCTYPE html>\n<html lang=en><meta charset=utf-8><title>{html.escape(self.title)}</title>"
+        return f"{head}{_STYLE}\n{body}\n"
+
+
+def fill_template(path: str, **values: Any) -> Page:
+    """Return the page of a template, a file in the folder of the studies, whose first line is the title."""
+    pictures: dict[str, bytes] = {}
+
+    def shown(value: Any) -> str:
+        if value is None:
+            return _NONE
+        if isinstance(value, Picture):
+            pictures[value.name] = value.png
+        elif isinstance(value, Iterable) and not isinstance(value, str):
+            return "\n\n".join(map(shown, value)) or _NONE
+        return str(value)
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("viewshed_lab.studies", ""), undefined=jinja2.StrictUndefined, finalize=shown,
+        trim_blocks=True,
+        autoescape=False,
+    )  # fmt: skip
+    title, *blocks = _blocks(environment.get_template(path).render(values))
+    return Page(title.removeprefix("# "), "\n\n".join(_without_empty(blocks)), pictures)
+
+
+def _blocks(markdown: str) -> list[str]:
+    return [block.strip() for block in re.split(r"\n\s*\n", markdown) if block.strip()]
+
+
+def _without_empty(blocks: Sequence[str]) -> list[str]:
+    """Return the blocks less the sections that show nothing, and less the texts right above what shows nothing."""
+    kept: list[str] = []
+    end = 0
+    for position, block in enumerate(blocks):
+        if position < end:
+            continue
+        if block == _NONE:
+            while kept and not kept[-1].startswith(("#", "|", "!")):
+                kept.pop()
+        elif not (depth_of(block) and _shows_nothing(section := _section(blocks[position:]))):
+            kept.append(block)
+        else:
+            end = position + len(section)
+    return kept
+
+
+def _section(blocks: Sequence[str]) -> Sequence[str]:
+    """Return the section that the first of the blocks heads, up to the next heading that is as high."""
+    level = depth_of(blocks[0])
+    ends = (k for k, block in enumerate(blocks) if k and 0 < depth_of(block) <= level)
+    return blocks[: next(ends, len(blocks))]
+
+
+def _shows_nothing(section: Sequence[str]) -> bool:
+    return _NONE in section and not any(block.startswith(("|", "![")) for block in section)
+
+
+def _html(block: str, pictures: Mapping[str, bytes]) -> str:
+    """Return one block of Markdown as HTML: a heading, a table, a picture, a list or a text."""
+    if level := depth_of(block):
+        return f"<h{level}>{_inline(block.lstrip('# '))}</h{level}>"
+    if block.startswith("|"):
+        head, _, *rows = [[_inline(cell) for cell in cells_of(line)] for line in block.splitlines()]
+        body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>\n" for row in rows)
+        return f"<div class=wide><table><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>\n{body}</table></div>"
+    if picture := re.fullmatch(r"!\[(.*)\]\((.*)\)", block):
+        data = base64.b64encode(pictures[picture[2]]).decode()
+        return f'<figure><img alt="{html.escape(picture[1])}" src="data:image/png;base64,{data}"></figure>'
+    if block.startswith("- "):
+        items = (f"<li>{_inline(' '.join(item.split()))}</li>\n" for item in re.split(r"(?:^|\n)- ", block)[1:])
+        return f"<ul>\n{''.join(items)}</ul>"
+    return f"<p>{_inline(' '.join(block.split()))}</p>"
+
+
+def _inline(text: str) -> str:
+    """Return Markdown's code and stress as HTML.
+
+    >>> _inline("**a** < `b_c`")
+    '<b>a</b> &lt; <code>b_c</code>'
+    """
+    safe = html.escape(text)
+    for pattern, tag in ((r"`([^`]+)`", "code"), (r"\*\*([^*]+)\*\*", "b"), (r"\*([^*]+)\*", "i")):
+        safe = re.sub(pattern, rf"<{tag}>\1</{tag}>", safe)
+    return re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", safe)
+
+
+_STYLE = """<style>
+body{font:15px/1.45 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#222}
+table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}
+th,td{padding:.15rem .55rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}
+th:first-child,td:first-child{text-align:left}.wide{overflow-x:auto}
+img{max-width:100%}figure{margin:1rem 0}code{background:#f2f2f2;padding:0 .2em}h2{margin-top:2.5rem}
+</style>"""
