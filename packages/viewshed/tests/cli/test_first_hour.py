@@ -78,16 +78,6 @@ def test_poses_place_the_sweeps_of_a_folder(drive: Path, tmp_path: Path) -> None
     assert checked.stdout.splitlines()[-1].startswith("3 sweeps")
 
 
-@pytest.mark.parametrize("command", ["estimate", "view", "replay"])
-def test_history_without_poses_is_an_error_with_the_remedy(command: str, drive: Path, tmp_path: Path) -> None:
-    out = {"estimate": ("--out", tmp_path), "view": ("--html", tmp_path / "a.html"), "replay": ("--as-fast",)}[command]
-    done = run(command, drive / "9.npz", "--history", 2, *out)
-    assert done.returncode == 2
-    assert "--history needs a pose and a time of each sweep" in done.stderr
-    assert "give --poses FILE" in done.stderr
-    assert "visible" not in done.stdout
-
-
 def test_an_origin_in_a_reference_system_places_points_of_a_map(tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio", reason="needs the extra geo")
     origin = np.array([66_000.0, 30_000.0, 12.0])
