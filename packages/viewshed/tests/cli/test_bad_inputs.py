@@ -37,9 +37,7 @@ INPUTS: dict[str, bytes | str | Callable[[Path], object]] = {
     "picture.ply": b"\x89PNG\r\n\x1a\n" + bytes(99), "a.xyz": "1 2 3\n", "a.las": b"LASF" + bytes(300),
     "new.pcap": b"\n\r\r\n" + bytes(60), "loop.bin": lambda p: p.symlink_to(p),
     "transposed.npy": files.npy(CLOUD[:, :3].T), "nothing": Path.mkdir,
-    "text": lambda p: (p.mkdir(), (p / "a.txt").write_text("x")),
-    "above": lambda p: ((p / "s").mkdir(parents=True), (p / "s" / "a.bin").write_bytes(CLOUD.tobytes())),
-    "metadata": lambda p: (p.mkdir(), (p / "metadata.yaml").write_text("x: 1")),
+    "text/a.txt": "x", "above/s/a.bin": CLOUD.tobytes(), "metadata/metadata.yaml": "x: 1",
     "bag": lambda p: write_ros2(p, []), "empty.bag": b"", "none.db3": b"x" * 99, "none.mcap": b"x" * 99,
     "two.mcap": lambda p: write_mcap(p, [("/front", 1, ROS2.cloud(S)), ("/rear", 2, ROS2.cloud(S))]),
     "one.txt": POSE, "nine.txt": "1 2 3 4 5 6 7 8 9\n", "zeros.txt": "0 " * 12, "early.txt": "5 0 0 0 0 0 0 1\n",
@@ -187,12 +185,13 @@ REFUSED = {
 @pytest.mark.parametrize("words", REFUSED)
 def test_a_bad_input_is_one_line_and_exit_code_2(words: str, tmp_path: Path) -> None:
     arguments = shlex.split(words)
-    for name in {name for word in arguments for name in fnmatch.filter(INPUTS, word.partition("/")[0])}:
-        made = INPUTS[name]
-        if callable(made):
-            made(tmp_path / name)
-        else:
-            (tmp_path / name).write_bytes(made.encode() if isinstance(made, str) else made)
+    for name, made in INPUTS.items():
+        if any(fnmatch.fnmatch(name.partition("/")[0], word.partition("/")[0]) for word in arguments):
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            if callable(made):
+                made(tmp_path / name)
+            else:
+                (tmp_path / name).write_bytes(made.encode() if isinstance(made, str) else made)
     before = {path: path.lstat().st_mtime_ns for path in tmp_path.rglob("*")}
     done = run(*arguments, cwd=tmp_path)
     assert (done.returncode, done.stdout if arguments[:2] != ["monitor", "check"] else "") == (2, "")
