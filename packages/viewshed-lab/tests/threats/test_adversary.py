@@ -24,8 +24,6 @@ def test_sweeps_of_one_agent_are_forged_between_start_and_end_at_one_place() -> 
             forged[agent, t_s] = None if got is sent else got
     assert [key for key, got in forged.items() if got is not None] == [("car", 6.0), ("car", 7.0)]
     first, second = forged["car", 6.0], forged["car", 7.0]
-    assert first is not None
-    assert second is not None
     assert np.array_equal(first.points, second.points)
     assert len(first) != len(SWEEP) or not np.array_equal(first.points, SWEEP.points)
 

@@ -71,7 +71,6 @@ def test_states_and_mask_are_exact_and_probabilities_within_half_a_level(thresho
     assert (found.state == estimate.state).all()
     assert (found.visible() == estimate.visible()).all()
     assert np.abs(found.visible_prob - estimate.visible_prob).max() <= max(threshold, 1 - threshold) / 16 + 1e-6
-    assert found.std is not None
     assert estimate.std is not None
     if with_std:
         assert np.abs(found.std - np.minimum(estimate.std, 0.5)).max() <= 1 / 32 + 1e-6
@@ -100,7 +99,6 @@ def test_the_core_keeps_every_number(cells: int, seed: int, with_deviations: boo
         np.frombuffer(code, np.uint8), cells, row, column, prob, std if with_deviations else std[:0].copy()
     )
     if code:
-        assert found is not None
         assert (found[0] == state).all()
         assert (found[1] == level).all()
         assert (found[2] is not None) == with_deviations
@@ -130,7 +128,6 @@ def test_noise_falls_back_to_fewer_levels_and_then_is_refused() -> None:
     assert (found.state == state).all()
     assert (found.visible() == (prob >= 0.5)).all()
     assert set(np.unique(found.visible_prob)) <= set(level_values(0.5)[[0, 4, 11, 15]])
-    assert found.std is not None
     assert np.isnan(found.std).all()
     with pytest.raises(ValueError, match="regular enough for two bits a cell; got what looks like noise"):
         encode_fov(view_of(grid, rng.random(grid.shape), rng.integers(0, 4, grid.shape)))

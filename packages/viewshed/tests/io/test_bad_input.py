@@ -181,7 +181,7 @@ def test_whatever_a_reader_raises_names_the_file_and_the_next_file_is_read(
     def faulty(*_: object) -> None:
         raise ZeroDivisionError("two\nlines")
 
-    monkeypatch.setitem(formats.FORMATS, "ply", replace(FORMATS["ply"], read=faulty))  # type: ignore[arg-type]
+    monkeypatch.setitem(formats.FORMATS, "ply", replace(FORMATS["ply"], read=faulty))
     (tmp_path / "bad.ply").write_bytes(PLY)
     (tmp_path / "bad.npz").write_bytes(BAD["text.npz"][0])
     (tmp_path / "good.bin").write_bytes(files.rows(np.repeat(TABLE, 3, axis=0)))

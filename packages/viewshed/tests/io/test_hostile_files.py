@@ -234,7 +234,6 @@ class Reader:
             command = [sys.executable, __file__]
             self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self.process.stdin is not None
-        assert self.process.stdout is not None
         print(path, file=self.process.stdin, flush=True)
         line = self.process.stdout.readline()
         if not line:

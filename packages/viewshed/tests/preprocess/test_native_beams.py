@@ -52,8 +52,8 @@ def test_beams_by_evidence_answers_any_number(value: float) -> None:
 
 
 def test_an_image_of_one_column_and_one_without_returns_are_answered() -> None:
-    one = BEAMS | dict(counts=np.array([[1], [0], [2], [255]], np.uint8), column=np.zeros(N, np.int32))
-    none = BEAMS | dict(counts=np.zeros((RINGS, COLUMNS), np.uint8), column=np.full(N, -1, np.int32))
+    one = BEAMS | {"counts": np.array([[1], [0], [2], [255]], np.uint8), "column": np.zeros(N, np.int32)}
+    none = BEAMS | {"counts": np.zeros((RINGS, COLUMNS), np.uint8), "column": np.full(N, -1, np.int32)}
     for arguments in (one, none):
         _, inferred, unresolved = _core.beams_by_evidence(**arguments)
         assert len(inferred[0]) + len(unresolved[0]) <= 1

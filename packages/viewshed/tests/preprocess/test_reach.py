@@ -28,7 +28,6 @@ def open_street(seed: int) -> tuple[F32, NDArray[np.bool_]]:
 @pytest.mark.parametrize("name", sensor_names())
 def test_a_table_tells_its_reach_and_who_says_so(name: str) -> None:
     model = lidar_model(name)
-    assert model.reach_m is not None
     assert model.min_range_m < model.reach_m <= model.max_range_m
     assert len(model.reach_source) > 10
     assert sensing_reach(np.full(10, 300.0), np.zeros(10, np.bool_), model) == model.reach_m

@@ -61,7 +61,7 @@ def overlaps(world: World, t_s: float) -> Iterator[tuple[str, str, float, float,
         joint = kinds <= ROWS and len(kinds) == 1 if flat else kinds <= LIE_TOGETHER
         shared = float(area(intersection(shapes[a], shapes[b])))
         if shared > (0.02 if flat else 0.03) and not joint:
-            yield *sorted(kinds), shared, shapes[a].centroid.x, shapes[a].centroid.y  # type: ignore[misc]
+            yield *sorted(kinds), shared, shapes[a].centroid.x, shapes[a].centroid.y
 
 
 @pytest.mark.parametrize("name", TOWN + WILD)

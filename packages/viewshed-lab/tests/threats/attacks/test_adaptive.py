@@ -59,7 +59,6 @@ class Bowl:
 
 def test_evolution_finds_the_top_of_a_bowl_and_random_draws_come_less_near() -> None:
     found = evolution(Bowl(), Bowl().value, 400, _rng(1))
-    assert found.candidate is not None
     assert np.abs(found.candidate - Bowl().best).max() < 0.05
     assert len(found.history) == 400
     drawn = evolution(Bowl(), Bowl().value, 400, _rng(1), drawn_share=1.0)
@@ -121,7 +120,6 @@ def test_black_boxes_keep_the_rules(simulated: list[Scene], mode: Any, method: A
         assert found.queries <= 25
         assert found.value == found.history.max()
         wedge, new = found.tampered.wedge, found.tampered.sweep.points[found.tampered.added]
-        assert wedge is not None
         assert wedge.holds(np.arctan2(new[:, 1], new[:, 0])).all()
         effective += bool(found.tampered.added.any() or found.tampered.removed.any())
     assert effective >= 5
@@ -141,7 +139,6 @@ def test_who_adapts_over_claims_more_than_a_far_wall(simulated: list[Scene], nam
     for number, scene in enumerate(simulated[:8:2]):
         aim = OverClaim(ESTIMATORS[name](BevGrid(128, 64.0)))
         azimuth = FarWall().apply(scene.sweep, _rng(number)).wedge
-        assert azimuth is not None
         worth = aim.on(scene.sweep, azimuth)
         found = BlackBox(aim, 60, 60, azimuth=azimuth.azimuth).search(scene.sweep, _rng(number, 1))
         adaptive += worth(found.tampered.sweep)

@@ -90,7 +90,6 @@ def test_a_lasting_attack_keeps_its_place(simulated: list[Scene]) -> None:
             if not first.added.any() or first.wedge is None:
                 continue
             again = replace(attack, azimuth=first.wedge.azimuth).apply(scene.sweep, _rng(seed, 1))
-            assert again.wedge is not None
             apart = (again.wedge.azimuth - first.wedge.azimuth + np.pi) % (2 * np.pi) - np.pi
             assert abs(apart) < np.deg2rad(3.0), (scene.name, attack)
             placed += 1

@@ -90,7 +90,6 @@ def test_each_return_is_that_of_the_second_measurement(simulated: list[Scene]) -
 
 def _by_beam(scene: Scene, sweep: Sweep) -> dict[tuple[int, int], int]:
     """Return the row of each beam (ring, column)."""
-    assert sweep.ring is not None
     assert sweep.time_s is not None
     columns = columns_of(scene.image, sweep.points.astype(np.float64), sweep.ring.astype(np.intp), sweep.time_s)
     return {(int(ring), int(column)): row for row, (ring, column) in enumerate(zip(sweep.ring, columns, strict=True))}
@@ -99,8 +98,6 @@ def _by_beam(scene: Scene, sweep: Sweep) -> dict[tuple[int, int], int]:
 def test_a_pose_is_spoofed_by_nothing(simulated: list[Scene]) -> None:
     tampered = _apply("pose_spoof", simulated[0], 1)
     pose, clean = tampered.sweep.world_from_sensor, simulated[0].sweep.world_from_sensor
-    assert pose is not None
-    assert clean is not None
     assert (pose.as_matrix() == clean.as_matrix()).all()
 
 

@@ -77,7 +77,6 @@ def test_one_van_by_hand(flat_scene: FlatScene) -> None:
     # A wedge of 30° holds all of the van; it is centered on the van in either way.
     for placement in AIMED:
         wedge = FarWall(placement=placement, spoofer=SURE).apply(van, _rng(0)).wedge  # type: ignore[arg-type]
-        assert wedge is not None
         assert wedge.holds(np.array([near, far])).all()
     # Out of the attacker's reach, or too far to be removed, nothing can be opened: the wedge is left to chance.
     assert placed_azimuth("largest_hidden_area", van, 30.0, None, 5.0, 50.0) is None

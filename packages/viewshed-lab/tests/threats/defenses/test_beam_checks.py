@@ -115,7 +115,6 @@ def _seen(boxes: tuple[Box, ...], x: float = 0.0) -> Sweep:
 
 
 def _of_box(sweep: Sweep, box: Box) -> NDArray[np.bool_]:
-    assert sweep.world_from_sensor is not None
     world = sweep.world_from_sensor @ sweep.points
     inside = (np.abs(world[:, 0] - box.x_m) < box.length_m / 2 + 0.1) & (
         np.abs(world[:, 1] - box.y_m) < box.width_m / 2 + 0.1

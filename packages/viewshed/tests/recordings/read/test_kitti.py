@@ -96,7 +96,6 @@ def _lines(source: SweepSource) -> tuple[list[str], list[str]]:
 
 
 def _same(pose: Rigid | None, expected: Rigid, atol: float) -> None:
-    assert pose is not None
     np.testing.assert_allclose(pose.as_matrix(), expected.as_matrix(), atol=atol)
 
 
@@ -113,7 +112,6 @@ def test_a_drive_comes_back_with_poses_and_times(up: int, drive: Path) -> None:
         assert np.array_equal(sweep.points, read_sweep(ref.file).points)
         assert sweep.t_ns == ref.t_ns
         assert sweep.sensor_height_m == 1.73
-        assert sweep.model is not None
         assert sweep.model.name == "HDL-64E"
         _same(sweep.world_from_sensor, pose, 1e-6)
         assert source.boxes(ref) is None
@@ -139,8 +137,6 @@ def test_distances_on_the_map_are_those_of_the_sphere(tmp_path: Path) -> None:
     latitude, longitude = LATITUDE + 0.003, LONGITUDE - 0.005
     place.write_text(f"{latitude} {longitude} {ALTITUDE_M} 0 0 0\n")
     one, other = (sweep.world_from_sensor for _, sweep in each_sweep(open_source(tmp_path)))
-    assert one is not None
-    assert other is not None
     lat0, lat1, dlon = np.radians([LATITUDE, latitude, longitude - LONGITUDE])
     half = np.sin((lat1 - lat0) / 2) ** 2 + np.cos(lat0) * np.cos(lat1) * np.sin(dlon / 2) ** 2
     moved = other.translation - one.translation
@@ -286,7 +282,6 @@ def test_a_step_ahead_in_the_camera_is_one_ahead_of_the_sensor(sequence: Path) -
     (sequence.parents[1] / "poses" / "00.txt").write_text("\n".join(lines))
     source = open_source(sequence.parents[1])
     pose = source.read(source.refs("00")[1]).world_from_sensor
-    assert pose is not None
     np.testing.assert_allclose(pose.translation, [3.0, 0.5, 0.0], atol=1e-9)
 
 
@@ -339,7 +334,6 @@ def test_a_label_is_a_box_in_the_sensors_frame(tmp_path: Path) -> None:
     source = open_source(tmp_path)
     [ref] = source.refs("training")
     boxes = source.boxes(ref)
-    assert boxes is not None
     [car] = boxes
     assert (car.category, car.size_m, car.track) == ("Car", (3.64, 1.67, 1.65), None)
     np.testing.assert_allclose(car.center, [46.70 + 0.33, 0.65 - 0.01, -(1.71 - 1.65 / 2 + 0.06)], atol=1e-9)
@@ -599,7 +593,6 @@ def test_a_real_sweep_lies_on_the_beams_of_its_table(real_data: Path, tmp_path: 
     sweep = source.read(source.refs(DRIVE)[0])
     beams = recover_rings(sweep)
     assert (beams.source, beams.rings) == ("file order", 64)
-    assert sweep.model is not None
     assert np.abs(np.rad2deg(beams.elevation - sweep.model.elevation)).max() < 1.5
     with_beams, told = (ShadowMap(GRIDS["road"]).estimate(one).visible() for one in (sweep, sweep.replace(model=None)))
     assert (with_beams == told).all()  # without its model the points tell it

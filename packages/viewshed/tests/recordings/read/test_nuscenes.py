@@ -104,10 +104,9 @@ def test_a_point_ahead_of_the_car_lands_ahead_of_it_in_the_world(tmp_path: Path)
     write_tree(tmp_path, [(content, 1_000_000, Rigid.from_yaw(np.pi / 2, (100.0, 50.0, 1.84)))])
     [(ref, sweep)] = each_sweep(open_source(tmp_path))
     assert sweep.points.tolist() == [[10.0, 2.0, -1.0]]
-    assert sweep.world_from_sensor is not None
     np.testing.assert_allclose(sweep.world_from_sensor @ sweep.points, [[98.0, 60.0, 0.84]], atol=1e-9)
     assert (ref.t_ns, sweep.t_ns, sweep.agent) == (1_000_000_000, 1_000_000_000, "ego")
-    assert np.array_equal(sweep.ring, [3])  # type: ignore[arg-type]
+    assert np.array_equal(sweep.ring, [3])
 
 
 def test_sweeps_come_back_in_time_order_with_poses_times_and_beams(tree: tuple[Path, NuscenesTables]) -> None:
@@ -127,9 +126,7 @@ def test_sweeps_come_back_in_time_order_with_poses_times_and_beams(tree: tuple[P
         assert np.array_equal(sweep.points, read_sweep(ref.file).points)
         assert sweep.t_ns == ref.t_ns == (1_533_151_603_547_590 + 50_000 * k) * 1000
         assert sweep.sensor_height_m == pytest.approx(1.84)
-        assert sweep.model is not None
         assert sweep.model.name == "HDL-32E"
-        assert sweep.world_from_sensor is not None
         np.testing.assert_allclose(sweep.world_from_sensor.as_matrix(), WORLD[k].as_matrix(), atol=1e-9)
     assert source.damage() == ()
 
@@ -138,7 +135,6 @@ def test_boxes_of_keyframes_are_in_the_world_with_length_along_the_heading(tree:
     source = open_source(tree[0])
     first, between, last, _ = source.refs("scene-0103")
     boxes = source.boxes(first)
-    assert boxes is not None
     car, person = boxes
     assert (car.category, car.track, car.size_m) == ("vehicle.car", "i0", (4.6, 1.9, 1.7))
     assert car.center.tolist() == [373.2, 1130.4, 0.8]
@@ -344,12 +340,10 @@ def test_real_sweeps_come_back_bit_for_bit_and_lie_upon_each_other_in_the_world(
     for entry, (ref, sweep) in zip(entries, found, strict=True):
         theirs = read_sweep(entry.file)
         assert sweep.points.tobytes() == theirs.points.tobytes()
-        assert sweep.intensity is not None and theirs.intensity is not None  # noqa: PT018
         assert sweep.intensity.tobytes() == theirs.intensity.tobytes()
-        assert np.array_equal(sweep.ring, theirs.ring)  # type: ignore[arg-type]
+        assert np.array_equal(sweep.ring, theirs.ring)
         assert ref.t_ns == theirs.t_ns
         assert sweep.sensor_height_m == pytest.approx(entry.sensor_height_m)
-        assert sweep.world_from_sensor is not None and entry.world_from_sensor is not None  # noqa: PT018
         np.testing.assert_allclose(sweep.world_from_sensor.as_matrix(), entry.world_from_sensor.as_matrix(), atol=2e-5)
         far = (np.linalg.norm(sweep.points[:, :2], axis=1) > 4.0) & (sweep.points[:, 2] > -1.2)  # not the car or ground
         solid.append((sweep.points[far].astype(np.float64), sweep.world_from_sensor))
