@@ -38,16 +38,13 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_folder_is_its_sweeps_in_the_order_of_their_numbers(drive: Path, tmp_path: Path) -> None:
-    done = run("estimate", drive, *FAST, "--out", tmp_path / "out")
+@pytest.mark.parametrize(("place", "names"), [("", ["9", "10", "11"]), ("1*.npz", ["10", "11"])])
+def test_a_folder_and_a_pattern_are_their_sweeps_in_the_order_of_their_numbers(
+    place: str, names: list[str], drive: Path, tmp_path: Path
+) -> None:
+    done = run("estimate", drive / place, *FAST, "--out", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
-    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == ["9", "10", "11"]
-
-
-def test_a_pattern_is_its_files(drive: Path, tmp_path: Path) -> None:
-    done = run("estimate", drive / "1*.npz", *FAST, "--out", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == ["10", "11"]
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == names
 
 
 @pytest.mark.parametrize("command", ["info", "compare", "export"])

@@ -27,15 +27,6 @@ def measured(seed: int) -> tuple[Sweep, np.random.Generator]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_random_sensors_show_their_rings_and_are_given_no_name(seed: int) -> None:
-    sweep, _ = measured(seed)
-    sensor_id = identify_sensor(Sweep(sweep.points))
-    assert sensor_id.model is None
-    assert sweep.ring is not None
-    assert right_share(sensor_id.ring, sweep.ring) > 0.99
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 def test_rings_ascend_and_do_not_depend_on_the_order_of_the_points(seed: int) -> None:
     sweep, rng = measured(seed)
     found = rings_by_clusters(*polar(sweep.points))
@@ -45,13 +36,15 @@ def test_rings_ascend_and_do_not_depend_on_the_order_of_the_points(seed: int) ->
     assert (again[0] == found[0][order]).mean() > 0.99
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("kind", ["millimeters", "half of the returns", "one in twenty anywhere"])
-def test_rounding_losses_and_strays_hide_no_rings(seed: int, kind: str) -> None:
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("kind", ["as they are", "millimeters", "half of the returns", "one in twenty anywhere"])
+def test_random_sensors_show_their_rings_whatever_is_lost_and_are_given_no_name(seed: int, kind: str) -> None:
     sweep, rng = measured(seed)
     assert sweep.ring is not None
     points, ring, least = sweep.points, sweep.ring, 0.97
-    if kind == "millimeters":
+    if kind == "as they are":
+        least = 0.99
+    elif kind == "millimeters":
         points = np.round(points, 3)
     elif kind == "half of the returns":
         kept = rng.random(len(points)) < 0.5

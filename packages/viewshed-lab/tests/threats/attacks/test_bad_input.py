@@ -6,21 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.threats.attacks.conftest import FlatScene
+from tests.threats.attacks.drawn import MOVE_RETURNS
 
 from viewshed import Sweep, lidar_model
 from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Knowledge, Spoofer
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, Replay
-
-MOVE_RETURNS = {
-    "frustum",
-    "frustum_before",
-    "far_wall",
-    "far_wall_aimed",
-    "far_wall_clean",
-    "removal",
-    "removal_aimed",
-    "relay",
-}
 
 
 @pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))

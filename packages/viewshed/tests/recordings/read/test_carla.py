@@ -207,9 +207,6 @@ def test_one_line_for_each_damaged_thing_and_the_rest_goes_on(tmp_path: Path) ->
         source.boxes(sweeps[0][0])
 
 
-def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    with pytest.raises(ValueError, match="must hold folders AGENT/000123"):
-        open_source(tmp_path, "carla")
+def test_a_scene_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="scene must be one of r, got 'other'"):
         open_source(_recording(tmp_path / "r", {"a": {0: (_points(), (0,) * 7)}})).refs("other")

@@ -156,5 +156,3 @@ def test_damaged_vehicles_are_named(tmp_path: Path) -> None:
     source = open_source(tmp_path)
     with pytest.raises(ValueError, match=r"000068\.yaml: a vehicle is damaged"):
         source.boxes(source.refs("s")[0])
-    with pytest.raises(ValueError, match=r"must hold folders SCENARIO/AGENT/.*, got none"):
-        open_source(tmp_path / "s" / "641", "opv2v")
