@@ -103,6 +103,12 @@ def test_a_recording_is_estimated_in_batches_as_far_as_it_can_be_read(tmp_path: 
         one, many = (read_npz(tmp_path / place / f"kitti_{number:03}.npz") for place in ("one", "many"))
         assert np.array_equal(one.visible_prob, many.visible_prob)
     assert one.visible().any()
+    for number in range(1, 4):
+        (folder / f"{number:06}.bin").write_bytes(bytes(1001))
+    code, out, err = run(*words, tmp_path / "first")
+    assert (code, out.count(": visible"), err.count("000004.bin: ")) == (2, 1, 1)
+    assert [path.name for path in (tmp_path / "first").iterdir()] == ["kitti.npz"]
+    assert "1 sweeps read, 4 problems" in err
 
 
 @pytest.mark.parametrize("batch", [1, 2, 16])
