@@ -246,38 +246,6 @@ assert threads() == before
     assert run.returncode == 0, run.stderr
 
 
-@pytest.mark.parametrize(
-    ("points", "ring"),
-    [
-        (np.zeros((5, 3)), np.zeros(5, np.int16)),  # float64
-        (np.zeros((5, 4), np.float32), np.zeros(5, np.int16)),
-        (np.zeros((3, 5), np.float32).T, np.zeros(5, np.int16)),  # not contiguous
-        (np.zeros((5, 3), np.float32), np.zeros(5, np.int64)),
-        (np.zeros((5, 3), np.float32), np.zeros((5, 1), np.int16)),
-        (None, np.zeros(5, np.int16)),
-    ],
-)
-def test_arrays_of_another_kind_are_a_type_error(points: object, ring: object) -> None:
-    with pytest.raises(TypeError, match="range_image"):
-        _core.range_image(points, ring, 16, 4, 0.5, 100.0)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("count", "ring", "columns", "rings", "message"),
-    [
-        (5, 0, 16, 4, "ring must have one row for each point"),
-        (4, 4, 16, 4, r"ring must lie in \[-1, 3\], got 4"),
-        (4, -2, 16, 4, r"ring must lie in \[-1, 3\], got -2"),
-        (4, 0, 0, 4, "an image must have 1 to 65536 columns"),
-        (4, 0, 16, 0, "an image must have 1 to 4096 rings"),
-        (4, 0, 1 << 40, 4, "an image must have 1 to 65536 columns"),
-    ],
-)
-def test_values_out_of_range_are_a_value_error(count: int, ring: int, columns: int, rings: int, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        _core.range_image(np.ones((count, 3), np.float32), np.full(4, ring, np.int16), columns, rings, 0.5, 100.0)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 1e-40, 0.0])
 def test_points_that_are_no_place_have_an_answer(value: float) -> None:
     points = np.full((40, 3), value, np.float32)

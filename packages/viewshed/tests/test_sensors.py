@@ -174,7 +174,6 @@ def test_a_sensor_without_rings_keeps_that_in_files(tmp_path: Path) -> None:
     assert not model.fires_rings
     write_sweep(Sweep(np.ones((4, 3), np.float32), model=model), tmp_path / "a.npz")
     back = read_sweep(tmp_path / "a.npz").model
-    assert back is not None
     assert (back.fires_rings, back.reach_m) == (False, 40.0)
     assert model_of_text(text_of_model(model)) is model
     plain = lidar_model("vlp16")

@@ -9,9 +9,7 @@ def test_rows_that_are_not_finite_go_with_their_columns() -> None:
     sweep = Sweep(points, intensity=np.arange(4, dtype=np.float32), ring=np.array([3, 2, 1, 0], np.int16))
     assert sweep.points.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert sweep.dropped_points == 2
-    assert sweep.intensity is not None
     assert sweep.intensity.tolist() == [0, 2]
-    assert sweep.ring is not None
     assert sweep.ring.tolist() == [3, 1]
 
 
@@ -32,7 +30,6 @@ def test_select_takes_the_rows_of_every_column_in_order() -> None:
     )
     picked = sweep.select(np.array([2, 0]))
     assert picked.points[:, 0].tolist() == [6, 0]
-    assert picked.ring is not None
     assert picked.ring.tolist() == [2, 0]
     assert picked.time_s is not None
     assert np.allclose(picked.time_s, [0.2, 0.0])
@@ -85,11 +82,9 @@ def test_columns_at_their_limits_are_taken() -> None:
         np.zeros((2, 3), np.float32), azimuth=np.array([-2 * np.pi, 2 * np.pi]), time_s=np.array([-2.0, 2.0]),
         t_ns=2**63 - 1,
     )  # fmt: skip
-    assert sweep.time_s is not None
     assert sweep.time_s.tolist() == [-2.0, 2.0]
     # what a point that is not finite has in its columns goes with it
     dropped = Sweep(np.array([[1.0, 2, 3], [np.nan, 0, 0]]), time_s=np.array([0.5, np.nan]))
-    assert dropped.time_s is not None
     assert dropped.time_s.tolist() == [0.5]
 
 
@@ -102,7 +97,6 @@ def test_an_origin_moves_points_and_pose_and_no_axes() -> None:
     pose = Rigid.from_quaternion((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)), (10.0, 0.0, 0.0))  # x points to the map's y
     sweep = Sweep(np.array([[5.0, 1.0, 0.0]], np.float32), world_from_sensor=pose).seen_from((1.0, 0.0, 1.5))
     assert sweep.points.tolist() == [[4.0, 1.0, -1.5]]
-    assert sweep.world_from_sensor is not None
     assert sweep.world_from_sensor.translation == pytest.approx([10.0, 1.0, 1.5])
     assert sweep.world_from_sensor @ sweep.points[0].astype(np.float64) == pytest.approx(
         pose @ np.array([5.0, 1.0, 0.0])

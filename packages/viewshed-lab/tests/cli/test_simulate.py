@@ -6,24 +6,12 @@ from pathlib import Path
 
 import pytest
 from tests.cli.commands import run
-
-from viewshed.cli import main
-
-SMALL = ["simulate", "ugv-small", "--sweeps", "6", "--grid", "24x8", "--workers", "1"]
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("simulate") / "a"
-    with pytest.raises(SystemExit) as stop:
-        main([*SMALL, "--out", str(out)])
-    assert not stop.value.code
-    return out
+from tests.cli.conftest import SMALL
 
 
 def test_it_says_what_was_made(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "b"
-    code, said, progress = run(*SMALL, "--out", str(out))
+    code, said, progress = run(*SMALL, out)
     assert code == 0
     assert re.fullmatch(rf"{re.escape(str(out))}: 6 sweeps in 2 scene\(s\), 2 shards, \d\.\d MB\n", said)
     assert "6/6" in progress
@@ -52,35 +40,14 @@ def test_verify_finds_a_flipped_byte(made: Path, tmp_path: Path) -> None:
     assert code == 2
     assert "train-0000-000.parquet is damaged: its checksum is not the manifest's; run the command" in said
     assert complaint == f"viewshed: 1 of 2 shards of {folder} are damaged\n"
-    assert run(*SMALL, "--out", str(folder))[0] == 0
+    assert run(*SMALL, folder)[0] == 0
     assert run("dataset", "verify", str(folder))[0] == 0
 
 
-@pytest.mark.parametrize(("words", "message"), [
-    (["simulate", "kitti"], "preset must be one of carla, carla-small, .*, got 'kitti'"),
-    (["simulate", "ugv", "--grid", "4096x64"], "got 4096: a frame would not fit into memory"),
-    (["simulate", "ugv", "--sweeps", "1"], "sweeps must be at least 2, one for each split, got 1"),
-    (["simulate", "ugv", "--seed", "-1"], "seed must lie in"),
-    (["simulate", "ugv", "--engine", "slurm"], "engine must be one of local, ray, got 'slurm'"),
-    (["simulate", "ugv", "--workers", "0"], "workers must be at least 1, got 0"),
-])  # fmt: skip
-def test_what_cannot_be_made_is_one_line(words: list[str], message: str, tmp_path: Path) -> None:
-    code, said, complaint = run(*words, "--out", str(tmp_path / "none"))
-    assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert re.search(message, complaint)
-    assert not (tmp_path / "none").exists()
-
-
 def test_another_seed_into_the_same_place_is_one_line(made: Path) -> None:
-    code, _, complaint = run(*SMALL, "--seed", "3", "--out", str(made))
+    code, _, complaint = run(*SMALL, made, "--seed", 3)
     assert code == 2
     assert complaint.splitlines()[-1] == f"viewshed: {made} holds seed 0, not 3; choose another place"
-
-
-@pytest.mark.parametrize("command", ["info", "verify"])
-def test_what_is_no_data_set_is_one_line(command: str, tmp_path: Path) -> None:
-    code, _, complaint = run("dataset", command, str(tmp_path))
-    assert (code, complaint) == (2, f"viewshed: {tmp_path} must be a data set of viewshed, but has no manifest.json\n")
 
 
 def test_a_later_schema_is_one_line(made: Path, tmp_path: Path) -> None:

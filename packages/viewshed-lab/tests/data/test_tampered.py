@@ -51,10 +51,8 @@ def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path:
     places = {}
     for index, (before, after) in enumerate(zip(clean, Archive.open(tmp_path), strict=True)):
         touched = made[index].tampered
-        assert touched is not None
         assert touched.added.sum() <= 40
         assert before.sweep.points[~touched.removed].tobytes() == after.sweep.points[~touched.added].tobytes()
-        assert touched.wedge is not None
         new = after.sweep.points[touched.added]
         assert touched.wedge.holds(np.arctan2(new[:, 1], new[:, 0])).all()
         assert before.known.tobytes() == after.known.tobytes()
@@ -73,7 +71,7 @@ def test_a_sweep_is_attacked_with_the_seed_of_its_scene_and_number(clean: Archiv
     assert made[inside[2]].sweep.points.tobytes() == wanted.sweep.points.tobytes()
 
 
-def test_workers_and_a_stop_do_not_change_bytes(clean: Archive, tmp_path: Path) -> None:
+def test_workers_do_not_change_bytes(clean: Archive, tmp_path: Path) -> None:
     plan = AttackPlan("ghost_car", 60)
     told: list[ShardResult] = []
     tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "one"), ONE, 1, told.append)
@@ -81,11 +79,6 @@ def test_workers_and_a_stop_do_not_change_bytes(clean: Archive, tmp_path: Path) 
     whole = _content(tmp_path / "one")
     assert _content(tmp_path / "two") == whole
     assert len(told) == len(clean.shards)
-    (tmp_path / "two" / clean.shards[0].name).unlink()
-    with (tmp_path / "two" / clean.shards[-1].name).open("r+b") as file:
-        file.write(b"broken")
-    tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "two"), ONE, 1)
-    assert _content(tmp_path / "two") == whole
 
 
 def test_a_split_holds_the_same_sweeps_as_the_whole(clean: Archive, tmp_path: Path) -> None:
@@ -152,7 +145,6 @@ def test_an_untouched_frame_stays_a_range_image(clean: Archive, tmp_path: Path) 
     made = tamper(sweeps_of_archive(clean, "test"), AttackPlan("far_wall", 0), Storage.of(tmp_path), ONE)
     sample, before = made[0], clean.split("test")[0]
     assert sample.sweep.points.tobytes() == before.sweep.points.tobytes()
-    assert sample.tampered is not None
     assert not sample.tampered.added.any()
     assert not sample.tampered.removed.any()
 

@@ -78,7 +78,6 @@ def test_workers_end_with_the_program(how: signal.Signals, preload: tuple[str, .
         env={**os.environ, "PYTHONPATH": _PATH}, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert program.stdout is not None
     assert program.stdout.readline() == "one done\n"
     pids = _workers(tmp_path)
     if how == signal.SIGINT:

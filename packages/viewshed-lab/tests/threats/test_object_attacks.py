@@ -139,24 +139,6 @@ def test_a_translation_on_a_trajectory_grows() -> None:
     assert np.diff(ways).max() < 0.3
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"mean_count": -1.0}, r"mean_count must lie in \[0, 1000\]"),
-        ({"mean_count": 1.5}, "mean_count must be a whole number"),
-        ({"motion": "sideways"}, "motion must be one of static, markov, trajectory"),
-        ({"reset_s": 0.0}, "reset_s must lie in"),
-        ({"start_s": float("nan")}, "start_s must lie in"),
-        ({"trajectory": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}, "trajectory must be rows of rising seconds"),
-    ],
-)
-def test_bad_parameters_are_refused_in_one_line(changed: dict[str, object], message: str) -> None:
-    """A value out of range is named with its rule."""
-    with pytest.raises(ValueError, match=message) as error:
-        OBJECT_ATTACKS["fabricate_static"](**{"counts": "exact"} | changed)
-    assert "\n" not in str(error.value)
-
-
 def test_time_that_goes_back_begins_anew() -> None:
     """A second drive has its two honest seconds as well."""
     running = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=1.0).begin(np.random.default_rng(0))

@@ -42,7 +42,6 @@ def _samples(archive: Path, frames: TrainingFrames) -> list[Sample]:
 def _counted(sample: Sample) -> NDArray[np.float64]:
     """Returns of each cell, by numpy: forward is the first axis, left the second."""
     pose = sample.sweep.world_from_sensor
-    assert pose is not None
     yaw = np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])
     unturned = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     level = sample.sweep.points.astype(np.float64) @ (unturned @ pose.rotation).T

@@ -41,7 +41,6 @@ def report(estimate: FovEstimate, boxes: np.ndarray, *, standing: np.ndarray | N
 
     None are those of the boxes.
     """
-    assert estimate.world_from_level is not None
     level = estimate.world_from_level.inverse()
     surfaces = found(boxes if standing is None else standing).moved(level).boxes
     return AgentReport(with_objects(estimate, surfaces), found(boxes).moved(level))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.agents.test_many import AGENTS, CARS, GRID, found, report, view
+from tests.agents.test_many import AGENTS, CARS, GRID, report, view
 
 from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, joint_fov
 from viewshed.agents.view_message import MAX_DETECTIONS
@@ -78,16 +78,6 @@ def test_clocks_apart_by_seconds_speak_of_other_times() -> None:
         center.add(10.0 * number, [report(AGENTS[0], CARS), report(AGENTS[1], CARS)])
         last = center.add(10.0 * number + 3.0, [report(AGENTS[2], CARS)])
     assert not last.verdicts.suspects.any()
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_boxes_and_poses_that_are_no_numbers_are_refused(bad: float) -> None:
-    boxes = CARS.copy()
-    boxes[0, 0] = bad
-    with pytest.raises(ValueError, match="finite"):
-        found(boxes)
-    with pytest.raises(ValueError, match="finite"):
-        Rigid(np.eye(3), np.array([bad, 0.0, 0.0]))
 
 
 def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:

@@ -51,7 +51,6 @@ def test_everything_comes_back() -> None:
     assert (found.view.grid, found.view.target, found.view.method) == (samples.GRID, sent.view.target, "shadow_map")
     assert (found.view.agent, found.view.t_ns) == ("car1", samples.NOW_NS)
     assert found.view.world_from_level is found.world_from_level
-    assert found.inner_polygon is not None
     assert found.inner_polygon.area > 100
     for name in ("boxes", "kinds", "returns"):
         assert np.allclose(getattr(found.detections, name), getattr(sent.detections, name), atol=1e-5)
@@ -107,7 +106,6 @@ def test_messages_fit_their_schema() -> None:
 def test_the_schema_names_each_field_in_order() -> None:
     text = (ROOT / "docs" / "view_message.cddl").read_text(encoding="utf-8")
     keys = re.search(r"view-message = \{(.*?)\n\}", text, re.DOTALL)
-    assert keys is not None
     assert re.findall(r"^  (?:\? )?(\d+):", keys[1], re.MULTILINE) == [str(key) for key in range(len(FIELDS))]
 
 

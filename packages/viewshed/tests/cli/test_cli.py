@@ -13,14 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from tests.cli.commands import run
 
 import viewshed
-from viewshed import BevGrid, read_sweep, write_sweep
+from viewshed import BevGrid, read_sweep
 from viewshed.cli._options import NetworkOptions, parse_grid
 from viewshed.cli._outputs import output_names
-from viewshed.estimators import CLASSICAL
 from viewshed.io.export import EXPORTERS, read_npz
 from viewshed.io.samples import junction_path
 
@@ -59,16 +57,6 @@ def test_estimate_writes_three_files_and_one_line(kitti_like: Path, tmp_path: Pa
     assert f"visible {found.area_m2():.0f} m²" in done.stdout
     features = json.loads((tmp_path / "000001.geojson").read_text())["features"]
     assert {feature["geometry"]["type"] for feature in features} <= {"Polygon", "MultiPolygon"}
-
-
-def test_one_bad_file_does_not_stop_the_rest(kitti_like: Path, tmp_path: Path) -> None:
-    bad = tmp_path / "bad.bin"
-    bad.write_bytes(b"\x00" * 17)
-    done = run("estimate", bad, tmp_path / "missing.bin", kitti_like, "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 2
-    assert all(line.startswith("viewshed: ") for line in done.stderr.splitlines())
-    assert {file.stem for file in (tmp_path / "out").iterdir()} == {"000001"}
 
 
 @pytest.mark.slow
@@ -139,36 +127,6 @@ def test_export_from_a_sweep_and_from_an_estimate_agree(name: str, tmp_path: Pat
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--method", "magic"], "method must be one of"),
-        (["--grid", "0x64"], r"cells must lie in [1, 4096], got 0"),
-        (["--grid", "street"], "grid must be one of road"),
-        (["--grid", "4xnan"], "half_extent_m must be positive"),
-        (["--sensor", "HDL-65E"], "sensor must be one of"),
-        (["--target", "tank"], "target must be one of car, pedestrian"),
-        (["--attitude", "1,1,0,0"], "norm 1"),
-        (["--attitude", "0,0,0,0"], "norm 1, got norm 0"),
-        (["--attitude", "1,0,0"], "attitude must be 4 numbers"),
-        (["--height", "-2"], "sensor_height_m must lie in"),
-        (["--threshold", "0"], "threshold must lie in (0, 1]"),
-        (["--profile", "loud"], "profile must be sound or paper"),
-        (["--format", "jpeg"], "format must be auto or one of"),
-        (["--file-frame", "upside"], "upside"),
-        (["--index", "nowhere.json"], "nowhere.json"),
-        (["--sensor", "vlp16"], "ring must lie in [0, 16) of VLP-16, got 0…31"),
-    ],
-)
-def test_bad_options_are_one_line_and_write_nothing(arguments: list[str], message: str, tmp_path: Path) -> None:
-    done = run("estimate", junction_path(), *arguments, "--out", tmp_path / "out", cwd=tmp_path)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stdout == ""
-    assert not list((tmp_path / "out").glob("*"))
-
-
 def _write(path: Path, points: list[list[float]]) -> Path:
     np.array(points, np.float32).reshape(-1, 4).tofile(path)
     return path
@@ -190,19 +148,6 @@ def test_sweeps_that_say_little_claim_nothing(points: list[list[float]], told: s
     assert not read_npz(tmp_path / "out" / "x.npz").visible().any()
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [(b"", "empty"), (b"\x01" * 30, "x.bin"), (b"\xff" * 1600, "x.bin")],
-)
-def test_bad_files_are_one_line(content: bytes, message: str, tmp_path: Path) -> None:
-    (tmp_path / "x.bin").write_bytes(content)
-    done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert not list((tmp_path / "out").glob("*"))
-
-
 def test_every_command_has_help_with_an_example() -> None:
     for command in ("estimate", "info", "compare", "export", "demo"):
         done = run(command, "--help")
@@ -210,63 +155,12 @@ def test_every_command_has_help_with_an_example() -> None:
         assert f"Example: viewshed {command}" in " ".join(done.stdout.split())
 
 
-def test_no_command_and_a_wrong_command_say_how() -> None:
-    assert "Usage" in run().stdout + run().stderr
-    wrong = run("estimat")
-    assert wrong.returncode == 2
-    assert "No such command" in wrong.stderr
-    assert len(wrong.stderr.splitlines()) == 1
-
-
 def test_without_a_command_the_help_is_shown_and_version_is_told() -> None:
-    assert run().returncode == 0
-    assert "demo" in run().stdout
+    done = run()
+    assert done.returncode == 0
+    assert "Usage" in done.stdout
+    assert "demo" in done.stdout
     assert run("--version").stdout == f"viewshed {viewshed.__version__}\n"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["info"], "Missing argument"),
-        (["info", "x.bin", "--wat"], "No such option: --wat"),
-        (["estimate", "x.bin", "--threshold", "much"], "--threshold"),
-        (["estimate"], "name at least one FILE, or an --index"),
-        (["estimate", "."], ". is a folder without sweeps and no recording (nuscenes, kitti_raw,"),
-        (["info", "nowhere.bin"], "nowhere.bin: No such file"),
-        (["compare", "nowhere.bin"], "nowhere.bin: No such file"),
-        (["export", "nowhere.bin"], "nowhere.bin: No such file"),
-        (["export", "x.bin", "--to", "jpeg"], "to must be one of geojson"),
-        (["export", junction_path(), "--to", "cpm", "--sectors", "0"], "sectors"),
-        (["compare", junction_path(), "--methods", "shadow_map,magic"], "method must be one of"),
-        (["evaluate"], "Missing command"),
-        (["evaluate", "crossview", "nowhere.json"], "nowhere.json"),
-        (["evaluate", "crossview", "nowhere.json", "--attacks", "cluster,magic"], "attacks must be among uniform"),
-    ],
-)
-def test_every_refusal_is_one_line(arguments: list[object], message: str, tmp_path: Path) -> None:
-    done = run(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("viewshed: ")
-    assert message in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stdout == ""
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-
-
-def test_no_result_replaces_an_input(tmp_path: Path) -> None:
-    path = tmp_path / "x.npz"
-    write_sweep(read_sweep(junction_path()), path)
-    before = path.read_bytes()
-    for arguments in (
-        ["estimate", path, "--out", tmp_path],
-        ["export", path, "--to", "npz"],
-        ["compare", path, "--out", path],
-    ):
-        done = run(*arguments, cwd=tmp_path)
-        assert done.returncode == 2
-        assert "is an input and would be replaced; choose another place" in done.stderr
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["x.npz"]
 
 
 def test_output_names_never_meet() -> None:
@@ -288,7 +182,6 @@ def test_a_file_of_several_sweeps_gives_each_its_results(real_data: Path, tmp_pa
 @pytest.mark.slow
 def test_interruption_is_130_without_a_trace_and_without_half_files(kitti_like: Path, tmp_path: Path) -> None:
     with start("estimate", *[kitti_like] * 300, "--out", tmp_path) as process:
-        assert process.stdout is not None
         assert "visible" in process.stdout.readline()
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=300)
@@ -337,7 +230,6 @@ def test_an_index_names_files_frames_heights_and_poses(kitti_like: Path, tmp_pat
     done = run("estimate", "--index", tmp_path / "index.json", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     found = read_npz(tmp_path / "out" / "a.npz")
-    assert found.world_from_level is not None
     assert found.world_from_level.translation == pytest.approx([50.0, 7.0, 0.0])
     features = json.loads((tmp_path / "out" / "a.geojson").read_text())
     assert features["viewshed:frame"]["name"] == "world"
@@ -346,75 +238,7 @@ def test_an_index_names_files_frames_heights_and_poses(kitti_like: Path, tmp_pat
     assert "is not in the index" in refused.stderr
 
 
-@pytest.mark.parametrize("method", sorted(CLASSICAL))
-@pytest.mark.parametrize(
-    "points",
-    [
-        np.zeros((0, 3)),
-        np.array([[5.0, 2.0, -1.0]]),
-        np.array([[5.0, 2.0, -1.0]] * 9),
-        np.column_stack([np.linspace(3, 30, 50), np.linspace(1, 10, 50), np.zeros(50)]),
-    ],
-    ids=["none", "one", "duplicates", "collinear"],
-)
-def test_every_method_takes_degenerate_sweeps(method: str, points: NDArray[np.float64], tmp_path: Path) -> None:
-    np.save(tmp_path / "x.npy", points.astype(np.float32))
-    done = run("estimate", tmp_path / "x.npy", "--method", method, "--grid", "32x32", "--out", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    found = read_npz(tmp_path / "out" / ("x.npz" if method == "shadow_map" else f"x_{method}.npz"))
-    if len(points) == 0:
-        assert "nothing is known" in done.stdout
-        assert (found.state == viewshed.CellState.UNKNOWN).all()
-
-
-def test_points_on_one_side_say_nothing_of_the_other(tmp_path: Path) -> None:
-    sweep = read_sweep(junction_path())
-    np.save(tmp_path / "left.npy", sweep.points[sweep.points[:, 1] > 0])
-    assert run("estimate", tmp_path / "left.npy", "--out", tmp_path / "out").returncode == 0
-    found = read_npz(tmp_path / "out" / "left.npz")
-    right = found.grid.centers[..., 1] < -10.0
-    assert (found.state[right] == viewshed.CellState.UNKNOWN).all()
-    assert found.visible()[~right].sum() > 1000
-
-
-def test_output_that_cannot_be_written_is_one_line(kitti_like: Path, tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("a file, not a folder")
-    done = run("estimate", kitti_like, "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1
-
-
 def test_grids_and_targets_reach_the_estimator() -> None:
     estimator = NetworkOptions().estimator("first_blocker", parse_grid("64x8"), "pedestrian")
     assert estimator.grid == BevGrid(64, 8.0)
     assert NetworkOptions().estimator("quantized", parse_grid("road"), "car", "paper").grid.cells == 256
-
-
-def test_a_file_upside_down_is_suspected(tmp_path: Path) -> None:
-    sweep = read_sweep(junction_path())
-    upside_down = np.column_stack([sweep.points * [1, -1, -1], np.zeros(len(sweep))]).astype(np.float32)
-    upside_down.tofile(tmp_path / "x.bin")
-    done = run("estimate", tmp_path / "x.bin", "--out", tmp_path / "out")
-    assert "; ground not seen, sensor taken to be" in done.stdout
-    assert "warning: no ground is seen, and the sensor is taken to be" in done.stderr
-    assert "or --file-frame if the file's z points down" in done.stderr
-
-
-@pytest.mark.parametrize("damaged", [1, 2])
-def test_a_recording_is_taken_like_a_file_and_what_is_damaged_costs_a_line(
-    kitti_like: Path, tmp_path: Path, damaged: int
-) -> None:
-    """A KITTI object tree of three sweeps, the last one or two cut off in the middle of a point."""
-    folder = tmp_path / "kitti" / "training" / "velodyne"
-    folder.mkdir(parents=True)
-    for k in range(3):
-        content = kitti_like.read_bytes()
-        (folder / f"{k:06}.bin").write_bytes(content[:1001] if k >= 3 - damaged else content)
-    done = run("estimate", tmp_path / "kitti", "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert len(list((tmp_path / "out").glob("*.png"))) == 3 - damaged
-    lines = [line for line in done.stderr.splitlines() if ": warning: " not in line]  # no beams of KITTI's sensor
-    assert len(lines) == damaged + 1
-    assert "000002.bin" in lines[-2]
-    assert f"{3 - damaged} sweeps read, {damaged} problems" in lines[-1]

@@ -38,16 +38,13 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_folder_is_its_sweeps_in_the_order_of_their_numbers(drive: Path, tmp_path: Path) -> None:
-    done = run("estimate", drive, *FAST, "--out", tmp_path / "out")
+@pytest.mark.parametrize(("place", "names"), [("", ["9", "10", "11"]), ("1*.npz", ["10", "11"])])
+def test_a_folder_and_a_pattern_are_their_sweeps_in_the_order_of_their_numbers(
+    place: str, names: list[str], drive: Path, tmp_path: Path
+) -> None:
+    done = run("estimate", drive / place, *FAST, "--out", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
-    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == ["9", "10", "11"]
-
-
-def test_a_pattern_is_its_files(drive: Path, tmp_path: Path) -> None:
-    done = run("estimate", drive / "1*.npz", *FAST, "--out", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == ["10", "11"]
+    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == names
 
 
 @pytest.mark.parametrize("command", ["info", "compare", "export"])
@@ -76,16 +73,6 @@ def test_poses_place_the_sweeps_of_a_folder(drive: Path, tmp_path: Path) -> None
     checked = run("monitor", "check", drive, "--poses", poses)
     assert checked.returncode == 0, checked.stderr
     assert checked.stdout.splitlines()[-1].startswith("3 sweeps")
-
-
-@pytest.mark.parametrize("command", ["estimate", "view", "replay"])
-def test_history_without_poses_is_an_error_with_the_remedy(command: str, drive: Path, tmp_path: Path) -> None:
-    out = {"estimate": ("--out", tmp_path), "view": ("--html", tmp_path / "a.html"), "replay": ("--as-fast",)}[command]
-    done = run(command, drive / "9.npz", "--history", 2, *out)
-    assert done.returncode == 2
-    assert "--history needs a pose and a time of each sweep" in done.stderr
-    assert "give --poses FILE" in done.stderr
-    assert "visible" not in done.stdout
 
 
 def test_an_origin_in_a_reference_system_places_points_of_a_map(tmp_path: Path) -> None:
@@ -156,13 +143,10 @@ def test_points_of_any_width_are_estimated() -> None:
     fields = np.zeros(len(STREET), [("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2")])
     for axis, name in enumerate("xyz"):
         fields[name] = STREET.points[:, axis]
-    assert STREET.ring is not None
     fields["ring"] = STREET.ring
     pose = Rigid.from_yaw(0.0, (5.0, 6.0, 1.8))
     named = viewshed.estimate(fields, grid="indoor", sensor="vlp16", sensor_height_m=1.8, world_from_sensor=pose)
-    assert named.basis is not None
     assert named.basis.height_source == "given"
-    assert named.world_from_level is not None
     assert named.world_from_level.translation[:2].tolist() == [5.0, 6.0]
 
 

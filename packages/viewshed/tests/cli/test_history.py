@@ -72,18 +72,3 @@ def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, t
     )
     assert not any(mask.any() for mask in wary[:2])
     assert all(mask.any() and not (mask & ~other).any() for mask, other in zip(wary[2:], past[2:], strict=True))
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (("--require-confirmation",), "--require-confirmation goes with --history 1 or more"),
-        (("--method", "majority_vote", "--history", 5), "history helps viewnet and shadow_map, got majority_vote"),
-        (("--method", "unet", "--history", 5, "--grid", "road"), "history helps viewnet and shadow_map, got unet"),
-        (("--history", 21), "less than or equal to 20"),
-    ],
-)
-def test_a_past_that_helps_nobody_is_refused(drive: Path, tmp_path: Path, words: tuple[object, ...], line: str) -> None:
-    code, _, err = run("estimate", drive, "--out", tmp_path / "out", *words)
-    assert code == 2
-    assert line in err

@@ -137,7 +137,6 @@ def test_pictures_and_suspect_cells_on_demand(place: Path, tmp_path: Path) -> No
     code, said, _ = run(*_check(place, "cut.npz"), "--out", str(tmp_path / "found"))
     assert code == 0
     area = re.search(r"ALARM, (\d+) m² suspect → (\S+)", said)
-    assert area is not None
     assert Path(area[2]).read_bytes().startswith(b"\x89PNG")
     feature = json.loads((tmp_path / "found" / "cut.geojson").read_text())
     assert feature["properties"]["alarm"] is True

@@ -38,7 +38,6 @@ def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: s
     assert f"visible {found.area_m2(0.7):.0f} m²" in out
     assert found.at(np.array([[8.0, 5.0]]))[0] > 0.9
     assert found.at(np.array([[8.0, -5.0]]))[0] < 0.1
-    assert found.std is not None
     assert np.isnan(found.std).all() == (method == "unet")
     assert (tmp_path / "out" / f"sweep_{method}.geojson").stat().st_size > 100
     image = imread(tmp_path / "out" / f"sweep_{method}.png")
@@ -87,59 +86,6 @@ def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp
     assert cut.any()
     assert (sure_ones.state[cut] == CellState.UNKNOWN).all()
     assert np.isin(every.state[cut], [CellState.UNKNOWN, CellState.HIDDEN]).all()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--abstain-below", "0.9", "--threshold", "0.8"),
-            "--threshold must be at least --abstain-below 0.9, got 0.8; leave one of them out",
-        ),
-        (
-            ("--method", "majority_vote", "--abstain-below", "0.9"),
-            "abstention must be asked of a network, got 0.9 for majority_vote",
-        ),
-        (
-            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--abstain-below", "0.3"),
-            "abstain_below must lie in [0.5, 1], got 0.3",
-        ),
-        (("--method", "unet", "--weights", "NET"), "grid must be 64x16 for the network made, got 256x64; ask for that"),
-        (
-            ("--method", "unet", "--weights", "NET", "--grid", "64x16", "--target", "pedestrian"),
-            "target must be car for",
-        ),
-        (("--method", "unet", "--weights", "nowhere"), "weights must be a file that viewshed train exported"),
-        (
-            ("--method", "unet", "--weights", "SWEEP"),
-            "must be a network that viewshed exported, got a file that is cut",
-        ),
-        (
-            ("--method", "mc_dropout", "--grid", "65x7"),
-            "method mc_dropout needs weights, and this version ships none for a car on",
-        ),
-        (("--method", "unet", "--weights", "NET", "--grid", "64x16", "--passes", "4"), "passes must be 1 for unet"),
-        (
-            ("--seed", "3", "--method", "majority_vote"),
-            "seed must be left out for majority_vote, which is no network",
-        ),
-        (
-            ("--device", "cuda", "--method", "majority_vote"),
-            "device must be left out for majority_vote, which is no network",
-        ),
-        (("--device", "tpu", "--method", "viewnet"), "device must be one of cpu, cuda, got 'tpu'"),
-        (("--method", "oracle"), "paper_delaunay, viewnet, unet, mc_dropout, got 'oracle'"),
-    ],
-)
-def test_what_cannot_be_done_costs_one_line(
-    files: tuple[Path, Path], tmp_path: Path, words: tuple[str, ...], message: str
-) -> None:
-    known = {"SWEEP": str(files[0]), "NET": str(files[1])}
-    code, out, err = run("estimate", files[0], *(known.get(word, word) for word in words), "--out", tmp_path / "out")
-    assert (code, out) == (2, "")
-    assert message in err
-    assert err.count("\n") == 1
-    assert not (tmp_path / "out").exists()
 
 
 def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -225,37 +225,8 @@ def test_a_bad_file_costs_a_line_and_the_bag_stays(files: list[Path], tmp_path: 
     assert code == 2
     assert err.count("\n") == 1
     assert (tmp_path / "run.mcap").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["replay", "{file}", "--as-fast", "--to", "run.db3"], "a bag must be NAME.mcap, NAME.bag (ROS 1) or a folder"),
-        (["replay", "{file}", "--schemas", "foxglove"], "--schemas goes with --to"),
-        (["replay", "{file}", "--as-fast", "--to", "a.mcap", "--monitor-file", "{file}"],
-         "sweep0.ply must be a whole monitor"),
-        (["record", "{bad}", "--to", "run.mcap"], "no sweep could be read, run.mcap was not written"),
-        (["record", "sim", "--to", "run.mcap", "--world", "moon"], "world must be one of street, "),
-        (["record", "sim", "--to", "run.mcap", "--preset", "moon"], "moon"),
-        (["record", "sim", "--to", "run.mcap", "--seconds", "0.01"], "a drive needs seconds above 0"),
-        (["record", "sim", "--to", "run.mcap", "--agents", "0"], "a drive needs seconds above 0"),
-        (["record", "sim", "--to", "run.mcap", "--topic", "/up"], "sim reads no file: leave out --topic"),
-        (["replay", "{file}", "--topic", "/up"], "--topic goes with a bag"),
-        (["record", "{file}", "--to", "run.mcap", "--poses", "no.txt"], "no.txt: No such file"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_asked(
-    words: list[str], message: str, files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    bad = tmp_path / "bad.bin"
-    bad.write_bytes(b"\0" * 17)
-    named = {"{file}": files[0], "{bad}": bad}
-    code, _, err = run(*(named.get(word, word) for word in words))
-    assert code == 2
-    assert message in err.splitlines()[-1]
-    assert "Traceback" not in err
-    assert [path.name for path in tmp_path.iterdir()] == ["bad.bin"]
+    code, _, err = run("record", bad, "--to", tmp_path / "none.mcap")
+    assert (code, "no sweep could be read" in err, (tmp_path / "none.mcap").exists()) == (2, True, False)
 
 
 def test_an_input_is_not_replaced(tmp_path: Path) -> None:

@@ -82,30 +82,6 @@ def test_a_bad_file_costs_a_line(drive: list[Path], tmp_path: Path) -> None:
     assert _names(page) == ["sweep <0>"]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--sweeps", 1], "--html run.html"),
-        (["--html", "a.html", "--rerun", "a.rrd"], "name one of: the page to write, --html run.html; --rerun run.rrd"),
-        (["--html", "{input}"], "is an input and would be replaced"),
-        (["--rerun", "{input}"], "is an input and would be replaced"),
-    ],
-)
-def test_what_cannot_be_asked(words: list[object], message: str, drive: list[Path]) -> None:
-    content = drive[0].read_bytes()
-    code, _, err = run("view", drive[0], *(drive[0] if word == "{input}" else word for word in words))
-    assert code == 2
-    assert message in err
-    assert drive[0].read_bytes() == content
-
-
-def test_history_is_for_estimators_that_use_it(drive: list[Path], tmp_path: Path) -> None:
-    for words in (["view", "--html", tmp_path / "run.html"], ["replay"]):
-        code, _, err = run(*words, drive[0], "--history", 2, "--method", "majority_vote")
-        assert code == 2
-        assert "--history helps viewnet and shadow_map, got majority_vote" in err
-
-
 def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path) -> None:
     rng, kinds = np.random.default_rng(0), len(EVIDENCE)
     evidence = rng.exponential(1.0, (60, kinds, SECTORS)).astype(np.float32)
@@ -154,9 +130,11 @@ def test_live_in_foxglove(drive: list[Path]) -> None:
 
 
 def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:
-    code, _, err = run("view", tmp_path / "missing.bin", "--html", tmp_path / "run.html")
-    assert code == 2
-    assert "run.html was written" in err
+    for words in ((tmp_path / "missing.bin",), (junction_path(), "--history", 2)):
+        code, _, err = run("view", *words, "--html", tmp_path / "run.html")
+        assert code == 2
+        assert "run.html was written" in err
+    assert "--history needs a pose and a time of each sweep" in err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -48,7 +48,7 @@ SWEEPS = [sweep_of(number) for number in range(10)]
 def same(found: FovEstimate, expected: FovEstimate, atol: float = 0.0) -> None:
     assert (found.t_ns, found.method, found.grid) == (expected.t_ns, expected.method, expected.grid)
     np.testing.assert_allclose(found.visible_prob, expected.visible_prob, rtol=0, atol=atol)
-    np.testing.assert_allclose(found.std, expected.std, rtol=0, atol=atol, equal_nan=True)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.std, expected.std, rtol=0, atol=atol, equal_nan=True)
     assert np.array_equal(found.state, expected.state)
 
 

@@ -1,6 +1,5 @@
-"""The concave hull by hand, its bad input, and the moments of passes beside numpy's."""
+"""The concave hull by hand."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,7 @@ def test_points_on_a_line_have_no_hull(xy: list[list[float]]) -> None:
 
 def test_far_points_have_a_hull() -> None:
     assert _hull([[-1e6, -1e6], [1e6, -1e6], [0, 1e6]]).all()
+    assert not _core.fill_rings(np.full((3, 4), np.nan), 0.0, 0.0, 1.0, 4).any()
     assert _hull([[-1e30, -1e30], [1e30, -1e30], [0, 1e30], [1, 1], [2, 1]]).shape == (32, 32)
 
 
@@ -44,41 +44,3 @@ def test_the_order_of_points_does_not_matter() -> None:
     rng = np.random.default_rng(3)
     xy = rng.normal(0.0, 3.0, (700, 2)).astype(np.float32)
     assert np.array_equal(_hull(xy), _hull(xy[rng.permutation(len(xy))]))
-
-
-def test_arrays_that_do_not_fit_are_refused() -> None:
-    points, range_m = np.zeros((4, 3), np.float32), np.zeros(4, np.float32)
-    bad = np.full((4, 3), np.nan, np.float32)
-    calls: list[tuple[str, Callable[[], object]]] = [
-        ("as long", lambda: _core.concave_hull(points, range_m[:3], 1.0, 1.0, *GRID)),
-        ("points must be finite", lambda: _core.concave_hull(bad, range_m, 1.0, 1.0, *GRID)),
-        ("concavity must", lambda: _core.concave_hull(points, range_m, 0.0, 1.0, *GRID)),
-        ("concavity must", lambda: _core.concave_hull(points, range_m, 1.0, np.nan, *GRID)),
-        ("grid must be finite", lambda: _core.concave_hull(points, range_m, 1.0, 1.0, np.inf, 0.0, 1.0, 4)),
-        ("grid must be finite", lambda: _core.thin_returns(points, range_m, 0.0, 0.0, 0.0)),
-        ("cells must lie", lambda: _core.fill_rings(np.zeros((1, 4)), 0.0, 0.0, 1.0, 5000)),
-        (r"must be \(E, 4\)", lambda: _core.fill_rings(np.zeros((1, 3)), 0.0, 0.0, 1.0, 4)),
-        ("there must be a pass", lambda: _core.mean_and_deviation(np.zeros((0, 5), np.float32))),
-    ]
-    for message, call in calls:
-        with pytest.raises(ValueError, match=message):
-            call()
-    wrongs: list[Any] = [points.astype(float), points.T, points[:, :2], points[None], None]
-    for wrong in wrongs:
-        with pytest.raises(TypeError):
-            _core.concave_hull(wrong, range_m, 1.0, 1.0, *GRID)
-    assert not _core.fill_rings(np.full((3, 4), np.nan), 0.0, 0.0, 1.0, 4).any()
-
-
-def test_moments_do_not_depend_on_the_number_of_threads() -> None:
-    passes = np.random.default_rng(1).random((20, 50_000), np.float32)
-    before, answers = _core.threads(), []
-    try:
-        for threads in (1, 2):
-            _core.set_threads(threads)
-            answers.append(_core.mean_and_deviation(passes))
-    finally:
-        _core.set_threads(before)
-    for one, two, plain in zip(*answers, (passes.mean(axis=0), passes.std(axis=0)), strict=True):
-        assert np.array_equal(one, two)
-        np.testing.assert_allclose(one, plain, atol=1e-6)

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.estimators.test_contracts import same
 from tests.networks.made import card, nearby
 
 import viewshed
-from viewshed import GRIDS, PEDESTRIAN, BevGrid, FovEstimate, Sweep, Target
+from viewshed import GRIDS, PEDESTRIAN, BevGrid, Sweep, Target
 from viewshed.estimators import (
     CLASSICAL,
     DEFAULT_ESTIMATOR,
@@ -32,12 +33,6 @@ def estimator(request: pytest.FixtureRequest) -> Estimator:
     return ESTIMATORS[request.param](ROAD)
 
 
-def _same(a: FovEstimate, b: FovEstimate) -> bool:
-    return all(
-        np.array_equal(getattr(a, k), getattr(b, k), equal_nan=k == "std") for k in ("visible_prob", "std", "state")
-    )
-
-
 def _at(sweep: Sweep, x_m: float, seconds: float) -> Sweep:
     return sweep.replace(t_ns=int(1e9 * seconds), world_from_sensor=Rigid(np.eye(3), np.array([x_m, 0.0, 1.8])))
 
@@ -51,7 +46,7 @@ def test_the_table_holds_classical_and_learned_estimators_under_their_own_names(
 
 def test_a_sweep_and_the_leveled_sweep_give_one_estimate(estimator: Estimator, street: Sweep) -> None:
     estimate = estimator.estimate(street)
-    assert _same(estimate, estimator.estimate(level(street, ROAD)))
+    assert same(estimate, estimator.estimate(level(street, ROAD)))
     assert (estimate.method, estimate.threshold) == (estimator.name, estimator.threshold)
     assert np.array_equal(estimate.visible(), estimate.visible_prob >= np.float32(estimator.threshold))
 
@@ -83,7 +78,7 @@ def test_history_changes_estimates_where_it_is_used_and_is_refused_elsewhere(
 ) -> None:
     earlier = [_at(street, -1.0, 0.0), _at(street, -0.5, 1.0)]
     now = _at(cast([(3.0, 5.0, 6.5, 8.5, 1.5)]), 0.0, 2.0)  # the wall ahead is gone, and one looks past it
-    assert _same(estimator.estimate(now), estimator.estimate(now, []))
+    assert same(estimator.estimate(now), estimator.estimate(now, []))
     if estimator.uses_history:
         assert estimator.estimate(now, earlier).visible().sum() < estimator.estimate(now).visible().sum()
         with pytest.raises(ValueError, match="pose"):
@@ -116,7 +111,7 @@ def test_the_steps_of_a_batch_give_the_estimates(estimator: Estimator, street: S
     prepared = [steps.prepare(street), steps.prepare(street)]
     results = steps.infer(prepared)
     first, second = (steps.finish(*pair) for pair in zip(prepared, results, strict=True))
-    assert _same(first, second)
+    assert same(first, second)
     assert np.allclose(first.visible_prob, estimator.estimate(street).visible_prob, atol=1e-6)
 
 

@@ -62,7 +62,6 @@ def test_a_turned_sweep_has_a_turned_view(real_data: Path) -> None:
 def test_passes_differ_where_the_view_ends(real_data: Path) -> None:
     sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0])
     found = load_network("mc_dropout", ROAD).estimate(sweep)
-    assert found.std is not None
     assert np.isfinite(found.std).all()
     doubtful = (found.visible_prob > 0.2) & (found.visible_prob < 0.8)
     sure = (found.visible_prob < 0.02) | (found.visible_prob > 0.98)

@@ -171,57 +171,6 @@ def _evidence(kinds: Any, heights_m: Any = FLAT, std_m: Any = FLAT, table: Any =
     )  # fmt: skip
 
 
-def _kinds(seed: int, *counts: int) -> Any:
-    return tuple(_random_beams(np.random.default_rng(seed + k), count).arrays for k, count in enumerate(counts))
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "match"),
-    [
-        ({"kinds": _kinds(0, 5, 5)}, TypeError, "incompatible"),
-        ({"kinds": tuple((a, b, c[:3]) for a, b, c in _kinds(0, 5, 5, 5))}, ValueError, "must have one shape"),
-        ({"kinds": tuple((a.astype(float), b, c) for a, b, c in _kinds(0, 5, 5, 5))}, TypeError, "incompatible"),
-        ({"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()}, ValueError, "heights_m must have shape"),
-        ({"heights_m": FLAT[:4].copy()}, ValueError, "heights_m must have shape"),
-        ({"heights_m": FLAT.astype(np.float64)}, TypeError, "incompatible"),
-        ({"heights_m": np.zeros((8, 16), np.float32)[:, ::2]}, TypeError, "incompatible"),
-        ({"std_m": FLAT[:7, :7].copy()}, ValueError, "std_m must have the shape of heights_m"),
-        ({"table": TABLE[:0]}, ValueError, "table must have"),
-        ({"half_m": float("nan")}, ValueError, "half_extent_m must be positive"),
-    ],
-)  # fmt: skip
-def test_evidence_of_other_arrays_is_refused(change: dict[str, Any], error: type[Exception], match: str) -> None:
-    with pytest.raises(error, match=match):
-        _evidence(**{"kinds": _kinds(0, 5, 5, 5), **change})
-
-
-def test_windows_of_other_arrays_are_refused() -> None:
-    cells = np.ones((4, 4), np.float32)
-    for range_m, azimuth, match in (
-        (cells, cells[:3], "one shape"), (-cells, cells, "range_m must be finite"),
-        (cells * np.float32(np.nan), cells, "range_m must be finite"), (cells, 9 * cells, "azimuth must lie in"),
-        (cells * np.float32(1e9), cells, "within a million sides"),
-    ):  # fmt: skip
-        with pytest.raises(ValueError, match=match):
-            _core.CellWindows(range_m, azimuth, 0.5, 1.8)
-    with pytest.raises(ValueError, match="cell_m must be positive"):
-        _core.CellWindows(cells, cells, 0.0, 1.8)
-
-
-@pytest.mark.parametrize("counts", [(0, 0, 0), (1, 0, 0), (0, 0, 1), (40_000, 9000, 20_000)])
-def test_any_number_of_beams_is_counted_the_same_by_one_thread_and_by_two(counts: tuple[int, int, int]) -> None:
-    before, found = _core.threads(), []
-    try:
-        for threads in (1, 2, 4):
-            _core.set_threads(threads)
-            found.append(_evidence(_kinds(7, *counts)))
-    finally:
-        _core.set_threads(before)
-    for others in found[1:]:
-        assert all(np.array_equal(one, other) for one, other in zip(found[0], others, strict=True))
-    assert (found[0][0].sum() > 0) == (counts[0] > 0)
-
-
 def test_beams_that_are_no_numbers_count_nowhere_and_all_in_one_column_count_there() -> None:
     odd = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-42], np.float32)
     mixed = tuple(array.ravel() for array in np.meshgrid(odd, odd, odd))
@@ -253,16 +202,7 @@ def test_evidence_is_that_of_each_kind_and_height_counted_alone(seed: int) -> No
     assert (np.abs(found[4] - wanted) > 0.01).mean() < 0.01
 
 
-def test_lattices_of_other_shapes_are_refused() -> None:
-    one = np.zeros(1)
-    with pytest.raises(ValueError, match="node must lie in"):
-        _core.interpolate(FLAT, np.array([55], np.int32), one, one)
-    with pytest.raises(ValueError, match="must be as long"):
-        _core.interpolate(FLAT, np.zeros(2, np.int32), one, one)
-    with pytest.raises(ValueError, match="2 to 16384 nodes"):
-        _core.lattice_positions(np.zeros((1, 2), np.float32), 1.0, 1)
-    with pytest.raises(ValueError, match="two columns"):
-        _core.lattice_positions(np.zeros((1, 1), np.float32), 1.0, 8)
+def test_places_that_are_no_numbers_or_far_away_have_height_zero() -> None:
     assert HeightMap(FLAT, 8.0, FLAT > 0).at(np.array([[np.nan, 1e30], [-np.inf, 3.0]])).tolist() == [0.0, 0.0]
 
 

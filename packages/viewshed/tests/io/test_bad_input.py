@@ -123,6 +123,18 @@ BAD = {
     "cut.pcap": (SAMPLES["velodyne pcap"].content[:900], "packet capture is cut off"),
     "link.pcap": (b"\xd4\xc3\xb2\xa1" + bytes(16) + struct.pack("<I", 147), "got link type 147"),
     "product.bin": (files.vlp16_payload(0, 0.4, 5, product=0x77) * 3, "got id 0x77"),
+    "byte.bin": (b"\0", "does not look like rows"),
+    "words.bin": (b"not points\n" * 9, "does not look like rows"),
+    "page.bin": (b"<!DOCTYPE html><html>" * 20, "does not look like rows"),
+    "ones.bin": (b"\xff" * 1600, "could be 4 or 5 float32 columns"),
+    "picture.ply": (b"\x89PNG\r\n\x1a\n" + bytes(99), "named like ply but does not begin like"),
+    "faces.ply": (b"ply\nformat ascii 1.0\nelement face 1\nend_header\n1\n", "PLY element vertex must come first"),
+    "noz.ply": (PLY.replace(b"float z", b"float w"), "must have columns x, y and z, z not found"),
+    "zip.npz": (b"PK\x03\x04" + bytes(60), "NPZ is damaged"),
+    "text.npy": (files.npy(np.array([["a", "b", "c"]])), "must be floats .* got <U1"),
+    "picture.npy": (files.npy(np.zeros((4, 64, 3))), r"or more columns, got \(4, 64, 3\)"),
+    "complex.npy": (files.npy(np.zeros((9, 3), complex)), "type is not plain numbers"),
+    "a.las": (b"LASF" + bytes(300), "is a LAS file; convert it to PLY or PCD"),
     "what.xyz": (b"1 2 3\n", "format is not known by name or content; name one of nuscenes, kitti"),
     "fake.pcd": (b"\x00" * 50, "is named like pcd but does not begin like it"),
 }  # fmt: skip
@@ -169,7 +181,7 @@ def test_whatever_a_reader_raises_names_the_file_and_the_next_file_is_read(
     def faulty(*_: object) -> None:
         raise ZeroDivisionError("two\nlines")
 
-    monkeypatch.setitem(formats.FORMATS, "ply", replace(FORMATS["ply"], read=faulty))  # type: ignore[arg-type]
+    monkeypatch.setitem(formats.FORMATS, "ply", replace(FORMATS["ply"], read=faulty))
     (tmp_path / "bad.ply").write_bytes(PLY)
     (tmp_path / "bad.npz").write_bytes(BAD["text.npz"][0])
     (tmp_path / "good.bin").write_bytes(files.rows(np.repeat(TABLE, 3, axis=0)))

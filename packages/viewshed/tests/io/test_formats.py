@@ -33,7 +33,6 @@ PLAIN = ["kitti", "pcd ascii", "pcd binary", "ply ascii", "ply little endian", "
 def test_points_and_intensity_come_out_as_they_were_put_in(name: str, put: Any) -> None:
     sweep = read_sweep(put(SAMPLES[name].name, SAMPLES[name].content))
     np.testing.assert_allclose(sweep.points, P, atol=1e-6)
-    assert sweep.intensity is not None
     np.testing.assert_array_equal(sweep.intensity, I)
     assert sweep.ring is None
 
@@ -54,7 +53,6 @@ def test_nuscenes_x_right_y_forward_becomes_x_forward_y_left(put: Any) -> None:
     path = put("n008-2018__LIDAR_TOP__1533151603547590.pcd.bin", raw.tobytes())
     sweep = read_sweep(path)
     np.testing.assert_array_equal(sweep.points, [[7.0, -2.0, -1.0], [1.0, 4.0, 0.5]])
-    assert sweep.ring is not None
     assert sweep.ring.tolist() == [3, 9]
     assert sweep.t_ns == 1_533_151_603_547_590_000
     np.testing.assert_array_equal(read_sweep(path, file_frame="sensor").points, raw[:, :3])
@@ -68,7 +66,6 @@ def test_chunks_of_a_large_binary_sweep_are_joined_in_order(put: Any) -> None:
     rings = np.argsort(np.argsort(table[:, 2] / np.hypot(table[:, 0], table[:, 1]))) * 32 // 150_001
     nuscenes = read_sweep(put("big.pcd.bin", files.rows(table, rings)), file_frame="sensor")
     np.testing.assert_array_equal(nuscenes.points, table[:, :3].astype(np.float32))
-    assert nuscenes.ring is not None
     np.testing.assert_array_equal(nuscenes.ring, rings)
 
 
@@ -98,9 +95,7 @@ def test_pcd_fields_of_any_type_order_and_count(put: Any) -> None:
     )
     sweep = read_sweep(put("o.pcd", header.encode() + body))
     np.testing.assert_array_equal(sweep.points, P)
-    assert sweep.ring is not None
     assert sweep.ring.tolist() == [0, 1, 2, 3, 4, 5]
-    assert sweep.time_s is not None
     np.testing.assert_allclose(sweep.time_s, 0.01 * np.arange(6), atol=1e-6)
 
 
@@ -120,10 +115,8 @@ def test_pcd_azimuth_of_any_unit_and_sign_becomes_ours(scale: float, sign: float
     told = np.mod(sign * (true - zero), 2 * np.pi) * scale
     content = files.pcd(files.rows(P, told), "binary", "x y z azimuth")
     azimuth = read_sweep(put("a.pcd", content)).azimuth
-    assert azimuth is not None
     np.testing.assert_allclose(azimuth, true, atol=1e-4)
     turned = read_sweep(put("a.pcd", content), file_frame="carla")
-    assert turned.azimuth is not None
     np.testing.assert_allclose(turned.azimuth, np.arctan2(-P[:, 0], -P[:, 1]), atol=1e-4)
 
 
@@ -174,7 +167,6 @@ def test_times_whose_difference_leaves_int64_do_not_wrap() -> None:
     ends = np.iinfo(np.int64)
     assert matched_time_s(np.array([ends.min, 0, ends.max])) is None
     near = matched_time_s(np.array([ends.min, ends.min + 5_000_000]))
-    assert near is not None
     np.testing.assert_allclose(near, [0, 0.005], rtol=1e-6)
 
 
@@ -183,7 +175,6 @@ def test_npy_of_int32_is_millimeters_and_of_floats_meters(put: Any) -> None:
     wide = np.asfortranarray(np.column_stack((P, I)).astype(np.float64))
     sweep = read_sweep(put("f.npy", files.npy(wide)))
     np.testing.assert_array_equal(sweep.points, P)
-    assert sweep.intensity is not None
     assert sweep.intensity.tolist() == I.tolist()
 
 
@@ -191,11 +182,9 @@ def test_argoverse_points_move_from_the_car_to_the_lidar_and_lasers_to_rings(put
     above = P + np.array([0, 0, 1.64042], np.float32)
     sweep = read_sweep(put("log_315966265259836000.feather", files.feather()))
     np.testing.assert_allclose(sweep.points, P - [1.35018, 0, 1.64042], atol=2e-3)
-    assert sweep.ring is not None
     elevation = (above[:, 2] - 2 * 1.64042) / np.hypot(P[:, 0] - 1.35018, P[:, 1])
     assert sweep.ring.tolist() == np.argsort(np.argsort(elevation)).tolist()
     assert sweep.t_ns == 315_966_265_259_836_000
-    assert sweep.time_s is not None
     np.testing.assert_allclose(sweep.time_s, 0.001 * np.arange(6), atol=1e-6)
 
 
@@ -212,7 +201,6 @@ def test_given_knowledge_reaches_the_sweep(put: Any) -> None:
     assert sweep.model.rings == 16
     assert sweep.sensor_height_m == 1.9
     assert sweep.world_from_sensor is pose
-    assert sweep.attitude is not None
     assert sweep.attitude.tolist() == [1, 0, 0, 0]
 
 

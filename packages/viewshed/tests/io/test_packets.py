@@ -49,10 +49,6 @@ def test_vlp16_revolution(name: str, tmp_path: Path) -> None:
     sweeps = list(read_sweeps(tmp_path / name))
     assert len(sweeps) == 3
     sweep = sweeps[0]
-    assert sweep.ring is not None
-    assert sweep.azimuth is not None
-    assert sweep.time_s is not None
-    assert sweep.model is not None
     assert sweep.model.rings == 16
     np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 5.0, atol=0.03)
     elevation = np.rad2deg(np.arcsin(sweep.points[:, 2] / np.linalg.norm(sweep.points, axis=1)))
@@ -81,8 +77,6 @@ def test_ouster_revolutions_rings_and_azimuths(tmp_path: Path) -> None:
     assert len(first) == len(second) == 32 * 64
     x, y, z = first.points.T.astype(np.float64)
     assert first.ring is not None
-    assert first.azimuth is not None
-    assert first.model is not None
     altitude = np.deg2rad(np.sort(files.OUSTER_BEAMS_DEG))[first.ring]
     np.testing.assert_allclose(z - 0.03618, (5.0 - 0.0158) * np.sin(altitude), atol=1e-3)
     offset = -np.deg2rad(np.array(files.OUSTER_OFFSETS_DEG)[::-1])[first.ring]

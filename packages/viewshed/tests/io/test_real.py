@@ -62,7 +62,6 @@ def test_rings_ascend_with_elevation(pattern: str, real_data: Path) -> None:
     assert found
     for file in found:
         sweep = read_sweep(file)
-        assert sweep.ring is not None
         far = np.linalg.norm(sweep.points, axis=1) > (3.0 if pattern[:2] in ("nu", "ou") else 0.0)
         rings = np.unique(sweep.ring[far])
         assert rings.size >= 14
@@ -73,7 +72,6 @@ def test_rings_ascend_with_elevation(pattern: str, real_data: Path) -> None:
 def test_points_of_a_capture_lie_at_the_beams_that_its_metadata_tell(real_data: Path) -> None:
     for capture in sorted((real_data / "ouster").glob("*.pcap")):
         sweep = read_sweep(capture)
-        assert sweep.model is not None
         assert (sweep.model.reach_m or 0) < sweep.model.max_range_m < 200
         _, slope, range_m = polar(sweep.points)
         match = match_beams(slope, range_m, sweep.model)

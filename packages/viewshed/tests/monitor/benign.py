@@ -1,5 +1,8 @@
 """Benign evidence drawn at random, and a score of it that can be computed by hand."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,3 +67,19 @@ def benign_sweeps(count: int, seed: int, group: Group = VLP, *, each: int = 2, s
             for number in range(each)
         ]
     return found
+
+
+def check_refusals(path: Path, load: Callable[[Path], object], step: int, flips: int) -> float:
+    """Cut a file of a monitor and change its bytes; return the share that is refused, each in one line."""
+    whole, rng, told = path.read_bytes(), np.random.default_rng(0), list[str]()
+    damaged = [whole[:k] for k in range(0, len(whole), step)] + [b"", b"monitor"]
+    places = rng.integers(0, len(whole), flips)
+    damaged += [whole[:k] + bytes([whole[k] ^ int(rng.integers(1, 256))]) + whole[k + 1 :] for k in places]
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            load(path)
+        except ValueError as error:
+            told.append(str(error))
+    assert all(line.startswith(f"{path} must be a whole monitor file") and "\n" not in line for line in told)
+    return len(told) / len(damaged)

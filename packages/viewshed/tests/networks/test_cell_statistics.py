@@ -1,7 +1,5 @@
 """What the returns of a cell and of an azimuth say, beside the plainest way to compute it."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -69,16 +67,7 @@ def test_no_return_says_nothing() -> None:
     assert (farthest_m == -1.0).all()
 
 
-def test_heights_of_wrong_arrays_are_refused() -> None:
-    points, height_m = np.zeros((3, 3), np.float32), np.zeros(3, np.float32)
-    with pytest.raises(ValueError, match="as long"):
-        _core.height_codes(points, height_m[:2], 0.0, 0.0, 1.0, 4)
-    with pytest.raises(ValueError, match=r"cells must lie in \[1, 4096\]"):
-        _core.height_codes(points, height_m, 0.0, 0.0, 1.0, 0)
-    wrongs: list[Any] = [points.astype(np.float64), points[:, :2], points.T]
-    for wrong in wrongs:
-        with pytest.raises(TypeError):
-            _core.height_codes(wrong, height_m, 0.0, 0.0, 1.0, 4)
+def test_heights_of_no_numbers_say_nothing() -> None:
     for value in (np.nan, np.inf, -1e30):
         found = _core.height_codes(np.full((1, 3), value, np.float32), np.full(1, value, np.float32), 0.0, 0.0, 1.0, 4)
         assert not np.any(found)

@@ -145,51 +145,8 @@ def test_folded_features_are_their_maps_in_blocks(frame: Sample) -> None:
         assert np.array_equal(blocks, plain.reshape(side, side, -1))
 
 
-def test_features_do_not_depend_on_the_number_of_threads(frame: Sample) -> None:
-    grid, before = BevGrid(256, 64.0), _core.threads()
-    leveled, answers = level(frame.sweep, grid), []
-    try:
-        for threads in (1, 2, 4):
-            _core.set_threads(threads)
-            context = FeatureContext(leveled, grid, CAR, grid.count(leveled.points).clip(0, 255).astype(np.uint8))
-            answers.append(feature_maps(tuple(FEATURES), context))
-    finally:
-        _core.set_threads(before)
-    assert np.array_equal(answers[0], answers[1])
-    assert np.array_equal(answers[0], answers[2])
-
-
-@pytest.mark.parametrize(
-    ("coding", "arrays", "message"),
-    [
-        ("nonsense", (), "coding must be bytes, returns"),
-        ("bytes", (), "must have its arrays"),
-        ("range", (np.zeros(GRID.shape, np.uint8),), "must have its arrays"),
-        ("bytes", (np.zeros((64, 63), np.uint8),), "must have the grid's shape"),
-        ("returns", (np.zeros((63, 64), np.float32),), "must have the grid's shape"),
-        ("beyond", (np.zeros(0, np.float32),), "a limit must have bins"),
-        ("beyond", (np.zeros(7, np.float32),), r"cell_bin must lie in \[0, 6\]"),
-        ("deviation", (np.zeros((1, 64), np.float32),), "2 nodes a side"),
-    ],
-)
-def test_features_of_wrong_arrays_are_refused(coding: str, arrays: tuple[NDArray[Any], ...], message: str) -> None:
-    cells = polar_of_cells(GRID)[0], bins_of_cells(GRID, 90)
-    with pytest.raises(ValueError, match=message):
-        _core.feature_maps([(coding, arrays)], *cells, *middles(), 64.0, 0)
-
-
-def test_features_of_wrong_types_are_refused() -> None:
-    cells = polar_of_cells(GRID)[0], bins_of_cells(GRID, 90)
-    wrong: list[Any] = [
-        ("bytes", (np.zeros(GRID.shape, np.int8),)), ("returns", (np.zeros(GRID.shape),)), (3, ()), ("bytes", (None,)),
-        ("bytes", None), "bytes", (), ("returns", (np.zeros((64, 128), np.float32)[:, ::2],)),
-    ]  # fmt: skip
-    for feature in wrong:
-        with pytest.raises(TypeError):
-            _core.feature_maps([feature], *cells, *middles(), 64.0, 0)
+def test_maps_that_cannot_be_folded_are_refused() -> None:
     for fold in (3, 128):
-        with pytest.raises(ValueError, match="fold must divide"):
-            _core.feature_maps([], *cells, *middles(), 64.0, fold)
         with pytest.raises(ValueError, match="fold must divide"):
             fold_maps(np.zeros((1, 64, 64), np.uint8), fold)
     with pytest.raises(ValueError, match="maps must be square"):

@@ -157,7 +157,6 @@ def test_what_a_mask_makes_larger_still_fits_its_bytes(tmp_path: Path) -> None:
     ]
     assert len(pairs) == len(SHAPES[0].masked_channels)
     for before, after in pairs:
-        assert before is not None
         assert after == pytest.approx(before / (1.0 - SHAPES[0].dropout))
 
 

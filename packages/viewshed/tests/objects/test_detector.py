@@ -93,14 +93,7 @@ def test_the_core_skips_what_is_no_number() -> None:
         assert array.dtype == np.int32
 
 
-def test_inputs_that_do_not_fit_are_refused() -> None:
-    points, short = np.zeros((3, 3), np.float32), np.zeros(2, np.float32)
-    whole = np.zeros(3, np.float32)
-    for height_m, range_m in ((short, whole), (whole, short)):
-        with pytest.raises(ValueError, match="as long as points"):
-            _core.object_candidates(points, height_m, range_m, 1.8)
-    with pytest.raises(ValueError, match="sensor_height_m"):
-        _core.object_candidates(points, whole, whole, float("nan"))
+def test_a_probability_of_zero_is_refused() -> None:
     with pytest.raises(ValueError, match="least_prob"):
         Detector(least_prob=0.0)
 
@@ -136,16 +129,6 @@ def test_no_more_objects_than_promised_are_given() -> None:
     points = np.concatenate([body + np.append(center, 0.0) for center in centers]).astype(np.float32)
     leveled = level(Sweep(points, sensor_height_m=HEIGHT_M), GRID)
     assert len(Detector(least_prob=1e-6).detect(leveled)) <= MOST_OBJECTS
-
-
-def test_one_and_two_threads_find_the_same() -> None:
-    leveled, threads = seen(*car(14.0, 2.0), *car(-8.0, 7.0, 0.6), person(9.0, 1.0)), _core.threads()
-    results = []
-    for count in (1, 2):
-        _core.set_threads(count)
-        results.append(Detector().detect(leveled))
-    _core.set_threads(threads)
-    np.testing.assert_array_equal(results[0].boxes, results[1].boxes)
 
 
 def test_candidates_are_a_forest_of_returns_that_stand() -> None:

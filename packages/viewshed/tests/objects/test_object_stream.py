@@ -68,7 +68,6 @@ def test_two_agents_have_tracks_of_their_own() -> None:
         other = replace(leveled, sweep=leveled.sweep.replace(agent="other"))
         second = objects.follow(other, estimate)
         np.testing.assert_array_equal(both.explained.tracks.ids, alone.explained.tracks.ids)
-    assert second is not None
     np.testing.assert_array_equal(second.explained.tracks.ids, alone.explained.tracks.ids)
 
 

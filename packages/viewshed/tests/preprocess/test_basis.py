@@ -28,7 +28,6 @@ def street(height_m: float | None = None) -> LeveledSweep:
 def test_every_estimate_says_what_it_rests_on(name: str) -> None:
     leveled = street()
     basis = CLASSICAL[name](GRID).estimate(leveled).basis
-    assert basis is not None
     assert basis.sensor_height_m == leveled.sensor_height_m
     assert basis.height_source == "estimated"
     assert basis.ground_support == pytest.approx(leveled.ground.support, abs=1e-4)

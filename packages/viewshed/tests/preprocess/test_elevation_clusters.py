@@ -27,34 +27,24 @@ def measured(seed: int) -> tuple[Sweep, np.random.Generator]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_random_sensors_show_their_rings_and_are_given_no_name(seed: int) -> None:
-    sweep, _ = measured(seed)
-    sensor_id = identify_sensor(Sweep(sweep.points))
-    assert sensor_id.model is None
-    assert sensor_id.ring is not None
-    assert sweep.ring is not None
-    assert right_share(sensor_id.ring, sweep.ring) > 0.99
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 def test_rings_ascend_and_do_not_depend_on_the_order_of_the_points(seed: int) -> None:
     sweep, rng = measured(seed)
     found = rings_by_clusters(*polar(sweep.points))
-    assert found is not None
     assert (np.diff(found[1].elevation) > 0).all()
     order = rng.permutation(len(sweep))
     again = rings_by_clusters(*polar(sweep.points[order]))
-    assert again is not None
     assert (again[0] == found[0][order]).mean() > 0.99
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("kind", ["millimeters", "half of the returns", "one in twenty anywhere"])
-def test_rounding_losses_and_strays_hide_no_rings(seed: int, kind: str) -> None:
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("kind", ["as they are", "millimeters", "half of the returns", "one in twenty anywhere"])
+def test_random_sensors_show_their_rings_whatever_is_lost_and_are_given_no_name(seed: int, kind: str) -> None:
     sweep, rng = measured(seed)
     assert sweep.ring is not None
     points, ring, least = sweep.points, sweep.ring, 0.97
-    if kind == "millimeters":
+    if kind == "as they are":
+        least = 0.99
+    elif kind == "millimeters":
         points = np.round(points, 3)
     elif kind == "half of the returns":
         kept = rng.random(len(points)) < 0.5
@@ -64,7 +54,6 @@ def test_rounding_losses_and_strays_hide_no_rings(seed: int, kind: str) -> None:
         points[stray] = rng.normal(0.0, 15.0, (int(stray.sum()), 3))
     sensor_id = identify_sensor(Sweep(points))
     assert sensor_id.model is None
-    assert sensor_id.ring is not None
     assert right_share(sensor_id.ring, ring) > least
 
 
@@ -109,7 +98,6 @@ def test_clusters_stand_at_the_beams_and_know_their_origin() -> None:
     elevation_deg = np.array([-24.0, -17.5, -12.0, -11.5, -8.0, -6.5, -3.0, -1.0, 0.4, 2.0, 5.0, 9.5])
     model = LidarModel("nobody's", np.deg2rad(elevation_deg), 900, origin_m=np.full(12, 0.12))
     clusters = find_clusters(*polar(cast(model, junction(), 1.8).points))
-    assert clusters is not None
     assert np.rad2deg(clusters.elevation) == pytest.approx(elevation_deg, abs=0.02)
     assert clusters.origin_m == pytest.approx(np.full(12, 0.12), abs=0.006)
     assert clusters.sharpness > 0.99

@@ -128,7 +128,6 @@ def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
     assert poisoned.sensor_height_m > HEIGHT_M + 0.3
     held = hold_over([*sweeps[:-1], poisoned])[-1]
     assert held.sensor_height_m == pytest.approx(HEIGHT_M, abs=0.1)
-    assert held.held is not None
     assert held.held.is_height_held
     alone, streamed = (precision_recall(one, truth, known) for one in (poisoned, held))
     # Alone, a sweep that is moved far claims little, and nearly all of it rightly.
@@ -170,7 +169,6 @@ def test_a_ramp_that_moved_is_believed_at_once() -> None:
 def test_nothing_is_held_where_a_pose_is_off() -> None:
     sweeps, _, _ = drive(world_of(crest), [-6.0, 0.0])
     pose = sweeps[0].sweep.world_from_sensor
-    assert pose is not None
     wrong = Rigid(pose.rotation, pose.translation + np.array([0.0, 0.0, 3.0]))
     moved = replace(sweeps[0], sweep=sweeps[0].sweep.replace(world_from_sensor=wrong))
     assert np.array_equal(hold(sweeps[1], moved).ground.heights_m, sweeps[1].ground.heights_m)
@@ -189,7 +187,6 @@ def test_a_carrier_that_rises_is_believed_at_once() -> None:
     world = world_of(crest)
     sweeps, _, _ = drive(world, [-40.0] * 5)
     pose = sweeps[-1].sweep.world_from_sensor
-    assert pose is not None
     raised = Rigid(pose.rotation, pose.translation + np.array([0.0, 0.0, 1.2]))
     seen = observe(
         world, Agent("ego", "hdl32e", raised), 5.0, Setting(GRID, revolution_s=0.0), np.random.SeedSequence(5)
@@ -204,7 +201,6 @@ def test_a_height_that_is_given_is_no_matter_of_the_stream() -> None:
     given = level(sweeps[-1].sweep.replace(sensor_height_m=2.4), GRID)
     held = hold_over([*sweeps[:-1], given])[-1]
     assert held.sensor_height_m == 2.4
-    assert held.held is not None
     assert not held.held.is_height_held
     assert len(held.held.heights_m) == 3
 
@@ -235,7 +231,6 @@ def test_the_reach_without_a_table_is_the_greatest_of_the_stream() -> None:
     assert buffer.history(before) is None
     buffer.add(before)
     history = buffer.history(near)
-    assert history is not None
     assert reach_of_sweep(history.now) == reach_of_sweep(near)
 
 
@@ -252,12 +247,10 @@ def test_estimators_take_what_the_stream_holds_if_they_use_history(make: Estimat
     *_, streamed = estimator.stream((one.sweep for one in sweeps), history=5)
     given = estimator.estimate(sweeps[-1], [one.sweep for one in sweeps[:-1]])
     for found in (streamed, given):
-        assert found.basis is not None
         assert found.basis.height_source == "held"
         assert abs(found.basis.sensor_height_m - HEIGHT_M) < 0.15
     assert np.array_equal(streamed.state, given.state)
     alone = estimator.estimate(sweeps[-1]).basis
-    assert alone is not None
     assert alone.height_source == "estimated"
 
 

@@ -33,12 +33,7 @@ def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
     sensor_id = identify_sensor(bare(KNOWN))
     assert sensor_id.model is KNOWN.model
     assert sensor_id.ring is not None
-    assert KNOWN.ring is not None
     assert (sensor_id.ring == KNOWN.ring[order]).mean() > 0.99
-
-
-def test_rings_without_a_sensor_tell_it() -> None:
-    assert identify_sensor(KNOWN.replace(model=None)).model is KNOWN.model
 
 
 def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> None:
@@ -52,7 +47,6 @@ def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> Non
     assert (sensor_id.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
     shuffled = identify_sensor(bare(ordered))
     assert shuffled.model is None
-    assert shuffled.ring is not None  # told by elevations: a beam that returns nothing is no cluster
     assert len(np.unique(shuffled.ring)) == 22  # two of the 23 beams lie within 0.01 degrees
 
 
@@ -85,12 +79,6 @@ def test_a_bare_cloud_is_seen_as_well_as_one_with_rings() -> None:
     assert (known == cloud).mean() > 0.98
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.full((50, 3), 1e-9)])
-def test_almost_nothing_tells_nothing(points: np.ndarray) -> None:
-    sensor_id = identify_sensor(Sweep(points))
-    assert sensor_id.model is None
-
-
 @pytest.mark.parametrize("with_rings", [True, False])
 def test_no_sensor_is_inferred_where_there_is_said_to_be_none(with_rings: bool) -> None:
     """The beams of an HDL-32E explain the points, but the sweep says that no table does."""
@@ -112,7 +100,6 @@ def test_the_order_of_the_points_tells_rings_where_there_is_no_sensor() -> None:
     inferred, none = identify_sensor(ordered), identify_sensor(ordered.replace(infer_sensor=False))
     assert inferred.model is not None
     assert none.model is None
-    assert none.ring is not None
     assert len(np.unique(none.ring)) > 16
 
 
@@ -149,9 +136,7 @@ def test_a_calibration_of_its_own_is_not_the_stock_table(share: float, name: str
 def test_fewer_rings_than_the_table_has_are_counted_as_its_beams() -> None:
     model = lidar_model("vlp32c")
     sweep = cast(model, SCENE, 1.8)
-    assert sweep.ring is not None
     upper = sweep.select(np.flatnonzero(sweep.ring >= 10))
-    assert upper.ring is not None
     sensor_id = identify_sensor(upper.replace(model=None, ring=upper.ring - 10))
     assert sensor_id.model is model
     assert sensor_id.ring is not None

@@ -51,11 +51,9 @@ def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tupl
     true = SensorMotion(np.array(way_m), seam, reference)
     points, ring = measured(uneven(), true, np.random.default_rng(1))
     found = find_motion(points)
-    assert found is not None
     assert (found.seam, found.reference) == (seam, reference)
     assert found.way_m == pytest.approx(way_m, abs=0.12)
     inferred = identify_sensor(Sweep(points)).ring
-    assert inferred is not None
     assert right_share(inferred, ring) > 0.96  # near the seam a point may be of either end of the revolution
 
 
@@ -129,5 +127,4 @@ def test_rings_that_an_order_runs_together_are_told_by_their_elevations() -> Non
     kept = np.flatnonzero((np.abs(azimuth - 1.6) < 0.6) | (ring > 4))
     kept = kept[np.lexsort((azimuth[kept], ring[kept]))]
     inferred = identify_sensor(Sweep(points[kept])).ring
-    assert inferred is not None
     assert right_share(inferred, ring[kept]) > 0.97

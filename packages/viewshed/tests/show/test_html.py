@@ -95,7 +95,6 @@ def test_the_page_names_no_address(tmp_path: Path) -> None:
     page = _Elements(tmp_path / "run.html")
     assert not [(tag, attrs) for tag, attrs in page.elements if {"src", "href", "action", "data"} & set(attrs)]
     policy = next(attrs["content"] for _, attrs in page.elements if attrs.get("http-equiv"))
-    assert policy is not None
     assert policy.startswith("default-src 'none'")
     assert not re.search(r"https?:|url\(|@import|fetch\(|XMLHttp|WebSocket|innerHTML|eval\(", _text_of_page())
 

@@ -2,15 +2,15 @@
 
 import json
 import shutil
-from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.data.test_simulated import Backwards
 
 from viewshed.fov.truth import Truth
-from viewshed_lab._jobs import Done, J, LocalEngine, R
+from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data import Archive, Sample, Storage, write_archive
 from viewshed_lab.data.archive.archive import ArchiveSource
 from viewshed_lab.data.archive.build import ShardResult
@@ -21,20 +21,6 @@ from viewshed_lab.data.simulated import simulate
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 
 pytestmark = pytest.mark.slow
-
-
-class _Here:
-    """Runs the jobs here, in an order of its own, and stops after some."""
-
-    def __init__(self, backwards: bool = False, jobs: int = 99) -> None:
-        self.backwards, self.jobs = backwards, jobs
-
-    def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
-        order = reversed(range(len(jobs))) if self.backwards else range(len(jobs))
-        for number, index in enumerate(order):
-            if number >= self.jobs:
-                raise KeyboardInterrupt
-            yield Done(index, work(jobs[index]), None)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +40,7 @@ def rules(recording: Path) -> LabelRules:
 @pytest.fixture(scope="module")
 def labeled(recording: Path, rules: LabelRules, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("labeled") / "a"
-    label(Origin(str(recording)), rules, Storage.of(out), _Here())
+    label(Origin(str(recording)), rules, Storage.of(out), LocalEngine(1))
     return out
 
 
@@ -90,28 +76,16 @@ def test_the_manifest_tells_how(labeled: Path) -> None:
 def test_the_same_bytes_in_any_order_and_in_other_processes(
     recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path
 ) -> None:
-    label(Origin(str(recording)), rules, Storage.of(tmp_path / "b"), _Here(backwards=True))
+    label(Origin(str(recording)), rules, Storage.of(tmp_path / "b"), Backwards())
     label(Origin(str(recording)), rules, Storage.of(tmp_path / "c"), LocalEngine(2))
     assert _shards(tmp_path / "b") == _shards(tmp_path / "c") == _shards(labeled)
-
-
-def test_a_stopped_run_goes_on(recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        label(Origin(str(recording)), rules, Storage.of(tmp_path), _Here(jobs=1))
-    with pytest.raises(ValueError, match="is not finished"):
-        Archive.open(tmp_path)
-    told: list[ShardResult] = []
-    label(Origin(str(recording)), rules, Storage.of(tmp_path), _Here(), told.append)
-    assert len(told) == 2
-    assert _shards(tmp_path) == _shards(labeled)
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in labeled.iterdir()}
 
 
 def test_the_truth_of_an_archive_is_not_looked_at(
     recording: Path, rules: LabelRules, labeled: Path, tmp_path: Path
 ) -> None:
     write_archive(tmp_path / "wrong" / "drive", map(_scrambled, Archive.open(recording)), {"command": "test"})
-    out = label(Origin(str(tmp_path / "wrong" / "drive")), rules, Storage.of(tmp_path / "b"), _Here())
+    out = label(Origin(str(tmp_path / "wrong" / "drive")), rules, Storage.of(tmp_path / "b"), LocalEngine(1))
     for one, other in zip(Archive.open(labeled), out, strict=True):
         assert (one.truth.expected_returns["car"] == other.truth.expected_returns["car"]).all()
         assert (one.known == other.known).all()
@@ -131,7 +105,7 @@ def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(
     victim = sorted(folder.glob("*.parquet"))[0]
     victim.write_bytes(victim.read_bytes()[:-1000])
     told: list[ShardResult] = []
-    out = label(Origin(str(folder)), rules, Storage.of(tmp_path / "b"), _Here(), told.append)
+    out = label(Origin(str(folder)), rules, Storage.of(tmp_path / "b"), LocalEngine(1), told.append)
     problems = [problem for made in told for problem in made.problems]
     assert len(problems) == 1
     assert victim.name in problems[0]
@@ -142,11 +116,11 @@ def test_what_is_damaged_costs_one_line_and_the_rest_goes_on(
 
 def test_another_data_set_is_not_overwritten(recording: Path, rules: LabelRules, labeled: Path) -> None:
     with pytest.raises(ValueError, match="holds definition probe, not farthest; choose another place"):
-        label(Origin(str(recording)), replace(rules, definition="farthest"), Storage.of(labeled), _Here())
+        label(Origin(str(recording)), replace(rules, definition="farthest"), Storage.of(labeled), LocalEngine(1))
     with pytest.raises(ValueError, match="holds drive with other neighbors; choose another place"):
-        label(Origin(str(recording)), replace(rules, neighbors=3), Storage.of(labeled), _Here())
+        label(Origin(str(recording)), replace(rules, neighbors=3), Storage.of(labeled), LocalEngine(1))
     with pytest.raises(ValueError, match="must be empty or hold this data set, got another archive"):
-        label(Origin(str(recording)), rules, Storage.of(recording), _Here())
+        label(Origin(str(recording)), rules, Storage.of(recording), LocalEngine(1))
 
 
 def test_an_archive_as_a_source_gives_its_sweeps_in_time_order(recording: Path) -> None:

@@ -5,13 +5,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 import shapely
-from numpy.typing import NDArray
+from tests.sim.worlds.test_every_world import outlines
 
 from viewshed import lidar_model
 from viewshed_lab.sim.assets.furniture import bounds, cabinet, place_group
-from viewshed_lab.sim.assets.shapes import BOX
 from viewshed_lab.sim.raycast.caster import cast_world
-from viewshed_lab.sim.world import NOTHING, AgentPlan, Snapshot, World
+from viewshed_lab.sim.world import NOTHING, AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.sim.worlds.indoor.floor import Rise, floor
 from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
@@ -25,19 +24,6 @@ HOUSE = {"wall", "ceiling", "beam", "pillar", "duct", "gallery", "threshold", "b
 
 def make(name: str, seed: int, plan: AgentPlan = PLAN) -> World:
     return WORLDS[name](np.random.default_rng(seed), plan)
-
-
-def outlines(snapshot: Snapshot) -> NDArray[np.object_]:
-    """Polygons of all solids from above."""
-    turn = np.linspace(0, 2 * np.pi, 17)[:-1]
-    square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    polygons = []
-    for kind, center, rotation, half in zip(
-        snapshot.kind, snapshot.center_m, snapshot.rotation, snapshot.half_m, strict=True
-    ):
-        local = (square if kind == BOX else np.column_stack([np.cos(turn), np.sin(turn)])) * half[:2]
-        polygons.append(shapely.Polygon(local @ rotation[:2, :2].T + center[:2]))
-    return np.array(polygons)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -78,7 +64,7 @@ def test_no_two_things_are_in_each_other(name: str, seed: int) -> None:
     """Prisms around solids, by shapely; only the shell of the house may touch itself."""
     world = make(name, seed)
     snapshot = world.snapshot(0.0)
-    polygons = outlines(snapshot)
+    polygons, _, _ = outlines(world, 0.0)
     top, bottom = snapshot.center_m[:, 2] + snapshot.half_m[:, 2], snapshot.center_m[:, 2] - snapshot.half_m[:, 2]
     i, j = shapely.STRtree(polygons).query(polygons, predicate="intersects")
     deep = np.minimum(top[i], top[j]) - np.maximum(bottom[i], bottom[j])
@@ -102,7 +88,7 @@ def test_robots_touch_nothing_on_their_way(name: str, seed: int) -> None:
     ground = world.terrain.at(snapshot.center_m[:, :2])
     top = snapshot.center_m[:, 2] + snapshot.half_m[:, 2] - ground
     bottom = snapshot.center_m[:, 2] - snapshot.half_m[:, 2] - ground
-    tree = shapely.STRtree(outlines(snapshot)[~moves & (top > 0.04) & (bottom < 0.75)])
+    tree = shapely.STRtree(outlines(world, 0.0)[0][~moves & (top > 0.04) & (bottom < 0.75)])
     for robot in (one for one in world.things if one.kind == "robot"):
         places = np.array([robot.pose_at(t) for t in np.arange(0.0, PLAN.duration_s, 0.2)])
         nearest = tree.query_nearest(shapely.points(places[:, :2]), return_distance=True, all_matches=False)[1]

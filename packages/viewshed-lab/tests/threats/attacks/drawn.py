@@ -12,12 +12,20 @@ from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, INFORME
 from viewshed_lab.threats.attacks.null import null_of
 
 BUDGETS = (None, 0, 1, 7, 50, 150, 1000, FULL_WEDGE)
+MOVE_RETURNS = {
+    "frustum", "frustum_before", "far_wall", "far_wall_aimed", "far_wall_clean", "removal", "removal_aimed", "relay",
+}  # fmt: skip
+"""Attacks that need to know no beams: they move returns that are there."""
 RANGES: dict[str, tuple[float, float]] = {
     "sector_deg": (0.1, 150.0), "azimuth": (-7.0, 7.0), "heading": (-4.0, 4.0), "far_m": (5.0, 150.0),
     "near_m": (2.0, 60.0), "noise_rate": (0.0, 1.0), "noise_m": (1.0, 80.0), "share": (0.0, 1.0),
     "blind_share": (0.0, 1.0), "offset_m": (-10.0, 30.0), "apart_m": (0.2, 30.0), "height_m": (0.3, 6.0),
     "yaw_deg": (0.0, 5.0), "shift_m": (0.0, 2.0), "tilt_deg": (0.0, 3.0), "spread_m": (0.1, 8.0),
 }  # fmt: skip
+
+
+def generator(*seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed if len(seed) > 1 else seed[0]))
 
 
 def drawn(name: str, scene: Scene, rng: np.random.Generator) -> tuple[Attack, int | None]:
@@ -40,9 +48,9 @@ def drawn(name: str, scene: Scene, rng: np.random.Generator) -> tuple[Attack, in
 def broken(name: str, scene: Scene, attack: Attack, budget: int | None, seed: int) -> tuple[list[str], Tampered]:
     """Return the rules that one application of an attack broke, its repetition included, and the application."""
     before = scene.sweep.points.tobytes()
-    tampered = attack.apply(scene.sweep, _generator(seed))
+    tampered = attack.apply(scene.sweep, generator(seed))
     found = [] if before == scene.sweep.points.tobytes() else ["the clean sweep changed"]
-    if not same(tampered, attack.apply(scene.again(), _generator(seed))):
+    if not same(tampered, attack.apply(scene.again(), generator(seed))):
         found.append("the same seed gave other bytes")
     if name in FREE_FORM or name == "pose_spoof":
         found += broken_by_any(scene.sweep, tampered, budget if name in FREE_FORM else 0)
@@ -55,7 +63,7 @@ def broken_by_null(name: str, scene: Scene, attack: Attack, seed: int) -> list[s
     """Return what an attack at zero strength broke: rows stay in number, order, rings and times, and on their beams."""
     if name == "pose_spoof":
         return []
-    tampered = null_of(attack, scene.remeasured).apply(scene.sweep, _generator(seed))
+    tampered = null_of(attack, scene.remeasured).apply(scene.sweep, generator(seed))
     found = broken_on_beams(scene, tampered, None)
     if len(tampered.sweep) != len(scene.sweep):
         return [*found, "another number of rows"]
@@ -75,7 +83,3 @@ def same(one: Tampered, other: Tampered) -> bool:
     if pose is not None and again is not None:
         pairs.append((pose.as_matrix(), again.as_matrix()))
     return one.wedge == other.wedge and all((a is None and b is None) or a.tobytes() == b.tobytes() for a, b in pairs)
-
-
-def _generator(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))

@@ -154,8 +154,6 @@ def beams_of(
     image, made = scene.image, tampered.added
     starts, directions, time_s = firing(image.model, image.motion, image.world_from_sensor)
     points = tampered.sweep.points[made].astype(np.float64)
-    assert tampered.sweep.ring is not None
-    assert tampered.sweep.time_s is not None
     ring, at_s = tampered.sweep.ring[made].astype(np.intp), tampered.sweep.time_s[made]
     column = columns_of(image, points, ring, at_s)
     reach = points - starts[column, ring]

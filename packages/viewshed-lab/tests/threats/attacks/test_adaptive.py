@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.threats.attacks.drawn import same
+from tests.threats.attacks.drawn import generator, same
 from tests.threats.attacks.oracle import Scene, broken_by_any, broken_on_beams
 
 from viewshed import GRIDS, BevGrid, FovEstimate, Sweep
@@ -21,10 +21,6 @@ pytestmark = pytest.mark.slow
 
 EXACT = Spoofer(1.0, 0.0, 0.0)
 WIDE = BevGrid(64, 100.0)
-
-
-def _rng(*seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 @dataclass(frozen=True)
@@ -58,24 +54,23 @@ class Bowl:
 
 
 def test_evolution_finds_the_top_of_a_bowl_and_random_draws_come_less_near() -> None:
-    found = evolution(Bowl(), Bowl().value, 400, _rng(1))
-    assert found.candidate is not None
+    found = evolution(Bowl(), Bowl().value, 400, generator(1))
     assert np.abs(found.candidate - Bowl().best).max() < 0.05
     assert len(found.history) == 400
-    drawn = evolution(Bowl(), Bowl().value, 400, _rng(1), drawn_share=1.0)
+    drawn = evolution(Bowl(), Bowl().value, 400, generator(1), drawn_share=1.0)
     assert drawn.value < found.value
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_evolution_is_never_worse_than_the_best_of_its_draws(seed: int) -> None:
-    found = evolution(Bowl(), Bowl().value, 30, _rng(seed))
+    found = evolution(Bowl(), Bowl().value, 30, generator(seed))
     draws = [Bowl().value(candidate) for candidate in _draws(9, seed)]
     assert found.history[:9] == draws
     assert found.value == max(found.history) >= max(draws)
 
 
 def _draws(count: int, seed: int) -> list[F64]:
-    rng = _rng(seed)
+    rng = generator(seed)
     return [rng.normal(0.0, 2.0, 3) for _ in range(count)]
 
 
@@ -83,7 +78,7 @@ def test_the_farthest_claim_is_the_whole_wedge(flat_scene: Any) -> None:
     sweep, wedge = flat_scene(12.0), Wedge(0.2, np.deg2rad(30.0))
     victim = Reach([])
     attack = BlackBox(OverClaim(victim), 1, 40, azimuth=0.2, spoofer=EXACT)
-    found = attack.search(sweep, _rng(3))
+    found = attack.search(sweep, generator(3))
     x, y = np.moveaxis(victim.grid.centers, -1, 0)
     range_m, before_m = np.hypot(x, y), np.hypot(*sweep.points[:, :2].T).max()
     reach = wedge.holds(np.arctan2(y, x)) & (range_m >= before_m) & (range_m < 77.9)
@@ -97,7 +92,7 @@ def test_the_farthest_claim_is_the_whole_wedge(flat_scene: Any) -> None:
 
 def test_hiding_what_reaches_far_needs_its_removal(flat_scene: Any) -> None:
     sweep, victim = flat_scene(), Reach([])
-    none = BlackBox(UnderClaim(victim), 5, 30, sector_deg=360.0, azimuth=0.0, spoofer=EXACT).search(sweep, _rng(2))
+    none = BlackBox(UnderClaim(victim), 5, 30, sector_deg=360.0, azimuth=0.0, spoofer=EXACT).search(sweep, generator(2))
     assert none.value == 0.0
     assert not none.tampered.added.any()
     assert not none.tampered.removed.any()
@@ -113,15 +108,14 @@ def test_black_boxes_keep_the_rules(simulated: list[Scene], mode: Any, method: A
         aim = OverClaim(victim) if number % 2 else UnderClaim(victim)
         attack = BlackBox(aim, budget, 25, azimuth=0.7 * number, mode=mode, method=method)
         before = scene.sweep.points.tobytes()
-        found = attack.search(scene.sweep, _rng(number))
+        found = attack.search(scene.sweep, generator(number))
         assert before == scene.sweep.points.tobytes()
-        assert same(found.tampered, attack.apply(scene.again(), _rng(number)))
+        assert same(found.tampered, attack.apply(scene.again(), generator(number)))
         rules = broken_on_beams(scene, found.tampered, budget) if mode == "beam_constrained" else []
         assert rules + broken_by_any(scene.sweep, found.tampered, budget) == [], scene.name
         assert found.queries <= 25
         assert found.value == found.history.max()
         wedge, new = found.tampered.wedge, found.tampered.sweep.points[found.tampered.added]
-        assert wedge is not None
         assert wedge.holds(np.arctan2(new[:, 1], new[:, 0])).all()
         effective += bool(found.tampered.added.any() or found.tampered.removed.any())
     assert effective >= 5
@@ -130,7 +124,7 @@ def test_black_boxes_keep_the_rules(simulated: list[Scene], mode: Any, method: A
 def test_what_was_planned_is_met_where_nothing_is_uncertain(simulated: list[Scene]) -> None:
     scene = simulated[0]
     aim = OverClaim(ESTIMATORS["first_blocker"](GRIDS["road"]))
-    found = BlackBox(aim, 150, 40, azimuth=0.4, spoofer=EXACT).search(scene.sweep, _rng(8))
+    found = BlackBox(aim, 150, 40, azimuth=0.4, spoofer=EXACT).search(scene.sweep, generator(8))
     assert found.value > 0.0
     assert aim.on(scene.sweep, Wedge(0.4, np.deg2rad(30.0)))(found.tampered.sweep) == found.value
 
@@ -140,12 +134,11 @@ def test_who_adapts_over_claims_more_than_a_far_wall(simulated: list[Scene], nam
     adaptive = fixed = 0.0
     for number, scene in enumerate(simulated[:8:2]):
         aim = OverClaim(ESTIMATORS[name](BevGrid(128, 64.0)))
-        azimuth = FarWall().apply(scene.sweep, _rng(number)).wedge
-        assert azimuth is not None
+        azimuth = FarWall().apply(scene.sweep, generator(number)).wedge
         worth = aim.on(scene.sweep, azimuth)
-        found = BlackBox(aim, 60, 60, azimuth=azimuth.azimuth).search(scene.sweep, _rng(number, 1))
+        found = BlackBox(aim, 60, 60, azimuth=azimuth.azimuth).search(scene.sweep, generator(number, 1))
         adaptive += worth(found.tampered.sweep)
-        fixed += worth(FarWall(60, azimuth=azimuth.azimuth).apply(scene.sweep, _rng(number, 2)).sweep)
+        fixed += worth(FarWall(60, azimuth=azimuth.azimuth).apply(scene.sweep, generator(number, 2)).sweep)
     assert adaptive > times * fixed
 
 
@@ -156,16 +149,18 @@ def test_evading_keeps_the_monitor_quiet_and_tripping_does_not(flat_scene: Any) 
     def score(seen: Sweep) -> float:
         return float(np.hypot(*seen.points[:, :2].T).max()) - clean_m
 
-    evade = BlackBox(Evade(OverClaim(victim), score, 9.0), 20, 120, azimuth=0.0, spoofer=EXACT).search(sweep, _rng(1))
+    evade = BlackBox(Evade(OverClaim(victim), score, 9.0), 20, 120, azimuth=0.0, spoofer=EXACT).search(
+        sweep, generator(1)
+    )
     assert 0.0 < score(evade.tampered.sweep) <= 9.0
     assert evade.value > 0.0
-    trip = BlackBox(Trip(score), 20, 60, azimuth=0.0, spoofer=EXACT).search(sweep, _rng(1))
+    trip = BlackBox(Trip(score), 20, 60, azimuth=0.0, spoofer=EXACT).search(sweep, generator(1))
     assert score(trip.tampered.sweep) == trip.value > 9.0
 
 
 def test_samples_are_questions_too(flat_scene: Any) -> None:
     victim = Reach([])
-    found = BlackBox(OverClaim(victim), 5, 30, azimuth=0.0, samples=4).search(flat_scene(12.0), _rng(1))
+    found = BlackBox(OverClaim(victim), 5, 30, azimuth=0.0, samples=4).search(flat_scene(12.0), generator(1))
     assert found.queries == len(victim.asked) == 30
     assert len(found.history) == 8
 
@@ -203,7 +198,7 @@ def test_the_gradient_finds_the_best_beams_and_their_best_ranges(flat_scene: Any
     sweep = flat_scene(14.0)
     wells, range_m = _wells(sweep), np.linalg.norm(sweep.points, axis=1)
     attack = WhiteBox(wells, 40, 160, azimuth=0.1, spoofer=EXACT)
-    found = attack.search(sweep, _rng(1))
+    found = attack.search(sweep, generator(1))
     inside = Wedge(0.1, np.deg2rad(29.999)).holds(np.arctan2(sweep.points[:, 1], sweep.points[:, 0]))
     gain = np.where(inside, wells.weight * (range_m - wells.target_m) ** 2, 0.0)
     best = np.argsort(-gain)[:40]
@@ -217,7 +212,7 @@ def test_the_gradient_finds_the_best_beams_and_their_best_ranges(flat_scene: Any
 def test_ranges_stay_where_the_sensor_reports_them(flat_scene: Any) -> None:
     sweep = flat_scene(14.0)
     wells = Wells(np.ones(len(sweep)), np.full(len(sweep), 500.0))
-    found = WhiteBox(wells, None, 400, azimuth=0.1, sector_deg=6.0, spoofer=EXACT).search(sweep, _rng(1))
+    found = WhiteBox(wells, None, 400, azimuth=0.1, sector_deg=6.0, spoofer=EXACT).search(sweep, generator(1))
     new_m = np.linalg.norm(found.tampered.sweep.points[found.tampered.added], axis=1)
     assert len(new_m) > 100
     assert np.abs(new_m - 79.5).max() < 0.1
@@ -227,8 +222,8 @@ def test_expectation_over_noise_is_unbiased_and_costs_its_samples(flat_scene: An
     sweep = flat_scene(14.0)
     wells = _wells(sweep)
     noisy = WhiteBox(wells, 40, 80, azimuth=0.1, expectation=Expectation(6, 0.3, 0.1, 0.02, 0.1), spoofer=EXACT)
-    found = noisy.search(sweep, _rng(1))
-    plain = WhiteBox(wells, 40, 80, azimuth=0.1, spoofer=EXACT).search(sweep, _rng(1))
+    found = noisy.search(sweep, generator(1))
+    plain = WhiteBox(wells, 40, 80, azimuth=0.1, spoofer=EXACT).search(sweep, generator(1))
     assert found.queries == 6 * plain.queries == 6 * 82
     value = wells(sweep.points.astype(np.float64))[0]
     assert found.value > value
@@ -246,16 +241,16 @@ def test_white_boxes_keep_the_rules(simulated: list[Scene]) -> None:
     for number, scene in enumerate(simulated):
         target_m = np.random.default_rng(number).uniform(0.0, 150.0, len(scene.sweep))
         attack = WhiteBox(Wells(np.ones(len(scene.sweep)), target_m), (5, 150, None)[number % 3], 20, azimuth=number)
-        found = attack.search(scene.sweep, _rng(number))
+        found = attack.search(scene.sweep, generator(number))
         assert broken_on_beams(scene, found.tampered, attack.budget) == [], scene.name
-        assert same(found.tampered, attack.apply(scene.again(), _rng(number)))
+        assert same(found.tampered, attack.apply(scene.again(), generator(number)))
         assert found.value >= found.history[0]
 
 
 def test_a_slope_that_leads_down_is_not_followed(flat_scene: Any) -> None:
     sweep = flat_scene(14.0)
     range_m = np.linalg.norm(sweep.points, axis=1)
-    found = WhiteBox(Wells(np.ones(len(sweep)), range_m), 40, 20, azimuth=0.1).search(sweep, _rng(1))
+    found = WhiteBox(Wells(np.ones(len(sweep)), range_m), 40, 20, azimuth=0.1).search(sweep, generator(1))
     assert found.tampered.sweep.points.tobytes() == sweep.points.tobytes()
 
 
@@ -276,4 +271,4 @@ def test_attackers_that_cannot_be(make: Any, message: str) -> None:
 def test_a_gradient_of_another_shape_is_refused(flat_scene: Any) -> None:
     attack = WhiteBox(lambda points: (0.0, points[:-1]), 10, 4, azimuth=0.1)
     with pytest.raises(ValueError, match=r"the gradient must be finite with shape \(\d+, 3\), got"):
-        attack.apply(flat_scene(14.0), _rng(1))
+        attack.apply(flat_scene(14.0), generator(1))

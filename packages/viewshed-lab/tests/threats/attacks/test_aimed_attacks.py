@@ -51,7 +51,6 @@ def test_an_attack_on_a_thing_that_moves_is_known_as_one(sample: StudySample) ->
     scene, frame = sample.frame or pytest.fail("simulated")
     now_s = (frame // scene.preset.agents + 0.5) * scene.preset.interval_s
     pose, points = sample.sweep.world_from_sensor, sample.sweep.points
-    assert pose is not None
     world = (pose @ points)[:, :2]
     moving = np.zeros(len(points), np.bool_)
     agent = world_of(scene).agents[0]

@@ -1,26 +1,15 @@
 """One clear line for what cannot be attacked, or with what."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.threats.attacks.conftest import FlatScene
+from tests.threats.attacks.drawn import MOVE_RETURNS
 
 from viewshed import Sweep, lidar_model
-from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Knowledge, Spoofer
+from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, Knowledge
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, Replay
-
-MOVE_RETURNS = {
-    "frustum",
-    "frustum_before",
-    "far_wall",
-    "far_wall_aimed",
-    "far_wall_clean",
-    "removal",
-    "removal_aimed",
-    "relay",
-}
 
 
 @pytest.mark.parametrize("name", sorted(set(ATTACKS) - {"pose_spoof"}))
@@ -49,39 +38,6 @@ def test_budgets_that_are_none(name: str, budget: Any) -> None:
 def test_free_points_need_a_bound(name: str) -> None:
     with pytest.raises(ValueError, match=r"budget must lie in \[0, 1000000\] for free points, got 1000000000"):
         ATTACKS[name](FULL_WEDGE)
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "message"),
-    [
-        ("uniform", {"half_extent_m": 0.0}, r"half_extent_m must lie in \[1, 1000\], got 0"),
-        ("uniform", {"mode": "beams"}, "mode must be one of free_form, beam_constrained, got 'beams'"),
-        ("cluster", {"range_m": (30.0, 20.0)}, r"range_m\[0\] must lie in \[0.1, 20\], got 30"),
-        ("wedge_cluster", {"azimuth": np.nan}, "azimuth must be finite, in radians, got nan"),
-        ("frustum", {"side": "above"}, "side must be one of behind, before, got 'above'"),
-        ("ghost_car", {"size_m": (4.0, 0.0, 1.5)}, r"size_m must lie in \[0.05, 100\], got 0"),
-        ("ghost_wall", {"sector_deg": 180.0}, r"sector_deg must lie in \[0.01, 150\], got 180"),
-        ("far_wall", {"far_m": -1.0}, "far_m must lie in"),
-        ("removal", {"sector_deg": 400.0}, r"sector_deg must lie in \[0.01, 360\], got 400"),
-        ("high_frequency_removal", {"noise_rate": 1.5}, r"noise_rate must lie in \[0, 1\], got 1.5"),
-        ("jamming", {"share": np.nan}, "share must lie in"),
-        ("relay", {"offset_m": np.inf}, "offset_m must lie in"),
-        ("pose_spoof", {"yaw_deg": -1.0}, r"yaw_deg must lie in \[0, 180\], got -1"),
-        ("coherent_phantom", {"velocity_mps": (1.0, 0.0)}, "a ghost that moves must have a start, got no first_ns"),
-        ("coherent_phantom", {"anchor": "moon"}, "anchor must be one of world, sensor, got 'moon'"),
-        ("far_wall", {"placement": "best"}, "placement must be one of random, .*, largest_hidden_area, got 'best'"),
-        ("removal_and_far_wall", {"sector_deg": 0.0}, "sector_deg must lie in"),
-    ],
-)
-def test_parameters_are_checked(name: str, changes: dict[str, Any], message: str) -> None:
-    attack: Any = ATTACKS[name]()
-    with pytest.raises(ValueError, match=message):
-        replace(attack, **changes)
-
-
-def test_spoofers_are_checked() -> None:
-    with pytest.raises(ValueError, match=r"reliability must lie in \[0, 1\], got 1.2"):
-        Spoofer(1.2)
 
 
 def test_what_lasts_needs_the_past(flat_scene: FlatScene, rng: np.random.Generator) -> None:

@@ -5,17 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.threats.attacks.conftest import MODEL, SENSOR_M, FlatScene
-from tests.threats.attacks.drawn import same
+from tests.threats.attacks.drawn import generator, same
 from tests.threats.attacks.oracle import Scene, broken_on_beams
 
 from viewshed import ESTIMATORS, BevGrid, Sweep
 from viewshed.monitor.evidence import MonitoredSweep
 from viewshed_lab.threats.attacks import BITS, INFORMED, Knowledge, MonitorScore, smallest_budget, tripped_shares
 from viewshed_lab.threats.attacks.informed import CopiedObject, VanishedObject
-
-
-def _rng(*seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64(seed))
 
 
 def _pixels(sweep: Sweep) -> dict[tuple[int, int], np.ndarray]:
@@ -28,7 +24,7 @@ def _pixels(sweep: Sweep) -> dict[tuple[int, int], np.ndarray]:
 def test_a_wall_vanishes_and_leaves_flat_ground(flat_scene: FlatScene) -> None:
     """What is left is the scene without the wall, beam by beam."""
     attack = VanishedObject(sector_deg=60.0)
-    tampered = attack.apply(flat_scene(12.0), _rng(1))
+    tampered = attack.apply(flat_scene(12.0), generator(1))
     now, without = _pixels(tampered.sweep), _pixels(flat_scene())
     assert tampered.removed.sum() > 900
     assert set(now) == set(without)
@@ -43,9 +39,9 @@ def test_noise_behind_what_vanishes_is_that_beside_it(flat_scene: FlatScene) -> 
     clean = flat_scene(12.0)
     depth_m = np.linalg.norm(clean.points, axis=1, keepdims=True)
     noisy = clean.replace(
-        points=(clean.points * (1 + 0.02 * _rng(5).normal(size=depth_m.shape) / depth_m)).astype("f4")
+        points=(clean.points * (1 + 0.02 * generator(5).normal(size=depth_m.shape) / depth_m)).astype("f4")
     )
-    tampered = VanishedObject(sector_deg=60.0).apply(noisy, _rng(1))
+    tampered = VanishedObject(sector_deg=60.0).apply(noisy, generator(1))
     without = _pixels(flat_scene())
     made = tampered.sweep.select(np.flatnonzero(tampered.added))
     off_m = [np.linalg.norm(point) - np.linalg.norm(without[beam]) for beam, point in _pixels(made).items()]
@@ -56,7 +52,7 @@ def test_noise_behind_what_vanishes_is_that_beside_it(flat_scene: FlatScene) -> 
 
 def test_a_copy_is_the_wall_turned(flat_scene: FlatScene) -> None:
     clean = flat_scene(12.0)
-    tampered = CopiedObject(sector_deg=60.0).apply(clean, _rng(2))
+    tampered = CopiedObject(sector_deg=60.0).apply(clean, generator(2))
     wall = clean.points[clean.points[:, 2] > 0.3 - SENSOR_M]
     made = tampered.sweep.points[tampered.added]
     assert tampered.wedge is not None
@@ -73,11 +69,11 @@ def test_a_copy_stands_before_what_is_there(flat_scene: FlatScene) -> None:
     """Behind the sensor the view is open; with a post there, 10° wide and 5 m away, a wall of 45° does not fit."""
     clean = flat_scene(12.0)
     attack = CopiedObject(sector_deg=60.0, azimuth=np.pi)
-    assert attack.apply(clean, _rng(1)).added.any()
+    assert attack.apply(clean, generator(1)).added.any()
     x, y, _ = clean.points.T
     post = (np.abs(np.arctan2(y, -x)) < np.deg2rad(5.0)) & (np.hypot(x, y) > 5.0)
     scale = np.where(post, 5.0 / np.hypot(x, y), 1.0)[:, None]
-    tampered = attack.apply(clean.replace(points=(clean.points * scale).astype(np.float32)), _rng(1))
+    tampered = attack.apply(clean.replace(points=(clean.points * scale).astype(np.float32)), generator(1))
     assert not tampered.added.any()
 
 
@@ -86,11 +82,10 @@ def test_a_lasting_attack_keeps_its_place(simulated: list[Scene]) -> None:
     placed = 0
     for seed, scene in enumerate(simulated):
         for attack in (VanishedObject(), CopiedObject()):
-            first = attack.apply(scene.sweep, _rng(seed))
+            first = attack.apply(scene.sweep, generator(seed))
             if not first.added.any() or first.wedge is None:
                 continue
-            again = replace(attack, azimuth=first.wedge.azimuth).apply(scene.sweep, _rng(seed, 1))
-            assert again.wedge is not None
+            again = replace(attack, azimuth=first.wedge.azimuth).apply(scene.sweep, generator(seed, 1))
             apart = (again.wedge.azimuth - first.wedge.azimuth + np.pi) % (2 * np.pi) - np.pi
             assert abs(apart) < np.deg2rad(3.0), (scene.name, attack)
             placed += 1
@@ -101,7 +96,7 @@ def test_budgets_leave_larger_objects(flat_scene: FlatScene) -> None:
     clean = flat_scene(12.0)
     for make in INFORMED.values():
         for budget in (0, 100):
-            tampered = make(budget).apply(clean, _rng(1))
+            tampered = make(budget).apply(clean, generator(1))
             assert not tampered.added.any()
             assert not tampered.removed.any()
 
@@ -113,9 +108,9 @@ def test_informed_attacks_keep_the_rules(name: str, simulated: list[Scene]) -> N
         for budget in (None, 40):
             attack = INFORMED[name](budget, Knowledge(half_extent_m=scene.half_extent_m))
             before = scene.sweep.points.tobytes()
-            tampered = attack.apply(scene.sweep, _rng(seed))
+            tampered = attack.apply(scene.sweep, generator(seed))
             assert before == scene.sweep.points.tobytes()
-            assert same(tampered, attack.apply(scene.again(), _rng(seed)))
+            assert same(tampered, attack.apply(scene.again(), generator(seed)))
             assert broken_on_beams(scene, tampered, budget) == [], scene.name
             effective += bool(tampered.added.any())
     assert effective >= 6
@@ -142,7 +137,7 @@ def test_the_returns_that_alarms_take(flat_scene: FlatScene) -> None:
     def new(sweep: Sweep) -> float:
         return float(len(sweep) - len(clean))
 
-    shares = tripped_shares([(clean, new)] * 2, 7.0, _rng(1), mode="free_form", queries=3)
+    shares = tripped_shares([(clean, new)] * 2, 7.0, generator(1), mode="free_form", queries=3)
     assert shares.tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0]
     assert smallest_budget(shares) == 10 == BITS[3]
-    assert smallest_budget(tripped_shares([(clean, new)], 1e6, _rng(1), mode="free_form", queries=3)) is None
+    assert smallest_budget(tripped_shares([(clean, new)], 1e6, generator(1), mode="free_form", queries=3)) is None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.threats.attacks.drawn import MOVE_RETURNS
 
 from viewshed import Sweep
 from viewshed.io import read_index, read_indexed
@@ -12,9 +13,6 @@ from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, INFORMED, Knowledge
 
 pytestmark = pytest.mark.slow
 
-MOVE_RETURNS = {
-    "frustum", "frustum_before", "far_wall", "far_wall_aimed", "far_wall_clean", "removal", "removal_aimed", "relay",
-}  # fmt: skip
 ALL = ATTACKS | INFORMED
 FILES = ("nuscenes", "kitti/odometry00", "ouster/decoded/OS-1-128", "outdoor_vlp16_apollo")
 

@@ -12,7 +12,6 @@ from viewshed_lab.sim import cast, junction
 @pytest.fixture(scope="session")
 def street() -> Sweep:
     sweep = cast(lidar_model("vlp16"), junction(), 1.8)
-    assert sweep.azimuth is not None
     time_s = (sweep.azimuth + np.float32(np.pi)) / np.float32(20 * np.pi)
     intensity = np.random.default_rng(5).uniform(10, 90, len(sweep)).astype(np.float32)
     pose = Rigid.from_yaw(0.5, (10.0, 20.0, 1.8))

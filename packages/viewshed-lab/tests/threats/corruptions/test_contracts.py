@@ -35,8 +35,6 @@ def _bytes(sweep: Sweep) -> list[Any]:
 
 def _beam(sweep: Sweep) -> NDArray[np.int64]:
     """A number for the beam of each row: no two rows of the clean sweep have the same."""
-    assert sweep.ring is not None
-    assert sweep.azimuth is not None
     return sweep.ring.astype(np.int64) * 1_000_000 + np.round(sweep.azimuth * 1e5).astype(np.int64)
 
 
@@ -74,7 +72,6 @@ def test_rows_are_those_of_the_clean_sweep_with_their_own_columns(corruption: Co
     assert (np.diff(rows) > 0).all()  # none twice, none added, and in their order
     for name in ("ring", "azimuth", "time_s"):
         assert np.array_equal(getattr(street, name)[rows], getattr(spoilt, name))
-    assert spoilt.intensity is not None
     assert spoilt.intensity.shape == (len(spoilt),)
     assert (spoilt.t_ns, spoilt.agent, spoilt.model) == (street.t_ns, street.agent, street.model)
     assert spoilt.dropped_points == 0
@@ -120,7 +117,6 @@ def test_severity_five_does_more_than_severity_one(name: str, street: Sweep) -> 
         spoilt = CORRUPTIONS[name](severity).apply(street, rng(seed))
         same = np.isin(_beam(street), _beam(spoilt))
         moved = np.linalg.norm(street.points[same] - spoilt.points, axis=1).sum()
-        assert spoilt.attitude is not None
         return float(10 * (~same).sum() + moved + 1e4 * np.linalg.norm(spoilt.attitude[1:3]))
 
     mild, severe = ([damage(severity, seed) for seed in range(5)] for severity in (1, 5))

@@ -124,12 +124,10 @@ def test_miscalibration_tilts_the_vertical_by_its_angle(street: Sweep, known: bo
     tilted = rotation_from_quaternion(np.array([np.cos(0.05), 0.0, np.sin(0.05), 0.0]))
     sweep = street.replace(world_from_sensor=Rigid(Rigid.from_yaw(2.0).rotation @ tilted, np.ones(3)), attitude=None)
     found = Miscalibration(2.0).apply(sweep if known else sweep.replace(world_from_sensor=None), rng())
-    assert found.attitude is not None
     claimed, true = rotation_from_quaternion(found.attitude)[2], (tilted if known else np.eye(3))[2]
     assert np.rad2deg(np.arccos(claimed @ true)) == pytest.approx(2.0, abs=1e-4)
     assert np.array_equal(found.points, street.points)
     if known:
-        assert found.world_from_sensor is not None
         of_pose = found.replace(attitude=None).known_attitude
         assert of_pose is not None
         np.testing.assert_allclose(of_pose, found.attitude, atol=1e-9)
@@ -237,26 +235,6 @@ def test_fog_weakens_far_returns_most_and_dims_all() -> None:
     weak = (2 * np.exp(-4.2)) ** 4
     assert far.sum() == pytest.approx(2000 * weak / (1 + weak) * 17 / 16, abs=3)
     assert np.median(np.array(found.intensity)[near]) == pytest.approx(50 * np.exp(-2 * 0.03 * 15), rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: DroppedBeams(1.5), "share must lie in .0, 1., got 1.5"),
-        (lambda: DroppedSectors(1, 400.0), "width_deg must lie in .0, 360., got 400.0"),
-        (lambda: FewerBeams(3, 2), "kept must lie in .1, 2., got 3"),
-        (lambda: RangeNoise(float("nan")), "sigma_m must lie in .0, 10., got nan"),
-        (lambda: MotionDistortion(-1.0, 0.0), "speed_mps must lie in .0, 100., got -1.0"),
-        (lambda: Miscalibration(90.0), "tilt_deg must lie in .0, 45., got 90.0"),
-        (lambda: Slope(2.0, 5.0), "grade must lie in .-1, 1., got 2.0"),
-        (lambda: GlassPatches(-1, 1.0), "patches must lie in .0, 1000., got -1"),
-        (lambda: Vegetation(1, 9.0), "radius_m must lie in .0, 2.5., got 9.0"),
-    ],
-)
-def test_parameters_out_of_range_are_one_clear_line(make: object, message: str) -> None:
-    assert callable(make)
-    with pytest.raises(ValueError, match=f"^{message}$"):
-        make()
 
 
 @pytest.mark.parametrize("corruption", [GlassPatches(3, 2.0), Slope(0.1, 5.0), Vegetation(4, 1.5, per_m=1e6)])

@@ -42,7 +42,6 @@ def load_nav2(path: Path) -> tuple[NDArray[np.int8], dict[str, Any]]:
     """
     about = yaml.safe_load(path.read_text(encoding="utf-8"))
     match = re.match(rb"P5\n(\d+) (\d+)\n255\n", content := (path.parent / about["image"]).read_bytes())
-    assert match is not None
     width, height = int(match[1]), int(match[2])
     pixels = np.frombuffer(content[match.end() :], np.uint8).reshape(height, width)
     dark = 1.0 - pixels / 255.0

@@ -57,10 +57,6 @@ def test_a_scan_is_converted_by_hand() -> None:
     scan = Scan(ranges, -np.pi / 2, np.pi / 4, np.pi / 8, 0.01, intensities=np.arange(7, dtype=np.float32))
     sweep = sweep_of_scan(scan)
     np.testing.assert_allclose(sweep.points, [[0, -2, 0], [30 * np.sqrt(0.5), 30 * np.sqrt(0.5), 0]], atol=1e-5)
-    assert sweep.intensity is not None
-    assert sweep.azimuth is not None
-    assert sweep.time_s is not None
-    assert sweep.planar is not None
     assert sweep.intensity.tolist() == [0.0, 6.0]
     np.testing.assert_allclose(sweep.azimuth, [-np.pi / 2, np.pi / 4], atol=1e-6)
     np.testing.assert_allclose(sweep.time_s, [0.0, 0.06], atol=1e-6)
@@ -85,7 +81,6 @@ def test_any_ranges_give_returns_within_the_limits(
     step = 0.1
     scan = Scan(np.array(ranges, np.float32), start, start + step * max(len(ranges) - 1, 0), step)
     sweep = sweep_of_scan(replace(scan, range_min=limits[0], range_max=limits[1]))
-    assert sweep.planar is not None
     assert len(sweep) + len(sweep.planar.open_azimuth) <= len(ranges)
     assert (sweep.points[:, 2] == 0).all()
     range_m = np.hypot(*sweep.points[:, :2].T)
@@ -124,7 +119,6 @@ def test_the_field_of_view_in_the_plane(rule: Any) -> None:
     beside, blind = (2.0, 8.0), (-8.0, 0.0)
     free = CellState.UNKNOWN if rule == "unknown" else CellState.FREE
     assert states_at(found, beside, blind) == [free, CellState.UNKNOWN]
-    assert found.basis is not None
     assert found.basis.height_source == "assumed"
     assert found.basis.reach_m <= 30.0
 
@@ -229,7 +223,5 @@ def test_a_planar_sweep_becomes_the_scan_that_it_came_from(count: int, first: fl
     sweep = sweep_of_scan(scan)
     made = SimpleNamespace(range_min=0.0, time_increment=0.0, **scan_of_sweep(sweep))
     back = sweep_of_scan(made)
-    assert back.planar is not None
-    assert sweep.planar is not None
     np.testing.assert_allclose(back.points, sweep.points, atol=4e-4)
     np.testing.assert_allclose(np.sort(back.planar.open_azimuth), np.sort(sweep.planar.open_azimuth), atol=1e-4)

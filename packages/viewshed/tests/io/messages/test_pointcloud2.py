@@ -77,9 +77,6 @@ def test_the_velodyne_driver_layout(big: bool) -> None:
     points = [(5.0, 3.0, -1.5, 17.0, 0, -0.09), (8.0, -2.5, 0.25, 99.0, 2, 0.0), (-6.0, 1.0, -0.5, 3.0, 1, -0.04)]
     sweep = sweep_of_cloud(cloud(fields, [points], 32, big=big))
     np.testing.assert_array_equal(sweep.points, [point[:3] for point in points])
-    assert sweep.intensity is not None
-    assert sweep.ring is not None
-    assert sweep.time_s is not None
     assert (sweep.intensity.tolist(), sweep.ring.tolist()) == ([17.0, 99.0, 3.0], [0, 2, 1])
     np.testing.assert_allclose(sweep.time_s, [0.0, 0.09, 0.05], atol=1e-7)
 
@@ -88,8 +85,6 @@ def test_the_ouster_driver_layout_counts_rings_from_the_highest_beam() -> None:
     fields = [*XYZ, ("intensity", 16, F4), ("t", 20, U4), ("reflectivity", 24, U2), ("ring", 26, U2)]
     row = [[(6.0, 0.5, 1.5 - ring, 4.0, 25_000_000 * col, 7, ring) for col in range(3)] for ring in range(3)]
     sweep = sweep_of_cloud(cloud(fields, row, 48, pad=16))
-    assert sweep.ring is not None
-    assert sweep.time_s is not None
     assert sweep.ring.tolist() == [2, 2, 2, 1, 1, 1, 0, 0, 0]
     np.testing.assert_allclose(sweep.time_s, [0, 0.025, 0.05] * 3, atol=1e-8)
     np.testing.assert_array_equal(sweep.points[::3, 2], [1.5, 0.5, -0.5])
@@ -99,7 +94,6 @@ def test_the_hesai_driver_layout_with_absolute_seconds() -> None:
     fields = [*XYZ, ("intensity", 12, F4), ("timestamp", 16, F8), ("ring", 24, U2)]
     points = [(5.0, 3.0, -1.5, 17.0, 1_700_000_000.25, 0), (7.0, 2.0, 0.5, 18.0, 1_700_000_000.3, 1)]
     sweep = sweep_of_cloud(cloud(fields, [points], 26))
-    assert sweep.time_s is not None
     np.testing.assert_allclose(sweep.time_s, [0.0, 0.05], atol=1e-6)
 
 
@@ -107,8 +101,6 @@ def test_doubles_bytes_and_fields_in_any_order() -> None:
     fields = [("ring", 0, 2), ("z", 1, F8), ("intensity", 9, 2), ("x", 10, F8), ("y", 18, F8)]
     sweep = sweep_of_cloud(cloud(fields, [[(4, -1.0, 250, 5.0, 3.0), (9, 1.0, 0, 4.0, -2.0)]], 26))
     np.testing.assert_array_equal(sweep.points, [[5.0, 3.0, -1.0], [4.0, -2.0, 1.0]])
-    assert sweep.intensity is not None
-    assert sweep.ring is not None
     assert (sweep.intensity.tolist(), sweep.ring.tolist()) == ([250.0, 0.0], [4, 9])
 
 
@@ -122,8 +114,6 @@ def test_points_that_are_not_finite_go_with_their_columns() -> None:
     sweep = sweep_of_cloud(cloud(fields, rows, 20))
     np.testing.assert_array_equal(sweep.points, [[5.0, 3.0, -1.5], [9.0, 2.0, 1.5]])
     assert sweep.dropped_points == 2
-    assert sweep.ring is not None
-    assert sweep.time_s is not None
     assert sweep.ring.tolist() == [0, 1]
     np.testing.assert_allclose(sweep.time_s, [0.0, 0.02], atol=1e-8)
 
@@ -143,7 +133,6 @@ def test_rings_in_the_order_of_firing_are_sorted_by_elevation() -> None:
         for turn in np.linspace(0, 5, 40) for k in range(4)
     ]  # fmt: skip
     sweep = sweep_of_cloud(cloud(fields, [points], 16))
-    assert sweep.ring is not None
     assert sweep.ring[:4].tolist() == [0, 2, 1, 3]
 
 

@@ -82,7 +82,6 @@ def test_axes_by_hand(tmp_path: Path, axes: str, file_point: Sequence[float]) ->
     [(ref, sweep)] = each_sweep(source)
     assert (ref.scene, ref.agent, ref.t_ns, sweep.t_ns, sweep.agent) == ("r", "car", 7_000, 7_000, "car")
     np.testing.assert_allclose(sweep.points, [[5.0, 3.0, 0.5]], atol=1e-6)
-    assert sweep.world_from_sensor is not None
     np.testing.assert_allclose(sweep.world_from_sensor @ sweep.points, [[13.0, -7.0, 1.5]], atol=1e-5)
 
 
@@ -128,7 +127,6 @@ def test_two_real_cars_see_one_world(real_data: Path, tmp_path: Path, axes: str)
     source = open_source(_recording(tmp_path / "r", frames, axes=axes))
     worlds = []
     for ref, sweep in each_sweep(source):
-        assert sweep.world_from_sensor is not None
         told = _cars(real_data)[ref.agent].world_from_sensor
         np.testing.assert_allclose(sweep.world_from_sensor.as_matrix(), told.as_matrix(), atol=1e-5)
         worlds.append(sweep.world_from_sensor @ sweep.points[np.hypot(*sweep.points[:, :2].T) < 25])
@@ -166,7 +164,6 @@ def test_actors_become_boxes_without_the_one_that_carries_the_sensor(tmp_path: P
     source = open_source(folder)
     [ref] = source.refs("r")
     boxes = source.boxes(ref)
-    assert boxes is not None
     [box] = boxes
     assert (box.category, box.track, box.size_m) == ("vehicle.audi.tt", "31", (4.0, 2.0, 1.5))
     np.testing.assert_allclose(box.center, [8.0, -3.0, 0.75])
@@ -183,7 +180,6 @@ def test_what_the_recording_says_about_its_sensor_is_used(tmp_path: Path) -> Non
     )  # fmt: skip
     source = open_source(folder)
     first, second = (sweep for _, sweep in each_sweep(source))
-    assert first.model is not None
     assert (first.sensor_height_m, first.model.rings, first.model.azimuth_columns) == (2.4, 4, 400)
     np.testing.assert_allclose(np.rad2deg(first.model.elevation), [-20, -10, 0, 10])
     assert second.model is None
@@ -211,9 +207,6 @@ def test_one_line_for_each_damaged_thing_and_the_rest_goes_on(tmp_path: Path) ->
         source.boxes(sweeps[0][0])
 
 
-def test_a_folder_without_a_recording_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    with pytest.raises(ValueError, match="must hold folders AGENT/000123"):
-        open_source(tmp_path, "carla")
+def test_a_scene_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="scene must be one of r, got 'other'"):
         open_source(_recording(tmp_path / "r", {"a": {0: (_points(), (0,) * 7)}})).refs("other")

@@ -3,7 +3,6 @@
 import pickle
 import re
 import struct
-import zlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -136,25 +135,25 @@ def _text(text: str) -> bytes:
 
 
 def write_mcap(path: Path, entries: Iterable[Entry], packing: str = "zstd") -> Path:
-    """MCAP as the specification says, a chunk for each message."""
-    channels: dict[str, int] = {}
-    content = b"\x89MCAP0\r\n" + _record(0x01, _text("ros2") + _text("test"))
-    for topic, t_ns, message in entries:
-        kind = message if isinstance(message, str) else message.__msgtype__
-        if topic not in channels:
-            number = channels[topic] = len(channels) + 1
-            content += _record(0x03, struct.pack("<H", number) + _text(kind) + _text("ros2msg") + _text("unread"))
-            content += _record(0x04, struct.pack("<HH", number, number) + _text(topic) + _text("cdr") + _text(""))
-        if isinstance(message, str):
-            continue
-        raw = bytes(ROS2.store.serialize_cdr(message, kind))
-        record = _record(0x05, struct.pack("<HIQQ", channels[topic], 0, t_ns, t_ns) + raw)
-        packed = bytes(pa.Codec(packing).compress(record, asbytes=True)) if packing else record
-        head = struct.pack("<QQQI", t_ns, t_ns, len(record), zlib.crc32(record))
-        content += _record(0x06, head + _text(packing) + struct.pack("<Q", len(packed)) + packed)
-    content += _record(0x0F, bytes(4)) + _record(0x02, bytes(20)) + b"\x89MCAP0\r\n"
-    place = path.with_suffix(".mcap")
-    place.write_bytes(content)
+    """A file of the ``mcap`` package, a chunk for each message and no index."""
+    from mcap.writer import CompressionType, IndexType, Writer
+
+    place, kept = path.with_suffix(".mcap"), list(entries)
+    kinds = {topic: each if isinstance(each, str) else each.__msgtype__ for topic, _, each in kept}
+    with place.open("wb") as file:
+        bare = dict.fromkeys(("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets"), False)
+        packed = CompressionType[packing.upper() or "NONE"]
+        writer = Writer(file, chunk_size=1, compression=packed, index_types=IndexType.NONE, **bare)
+        writer.start("ros2", "test")
+        channels = {
+            topic: writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
+            for topic, kind in kinds.items()
+        }
+        for topic, t_ns, message in kept:
+            if not isinstance(message, str):
+                raw = bytes(ROS2.store.serialize_cdr(message, kinds[topic]))
+                writer.add_message(channels[topic], t_ns, raw, t_ns)
+        writer.finish()
     return place
 
 
@@ -165,7 +164,6 @@ KINDS = pytest.mark.parametrize(
 
 def _world(source: Any, ref: Any) -> NDArray[np.float64]:
     sweep = source.read(ref)
-    assert sweep.world_from_sensor is not None
     return np.asarray(sweep.world_from_sensor @ sweep.points)
 
 
@@ -188,7 +186,6 @@ def test_real_sweeps_come_back_exactly(real_data: Path, tmp_path: Path, ros: Ros
     np.testing.assert_array_equal(read.points, sweep.points)
     np.testing.assert_array_equal(read.intensity, sweep.intensity)
     np.testing.assert_array_equal(read.ring, sweep.ring)
-    assert read.time_s is not None
     np.testing.assert_allclose(read.time_s, table["time"] + 0.05, atol=1e-7)
     assert source.boxes(ref) is None
 
@@ -340,14 +337,6 @@ def test_records_that_only_keep_a_reader_busy_are_refused(tmp_path: Path) -> Non
     (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + _record(0x85, b"") * 100_001)
     with pytest.raises(ValueError, match="100001 records before byte 900008 hold no message"):
         open_source(tmp_path / "a.mcap")
-
-
-@pytest.mark.parametrize("packing", ["NONE", "LZ4", "ZSTD"])
-def test_files_of_the_mcap_package_are_read(tmp_path: Path, packing: str) -> None:
-    (tmp_path / "a.mcap").write_bytes(recording_files.mcap(packing))
-    sweeps = [sweep for _, sweep in each_sweep(open_source(tmp_path / "a.mcap"))]
-    assert [len(sweep) for sweep in sweeps] == [6, 6]
-    np.testing.assert_array_equal(sweeps[1].points, recording_files.POINTS)
 
 
 @pytest.mark.parametrize("packing", ["", "bz2", "lz4"])
@@ -602,7 +591,6 @@ def test_velodyne_scans_are_sweeps(tmp_path: Path, ros: Ros, write: Write) -> No
     [(ref, sweep)] = each_sweep(open_source(place))
     assert (ref.sensor, sweep.t_ns) == ("/packets", 5 * S)
     np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 5.0, atol=0.03)
-    assert sweep.world_from_sensor is not None
     assert sweep.world_from_sensor.translation.tolist() == [1.0, 2.0, 3.0]
 
 
@@ -612,7 +600,6 @@ def test_laser_scans_are_sweeps_in_a_plane(tmp_path: Path, ros: Ros, write: Writ
     scan = _scan(ros, 3 * S, [2.0, np.inf, np.nan, 4.0])
     source = open_source(write(tmp_path / "a", [("/tf_static", 0, footprint), ("/scan", 1, scan)]))
     [(_, sweep)] = each_sweep(source)
-    assert sweep.planar is not None
     assert sweep.sensor_height_m == pytest.approx(0.18)
     assert sweep.planar.max_range_m == 30.0
     np.testing.assert_allclose(sweep.planar.open_azimuth, [0.1], atol=1e-6)
@@ -672,7 +659,6 @@ def test_real_bags_of_packets_and_scans(real_data: Path) -> None:
         sweeps = [sweep for _, sweep in each_sweep(open_source(recordings / name))]
         assert len(sweeps) == count, name
         for sweep in sweeps:
-            assert sweep.ring is not None
             assert len(sweep) > fewest, name
             assert len(np.unique(sweep.ring)) >= rings, name
     scans = [

@@ -88,9 +88,16 @@ def test_a_place_that_is_not_there_and_a_kind_that_is_not_known_are_told(tmp_pat
         open_source(tmp_path, "waymo")
 
 
+NOTHING = {
+    "nuscenes": "must hold one version of nuScenes", "carla": "must hold folders AGENT/000123",
+    "opv2v": "must hold folders SCENARIO/AGENT/",
+    **dict.fromkeys(("kitti_raw", "kitti_odometry", "kitti_object"), "must hold KITTI's "),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("kind", SOURCES)
 def test_every_kind_refuses_an_empty_folder_in_one_line(kind: str, tmp_path: Path) -> None:
-    with pytest.raises((ValueError, OSError)) as told:
+    with pytest.raises((ValueError, OSError), match=NOTHING.get(kind)) as told:
         open_source(tmp_path, kind)
     assert str(tmp_path) in str(told.value)
     assert "\n" not in str(told.value)

@@ -32,7 +32,6 @@ def _decoded(place: Path) -> dict[str, list[tuple[int, Any]]]:
     known: dict[str, Any] = {}
     with place.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
-            assert schema is not None
             assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
             if schema.name not in known:
                 for each in pb2.FileDescriptorSet.FromString(schema.data).file:
@@ -63,7 +62,6 @@ def test_a_drive_in_foxgloves_schemas(drive: list[Moment], tmp_path: Path) -> No
     _, scene = found[f"/{moment.agent}/lidar/scene"][0]
     assert [entity.id for entity in scene.entities] == ["visible", "suspect", "objects"]
     assert len(scene.entities[0].lines[0].points) > 100
-    assert moment.truth is not None
     assert len(scene.entities[2].cubes) == len(moment.truth.objects)
     _, log = found["/log"][0]
     assert (log.name, log.message.partition(" ")[0]) == (moment.agent, "visible")

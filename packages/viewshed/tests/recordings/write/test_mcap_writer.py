@@ -49,8 +49,6 @@ def test_others_read_what_was_written(drawn: list[tuple[str, int, bytes, int]]) 
     # 2. By the summary and the indexes: each topic by itself, in the order of time.
     seeking = reader.SeekingReader(BytesIO(content), validate_crcs=True)
     summary = seeking.get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
     names = {number: channel.topic for number, channel in summary.channels.items()}
     counts = {names[number]: count for number, count in summary.statistics.channel_message_counts.items()}
     assert counts == Counter(topic for topic, _, _ in messages)

@@ -56,14 +56,12 @@ def test_topics_of_objects_and_of_the_center(drive: list[Moment], tmp_path: Path
     assert [json.loads(message.data) for _, message in found["/attacked_agents"]] == [["vehicle_0"]]
     moment = next(each for each in reversed(drive) if each.round is not None)
     done = moment.round
-    assert done is not None
     picture = json.loads(found["/command_center/picture"][-1][1].data)
     assert picture == json.loads(json.dumps(done.numbers()))
     assert set(picture["agents"]) == set(agents)
     # Cubes: one that deletes those before, then one for each, in the colors of the legend.
     _, markers = found[f"/{moment.agent}/lidar/tracks"][-1]
     tracks = moment.tracks()
-    assert tracks is not None
     first, *cubes = markers.markers
     assert (first.action, len(cubes), len(cubes) > 2) == (3, len(tracks), True)
     for cube, number, at, box in zip(cubes, tracks.ids, tracks.legend, tracks.boxes, strict=True):
@@ -100,14 +98,12 @@ def test_scenes_of_foxglove_are_colored_by_explanation(drive: list[Moment], tmp_
     scene: Any = import_module("foxglove").messages.SceneUpdate
     with write(tmp_path / "run.mcap", drive, "foxglove").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
-            assert schema is not None
             found.setdefault(channel.topic, []).append((schema.name, channel.message_encoding, message.data))
     moment = drive[-1]
     objects = found[f"/{moment.agent}/lidar/objects"]
     assert [len(objects), objects[-1][0]] == [6, scene.get_schema().name]
     explained = json.loads(found[f"/{moment.agent}/lidar/explained"][-1][2])
     tracks = moment.tracks()
-    assert tracks is not None
     assert [each["explanation"] for each in explained["tracks"]] == [LEGEND[at].word for at in tracks.legend]
     for each in explained["tracks"]:
         assert f"{each['id']} {each['explanation']}".encode() in objects[-1][2]

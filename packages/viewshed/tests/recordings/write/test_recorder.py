@@ -50,15 +50,10 @@ def test_clouds_poses_and_heights_of_a_drive_come_back(name: str, drive: list[Mo
     for moment in drive:
         wrote, got = moment.sweep, back[moment.agent, moment.t_ns]
         assert got.points.tobytes() == wrote.points.tobytes()
-        assert wrote.intensity is not None
-        assert got.intensity is not None
         assert got.intensity.tobytes() == wrote.intensity.tobytes()
         np.testing.assert_array_equal(got.ring, wrote.ring)
-        assert wrote.time_s is not None
         assert got.time_s is not None
         np.testing.assert_allclose(got.time_s, wrote.time_s - wrote.time_s.min(), atol=1e-6)
-        assert wrote.world_from_sensor is not None
-        assert got.world_from_sensor is not None
         np.testing.assert_allclose(
             got.world_from_sensor.as_matrix(), wrote.world_from_sensor.as_matrix(), rtol=0, atol=1e-9
         )
@@ -73,11 +68,8 @@ def test_frames_stand_where_leveling_and_drive_put_them(drive: list[Moment]) -> 
         def in_map(frame: str, edges: dict[str, Transform] = edges) -> Rigid:
             return Rigid.identity() if frame == MAP else in_map(edges[frame].parent) @ edges[frame].parent_from_child
 
-        assert moment.answer.estimate is not None
         pose, height_m = moment.answer.estimate.world_from_level, moment.sweep.sensor_height_m
-        assert pose is not None
         assert height_m is not None
-        assert moment.sweep.world_from_sensor is not None
         np.testing.assert_allclose(in_map(moment.level_frame).as_matrix(), pose.as_matrix(), atol=1e-9)
         footprint = in_map(f"{moment.agent}/base_footprint").translation
         above = moment.sweep.world_from_sensor.translation - footprint
@@ -106,7 +98,6 @@ def messages_of(place: Path) -> dict[str, list[tuple[int, Any]]]:
         store = get_typestore(Stores.EMPTY)
         with place.open("rb") as file:
             for schema, channel, message in make_reader(file).iter_messages():
-                assert schema is not None
                 if schema.name not in store.types:  # by the definitions in the file alone
                     store.register(get_types_from_msg(schema.data.decode(), schema.name))
                 decoded = store.deserialize_cdr(message.data, schema.name)
@@ -148,7 +139,6 @@ def test_grids_and_polygon_are_those_of_the_estimate(name: str, drive: list[Mome
     found = messages_of(write(tmp_path / name, drive))
     moment = drive[0]
     estimate = moment.answer.estimate
-    assert estimate is not None
     for layer in ("visibility", "state", "doubt"):
         t_ns, grid = found[f"/{moment.agent}/lidar/{layer}"][0]
         assert (t_ns, grid.header.frame_id) == (moment.t_ns, f"{moment.agent}/level")
@@ -167,8 +157,6 @@ def test_objects_that_were_seen_lie_where_their_returns_are(drive: list[Moment])
     """Of the returns near a car most lie on it, in the box that the truth names."""
     boxes = 0
     for moment in drive:
-        assert moment.truth is not None
-        assert moment.sweep.world_from_sensor is not None
         points = moment.sweep.world_from_sensor @ moment.sweep.points.astype(np.float64)
         for each in moment.truth.seen:
             local = each.world_from_box.inverse() @ points
@@ -275,10 +263,8 @@ def test_a_laser_scan_comes_back_as_one(name: str, tmp_path: Path) -> None:
         ranges=ranges, intensities=np.arange(721, dtype=np.float32),
     )  # fmt: skip
     sweep = sweep_of_scan(scan).replace(t_ns=5)
-    assert sweep.planar is not None
     place = write(tmp_path / name, moments_of([(sweep, None)]))
     [(_, back)] = each_sweep(open_source(place), on_damage=lambda *_: None)
-    assert back.planar is not None
     assert back.planar.max_range_m == sweep.planar.max_range_m
     np.testing.assert_allclose(back.points, sweep.points, atol=2e-5)
     np.testing.assert_array_equal(back.intensity, sweep.intensity)

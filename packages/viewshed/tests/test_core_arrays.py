@@ -1,0 +1,451 @@
+"""The functions of the native core: arrays that do not fit are refused, and answers are the same on any threads."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.agents.test_fov_code import street as street_view
+from tests.objects.scenes import car, person, seen
+from tests.preprocess.random_sensors import rosette
+from tests.preprocess.test_expected_returns import random_beams, random_boxes
+
+from viewshed import BevGrid, Sweep, _core
+from viewshed.agents.fov_code import encode_fov
+from viewshed.fov.visibility import CAR, cell_windows
+from viewshed.grid import polar_of_cells
+from viewshed.networks.features import FEATURES, FeatureContext, feature_maps
+from viewshed.objects.detector import Detector
+from viewshed.preprocess.azimuth_bins import bins_of_cells
+from viewshed.preprocess.leveling import level
+from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
+from viewshed.sensors import lidar_model
+from viewshed_lab.sim import cast, junction
+
+F4, I4, I2, U1 = np.float32, np.int32, np.int16, np.uint8
+GRID, BIG = BevGrid(32, 16.0, (2.0, -1.0)), BevGrid(256, 64.0)
+N, RINGS, COLUMNS, NODES = 6, 4, 8, 64
+POINTS, LONG, SHORT, MASK = np.ones((N, 3), F4), np.zeros(N, F4), np.zeros(N - 1, F4), np.zeros(N, np.bool_)
+ROWS, FLAT, SQUARE = np.arange(N, dtype=I4), np.zeros((NODES, NODES), F4), np.ones((NODES, NODES), np.bool_)
+HALF = np.tile(np.arange(NODES) >= NODES // 2, (NODES, 1))
+NAN, INF = float("nan"), float("inf")
+MIDDLES = np.arange(NODES, dtype=F4) + F4(0.5 - NODES / 2)
+LOWS = np.stack([*np.meshgrid(MIDDLES, MIDDLES, indexing="ij"), FLAT - F4(1.8)], axis=-1)
+VLP16 = lidar_model("vlp16")
+TABLE = {"elevation": VLP16.elevation, "origin_m": VLP16.origin_m}
+TABLES = TABLE | {"rings": np.array([16]), "columns": np.array([1800])}
+CELLS = {"cell_range_m": polar_of_cells(GRID)[0]}
+BINS = bins_of_cells(GRID, 90)
+MASK3, RING, BEGIN, RANGES = np.ones((3, 3), np.bool_), np.zeros((4, 2)), np.array([0, 4]), np.ones(8)
+CLOUD = np.zeros((4, 3), F4), np.ones(4, F4), np.eye(3, 4, dtype=F4)
+KIND = (LONG, LONG, LONG)
+PLANE = np.zeros((4, 4), U1)
+APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
+
+GOOD: dict[str, dict[str, Any]] = {
+    "range_image": {"points": POINTS, "ring": np.zeros(N, I2),
+     "columns": 16, "rings": 4, "near_m": 0.5, "far_m": 100.0},
+    "level_points": {
+        "points": POINTS, "clutter": None, "level_from_sensor": np.eye(3, 4, dtype=F4), "near_m": 0.5, "far_m": 250.0,
+        "heading": 0.0, "ground_m": FLAT, "half_extent_m": 32.0},
+    "beams_by_evidence": {
+        "ring": np.arange(N, dtype=I2) % RINGS, "column": ROWS, "counts": np.ones((RINGS, COLUMNS), U1),
+        "isolated": MASK, "clutter": None, "phase": np.zeros(RINGS, F4), "elevation": np.linspace(-0.3, 0.0, RINGS),
+        "origin_m": np.zeros(RINGS), "rotation": np.eye(3), "points": POINTS, "height_m": LONG,
+        "range_m": LONG + F4(5.0), "rows": ROWS, "sensor_height_m": 1.8, "ground_m": FLAT,
+        "half_extent_m": 32.0, "top_m": 1.5, "obstacle_m": 0.3},
+    "vehicle_heading": {"points": POINTS, "rotation": np.eye(3, dtype=F4)},
+    "beam_slopes": {"points": POINTS, "range_m": LONG + 1, "sensor_height_m": 1.8, "left_out": None, "rows": ROWS},
+    "obstacle_cells": {"points": POINTS, "height_m": LONG, "x0_m": -2.0, "y0_m": -2.0, "cells_per_m": 1.0, "low_m": 0.3,
+                       "high_m": 3.0, "cells": 4},
+    "ground": {"points": POINTS, "isolated": MASK, "rotation": np.eye(3, dtype=F4), "near_m": 0.5, "far_m": 100.0,
+               "heading": 0.0, "half_m": 32.0, "nodes": NODES, "height_m": NAN},
+    "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
+    "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
+    "held_ground": {
+        "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
+        "half_m": 32.0, "before_heights_m": FLAT - F4(1.8), "before_std_m": FLAT + F4(0.1), "before_seen": SQUARE,
+        "before_half_m": 32.0, "before_from_now": np.eye(2, 4, dtype=F4), "now_from_before": np.array([0, 0, 1, 0], F4),
+        "variance_m2": 0.0025, "plane": (0.0, 0.0, -1.8), "height_m": 0.0},
+    "identify_by_points": {"points": POINTS, "expected": -1} | TABLES,
+    "identify_by_rings": {"points": POINTS, "ring": np.zeros(N, I2), "expected": -1} | TABLES,
+    "infer_sensor": {"points": POINTS, "ring": None} | TABLES, "rings_of_points": {"points": POINTS},
+    "beams_of_sensor": {"points": POINTS} | TABLE, "find_motion": {"points": POINTS},
+    "recover_rings": {"points": POINTS, "ring": None, "columns": 1800} | TABLE,
+    "undo_motion": {"points": POINTS, "x_m": 1.0, "y_m": 0.1, "z_m": 0.0, "seam": 0.0, "reference": 0.5},
+    "match_beams": {"slope": LONG, "range_m": LONG} | TABLE,
+    "find_clusters": {"azimuth": LONG, "slope": LONG, "range_m": LONG},
+    "range_quantile": {"range_m": LONG, "left_out": MASK, "rows": None, "most_m": 80.0, "share": 0.9},
+    "obstacle_image": {"clouds": [CLOUD], "least_m": 0.3, "sensor_height_m": 1.8},
+    "end_at_obstacles": {"image": _core.obstacle_image([], 0.3, 1.8), "azimuth": LONG, "slope": LONG, "depth_m": LONG},
+    "confirmed_cells": {
+        "seen": np.ones((4, 4), np.bool_), "earlier_from_now": np.eye(2, 3, dtype=F4), "origin_x_m": 0.0,
+        "origin_y_m": 0.0, "cell_m": 1.0, "in_view": np.ones((4, 4), F4), "whole": np.ones((4, 4), F4)},
+    "azimuth_bins_filled": {"azimuth": LONG},
+    "farthest_in_bins": {"azimuth": LONG, "range_m": LONG, "bins": 5, "drop": 0},
+    "ranges_in_bins": {"azimuth": LONG, "range_m": LONG, "height_m": LONG, "low_m": 0.0, "high_m": 1.0},
+    "first_blocker": {"azimuth": LONG, "range_m": LONG, "height_m": LONG, "low_m": 0.0, "high_m": 1.0, "bins": None,
+                      "rank": 1, "median_bins": 0, "reach_m": None, "margin_m": 0.0},
+    "cells_within": {"limit_m": np.zeros(90, F4), "cell_bin": BINS} | CELLS,
+    "trace_windows": {"azimuth": LONG, "range_m": LONG, "slices": 90, "window": 0.5, "margin_m": 0.0,
+                      "cell_azimuth": polar_of_cells(GRID)[1], "cell_slice": BINS} | CELLS,
+    "any_return_on": {"points": POINTS, "range_m": LONG, "far_m": 1.0, "low_m": 0.0, "high_m": 1.0, "sensor_m": 0.0,
+                      "x0_m": 0.0, "y0_m": 0.0, "cells_per_m": 1.0, "cells": 4},
+    "concave_hull": {"points": POINTS, "range_m": LONG, "concavity": 1.0, "length_m": 1.0, "x_m": -8.0, "y_m": -8.0,
+                     "cell_m": 0.5, "cells": 32},
+    "thin_returns": {"points": POINTS, "range_m": LONG, "x_m": 0.0, "y_m": 0.0, "cell_m": 1.0},
+    "fill_rings": {"edges": np.zeros((1, 4)), "x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "cells": 4},
+    "mean_and_deviation": {"probability": np.zeros((2, 5), F4)},
+    "height_codes": {"points": POINTS, "height_m": LONG, "x0_m": 0.0, "y0_m": 0.0, "cells_per_m": 1.0, "cells": 4},
+    "feature_maps": {"features": [], "cell_bin": BINS, "x_m": GRID.centers[:, 0, 0].astype(F4),
+                     "y_m": GRID.centers[:, 0, 0].astype(F4), "half_extent_m": 16.0, "fold": 0} | CELLS,
+    "rings_of_mask": {"mask": MASK3, "regions": np.ones((3, 3), I4)},
+    "cells_inside": {"points": RING, "begin": BEGIN, "cells": 5},
+    "cells_met": {"points": RING, "begin": BEGIN, "cells": 5},
+    "best_sectors": {"ranges": RANGES, "sectors": 2, "inner": 0.0},
+    "star_vertices": {"ranges": RANGES, "price_m2": 1.0}, "free_ranges": {"mask": MASK3, "is_solid": True} | APEX,
+    "beam_evidence": {
+        "kinds": (KIND, KIND, KIND), "heights_m": FLAT, "std_m": FLAT,
+        "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
+        "ground_steps": ((-1.22, 0.3), (1.22, 0.3)), "table": _core.poisson_table(5),
+        "threshold": 0.5, "reach_m": 60.0},
+    "CellWindows": {"range_m": np.ones((4, 4), F4), "azimuth": np.ones((4, 4), F4), "cell_m": 0.5, "width_m": 1.8},
+    "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
+    "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
+    "object_candidates": {"points": POINTS, "height_m": LONG, "range_m": LONG, "sensor_height_m": 1.8},
+    "encode_view": {"state": PLANE, "level": PLANE, "deviation": PLANE, "row": 1, "column": 2},
+    "decode_view": {"code": np.zeros(3, U1), "cells": 4, "row": 0, "column": 0, "prob": np.zeros(16, F4),
+                    "std": np.zeros(9, F4)},
+}  # fmt: skip
+"""Function → arguments that it takes."""
+
+OF_POINTS = (
+    "identify_by_points", "infer_sensor", "rings_of_points", "beams_of_sensor", "find_motion", "recover_rings",
+    "undo_motion", "ground", "concave_hull", "height_codes", "level_points", "range_image",
+)  # fmt: skip
+TYPE, OF_FEATURE = "incompatible function arguments", "incompatible|must"
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    *((name, {"points": points}, TYPE) for name in OF_POINTS
+      for points in (np.ones((N, 3)), np.ones((N, 4), F4), np.ones((3, N), F4).T, np.ones((1, N, 3), F4), None)),
+    *((name, {array: wrong}, TYPE) for name, array in (("azimuth_bins_filled", "azimuth"),
+     ("farthest_in_bins", "azimuth"))
+      for wrong in (LONG.astype(np.float64), LONG[None], LONG.astype(I4), np.zeros(2 * N, F4)[::2])),
+    *((name, {"mask": wrong}, TYPE) for name in ("rings_of_mask", "free_ranges")
+      for wrong in (MASK3.astype(U1), MASK3[None], None, np.ones((6, 3), np.bool_)[::2])),
+    *(("feature_maps", {"features": [wrong]}, OF_FEATURE) for wrong in (
+        ("bytes", (np.zeros(GRID.shape, np.int8),)), ("returns", (np.zeros(GRID.shape),)), (3, ()), ("bytes", (None,)),
+        ("bytes", None), "bytes", (), ("returns", (np.zeros((32, 64), F4)[:, ::2],)))),
+    ("range_image", {"ring": np.zeros(N, np.int64)}, TYPE), ("range_image", {"ring": np.zeros((N, 1), I2)}, TYPE),
+    ("range_image", {"ring": np.zeros(N - 1, I2)}, "ring must have one row for each point"),
+    ("range_image", {"ring": np.full(N, 4, I2)}, r"ring must lie in \[-1, 3\], got 4"),
+    ("range_image", {"ring": np.full(N, -2, I2)}, r"ring must lie in \[-1, 3\], got -2"),
+    ("range_image", {"columns": 0}, "an image must have 1 to 65536 columns"),
+    ("range_image", {"columns": 1 << 40}, "an image must have 1 to 65536 columns"),
+    ("range_image", {"rings": 0}, "an image must have 1 to 4096 rings"),
+    # Leveling and beams.
+    *(("level_points", changes, "must|incompatible") for changes in (
+        {"points": np.zeros((N, 2), F4)}, {"clutter": MASK[1:]}, {"clutter": MASK.astype(U1)},
+        {"level_from_sensor": np.eye(4, dtype=F4)}, {"heading": NAN}, {"ground_m": FLAT[:, :32].copy()},
+        {"ground_m": FLAT[:1, :1].copy()}, {"half_extent_m": 0.0}, {"half_extent_m": NAN})),
+    *(("beams_by_evidence", changes, "must|incompatible") for changes in (
+        {"ring": np.zeros(N, I4)}, {"ring": np.full(N, RINGS, I2)}, {"ring": np.full(N, -1, I2)},
+        {"ring": np.full(N, RINGS, I2), "isolated": ~MASK}, {"column": np.full(N, COLUMNS, I4)}, {"column": ROWS[1:]},
+        {"counts": np.ones(RINGS, U1)}, {"counts": np.ones((0, COLUMNS), U1)},
+        {"counts": np.ones((RINGS + 1, COLUMNS), U1)}, {"isolated": MASK[1:]}, {"clutter": MASK[1:]},
+        {"phase": np.zeros(RINGS)}, {"elevation": np.full(RINGS, NAN)}, {"rotation": np.eye(3, dtype=F4)},
+        {"rotation": np.full((3, 3), INF)}, {"rows": ROWS + 1}, {"rows": ROWS - 1}, {"range_m": SHORT},
+        {"points": np.zeros((N + 1, 3), F4)}, {"ground_m": FLAT[:, :2].copy()}, {"half_extent_m": -1.0})),
+    ("vehicle_heading", {"rotation": np.eye(3)}, TYPE), ("vehicle_heading", {"rotation": np.eye(2, dtype=F4)}, TYPE),
+    *(("beam_slopes", changes, "must|incompatible") for changes in (
+        {"range_m": SHORT}, {"left_out": MASK[1:]}, {"left_out": MASK, "rows": ROWS - 1}, {"left_out": MASK[:0]},
+        {"rows": ROWS.astype(np.int64)})),
+    *(("obstacle_cells", changes, "must") for changes in ({"height_m": SHORT}, {"cells": 0}, {"cells": 1 << 20})),
+    # The ground.
+    ("ground", {"isolated": MASK[1:]}, "isolated must have one row"), ("ground", {"isolated": MASK.astype(U1)}, TYPE),
+    ("ground", {"rotation": np.eye(2, 3, dtype=F4)}, r"rotation must be \(3, 3\)"),
+    ("ground", {"rotation": np.full((3, 3), NAN, F4)}, "rotation must be finite"),
+    ("ground", {"far_m": INF}, "far_m must be at most"), ("ground", {"far_m": NAN}, "far_m must be at most"),
+    ("ground", {"nodes": 1}, "a lattice must have 2 to 1024 nodes"),
+    ("ground", {"nodes": 100_000}, "a lattice must have 2 to 1024 nodes"),
+    ("ground", {"half_m": 0.0}, "half_m must lie in"), ("ground", {"half_m": NAN}, "half_m must lie in"),
+    ("ground_of_lows", {"lows_m": LOWS[:5]}, r"lows_m must be \(n, n, 3\)"),
+    ("ground_of_lows", {"lows_m": LOWS * F4(3.0)}, "lows_m must lie on the lattice"),
+    ("ground_of_lows", {"lows_m": LOWS.astype(np.float64)}, TYPE),
+    ("ground_of_lows", {"rise_m": FLAT[:5]}, r"rise_m must be \(n, n\)"),
+    ("fill_ground", {"accepted": SQUARE[:5]}, r"walked_m and accepted must be \(n, n\)"),
+    ("fill_ground", {"walked_m": FLAT * F4(NAN)}, "walked_m must be finite"),
+    ("fill_ground", {"walked_m": FLAT.T[::2]}, TYPE), ("fill_ground", {"plane": np.zeros(2, F4)}, "plane must be"),
+    ("fill_ground", {"plane": np.full(3, INF, F4)}, "plane must be finite"),
+    ("held_ground", {"std_m": FLAT[:5]}, r"std_m and seen must be \(n, n\)"),
+    ("held_ground", {"before_seen": SQUARE[:5]}, r"std_m and seen must be \(n, n\)"),
+    ("held_ground", {"before_heights_m": FLAT * F4(NAN)}, "heights_m must be finite"),
+    ("held_ground", {"before_from_now": FLAT}, r"before_from_now must be \(2, 4\)"),
+    ("held_ground", {"height_m": NAN}, "height_m must be finite"), ("held_ground", {"plane": (0.0, 0.0)}, TYPE),
+    # Sensors, rings, beams of a table.
+    ("identify_by_rings", {"ring": np.zeros(N - 1, I2)}, "ring must have one row for each point"),
+    ("recover_rings", {"ring": np.full(N, 4096, I2)}, r"ring must lie in \[-1, 4095\], got 4096"),
+    ("infer_sensor", {"ring": np.full(N, -2, I2)}, r"ring must lie in \[-1, 4095\], got -2"),
+    ("beams_of_sensor", {"origin_m": TABLE["origin_m"][:3]}, "origin_m must have one value for each beam"),
+    ("identify_by_points", {"rings": np.array([16, 1]), "columns": np.array([1800, 1800])},
+     "one value for each beam of"),
+    ("identify_by_points", {"rings": np.array([0])}, "one value for each beam of the tables"),
+    ("identify_by_points", {"rings": np.array([8, 8])}, "rings and columns must have one value for each table"),
+    ("identify_by_points", {"expected": 1}, "expected must be the number of a table, or -1"),
+    ("recover_rings", {"columns": 0}, r"columns must lie in \[1, 65536\]"),
+    ("match_beams", {"elevation": TABLE["elevation"][::-1].copy()}, "elevations must ascend"),
+    ("match_beams", {"elevation": np.array([0.0, NAN]), "origin_m": np.zeros(2)},
+     "elevations and origins must be finite"),
+    ("match_beams", {"elevation": np.array([0.0, 2.0]), "origin_m": np.zeros(2)},
+     "must lie within a quarter of a turn"),
+    ("match_beams", {"range_m": SHORT}, "slope and range_m must be as long"),
+    ("find_clusters", {"azimuth": SHORT}, "azimuth, slope and range_m must be as long"),
+    # Reach and history.
+    ("range_quantile", {"left_out": MASK[1:]}, "must"), ("range_quantile", {"rows": ROWS + 1}, "must"),
+    ("range_quantile", {"left_out": MASK[:0], "rows": ROWS}, "must"), ("range_quantile", {"share": 1.1}, "must"),
+    ("obstacle_image", {"clouds": [(CLOUD[0][:, :2].copy(), *CLOUD[1:])]}, TYPE),
+    ("obstacle_image", {"clouds": [(CLOUD[0].astype(float), *CLOUD[1:])]}, TYPE),
+    ("obstacle_image", {"clouds": [(CLOUD[0], CLOUD[1][:3], CLOUD[2])]}, "must"),
+    ("obstacle_image", {"clouds": [(*CLOUD[:2], np.eye(4, dtype=F4))]}, "must"),
+    ("end_at_obstacles", {"image": np.zeros((3, 3), F4)}, "image must be one of obstacle_image"),
+    ("end_at_obstacles", {"depth_m": SHORT}, "must be as long"),
+    ("confirmed_cells", {"whole": np.ones((3, 4), F4)}, "must have one shape"),
+    # Azimuth bins.
+    ("farthest_in_bins", {"range_m": SHORT}, "azimuth and range_m"), ("farthest_in_bins", {"bins": 0}, "bins must lie"),
+    ("farthest_in_bins", {"bins": 40_000}, "bins must lie"), ("farthest_in_bins", {"drop": 1001}, "drop must lie"),
+    ("farthest_in_bins", {"bins": None, "drop": 1}, "bins must be given"),
+    ("ranges_in_bins", {"height_m": SHORT}, "must be as long"), ("first_blocker", {"range_m": SHORT},
+     "must be as long"),
+    ("first_blocker", {"rank": 0}, "rank must lie"), ("first_blocker", {"median_bins": 1001}, "median_bins must"),
+    ("cells_within", {"cell_range_m": CELLS["cell_range_m"][:5]}, "one shape"),
+    ("cells_within", {"limit_m": np.zeros(3, F4)}, r"cell_bin must lie in \[0, 2\]"),
+    ("cells_within", {"limit_m": LONG[:0]}, "bins must lie"), ("trace_windows", {"range_m": SHORT}, "as long"),
+    ("trace_windows", {"cell_slice": BINS[:4]}, "one shape"), ("trace_windows", {"window": NAN}, "window must"),
+    ("trace_windows", {"margin_m": -1.0}, "margin_m must"), ("trace_windows", {"window": 0.01}, "slices must be finer"),
+    ("trace_windows", {"window": 3.1}, "slices must be finer"),
+    ("trace_windows", {"slices": 89}, r"cell_slice must lie in \[0, 88\]"), ("any_return_on", {"range_m": SHORT},
+     "as long"),
+    # Hulls, moments, features.
+    ("concave_hull", {"range_m": SHORT}, "as long"), ("concave_hull", {"points": POINTS * F4(NAN)},
+     "points must be finite"),
+    ("concave_hull", {"concavity": 0.0}, "concavity must"), ("concave_hull", {"length_m": NAN}, "concavity must"),
+    ("concave_hull", {"x_m": INF}, "grid must be finite"), ("thin_returns", {"cell_m": 0.0}, "grid must be finite"),
+    ("fill_rings", {"cells": 5000}, "cells must lie"), ("fill_rings", {"edges": np.zeros((1, 3))}, r"must be \(E, 4\)"),
+    ("mean_and_deviation", {"probability": np.zeros((0, 5), F4)}, "there must be a pass"),
+    ("height_codes", {"height_m": SHORT}, "as long"), ("height_codes", {"cells": 0}, r"cells must lie in \[1, 4096\]"),
+    ("feature_maps", {"fold": 3}, "fold must divide"), ("feature_maps", {"fold": 128}, "fold must divide"),
+    *(("feature_maps", {"features": [feature]}, words) for *feature, words in (
+        ("nonsense", (), "coding must be bytes, returns"), ("bytes", (), "must have its arrays"),
+        ("range", (np.zeros(GRID.shape, U1),), "must have its arrays"),
+        ("bytes", (np.zeros((32, 31), U1),), "must have the grid's shape"),
+        ("returns", (np.zeros((31, 32), F4),), "must have the grid's shape"),
+        ("beyond", (np.zeros(0, F4),), "a limit must have bins"),
+        ("beyond", (np.zeros(7, F4),), r"cell_bin must lie in \[0, 6\]"),
+        ("deviation", (np.zeros((1, 64), F4),), "2 nodes a side"))),
+    # Polygons.
+    ("rings_of_mask", {"mask": MASK3[:2], "regions": np.ones((2, 3), I4)}, "must be square"),
+    ("rings_of_mask", {"mask": MASK3[:0, :0], "regions": np.ones((0, 0), I4)}, "must be square"),
+    ("rings_of_mask", {"regions": np.ones((2, 3), I4)}, "have the mask's shape"),
+    ("rings_of_mask", {"regions": -np.ones((3, 3), I4)}, "regions must lie in"),
+    ("cells_inside", {"points": np.zeros((4, 3))}, r"must be \(V, 2\)"),
+    ("cells_inside", {"begin": np.array([0, 5])}, "begin must ascend"),
+    ("cells_met", {"begin": np.array([0, 3, 1, 4])}, "begin must ascend"),
+    ("cells_met", {"begin": BEGIN[:0]}, "begin must ascend"), ("cells_met", {"cells": 0}, "cells must lie"),
+    ("best_sectors", {"ranges": RANGES[:0]}, "3 to 7200 ranges"),
+    ("best_sectors", {"ranges": RANGES * NAN}, "ranges must be finite"),
+    ("star_vertices", {"ranges": -RANGES}, "ranges must be finite"), ("best_sectors", {"sectors": 0},
+     "sectors must lie"),
+    ("best_sectors", {"inner": INF}, "inner must be"), ("star_vertices", {"price_m2": NAN}, "price_m2 must be"),
+    ("free_ranges", {"x_m": NAN}, "grid must lie within"), ("free_ranges", {"apex_y_m": INF}, "apex must lie within"),
+    ("free_ranges", {"half_m": 0.0}, "half_m must lie"), ("free_ranges", {"bins": 0}, "bins must lie"),
+    # Evidence, lattices, objects, codes of views.
+    ("beam_evidence", {"kinds": (KIND, KIND)}, TYPE),
+    ("beam_evidence", {"kinds": ((LONG, LONG, SHORT),) * 3}, "must have one shape"),
+    ("beam_evidence", {"kinds": ((LONG.astype(float), LONG, LONG),) * 3}, TYPE),
+    ("beam_evidence", {"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()}, "heights_m must have shape"),
+    ("beam_evidence", {"heights_m": FLAT[:4].copy()}, "heights_m must have shape"),
+    ("beam_evidence", {"heights_m": FLAT.astype(float)}, TYPE),
+    ("beam_evidence", {"heights_m": np.zeros((8, 16), F4)[:, ::2]}, TYPE),
+    ("beam_evidence", {"std_m": FLAT[:7, :7].copy()}, "std_m must have the shape of heights_m"),
+    ("beam_evidence", {"table": np.zeros(0, F4)}, "table must have"),
+    ("beam_evidence", {"half_extent_m": NAN}, "half_extent_m must be positive"),
+    ("CellWindows", {"azimuth": np.ones((3, 4), F4)}, "one shape"),
+    ("CellWindows", {"range_m": np.full((4, 4), -1, F4)}, "range_m must be finite"),
+    ("CellWindows", {"range_m": np.full((4, 4), NAN, F4)}, "range_m must be finite"),
+    ("CellWindows", {"azimuth": np.full((4, 4), 9, F4)}, "azimuth must lie in"),
+    ("CellWindows", {"range_m": np.full((4, 4), 1e9, F4)}, "within a million sides"),
+    ("CellWindows", {"cell_m": 0.0}, "cell_m must be positive"),
+    ("interpolate", {"node": np.array([NODES * NODES - 1], I4)}, "node must lie in"),
+    ("interpolate", {"node": np.zeros(2, I4)}, "must be as long"),
+    ("lattice_positions", {"nodes": 1}, "2 to 16384 nodes"), ("lattice_positions", {"xy": np.zeros((1, 1), F4)},
+     "two columns"),
+    ("object_candidates", {"height_m": SHORT}, "as long as points"),
+    ("object_candidates", {"range_m": SHORT}, "as long as points"),
+    ("object_candidates", {"sensor_height_m": NAN}, "sensor_height_m"),
+    ("encode_view", {"state": np.zeros((4, 5), U1)}, "square"), ("encode_view", {"level": np.zeros((5, 5), U1)},
+     "same shape"),
+    ("encode_view", {"deviation": np.zeros((3, 3), U1)}, r"or \(0, 0\)"),
+    ("encode_view", {"state": PLANE + U1(4)}, r"state must lie in \[0, 3\], got 4"),
+    ("encode_view", {"level": PLANE + U1(16)}, r"level must lie in \[0, 15\], got 16"),
+    ("encode_view", {"deviation": PLANE + U1(9)}, r"deviation must lie in \[0, 8\], got 9"),
+    ("encode_view", {"row": 4}, "row and column must lie on the grid"),
+    ("encode_view", {"state": np.zeros((0, 0), U1)}, r"cells must lie in \[1, 512\]"),
+    ("decode_view", {"prob": np.zeros(15, F4)}, "each of 16 levels"),
+    ("decode_view", {"std": np.zeros(8, F4)}, "each of 9 levels, or none"),
+    ("decode_view", {"cells": 513}, r"cells must lie in \[1, 512\]"),
+]  # fmt: skip
+"""Function, what is changed of its good arguments, and what the error says: that they are of a wrong type, or why."""
+
+
+def call(name: str, **changes: Any) -> Any:
+    """Call a function of the core; nobody keeps the windows of cells, so that they end before it does."""
+    windows = {"windows": cell_windows(GRID, 1.8)} if name == "beam_evidence" else {}
+    return getattr(_core, name)(**GOOD[name] | windows | changes)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_good_arguments_are_taken(name: str) -> None:
+    call(name)
+
+
+@pytest.mark.parametrize(("name", "changes", "words"), REFUSED)
+def test_arrays_that_do_not_fit_are_refused(name: str, changes: dict[str, Any], words: str) -> None:
+    expected = TypeError if words in (TYPE, OF_FEATURE) else (TypeError, ValueError) if "|" in words else ValueError
+    with pytest.raises(expected, match=words):
+        call(name, **changes)
+
+
+STREET = cast(VLP16, junction(), 1.8)
+FULL = cast(lidar_model("hdl64e"), junction(), 1.8)
+THINNED = FULL.select(np.random.default_rng(3).random(len(FULL)) > 0.1)
+CLOUDS = {
+    "rings in order": np.concatenate([STREET.points] * 3), "no rings": rosette(np.random.default_rng(1), 70_000),
+    "shuffled": np.random.default_rng(1).permutation(np.concatenate([STREET.points] * 3)),
+}  # fmt: skip
+
+
+def azimuth_answers(azimuth: NDArray[np.float32], range_m: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """What each function of azimuth bins answers."""
+    height_m = (range_m * F4(0.01)).astype(F4)
+    cells = polar_of_cells(BIG)
+    return [
+        np.array([_core.azimuth_bins_filled(azimuth)], F4),
+        *(_core.farthest_in_bins(azimuth, range_m, bins, 0) for bins in (None, 1, 36, 777)),
+        _core.farthest_in_bins(azimuth, range_m, 360, 3),
+        *_core.ranges_in_bins(azimuth, range_m, height_m, 0.3, 3.0),
+        _core.first_blocker(azimuth, range_m, height_m, 0.3, 3.0, None, 2, 5, None, 0.5),
+        _core.first_blocker(azimuth, range_m, height_m, -0.5, 0.5, 216, 1, 0, 40.0, 0.0),
+        _core.cells_within(_core.farthest_in_bins(azimuth, range_m, 360, 0), cells[0], bins_of_cells(BIG, 360)),
+        _core.trace_windows(azimuth, range_m, 5027, 0.01, 0.5, *cells, bins_of_cells(BIG, 5027)),
+        _core.trace_windows(azimuth, range_m, 34, 1.5, 0.0, *cells, bins_of_cells(BIG, 34)),
+    ]
+
+
+def many_azimuths() -> Any:
+    rng = np.random.default_rng(8)
+    return azimuth_answers(rng.uniform(-np.pi, np.pi, 70_000).astype(F4), rng.gamma(2.0, 12.0, 70_000).astype(F4))
+
+
+def level_beams(sweep: Sweep) -> Any:
+    leveled = level(sweep, BevGrid(128, 32.0))
+    beams = beams_by_evidence(leveled, 1.5)
+    assert len(leveled.points) > 20_000
+    kinds = (beams.measured, beams.inferred, beams.unresolved, no_return_beams(leveled, fill=True))
+    columns = [leveled.points, leveled.range_m, leveled.azimuth, leveled.height_m, leveled.rows]
+    return [*columns, *(array for kind in kinds for array in (kind.azimuth, kind.slope, kind.depth_m))]
+
+
+def ground_of_street() -> Any:
+    """Of level ground 1.8 m below the sensor, with a step, and of things that stand on it."""
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-40, 40, (60_000, 3))
+    points[:, 2] = -1.8 + 0.2 * (points[:, 1] > 5) + rng.normal(0, 0.02, len(points))
+    points[::7, 2] += rng.uniform(0, 2, len(points[::7]))
+    points = points.astype(F4)
+    return call("ground", points=points, isolated=np.zeros(len(points), np.bool_))
+
+
+def large_quantile() -> Any:
+    range_m = np.random.default_rng(0).gamma(2.0, 10.0, 150_001).astype(F4)
+    range_m[::7] = NAN
+    found = _core.range_quantile(range_m, np.zeros(len(range_m), np.bool_), None, 80.0, 0.9)
+    assert found == pytest.approx(np.quantile(range_m[range_m <= 80.0].astype(np.float64), 0.9), rel=1e-12)
+    return found
+
+
+def moments() -> Any:
+    passes = np.random.default_rng(1).random((20, 50_000), F4)
+    found = _core.mean_and_deviation(passes)
+    np.testing.assert_allclose(found, (passes.mean(axis=0), passes.std(axis=0)), atol=1e-6)
+    return found
+
+
+def evidence(*counts: int) -> Any:
+    kinds = tuple(random_beams(np.random.default_rng(7 + k), count).arrays for k, count in enumerate(counts))
+    found = call("beam_evidence", kinds=kinds)
+    assert (found[0].sum() > 0) == (counts[0] > 0)
+    return found
+
+
+def features() -> Any:
+    leveled = level(FULL, BIG)
+    context = FeatureContext(leveled, BIG, CAR, BIG.count(leveled.points).clip(0, 255).astype(U1))
+    return feature_maps(tuple(FEATURES), context)
+
+
+def boxes_met() -> Any:
+    rng = np.random.default_rng(3)
+    beams, boxes = random_beams(rng, 20_000), random_boxes(rng, 200)
+    found = _core.BeamsByAzimuth(*beams.arrays).expected_returns(boxes, 1.8, True)
+    assert found.sum() > 1000
+    return found
+
+
+NO_TABLE = {"elevation": np.zeros(0), "origin_m": np.zeros(0), "columns": 0}
+SENSOR_CALLS: dict[str, Callable[[Any], Any]] = {
+    "identify_by_points": lambda points: call("identify_by_points", points=points, expected=0),
+    "identify_by_rings": lambda points: call(
+        "identify_by_rings", points=points, ring=np.zeros(len(points), I2), expected=0
+    ),
+    "infer_sensor": lambda points: call("infer_sensor", points=points),
+    "rings_of_points": lambda points: call("rings_of_points", points=points),
+    "beams_of_sensor": lambda points: call("beams_of_sensor", points=points),
+    "recover_rings": lambda points: call(
+        "recover_rings", points=points, elevation=np.zeros(0), origin_m=np.zeros(0), columns=0
+    ),
+    "recover_rings by a table": lambda points: call("recover_rings", points=points),
+    "find_clusters": lambda points: _core.find_clusters(*_core.polar(points)),
+    "find_motion": lambda points: call("find_motion", points=points),
+    "undo_motion": lambda points: call("undo_motion", points=points),
+}
+SAME: dict[str, Callable[[], Any]] = {
+    "azimuth bins": many_azimuths, "beams of a known sensor": lambda: level_beams(THINNED),
+    "beams of a bare cloud": lambda: level_beams(Sweep(THINNED.points)), "ground": ground_of_street,
+    "lows": lambda: call("ground_of_lows"), "quantile": large_quantile, "moments": moments,
+    "filled ground": lambda: call("fill_ground"),
+    "held ground": lambda: call("held_ground"), "features": features, "boxes": boxes_met,
+    "view": lambda: encode_fov(street_view(with_std=True)),
+    "objects": lambda: Detector().detect(seen(*car(14.0, 2.0), *car(-8.0, 7.0, 0.6), person(9.0, 1.0))).boxes,
+    **{f"evidence of {counts}": lambda counts=counts: evidence(*counts)  # type: ignore[misc]
+       for counts in ((0, 0, 0), (1, 0, 0), (0, 0, 1), (40_000, 9000, 20_000))},
+    **{f"{name} of {cloud}": lambda call=call, points=points: call(points)  # type: ignore[misc]
+       for name, call in SENSOR_CALLS.items() for cloud, points in CLOUDS.items()},
+}  # fmt: skip
+
+
+@pytest.fixture
+def threads_as_before() -> Iterator[None]:
+    before = _core.threads()
+    yield
+    _core.set_threads(before)
+
+
+@pytest.mark.usefixtures("threads_as_before")
+@pytest.mark.parametrize("name", SAME)
+def test_answers_do_not_depend_on_the_number_of_threads(name: str) -> None:
+    answers = []
+    for count in (1, 2, 4):
+        _core.set_threads(count)
+        answers.append(SAME[name]())
+    for other in answers[1:]:
+        np.testing.assert_equal(other, answers[0])
