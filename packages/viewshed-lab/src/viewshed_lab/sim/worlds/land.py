@@ -252,9 +252,10 @@ def _drop(rng: np.random.Generator, bend: Bend, half_m: float) -> Drop:
     return Drop(mirrored((x0, near, x0 + long, near + wide), side), float(deep), floor, ramp)
 
 
-def _on_road(lie: Land, x_m: float) -> float:
-    """Return the height of the road's axis."""
-    return float(lie.height(np.array(x_m), lie.bend.axis(np.array(x_m))))
+def _highest_road(lie: Land, x_m: float, half_m: float) -> float:
+    """Return the greatest height of the road's axis around x."""
+    x = np.linspace(x_m - half_m, x_m + half_m, 33)
+    return float(lie.height(x, lie.bend.axis(x)).max())
 
 
 def _slab(
@@ -274,7 +275,7 @@ def _slab(
             _, beside = lie.bend.coordinates(np.array(slab.x_m + c * u - s * v), np.array(slab.y_m + s * u + c * v))
             if abs(beside) > lie.half_m + 1.0:
                 posts.append(Cylinder(u, v, radius, under_m, -4.0, material))
-    return [replace(slab, parts=(*slab.parts, *posts), z_m=_on_road(lie, x))]
+    return [replace(slab, parts=(*slab.parts, *posts), z_m=_highest_road(lie, x, 0.5 * np.hypot(long, wide)))]
 
 
 def _deck(rng: np.random.Generator, lie: Land) -> list[Thing]:

@@ -1,0 +1,76 @@
+"""Land at random: it is as varied as it must be, whoever drives has room, and sweeps of it make sense."""
+
+import numpy as np
+import pytest
+from shapely import STRtree, polygons
+from tests.sim.worlds.test_every_world import made, outlines
+
+from viewshed.sensors import lidar_model
+from viewshed_lab.sim.raycast.caster import cast_world
+from viewshed_lab.sim.worlds.land import Land, Noise
+
+SEEDS = range(40)
+
+
+def test_the_same_seed_gives_the_same_land_and_another_one_another() -> None:
+    one, again, other = made("land", 5), made("land", 5), made("land", 6)
+    np.testing.assert_array_equal(one.terrain.heights_m, again.terrain.heights_m)
+    assert [thing.pose_at(3.0) for thing in one.things] == [thing.pose_at(3.0) for thing in again.things]
+    assert other.terrain.heights_m.shape != one.terrain.heights_m.shape or len(other.things) != len(one.things)
+
+
+def test_noise_goes_through_its_values_and_is_as_steep_as_its_octaves() -> None:
+    noise = Noise((56.0,), (np.arange(36.0).reshape(6, 6),))
+    nodes = np.arange(5) * 56.0 - 112.0
+    x, y = np.meshgrid(nodes[:4], nodes[:4], indexing="ij")
+    np.testing.assert_allclose(noise.at(x, y), np.arange(36.0).reshape(6, 6)[:4, :4])
+    assert noise.at(np.array(-84.0), np.array(-112.0)) == pytest.approx(3.0)  # halfway from 0 to 6
+
+
+def test_a_road_lies_above_below_and_level_with_the_land_and_some_land_drops_steeply() -> None:
+    rises, steps, kinds, reliefs = [], [], set[str](), []
+    for seed in SEEDS:
+        land = Land.drawn(np.random.default_rng(seed))
+        rises.append(land.rise_m)
+        steps += [drop.deep_m for drop in land.drops]
+        world = made("land", seed)
+        kinds |= {thing.kind for thing in world.things}
+        reliefs.append(np.ptp(world.terrain.heights_m))
+    assert min(rises) < -2.0
+    assert max(rises) > 2.0
+    assert 0.0 in rises
+    assert min(steps) < -3.0  # a platform
+    assert max(steps) > 3.0  # a pit
+    assert {"deck", "roof", "stairs", "wall"} <= kinds
+    assert min(reliefs) < 2.0
+    assert max(reliefs) > 20.0
+
+
+def test_the_way_of_a_vehicle_is_free() -> None:
+    """The box of the carrier, from 0.45 m above its ground up to 1.8 m, meets no solid that stands still."""
+    for seed in SEEDS:
+        world = made("land", seed)
+        shapes, z, thing = outlines(world, 0.0)
+        still = np.array([world.things[k].track is None for k in thing], bool)
+        tree = STRtree(shapes[still])
+        for t_s in np.linspace(0.0, 10.0, 11):
+            pose = world.pose_of(world.agents[0].carrier, t_s)
+            square = np.array([[2.3, 0.85], [-2.3, 0.85], [-2.3, -0.85], [2.3, -0.85]])
+            near = tree.query(polygons(square @ pose.rotation[:2, :2].T + pose.translation[:2]), predicate="intersects")
+            low, high = z[still][near].T - pose.translation[2]
+            met = [world.things[k].kind for k in thing[still][near[(high > 0.45) & (low < 1.8)]]]
+            assert met == [], (seed, t_s)
+
+
+def test_sweeps_see_ground_and_little_of_their_carrier() -> None:
+    model = lidar_model("vlp16")
+    met = []
+    for seed in SEEDS:
+        world = made("land", seed)
+        agent = world.agents[0]
+        scan = cast_world(world.snapshot(5.0), model, world.world_from_sensor(agent, 5.0), seed=seed)
+        met.append(np.isfinite(scan.depth_m).mean())
+        assert (scan.thing == agent.carrier).mean() < 0.3, seed
+        assert float(scan.depth_m.min()) > 0.05
+    assert np.median(met) > 0.4
+    assert min(met) > 0.1
