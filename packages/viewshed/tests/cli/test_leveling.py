@@ -91,7 +91,7 @@ def test_former_names_of_methods_are_taken(sweep_file: Path) -> None:
 
 def test_no_sensor_means_none(tmp_path: Path) -> None:
     """A cloud of a known sensor: with ``--sensor none`` no beam table is inferred from its points."""
-    bare = viewshed.Sweep(cast(lidar_model("hdl32e"), junction(), 1.8).points)
+    bare = viewshed.Sweep(cast(lidar_model("vlp16"), junction(), 1.8).points)
     viewshed.write_sweep(bare, tmp_path / "bare.npz")
     assert identify_sensor(bare).model is not None
     saved = {}

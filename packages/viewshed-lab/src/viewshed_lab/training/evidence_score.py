@@ -115,7 +115,7 @@ class ScoreTrainer:
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(len(batches), 1))
         for batch in batches:
             optimizer.zero_grad()
-            self._loss(batch, layers, rng).backward()  # type: ignore[no-untyped-call]
+            self._loss(batch, layers, rng).backward()
             optimizer.step()
             schedule.step()
         # What evidence says that never spoke in training must not count.

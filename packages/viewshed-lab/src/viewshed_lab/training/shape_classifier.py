@@ -96,7 +96,7 @@ def _fit(shapes: NDArray[np.float32], labels: NDArray[np.int64], seed: int) -> S
         for k in range(batches):
             rows = order[k * BATCH : (k + 1) * BATCH]
             optimizer.zero_grad()
-            cross_entropy(network(inputs[rows]), targets[rows]).backward()  # type: ignore[no-untyped-call]
+            cross_entropy(network(inputs[rows]), targets[rows]).backward()
             optimizer.step()
             schedule.step()
     weights = tuple(np.ascontiguousarray(layer.weight.detach().numpy().T) for layer in linear)

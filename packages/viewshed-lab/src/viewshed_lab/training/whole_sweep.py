@@ -152,7 +152,7 @@ class WholeSweepTrainer:
             outputs = layers(torch.from_numpy(self.surprises[batch] * np.tile(kept, STATISTICS)))
             losses = binary_cross_entropy_with_logits(outputs, torch.from_numpy(labels[batch]), reduction="none")
             optimizer.zero_grad()
-            (losses * torch.from_numpy(weight[batch])).mean().backward()  # type: ignore[no-untyped-call]
+            (losses * torch.from_numpy(weight[batch])).mean().backward()
             optimizer.step()
             layers.keep_bounds()
             schedule.step()
