@@ -502,7 +502,8 @@ The exact truth is computed for every {every}th sweep."""
 
 _TRUTH_TEXT = """Precision: share of the cells claimed visible that are visible; recall: share of the visible cells that
 are claimed. A cell is visible where enough beams would have met a pedestrian there. *With reactions* is the output of
-the pipeline, without the claims that an alarm withdraws. `concave_hull` is what the study's code publishes on its robot."""
+the pipeline, without the claims that an alarm withdraws. `concave_hull` is what the study's code publishes on its
+robot."""
 
 _NODE_TEXT = """The bags of the beginning of the drive are played message by message to the node with the profile
 `robot`; each message waits for the grids of the one before. A grid is *equal* if all its cells match the answer of
@@ -633,9 +634,9 @@ def _shortfall(done: Sequence[Found]) -> str:
     seldom = ", ".join(f"`{name}` ({share:.0%})" for name, share in shares.items() if share < 0.5) or "none"
     costly = ", ".join(f"`{name}` ({loss:.2f})" for name, loss in lost.items() if loss > 0.25) or "none"
     return (
-        f"Found in fewer than half of the attacked sweeps: {seldom}. The caution `CONFIRMED` withdraws"
-        f" what no earlier sweep confirms, and the profile `robot` keeps no earlier sweeps: more than a quarter of the recall is lost under {costly}. The"
-        " profile `contested` keeps five earlier sweeps for this."
+        f"Found in fewer than half of the attacked sweeps: {seldom}. The caution `CONFIRMED` withdraws what no earlier"
+        " sweep confirms, and the profile `robot` keeps no earlier sweeps: more than a quarter of the recall is lost"
+        f" under {costly}. The profile `contested` keeps five earlier sweeps for this."
     )
 
 
