@@ -29,8 +29,8 @@ ROOT = Path(__file__).resolve().parents[1]
 SILENT_S = 3.0
 _MOST_LINES = 50
 
-_ABOUT = """A transcript: what a newcomer types, and all that is printed, in a home that was empty before. Seconds are
-those of this machine, whatever else it did; *silent* is the longest wait without a line."""
+_ABOUT = """A transcript of what a newcomer types in an empty home, and of all that is printed. Seconds were measured on
+this machine, under whatever load it had; *silent* is the longest wait without a line."""
 
 
 @dataclass(slots=True)

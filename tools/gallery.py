@@ -26,10 +26,10 @@ from viewshed_lab._page import facts, page
 _ABOUT = """Ten real sweeps, each as `viewshed estimate FILE` draws it. Sweeps of nuScenes, KITTI and Argoverse 2 are
 left out, because their licenses forbid commercial use; no point cloud is published here.
 
-Left is the map, from above, forward up: what is free, what stands there, what is hidden, and what nothing is known of.
-Right are the probability that a car there would be seen (in rooms a person), and the chance that this answer is wrong.
-The lines above say how high the sensor stands, how that is known, and how much of the view lies over ground that was
-not seen. Scales are the same in all pictures."""
+The left picture is a map from above, forward up: free, surface, hidden and unknown cells. The right pictures show the
+probability that a car there would be seen (in rooms a person), and the probability that this answer is wrong. The
+lines above state the sensor's height, how it is known, and how much of the view lies over ground that was not seen.
+Scales are the same in all pictures."""
 
 
 _CLIP = """## Three vehicles at a junction

@@ -495,18 +495,19 @@ def _page(
     )  # fmt: skip
 
 
-_INTRO = """The published study shows a robot with a VLP-16 in rooms, without a truth. Here a simulated one drives
+_INTRO = """The published study shows a robot with a VLP-16 in rooms, without truth. Here a simulated robot drives
 {minutes:.1f} minutes with a VLP-16 and a 2-D laser of 1,440 beams. Both are recorded to bags and replayed through
-`viewshed.pipeline` with the profile `robot`: shadow map on cells of 0.125 m, the shipped monitor, reactions. Of
-every {every}th sweep the exact truth is computed."""
+`viewshed.pipeline` with the profile `robot`: shadow map on cells of 0.125 m, the shipped monitor, reactions.
+The exact truth is computed for every {every}th sweep."""
 
-_TRUTH_TEXT = """Precision: of the cells claimed visible those that are; recall: of the visible ones those claimed.
-A cell is visible where enough beams would have met a pedestrian there. *With reactions* is what the pipeline hands
-out: what an alarm withdraws is missing. `concave_hull` is what the study's code publishes on its robot."""
+_TRUTH_TEXT = """Precision: share of the cells claimed visible that are visible; recall: share of the visible cells that
+are claimed. A cell is visible where enough beams would have met a pedestrian there. *With reactions* is the output of
+the pipeline, without the claims that an alarm withdraws. `concave_hull` is what the study's code publishes on its
+robot."""
 
-_NODE_TEXT = """The beginning of the drive from its bags, played message by message to the node with the profile
-`robot`; each message follows the grids of the one before. A grid is *equal* where all its cells are those that
-`viewshed.pipeline` answers the same message with, reactions included."""
+_NODE_TEXT = """The bags of the beginning of the drive are played message by message to the node with the profile
+`robot`; each message waits for the grids of the one before. A grid is *equal* if all its cells match the answer of
+`viewshed.pipeline` to the same message, reactions included."""
 
 _NODE_HEADER = ["sensor", "messages", "answered", "equal `state`", "equal `visibility`", "times real time"]
 
@@ -516,13 +517,13 @@ target is 15 % of a core for a VLP-16 at 10 Hz."""
 _FALSE_TEXT = """Nobody attacks here: each alarm is a false one. The shipped monitor was not calibrated for the
 laser, so that no rate is promised for it."""
 
-_ATTACK_TEXT = f"""{CALM_SWEEPS} sweeps as they are, then {ATTACKED_SWEEPS} attacked, each attack at another place
-of each minute, with its usual budget. *Found* are sweeps that are inconsistent by themselves or at which the stream
-alarms."""
+_ATTACK_TEXT = f"""{CALM_SWEEPS} clean sweeps, then {ATTACKED_SWEEPS} attacked ones; each attack is at another
+place of each minute, with its usual budget. *Found* sweeps are inconsistent by themselves, or the stream alarms at
+them."""
 
 _REAL_TEXT = f"""The first {REAL_SWEEPS} sweeps at most of each real recording, through the same pipeline. There is no
-truth for them: what is inconsistent is a false alarm or a fault of the recording. None is of the robot's own kind of
-place."""
+truth for them: an inconsistent sweep is a false alarm or a fault of the recording. No recording is from the robot's
+kind of place."""
 
 
 _RATES_HEADER = [
@@ -633,9 +634,9 @@ def _shortfall(done: Sequence[Found]) -> str:
     seldom = ", ".join(f"`{name}` ({share:.0%})" for name, share in shares.items() if share < 0.5) or "none"
     costly = ", ".join(f"`{name}` ({loss:.2f})" for name, loss in lost.items() if loss > 0.25) or "none"
     return (
-        f"Found in fewer than half of the attacked sweeps: {seldom}. A single reaction withdraws what no earlier sweep"
-        f" confirms, and the profile `robot` keeps none: more than a quarter of the recall is lost under {costly}. The"
-        " profile `contested` keeps five sweeps for that."
+        f"Found in fewer than half of the attacked sweeps: {seldom}. The caution `CONFIRMED` withdraws what no earlier"
+        " sweep confirms, and the profile `robot` keeps no earlier sweeps: more than a quarter of the recall is lost"
+        f" under {costly}. The profile `contested` keeps five earlier sweeps for this."
     )
 
 
