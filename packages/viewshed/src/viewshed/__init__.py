@@ -30,7 +30,7 @@ __version__ = "0.3.0"
 if _core.__version__ != __version__:
     raise ImportError(
         f"viewshed's native core must be of version {__version__}, got {_core.__version__};"
-        " install viewshed anew (in a checkout: pip install .)"
+        " install viewshed anew (in a checkout: pip install packages/viewshed)"
     )
 
 _HOMES = {
