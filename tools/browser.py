@@ -135,7 +135,7 @@ class Browser:
             time.sleep(0.02)
 
     def window(self, width: int, height: int, dark: bool = False) -> None:
-        """Give the page a window of so many pixels, and a light or a dark system."""
+        """Give the page a window of this size in pixels, and a light or a dark system."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])

@@ -49,7 +49,7 @@ START_NS = 1_760_000_000_000_000_000
 STEP_NS = 100_000_000
 LISTENS_NS = START_NS - 1_000_000_000
 METHODS = {"shadow_map": 1, "viewnet": 1, "mc_dropout": 3}
-"""Estimators, and that each so many-th sweep is given to them."""
+"""Estimators; the number k beside each: it is given every k-th sweep."""
 
 WORLDS_SEEN = ("street", "junction", "highway", "parking", "residential")
 SENSORS = ("vlp16", "hdl32e", "hdl64e", "os1_128")
@@ -57,7 +57,7 @@ SENSORS = ("vlp16", "hdl32e", "hdl64e", "os1_128")
 
 POLYGON_EACH = 6
 HONEST_EACH = 100
-"""So many forged messages for each honest one."""
+"""Number of forged messages before each honest one."""
 
 SIZES = """## Bytes of a view
 

@@ -57,7 +57,7 @@ LINES = 30
 """Of the log, whatever the time."""
 
 RESTARTS, LEAST_S = 20, 10.0
-"""How often everything begins anew, but not sooner than after so many seconds."""
+"""How often everything begins anew, and the least seconds between two of these times."""
 
 WARM_SHARE, GROWTH = 0.2, 0.05
 """Memory counts from this share of the time on, and may grow by this share from there."""
@@ -234,7 +234,7 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
 
 
 def period_s(seconds: float) -> float:
-    """Return after how long everything begins anew in a soak of so many seconds."""
+    """Return after how long everything begins anew in a soak of ``seconds``."""
     return max(seconds / (RESTARTS + 1), LEAST_S)
 
 

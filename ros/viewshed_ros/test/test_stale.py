@@ -203,7 +203,7 @@ def test_the_watchdog_stops_in_place_of_a_node_that_was_killed_and_withdraws_whe
 
 
 class Listened:
-    """A publisher with so many listeners, that keeps what it is given."""
+    """A publisher with this number of listeners that keeps what it is given."""
 
     def __init__(self, listeners: int) -> None:
         self.listeners, self.got = listeners, list[str]()

@@ -29,8 +29,8 @@ MASK_STOPS = {"speed_mask": 1, "keepout_mask": 100}
 """Values by which nav2 stops: 1 percent of the greatest speed, as 0 is no limit, and lethal. It skips cells of -1."""
 
 _FARTHEST_M, _COARSE_CELLS = 1e7, 21
-"""Masks before any pose is known reach so far from the map's origin, in so many cells a side: nav2's KeepoutFilter
-leaves out half a cell at the lower edges."""
+"""Reach from the map's origin, and cells a side, of masks before any pose is known: nav2's KeepoutFilter leaves out
+half a cell at the lower edges."""
 
 
 def everywhere() -> MapMetaData:

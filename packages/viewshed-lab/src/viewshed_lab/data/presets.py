@@ -135,7 +135,7 @@ class Preset:
         return AgentPlan(self.moving, self.roadside, self.sensors[sensor], self.roadside_sensor, height_m, duration_s)
 
     def scaled(self, sweeps: int) -> Preset:
-        """Return the preset with so many sweeps: splits keep their ratio and scenes their length, where they can.
+        """Return the preset with another number of sweeps: splits keep their ratio, scenes their length if they can.
 
         Raises:
             ValueError: there are fewer sweeps than splits.

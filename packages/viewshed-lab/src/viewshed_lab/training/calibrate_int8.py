@@ -81,7 +81,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
 
 
 def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
-    """Yield so many frames, in no order; see :func:`quantize`."""
+    """Yield ``count`` frames, in no order; see :func:`quantize`."""
     if config.simulated:
         source = TrainingFrames(OnlineSimulation(config, count * FRAMES_PER_NEW_SCENE), config)
         numbers = np.arange(count) * FRAMES_PER_NEW_SCENE

@@ -43,7 +43,7 @@ probability, chosen on these very scenes, would reach .010.
 """
 
 MOST_BEFORE = 3
-"""So many earlier reports of an object are as good as more."""
+"""Most earlier reports of an object that are counted; more say no more."""
 
 NO_DETECTION_M = 99.0
 """Distance to the next detection of an agent that has none."""
@@ -186,7 +186,7 @@ def reported_columns(said: ObjectReports) -> tuple[Columns, int]:
 
 
 def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any]:
-    """Return the column of so many others that report an object, and so many that deny it."""
+    """Return the column for the numbers of others that report an object and that deny it."""
     column: NDArray[Any] = np.minimum(reporters, MOST_OTHERS) * (MOST_DENIERS + 1) + np.minimum(deniers, MOST_DENIERS)
     return column
 

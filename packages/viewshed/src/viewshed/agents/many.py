@@ -611,7 +611,7 @@ def confirmed(
         others: views of other agents, with poses.
         trust: (O,) in the others.
         least: trust from which an agent may confirm.
-        votes: so many agents must; with two, one liar alone confirms nothing.
+        votes: least number of agents that must; with two, one liar alone confirms nothing.
 
     Raises:
         ValueError: a view has no pose.

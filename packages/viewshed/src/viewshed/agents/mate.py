@@ -55,7 +55,7 @@ class MateRules:
         reach_m: what is not matched counts up to this distance.
         near_m, near_frames, near_weight: nearer than this the weight is 1 after more frames in view than these, and
             before that it is the third.
-        far_frames: farther away it grows from 0 to 1 from so many frames in view to twice as many.
+        far_frames: farther away it grows from 0 to 1 between this number of frames in view and twice this number.
         distant_m, distant_weight: farther than this it is multiplied by that.
         least_updates: a track of the center with fewer updates is not missed.
         least_measurements: tracks with fewer pseudo-measurements in a round keep their trust.

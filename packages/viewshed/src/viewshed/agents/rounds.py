@@ -39,7 +39,7 @@ HEARD_S = 1.5
 """A round waits for agents that were heard so lately."""
 
 CLOCK_S = 5.0
-"""How far a clock is ahead is told by the reports of so many seconds."""
+"""How far a clock is ahead is known from the reports of this time."""
 
 MOST_AGENTS = 16
 """More agents are refused: the work of a round grows with their square."""
@@ -48,7 +48,7 @@ SILENT_S = 10.0
 """An agent that is silent for so long gives its place to another; half of its record has faded by then."""
 
 MOST_OPEN = 64
-"""So many rounds wait at once: whoever reports one time again and again fills no memory."""
+"""Most rounds that wait at once: an agent that reports one time again and again fills no memory."""
 
 MOST_CELLS = 512
 """Cells along a side of a joint field of view."""

@@ -63,9 +63,9 @@ class TrustRules:
         agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
         disc_m: radius of the disc over which a lie puts an object.
         astray: share of honest positions that are as those of lies: boxes of objects that are seen in part.
-        objects: so many objects count against a hypothesis, those that say most.
+        objects: most objects that count against a hypothesis, those that say most.
         most_of_object: bound in nats of what one object says against a hypothesis.
-        half_life_s: after so many seconds a report counts half.
+        half_life_s: after this time a report counts half.
         temper: log-likelihoods are divided by this before they become probabilities.
 
     Raises:
@@ -104,7 +104,7 @@ class Reports:
         able: (J, A) bool, who could.
         sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
         reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
-        of_others: (others, deniers) log-odds for so many others that report an object and so many that deny it.
+        of_others: (others, deniers) log-odds by the numbers of others that report an object and that deny it.
         invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
         contradicted: (J, A) the same in the views of others.
         displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
@@ -385,7 +385,7 @@ class TrustLimits:
 
     @property
     def least_rate(self) -> float:
-        """The smallest rate that so many scenes support, with sensors of both kinds."""
+        """The smallest rate that the number of scenes supports, with sensors of both kinds."""
         return 2.0 / (len(self.doubt) + 1.0)
 
     def accused(self, suspicion: F64, elevated: Mask, rate: float) -> Mask:

@@ -56,10 +56,10 @@ SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
 
 MOST_OTHERS = 4
-"""Views of so many other agents, the nearest ones, are compared with one that is checked."""
+"""Most other agents, the nearest ones, with whose views one view is compared."""
 
 LOOKS = 2
-"""Checks of an agent's view are the mean of its last so many."""
+"""Number of an agent's last checks whose mean counts."""
 
 USUAL, MOST = 0.5, 4.0
 """Surprise up to which a check says nothing, as suspicious as three honest views in ten, and the most that one says."""

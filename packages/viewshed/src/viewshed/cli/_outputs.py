@@ -197,7 +197,7 @@ class Run:
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
-        """Yield the summary line of each sweep, one by one and timed, or so many of them together."""
+        """Yield the summary line of each sweep, one by one and timed, or ``batch`` of them together."""
         return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
 
     def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[str]:

@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
     """What a monitor says of the next sweep and its estimate, and that in words."""
 
-Every = Annotated[int, typer.Option(min=1, help="Take one of so many sweeps.")]
+Every = Annotated[int, typer.Option(min=1, help="Take every k-th sweep.")]
 
-MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")]
+MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
 
 
 def view(

@@ -166,7 +166,7 @@ class HighestScores:
 
 
 def alarms_allowed(scenes: int, rate: float, promise: Promise = "expected", *, unit: str = "scenes") -> int:
-    """Return how many of so many benign scores may lie above the limit of an alarm with this rate.
+    """Return how many of the benign scores of ``scenes`` scenes may lie above the limit of an alarm with this rate.
 
     Args:
         scenes: number of benign scores.

@@ -31,7 +31,7 @@ from viewshed.arrays import F32
 from viewshed.monitor.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
 
 HELD_SWEEPS = 5
-"""Evidence over time is held over so many sweeps."""
+"""Number of sweeps over which evidence over time is carried over."""
 
 RAISED = 2.0
 """Surprise from which a sector counts as raised: one benign sector in a hundred."""
@@ -432,7 +432,7 @@ _ARRAYS = ("mean", "spread", "weights", "offsets", "outputs", "output_offsets")
 
 
 def features_of(evidence: int) -> int:
-    """Return how many features a sector has with so many kinds of evidence."""
+    """Return how many features a sector has with this number of kinds of evidence."""
     return evidence * (SECTOR_FEATURES + SWEEP_FEATURES)
 
 

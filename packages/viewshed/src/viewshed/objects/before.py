@@ -17,7 +17,7 @@ from viewshed.objects.cells import FINE, SeenCells, footprint_points
 from viewshed.objects.tracks import Tracks
 
 ASKED_AFTER = (5, 10)
-"""A track is followed back after so many detections: then its velocity is known."""
+"""Numbers of detections at which a track is followed back: then its velocity is known."""
 
 _KEPT_S, _EVERY_S = 4.0, 0.25
 """Cells are kept for so long, at least so far apart in time."""

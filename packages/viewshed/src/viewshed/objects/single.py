@@ -216,7 +216,7 @@ _SAME_M = 1.2
 """A detected track so near a given-up one is the same object."""
 
 _KNOWN_HITS = 10
-"""Only tracks with so many detections can be missed."""
+"""Only tracks with at least this number of detections can be missed."""
 
 _BARE_S = 0.5
 """A given-up track without a surface for so long is gone."""

@@ -201,7 +201,7 @@ class BeamView:
         self._asked = np.zeros((0, 7)), np.zeros(0)
 
     def visible(self, boxes: F64) -> F64:
-        """Return the probability (K,) that at least so many beams meet each box."""
+        """Return the probability (K,) that at least ``min_returns`` beams meet each box."""
         return self._visible(self._counts(moved_boxes(boxes, self._level_from_tracks)))
 
     def detectable(self, boxes: F64, kinds: Kinds) -> F64:

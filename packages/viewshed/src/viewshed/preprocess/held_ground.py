@@ -23,10 +23,10 @@ from viewshed.preprocess.leveling import Held, LeveledSweep, level
 from viewshed.preprocess.reach import reach_of_sweep
 
 HEIGHTS = 7
-"""The sensor's height is the median of those of the last so many sweeps, the present one among them, ..."""
+"""The sensor's height is the median of those of the last ``HEIGHTS`` sweeps, the present one among them, ..."""
 
 FEWEST_HEIGHTS = 3
-"""... if they are at least so many, ..."""
+"""... if at least this number of them are known, ..."""
 
 HEIGHT_OFF_M = 0.15
 """... and the present one is off by more than this."""

@@ -43,7 +43,7 @@ ISOLATED_M = 35.0
 """Isolated returns farther away are kept: there the beams lie too far apart to judge."""
 
 ISOLATED_SHARE = 0.06
-"""Returns in the air up to 35 m that no others share are drops or flakes if they are so many, and count as missing."""
+"""Isolated returns in the air up to 35 m are drops or flakes, and count as missing, if their share reaches this."""
 
 _BANDS, _SECTORS, _ENOUGH = 20, 32, 8
 """Bands of range and sectors of azimuth in which returns from the ground are counted, and beams that a share needs."""

@@ -28,7 +28,7 @@ BLOCKS, RETURNS, OPEN = 1, 2, 4
 """What a beam met, as flags: a thing that is not the sensor's own vehicle; what sends light back; nothing."""
 
 LANES = 32
-"""Cells of a bin are seen by so many at a time."""
+"""Number of cells of a bin that are looked at together."""
 
 FARTHEST, BLOCKER, SIGHT, BETWEEN = 1, 2, 4, 8
 """What is known of a cell, as flags: the definitions that see it, and that a line passes over it."""

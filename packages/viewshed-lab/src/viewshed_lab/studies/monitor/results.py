@@ -441,7 +441,7 @@ class AttackedSweeps:
 
     @classmethod
     def of(cls, chosen: Evaluation, mask: Mask, hz: float) -> AttackedSweeps:
-        """Return those of a mask (N,) of the test table that an attack touched, at so many sweeps a second."""
+        """Return those of a mask (N,) of the test table that an attack touched, at ``hz`` sweeps a second."""
         scored = chosen.tested.rows(mask & chosen.test.touched.any(axis=1))
         table = scored.table
         drives = [table.drives[drive] for drive in table.drive]

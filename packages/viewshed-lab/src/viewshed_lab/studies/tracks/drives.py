@@ -125,7 +125,7 @@ _FALSE_PER_SWEEP, _FALSE_S = 0.3, 0.5
 
 
 def found_probability(returns: NDArray[Any]) -> F64:
-    """Return the probability (N,) that the simulated detector finds objects with so many returns (N,)."""
+    """Return the probability (N,) that the simulated detector finds objects by their number of returns (N,)."""
     counts, shares = np.array(_FOUND).T
     return np.asarray(np.interp(np.asarray(returns, np.float64), counts, shares))
 

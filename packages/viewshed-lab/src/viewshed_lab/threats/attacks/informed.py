@@ -39,7 +39,7 @@ _JUMP_M = 1.2
 """Returns of neighboring beams belong to one object where their depths differ by less."""
 
 _REACH = 2
-"""So many rings and columns apart, beams are neighbors: a lost one does not cut an object in two."""
+"""Beams are neighbors up to this number of rings and columns apart: a lost one does not cut an object in two."""
 
 _SKIRT_M = 0.5
 """Returns below an object, too low for an obstacle, that are less than this nearer or farther than it are its own."""
@@ -54,7 +54,7 @@ _FEWEST = 12
 """Returns of the smallest object that is worth an attack."""
 
 _VANISHING_SHARE = 0.5
-"""An object vanishes where something is known to lie behind so many of its beams."""
+"""An object vanishes where something is known to lie behind at least this share of its beams."""
 
 _DOWN = -0.005
 """Beams that fall by less than this a meter show no ground that could be continued."""

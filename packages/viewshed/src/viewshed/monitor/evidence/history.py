@@ -105,7 +105,7 @@ def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
 
 def _elevations(leveled: LeveledSweep, rings: int) -> NDArray[np.float64]:
     """Return the mean elevation (rings,) of the returns of each ring; of those without returns, what lies between."""
-    step = max(len(leveled.sweep) // 4000, 1)  # so many rows are enough for a mean
+    step = max(len(leveled.sweep) // 4000, 1)  # 4,000 rows are enough for a mean
     points, ring = leveled.sweep.points[::step].astype(np.float64), leveled.sensor_id.ring
     assert ring is not None  # there is a range image
     ring = ring[::step]

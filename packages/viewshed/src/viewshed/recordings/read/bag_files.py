@@ -397,7 +397,7 @@ def _unzstd(packed: bytes, limit: int) -> bytes:
 
 
 _UNPACKERS = {"": _stored, "bz2": _bunzip2, "lz4": _unlz4, "zstd": _unzstd}
-"""What unpacks a chunk to at most so many bytes, by the name of the packing."""
+"""What unpacks a chunk to a bounded number of bytes, by the name of the packing."""
 
 
 class SqliteBag:
