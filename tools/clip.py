@@ -46,10 +46,10 @@ class Shown:
 
 def frames_of(browser: Browser) -> list[Shown]:
     """Return the frames of the open page, in its order."""
-    told = json.loads(
+    rows = json.loads(
         browser.value("JSON.stringify(abouts.map((about, k) => [about.agent, seconds[k], about.visible_m2]))")
     )
-    return [Shown(number, *each) for number, each in enumerate(told)]
+    return [Shown(number, *each) for number, each in enumerate(rows)]
 
 
 def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:

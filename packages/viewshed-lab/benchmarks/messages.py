@@ -316,8 +316,8 @@ def refusals(good: bytes, key: SigningKey) -> str:
                 raise RuntimeError(f"{name} was refused as {here.refused}, not as {reason}")
         median, high = np.percentile(taken, [50, 99])
         limit = 500 if reason in (Reason.FORGED, Reason.BAD_CONTENT) else 100
-        said = "met" if high <= limit else "met by the median alone" if median <= limit else "**missed**"
-        rows.append([name, reason.value, f"{median:.1f}", f"{high:.1f}", f"≤ {limit}", said])
+        verdict = "met" if high <= limit else "met by the median alone" if median <= limit else "**missed**"
+        rows.append([name, reason.value, f"{median:.1f}", f"{high:.1f}", f"≤ {limit}", verdict])
     return table(["message", "reason", "median", "99 %", "target", ""], rows)
 
 

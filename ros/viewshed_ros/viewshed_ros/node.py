@@ -78,7 +78,7 @@ class FieldOfView(LifecycleNode):
         self._diagnostics: Any = None
         self._diagnostics_timer: Any = None
         self._is_active = False
-        self._told_s = 0.0
+        self._diagnosed_s = 0.0
 
     # Transitions of the lifecycle
 
@@ -166,7 +166,7 @@ class FieldOfView(LifecycleNode):
             estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
             vehicle=settings.vehicle, objects=self._objects(settings),
         )  # fmt: skip
-        self._told_s = time.monotonic()
+        self._diagnosed_s = time.monotonic()
 
     def _diagnose_at(self, hz: float) -> None:
         """Publish diagnostics so often from now on; 0 for never."""
@@ -530,7 +530,7 @@ class FieldOfView(LifecycleNode):
         if self._pipeline is None:
             return
         now_s = time.monotonic()
-        passed_s, self._told_s = now_s - self._told_s, now_s
+        passed_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         message.status = [

@@ -75,11 +75,11 @@ class Stale:
 
 
 def stale_alarm(name: str, stale: Stale, beside: Iterable[KeyValue] = ()) -> DiagnosticStatus:
-    """Return the alarm of a view that is too old, with what else was to be said."""
+    """Return the alarm of a view that is too old, with what else was to be reported."""
     values: Mapping[str, str] = {
         "caution": "STALE", "speed in m/s": "0.00", "speed limit in m/s": f"{stale.unseen_mps:.2f}",
         "age in s": f"{stale.age_s:.2f}", "limit of age in s": f"{stale.limit_s:.2f}",
     }  # fmt: skip
-    said = [KeyValue(key=key, value=value) for key, value in values.items()]
-    said += [each for each in beside if each.key not in values]
-    return DiagnosticStatus(level=DiagnosticStatus.STALE, name=name, message=stale.line(), values=said)
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    pairs += [each for each in beside if each.key not in values]
+    return DiagnosticStatus(level=DiagnosticStatus.STALE, name=name, message=stale.line(), values=pairs)

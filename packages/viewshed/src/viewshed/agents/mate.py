@@ -222,12 +222,12 @@ def pseudo_measurements(
     weight = miss_weight(distance_m, frames.astype(np.float64), updates.astype(np.float64), rules)
     mean, sureness = mean_of(track_trust), 1.0 - 2.0 * std_of(track_trust)
     own = mean_of(agent_trust)
-    said = np.full((4, len(xy_m)), np.nan)
-    said[2:, is_self] = 1.0
-    said[:, is_matched] = np.stack([mean, sureness, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
-    said[:, is_missed] = np.stack([1.0 - mean, weight * sureness, np.zeros_like(mean), weight * own])[:, is_missed]
-    said[1] = np.clip(said[1], _LEAST_CONFIDENCE, _MOST_CONFIDENCE)
-    return PseudoMeasurements(*said)
+    values = np.full((4, len(xy_m)), np.nan)
+    values[2:, is_self] = 1.0
+    values[:, is_matched] = np.stack([mean, sureness, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
+    values[:, is_missed] = np.stack([1.0 - mean, weight * sureness, np.zeros_like(mean), weight * own])[:, is_missed]
+    values[1] = np.clip(values[1], _LEAST_CONFIDENCE, _MOST_CONFIDENCE)
+    return PseudoMeasurements(*values)
 
 
 @dataclass(slots=True)
@@ -302,13 +302,13 @@ class MateTrust:
             frames = self._count_frames(report, ids)
             found.append(pseudo_measurements(report, self.agents[report.agent], xy_m, updates, betas, frames, rules))
 
-        # 3. Move agents, and those tracks of which enough was said.
-        for report, said in zip(reports, found, strict=True):
-            gain = gains(said.agent_value, said.agent_confidence, rules.agent_bias, rules.agent_threshold)
+        # 3. Move agents, and those tracks about which enough was reported.
+        for report, one in zip(reports, found, strict=True):
+            gain = gains(one.agent_value, one.agent_confidence, rules.agent_bias, rules.agent_threshold)
             self.agents[report.agent] = self.agents[report.agent] + np.nansum(gain, axis=0)
         if found:
-            values = np.stack([said.track_value for said in found])
-            confidences = np.stack([said.track_confidence for said in found])
+            values = np.stack([one.track_value for one in found])
+            confidences = np.stack([one.track_confidence for one in found])
             gain = np.nansum(gains(values, confidences, rules.track_bias, rules.track_threshold), axis=0)
             is_enough = (~np.isnan(values)).sum(axis=0) >= rules.least_measurements
             betas = betas + gain * is_enough[:, None]

@@ -354,20 +354,20 @@ class CheckedViews:
         self._found = {number: self._found[old] for number, old in enumerate(kept) if old in self._found}
         self._last = [-1 if old < 0 else self._last[old] for old in kept]
 
-    def add(self, said: Mapping[int, tuple[FovEstimate, Detections]]) -> F64:
+    def add(self, views: Mapping[int, tuple[FovEstimate, Detections]]) -> F64:
         """Return the mean of the last checks of each agent (A, C); NaN before there are ``LOOKS`` of them.
 
         Args:
-            said: views and detections of one time, by the number of the agent.
+            views: views and detections of one time, by the number of the agent.
         """
         self._times += 1
-        known = [number for number, (estimate, _) in said.items() if not _is_too_tall(estimate)]
+        known = [number for number, (estimate, _) in views.items() if not _is_too_tall(estimate)]
         if known:
             number = min(known, key=lambda one: (self._last[one], one))
-            estimate, detections = said[number]
+            estimate, detections = views[number]
             # Others are the nearest ones: they see most of what the agent claims.
             others = sorted(
-                (other for one, (other, _) in said.items() if one != number),
+                (other for one, (other, _) in views.items() if one != number),
                 key=lambda other: _apart_m(estimate, other),
             )
             view = ClaimedView(estimate, detections, tuple(others[:MOST_OTHERS]))

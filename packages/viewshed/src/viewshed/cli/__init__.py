@@ -71,8 +71,8 @@ def _missing(name: str) -> Callable[[], None]:
     return command
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(is_wanted: bool) -> None:
+    if is_wanted:
         typer.echo(f"viewshed {__version__}")
         raise typer.Exit
 

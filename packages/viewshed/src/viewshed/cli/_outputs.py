@@ -140,7 +140,7 @@ class Failures:
     """Reports each failure in a line on standard error, and counts them."""
 
     count: int = 0
-    _said: set[str] = field(default_factory=set, init=False)
+    _reported: set[str] = field(default_factory=set, init=False)
 
     def report(self, file: Path | str, error: Exception) -> None:
         """Say what went wrong with a file; an error that is no fault of the input is raised."""
@@ -149,8 +149,8 @@ class Failures:
         self.count += 1
         text = one_line(error)
         line = text if Path(file).name in text else f"{file}: {text}"
-        if line not in self._said:  # what is wrong with each sweep of a file is said once
-            self._said.add(line)
+        if line not in self._reported:  # what is wrong with each sweep of a file is reported once
+            self._reported.add(line)
             complain(line)
 
 

@@ -72,11 +72,11 @@ def p_values(benign: ArrayLike, scores: ArrayLike, rng: np.random.Generator | No
     return _p_values_of_ordered(np.sort(_checked("benign", benign)), _checked("scores", scores), rng)
 
 
-def _p_values_of_ordered(ordered: F64, asked: F64, rng: np.random.Generator | None) -> F64:
+def _p_values_of_ordered(ordered: F64, scores: F64, rng: np.random.Generator | None) -> F64:
     """Return the p-values (M,) of scores against ascending benign ones, all of them numbers."""
-    above = len(ordered) - np.searchsorted(ordered, asked, "right")
-    equal = len(ordered) - np.searchsorted(ordered, asked, "left") - above
-    share = np.ones(asked.shape) if rng is None else rng.random(asked.shape)
+    above = len(ordered) - np.searchsorted(ordered, scores, "right")
+    equal = len(ordered) - np.searchsorted(ordered, scores, "left") - above
+    share = np.ones(scores.shape) if rng is None else rng.random(scores.shape)
     result: F64 = np.maximum(above + share * (equal + 1.0), np.finfo(float).tiny) / (len(ordered) + 1.0)
     return result
 
@@ -95,16 +95,16 @@ def tail_p_values(ordered: F64, scores: ArrayLike) -> F64:
     >>> tail_p_values(np.arange(1.0, 20.0), [1.0, 17.0, 18.5, 100.0]).round(4)
     array([1.    , 0.2   , 0.0552, 0.    ])
     """
-    asked, count = np.asarray(scores, np.float64), len(ordered)
-    p = _p_values_of_ordered(ordered, asked, None)
+    values, count = np.asarray(scores, np.float64), len(ordered)
+    p = _p_values_of_ordered(ordered, values, None)
     above = math.ceil(TAIL_SHARE * (count + 1))
     if above >= count:
         return p
     start = float(ordered[count - above - 1])
     excess = float(ordered[count - above :].mean()) - start
     if excess > 0.0:
-        beyond = (above + 1) / (count + 1) * np.exp(-np.maximum(asked - start, 0.0) / excess)
-        p = np.where(asked > start, np.maximum(beyond, _LEAST_TAIL), p)
+        beyond = (above + 1) / (count + 1) * np.exp(-np.maximum(values - start, 0.0) / excess)
+        p = np.where(values > start, np.maximum(beyond, _LEAST_TAIL), p)
     return p
 
 
@@ -156,11 +156,11 @@ class HighestScores:
 
         They are 1 where a score is below those kept, or NaN.
         """
-        asked = np.asarray(scores, np.float32)
+        values = np.asarray(scores, np.float32)
         if self.highest.shape[1] == 1:
-            reached = len(self.highest) - np.searchsorted(self.highest[::-1, 0], asked)
+            reached = len(self.highest) - np.searchsorted(self.highest[::-1, 0], values)
         else:
-            reached = (self.highest >= asked).sum(axis=0)
+            reached = (self.highest >= values).sum(axis=0)
         known = (reached < len(self.highest)) & ~np.isnan(np.asarray(scores, np.float64))
         return np.where(known, (reached + 1.0) / (self.scenes + 1.0), 1.0)
 

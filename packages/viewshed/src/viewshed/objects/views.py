@@ -198,7 +198,7 @@ class BeamView:
         self.t_s, self.in_world = t_s, world_from_level is not None
         self._leveled, self._found, self._min_returns = leveled, found, min_returns
         self._level_from_tracks = _level_from_tracks(world_from_level)
-        self._asked = np.zeros((0, 7)), np.zeros(0)
+        self._counted = np.zeros((0, 7)), np.zeros(0)
 
     def visible(self, boxes: F64) -> F64:
         """Return the probability (K,) that at least ``min_returns`` beams meet each box."""
@@ -222,10 +222,10 @@ class BeamView:
 
     def _counts(self, level: F64) -> F64:
         """Return the expected returns (K,); a tracker asks of the same boxes twice, whether seen and whether found."""
-        boxes, counts = self._asked
+        boxes, counts = self._counted
         if not np.array_equal(boxes[: len(level)], level):
             counts = expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
-            self._asked = level, counts
+            self._counted = level, counts
         return counts[: len(level)]
 
     def _visible(self, counts: F64) -> F64:

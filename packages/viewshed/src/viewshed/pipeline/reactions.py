@@ -111,12 +111,12 @@ def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) ->
     if found.inconsistent:
         inconsistent = state.inconsistent + 1
         is_known_where = bool(found.suspect.any()) and not found.lasting and inconsistent < rules.persist_sweeps
-        asked = Caution.WIDEN if is_known_where else Caution.CONFIRMED
+        wanted = Caution.WIDEN if is_known_where else Caution.CONFIRMED
     else:
-        asked = Caution.ASK if found.degraded or found.stale else Caution.KEEP
+        wanted = Caution.ASK if found.degraded or found.stale else Caution.KEEP
     # Caution rises at once, and falls by one step after enough calm sweeps in a row; a stale one is not calm.
-    caution, calm = asked, 0
-    if asked < before:
+    caution, calm = wanted, 0
+    if wanted < before:
         calm = 0 if found.stale else state.calm + 1
         caution, calm = (Caution(before - 1), 0) if calm >= rules.recover_sweeps else (before, calm)
     suspect = state.suspect if before >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)
