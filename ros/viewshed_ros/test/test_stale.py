@@ -109,7 +109,7 @@ def test_nav2_stops_when_the_sensor_or_the_poses_stop_and_when_the_node_does(sta
     stack.enter_context(running({**PARAMETERS, "autostart": "true"}))
     robot = Robot()
     vehicle = Vehicle(robot)
-    # 1. From activation on, before the first sweep: nobody knows where the vehicle is, and it stops wherever that is.
+    # 1. From activation on, before the first sweep: it is unknown where the vehicle is, and it stops wherever that is.
     assert vehicle.stopped_after_s(time.monotonic() + 20.0) < 20.0
     assert late_joiner_stops(robot)
     # 2. The sensor is cut, poses go on.

@@ -53,7 +53,7 @@ LIVE = QoSProfile(depth=5)
 
 
 ALARM, VIEWS_TOPIC = "alarm", "views"
-"""Outlets of a sensor that are no layers: its alarm, and what other agents are told."""
+"""Outlets of a sensor that are no layers: its alarm, and what is shared with other agents."""
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """Of timers that also run where simulated time stands still."""
@@ -265,7 +265,7 @@ class FieldOfView(LifecycleNode):
                 sensor.subscription = None
 
     def _close_outlets(self) -> None:
-        """Replace what was said by stop messages, after which nothing more is said."""
+        """Replace what was published by stop messages, after which nothing more is published."""
         self._is_active, now_s = False, time.monotonic()
         for sensor in self._sensors.values():
             for outlet in sensor.outlets.values():
@@ -337,7 +337,7 @@ class FieldOfView(LifecycleNode):
         return sensor.settings.input.sweep(message, agent=sensor.settings.name, world_from_sensor=pose, **known)
 
     def _pose(self, sensor: Sensor, t_ns: int) -> Rigid | None:
-        """Return where a sensor stood; None, counted, where nobody knows: the sweep is taken by itself."""
+        """Return where a sensor stood; None, counted, where it is not known: the sweep is taken by itself."""
         if self._poses is None:
             return None
         try:
@@ -474,7 +474,7 @@ class FieldOfView(LifecycleNode):
                 sensor.heartbeat.publish(OccupancyGrid(header=header, info=sensor.area))
 
     def _stop_one(self, sensor: Sensor, stop: Callable[[], None]) -> bool:
-        """Replace what one topic said, and return whether that could be done."""
+        """Replace what one topic reported, and return whether that could be done."""
         try:
             stop()
         except Exception as error:  # a context that has been shut down, say; the watchdog stops the vehicle then

@@ -66,7 +66,7 @@ class Outlet:
                 self.seen_s, self.is_stop = now_s, True
 
     def close(self, now_s: float) -> None:
-        """Let nothing through any more, after a stop message in place of what was said."""
+        """Let nothing through any more, after a stop message in place of what was published."""
         with self._lock:
             self.is_open = False
         self.stop_if_older(-1.0, now_s)

@@ -1,4 +1,4 @@
-"""Messages that claim nothing: they replace what was said of a view that is too old, and nav2 stops by them.
+"""Messages that claim nothing: they replace what was published of a view that is too old, and nav2 stops by them.
 
 Nothing of viewshed is imported, so that the watchdog is a small process of its own.
 """

@@ -130,7 +130,7 @@ class Preset:
         return sum(self.frames)
 
     def plan(self, sensor: int, duration_s: float) -> AgentPlan:
-        """Return what a world is asked to carry, with one of the sensors."""
+        """Return which sensors a world must carry; ``sensor`` is the number of the moving agents' one."""
         height_m = self.sensor_height_m
         return AgentPlan(self.moving, self.roadside, self.sensors[sensor], self.roadside_sensor, height_m, duration_s)
 

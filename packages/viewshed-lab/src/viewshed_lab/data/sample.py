@@ -28,9 +28,9 @@ class Sample:
         known: (cells, cells) bool, False where no truth exists (below the vehicle itself, outside the world).
         scene: where it was measured; splits never cut through a scene.
         split: ``train``, ``test``, …
-        tampered: the attacked sweep and what was done to it, or None where nobody says.
+        tampered: the attacked sweep and what was done to it, or None where it is not known.
         clean: the range image that an attacked sweep was made from, or None. Archives store it with the rows that the
-            attacker made, which takes less room than all points.
+            attacker made, which takes less memory than all points.
 
     Raises:
         ValueError: ``known`` does not fit the truth's grid, or ``tampered`` is of another number of returns.

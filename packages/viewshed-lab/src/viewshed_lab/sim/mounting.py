@@ -17,7 +17,7 @@ from viewshed_lab.sim.world import Agent, Thing, World
 
 FRAMES = ("sensor", "base_shifted_back", "base")
 """In which frame points are given: the ``sensor``'s; the carrier's axes with the origin at the sensor (its offset is
-known and was taken off); or the carrier's ``base``, whose offset from the sensor nobody tells."""
+known and was taken off); or the carrier's ``base``, whose offset from the sensor is not given."""
 
 _AXLE_M = (-1.35, 0.32)
 """x and z of the rear axle in the frame of a car, and so of the base frame; a robot's is below its middle."""

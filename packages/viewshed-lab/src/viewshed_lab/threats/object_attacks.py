@@ -1,4 +1,4 @@
-"""Attacks on objects: detections are fabricated, removed or moved, and what was forged is told.
+"""Attacks on objects: detections are fabricated, removed or moved, and reports say what was forged.
 
 >>> attack = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=2.0).begin(np.random.default_rng(0))
 >>> forged = [attack.apply(Detections.none(), t_s, np.zeros(3)) for t_s in (0.0, 1.9, 2.0)]

@@ -20,7 +20,7 @@ MAX_F1_LOSS = 0.002
 """F1 that quantization may cost."""
 
 FRAMES = 64
-"""Sweeps that calibrate, and as many others that check, where not asked otherwise."""
+"""Sweeps that calibrate, and as many others that check, unless other numbers are given."""
 
 _EPOCH = 0x62797465
 

@@ -64,7 +64,7 @@ class Round:
     Attributes:
         picture: joint tracks, and what is believed of them and of the agents.
         accused: (A,) bool, agents that lie by the shipped limits.
-        disputed: (A,) bool, agents of which one lies, and nobody knows which.
+        disputed: (A,) bool, agents of which one lies; it is unknown which.
         missing: agents that were heard lately and have no report in the round.
         refused: reports of each agent that were refused so far, for poses that no vehicle can have; no entry for none.
     """
@@ -387,7 +387,7 @@ class Rounds:
             return False
         if set(self.agents) == first.reports.keys():
             return False
-        # Where agents are not named, the first round ends with a report of the next one: nobody knows who is there.
+        # Where agents are not named, the first round ends with a report of the next one: it is unknown who is there.
         if self._last_s == -np.inf and len(self._open) == 1:
             return True
         live = {agent for agent, heard in self._heard.items() if self._now_s < heard.last_s + HEARD_S}

@@ -62,7 +62,7 @@ class TrustRules:
         most_ratio: bound in nats of what views say about an invented or a displaced box; half as much for a report.
         agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
         disc_m: radius of the disc over which a lie puts an object.
-        astray: share of honest positions that are as those of lies: boxes of objects that are seen in part.
+        astray: outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part).
         objects: most objects that count against a hypothesis, those that say most.
         most_of_object: bound in nats of what one object says against a hypothesis.
         half_life_s: after this time a report counts half.
@@ -218,7 +218,7 @@ class Trust:
         self.__post_init__()
         columns = []
         for line in self._lies:
-            # Who comes has said nothing yet: it explains as much as if it were honest.
+            # A new agent has reported nothing yet: it explains as much as if it were honest.
             liars = frozenset(kept[agent] for agent in np.flatnonzero(line).tolist()) - {-1}
             if liars in logs:
                 columns.append(logs[liars])
@@ -286,7 +286,7 @@ class Trust:
     def _agreement(self, reports: Reports, reporters: Mask) -> F64:
         """Return the log-ratio (J, H, A) of each position about the mean of the other reporters' over one anywhere.
 
-        Positions are normal about it, but for a share that lies astray.
+        Positions are normal about it, but for a share of outliers.
         """
         of_agents = reports.std_m**-2.0
         # Sums over all reporters but the agent itself.

@@ -500,20 +500,20 @@ class Calibration:
 
 
 def betting_martingale(p: ArrayLike) -> F64:
-    """Return the wealth (N,) after each of N p-values of one who bets that they are not independent and uniform.
+    """Return the e-value (N,) after each of N p-values, by bets that these are not independent and uniform.
 
     The Simple Jumper (Vovk et al., 2021, arXiv 2102.10439): it puts its money on small or on large p-values, and moves
-    1 % of it after each. If they are, the wealth ever reaches c with probability 1 / c at most.
+    1 % of it after each. If they are, the e-value ever reaches c with probability 1 / c at most.
     """
     slopes = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
     jump, accounts = 0.01, np.full(5, 0.2)
     values = np.asarray(p, np.float64)
-    wealth = np.empty(len(values))
+    e_values = np.empty(len(values))
     for number, value in enumerate(values):
         accounts *= 1.0 + slopes * (value - 0.5)
-        wealth[number] = accounts.sum()
-        accounts = (1.0 - jump) * accounts + jump * wealth[number] / 5
-    return wealth
+        e_values[number] = accounts.sum()
+        accounts = (1.0 - jump) * accounts + jump * e_values[number] / 5
+    return e_values
 
 
 def online_p_values(scores: ArrayLike, rng: np.random.Generator) -> F64:
@@ -527,7 +527,7 @@ def online_p_values(scores: ArrayLike, rng: np.random.Generator) -> F64:
 
 
 WORRYING = 100.0
-"""Wealth of the betting martingale from which a set is warned of: at most one exchangeable set in a hundred."""
+"""E-value of the betting martingale from which a set is warned of: at most one exchangeable set in a hundred."""
 
 
 def drift_warning(scores: Mapping[Group, ArrayLike], rng: np.random.Generator) -> str | None:
@@ -537,12 +537,12 @@ def drift_warning(scores: Mapping[Group, ArrayLike], rng: np.random.Generator) -
     shows as a run of high or low scores. What is attacked at random throughout the set does not show.
     """
     p = [online_p_values(each, rng) for each in scores.values()]
-    wealth = betting_martingale(np.concatenate([*p, np.zeros(0)]))
-    if not wealth.size or wealth.max() < WORRYING:
+    e_values = betting_martingale(np.concatenate([*p, np.zeros(0)]))
+    if not e_values.size or e_values.max() < WORRYING:
         return None
     return (
-        f"benign scenes must be exchangeable, but their scores drift (betting martingale {wealth.max():.3g} at scene"
-        f" {int(wealth.argmax()) + 1} of {len(wealth)}; exchangeable ones reach {WORRYING:g} in 1 of {WORRYING:g}"
+        f"benign scenes must be exchangeable, but their scores drift (betting martingale {e_values.max():.3g} at scene"
+        f" {int(e_values.argmax()) + 1} of {len(e_values)}; exchangeable ones reach {WORRYING:g} in 1 of {WORRYING:g}"
         " sets); look for attacked or foreign scenes, no rate is promised"
     )
 

@@ -48,10 +48,10 @@ class EDetector:
     The bets of a block are averaged: a mean of e-values is an e-value however they depend on each other.
 
     Attributes:
-        limit: of the wealth; the mean number of blocks between false alarms is at least this.
+        limit: of ``wealth``; the mean number of blocks between false alarms is at least this.
         block: sweeps of a block.
         run: sweeps after which it begins anew, having alarmed once at most; None to begin anew after alarms alone.
-        wealth: at the end of the last block; 0 at the beginning and after an alarm.
+        wealth: the value of the e-detector after the last block; 0 at the beginning and after an alarm.
         doubtful_sweeps: sweeps since the doubt that is left began; at an alarm, its delay.
 
     Raises:
@@ -124,7 +124,7 @@ class BenignRuns:
     """What a detector reaches in benign runs of equal length, each of a scene of its own: its limits are from these.
 
     Attributes:
-        wealth: (n,) the highest in each run.
+        wealth: (n,) the highest value of the e-detector in each run.
         sweeps: of a run.
 
     Raises:
@@ -171,7 +171,7 @@ class BenignRuns:
         return len(self.wealth) * self.sweeps / (3600.0 * hz)
 
     def least_per_hour(self, hz: float) -> float:
-        """Return the smallest number of false alarms an hour that can be asked for."""
+        """Return the smallest number of false alarms an hour that can be given."""
         return 3600.0 * hz / (self.sweeps * (len(self.wealth) + 1))
 
     def detector(self, per_hour: float, hz: float) -> EDetector:

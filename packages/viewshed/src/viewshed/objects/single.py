@@ -111,7 +111,7 @@ class SingleFusion:
         larger = (jumped > 1.0) & (np.hypot(*vectors.T) > np.hypot(*memory.offset.T))
         memory.offset[larger] = vectors[larger]
         ratios = np.clip(ratios, 1.0 / CAP, CAP)
-        # What was seen for a moment only is often a false detection: nobody need have removed it.
+        # What was seen only briefly is often a false detection: nobody need have removed it.
         ratios[~is_matched & ((memory.hits < _KNOWN_HITS) | ~both.confirmed), REMOVED] = 1.0
 
         # Evidence over time, of those that are under no alarm.
@@ -171,8 +171,8 @@ class SingleFusion:
         given_up &= (apart >= _SAME_M).all(axis=1)
         if not given_up.any():
             return tracks, memory
-        held = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
-        return join_tracks(tracks, held), memory.joined(self._memory.take(given_up))
+        carried_over = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
+        return join_tracks(tracks, carried_over), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
         """Return gone : still there (N,) by the cells at the track, or at the nearest surface if these fit better."""
@@ -210,7 +210,7 @@ def _explanations(
 _NO_POSES = "no poses: nothing is said of sudden moves and of births, and tracks that the tracker gave up are not held"
 
 _MOST_WEALTH = 1e6
-"""Wealth is held below this, so that a track can be acquitted again."""
+"""Largest e-value of a suspicion, so that a track can be acquitted again."""
 
 _SAME_M = 1.2
 """A detected track so near a given-up one is the same object."""

@@ -27,18 +27,18 @@ class Caution(IntEnum):
     KEEP = 0
     """Every claim holds."""
     ASK = 1
-    """The view is worse than usual: every claim holds; others are asked."""
+    """The view is worse than usual: every claim holds; other agents are queried."""
     WIDEN = 2
     """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN."""
     CONFIRMED = 3
-    """It goes on being impossible, or nobody knows where: what no earlier sweep confirms is UNKNOWN as well."""
+    """It goes on being impossible, or is so at an unknown place: what no earlier sweep confirms is UNKNOWN as well."""
     STALE = 4
     """The newest sweep or pose is too old: nothing is claimed, and the vehicle stops."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """What was found in one sweep, as far as reactions ask.
+    """What was found in one sweep, as far as reactions need it.
 
     Attributes:
         degraded: the view is worse than usual, there is none, or an object of it is suspicious.

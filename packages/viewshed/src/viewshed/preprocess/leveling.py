@@ -84,7 +84,7 @@ class LeveledSweep:
         range_image: the sweep's N returns on its range image, or None where the rings are not known.
         held: what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a
             sweep by itself.
-        derived: what was computed of it once and is asked for again; the first item of a key names who computes it.
+        derived: what was computed of it once and is needed again; the first item of a key names who computes it.
     """
 
     sweep: Sweep

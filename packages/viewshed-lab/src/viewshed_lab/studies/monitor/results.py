@@ -35,7 +35,7 @@ RATE, LOW_RATE = 0.01, 0.001
 DRAWS = 1000
 
 PER_HOUR = (1.0, 10.0, 100.0)
-"""False alarms over time that limits of runs are asked for."""
+"""Numbers of false alarms an hour for which limits of runs are computed."""
 
 NOTHING = (float("nan"), float("nan"))
 
