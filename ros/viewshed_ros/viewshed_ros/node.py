@@ -169,7 +169,7 @@ class FieldOfView(LifecycleNode):
         self._diagnosed_s = time.monotonic()
 
     def _diagnose_at(self, hz: float) -> None:
-        """Publish diagnostics so often from now on; 0 for never."""
+        """Publish diagnostics at this rate from now on; 0 for never."""
         if self._diagnostics_timer is not None:
             self.destroy_timer(self._diagnostics_timer)
         self._diagnostics_timer = self.create_timer(1.0 / hz, self._diagnose, clock=STEADY) if hz else None

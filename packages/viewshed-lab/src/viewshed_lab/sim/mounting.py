@@ -36,9 +36,9 @@ class MountingFamily:
     Attributes:
         name: of the family.
         height_m: of the sensor above the ground below the carrier.
-        yaw_deg: turned to the left or right by so much.
-        pitch_deg: tilted down by so much; negative is up.
-        roll_deg: rolled to the left or right by so much.
+        yaw_deg: angle of its turn to the left or right.
+        pitch_deg: angle of its tilt down; negative is up.
+        roll_deg: angle of its roll to the left or right.
         forward_m: of the sensor from where the world's maker puts it.
         left_m: to the left or right of there.
         roof_edge: whether the carrier's flat roof lies just below the sensor and ends a little before it and beside it,

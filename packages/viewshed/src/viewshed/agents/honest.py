@@ -127,7 +127,7 @@ class ObjectReports:
 
 
 def is_expected(visible: F64, range_m: F64) -> Mask:
-    """Return whether an honest agent that claims so much (…,) at ranges (…,) sees an object; its silence denies it.
+    """Return whether an honest agent that claims visibility (…,) at ranges (…,) sees an object; its silence denies it.
 
     >>> is_expected(np.array([0.6, 0.6]), np.array([10.0, 40.0])).tolist()
     [True, False]

@@ -49,7 +49,7 @@ class MateRules:
         agent_bias, agent_threshold: values below the threshold move an agent by the bias; also published 6 and 0.3,
             8 and 0.2, and in the air a bias of 3.
         track_bias, track_threshold: the same of tracks.
-        return_s: after so long without measurements trust is (0.5, 0.5) again; also published 1 s.
+        return_s: after this time without measurements trust is (0.5, 0.5) again; also published 1 s.
         gate_m: an agent's own track farther from the center's is none of it; also published 2 and 1.
         self_m: a track nearer to an agent than this is the agent.
         reach_m: what is not matched counts up to this distance.

@@ -75,7 +75,7 @@ class ReceiverLimits:
 
     Attributes:
         max_bytes: of a signed message.
-        max_age_s: a message may be so old by the receiver's clock.
+        max_age_s: largest age of a message by the receiver's clock.
         max_ahead_s: and so far in its future.
         max_hz: messages a second of one agent, over a while.
         burst: messages of one agent at once.

@@ -33,7 +33,7 @@ SLOP_S = 0.1
 """Reports farther apart in time than this are of two rounds."""
 
 DELAY_S = 0.5
-"""A round waits so long, after all its reports were made, for those that are under way."""
+"""Time that a round waits, after all its reports were made, for those that are under way."""
 
 HEARD_S = 1.5
 """A round waits for agents that were heard so lately."""
@@ -45,7 +45,7 @@ MOST_AGENTS = 16
 """More agents are refused: the work of a round grows with their square."""
 
 SILENT_S = 10.0
-"""An agent that is silent for so long gives its place to another; half of its record has faded by then."""
+"""An agent that is silent for this time gives its place to another; half of its record has faded by then."""
 
 MOST_OPEN = 64
 """Most rounds that wait at once: an agent that reports one time again and again fills no memory."""

@@ -392,7 +392,7 @@ class TrustLimits:
         """Return who is accused (A,) by how suspicious each is (A,): somebody in at most this share of benign scenes.
 
         Raises:
-            ValueError: so few scenes support no such rate.
+            ValueError: there are too few scenes for this rate.
         """
         kinds = len(np.unique(elevated))
         self._check(rate / max(kinds, 1))
@@ -403,7 +403,7 @@ class TrustLimits:
         """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.
 
         Raises:
-            ValueError: so few scenes support no such rate.
+            ValueError: there are too few scenes for this rate.
         """
         self._check(rate)
         somebody = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate

@@ -27,7 +27,7 @@ AZIMUTHS, NEAREST_M, FARTHEST_M, STEP_M = 180, 2.0, 40.0, 0.5
 """Where views are compared: on rays from the sensor."""
 
 MARGIN_M = 1.5
-"""A surface has some depth of its own: what lies so near behind it is not yet behind it."""
+"""A surface has some depth of its own: what lies within this distance behind it is not yet behind it."""
 
 SHIFT_M, TURNS = 2.0, np.radians(np.arange(-3.0, 3.1, 1.0))
 """Poses so far around the claimed one at which surfaces are compared with those of others."""

@@ -213,13 +213,13 @@ _MOST_WEALTH = 1e6
 """Largest e-value of a suspicion, so that a track can be acquitted again."""
 
 _SAME_M = 1.2
-"""A detected track so near a given-up one is the same object."""
+"""A detected track within this distance of a given-up one is the same object."""
 
 _KNOWN_HITS = 10
 """Only tracks with at least this number of detections can be missed."""
 
 _BARE_S = 0.5
-"""A given-up track without a surface for so long is gone."""
+"""A given-up track without a surface for this time is gone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does w
     from viewshed.objects.object_stream import ObjectStream, SeenObjects
 
 UNHEARD_S = 10.0
-"""An agent that was not heard for so long gives up its place in a stream."""
+"""An agent that was not heard for this time gives up its place in a stream."""
 
 _LONGEST_PERIOD_S = 1.0
 """Of sweeps whose view is stale after two periods; a slower sensor needs a larger ``stale_after_s``."""

@@ -49,7 +49,7 @@ PLANE_HEIGHT_M = 0.3
 """Height of a scan in one plane where it is not known: within every target."""
 
 _OBSTACLE_M = 0.5
-"""Returns of a scan in one plane count as at least so high above the ground: clearly obstacles."""
+"""Least height above the ground that counts for returns of a scan in one plane: clearly obstacles."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""
 
 GROUND_M, GROUND_PER_M, GROUND_MOST_M = 0.03, 0.03, 0.4
-"""The ground may be wrong by so much where it was seen, more for each meter from there, and at most by so much."""
+"""Error that the ground may have where it was seen, its growth for each meter from there, and its maximum."""
 
 LOWS_REACH = 1.5
 """Returns help to find the ground up to so far from the sensor, in half sides of the grid."""

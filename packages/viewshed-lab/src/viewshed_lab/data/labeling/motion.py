@@ -17,10 +17,10 @@ MAX_SPEED_MPS = 70.0
 """Poses that could only be reached faster do not belong together."""
 
 POST_S = 2.0
-"""Sweeps that stand for all are at most so far apart in time."""
+"""Most time between sweeps that stand for all."""
 
 _SHORT_S = 0.15
-"""Times are uncertain by so much when speeds are judged."""
+"""Uncertainty of times when speeds are judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

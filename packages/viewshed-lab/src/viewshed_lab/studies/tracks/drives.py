@@ -314,7 +314,7 @@ _GONE_SHARE = 0.3
 """An object of whose returns an attack leaves no more than this is gone from the sweep."""
 
 _GHOST_WITHIN_M = 2.5
-"""A detection so near to a ghost, and of no object, is of the ghost."""
+"""A detection within this distance of a ghost, and of no object, is of the ghost."""
 
 
 def _counts_of(things: NDArray[Any], count: int) -> NDArray[np.intp]:

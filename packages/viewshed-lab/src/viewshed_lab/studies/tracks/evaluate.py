@@ -41,10 +41,10 @@ KNOWN_HITS = 10
 """A removed object is known if a confirmed track of it had at least this number of detections before."""
 
 OCCLUDED_S = (0.3, 3.0)
-"""Occlusions that last so long are counted."""
+"""Shortest and longest occlusions that are counted."""
 
 NEAR_M = 2.0
-"""A track is of an object so near to it."""
+"""A track is of an object within this distance of it."""
 
 
 @dataclass(slots=True)
