@@ -80,7 +80,7 @@ class Browser:
 
     Attributes:
         problems: errors and warnings of the console, exceptions of scripts, since the last page was opened.
-        requests: addresses that were asked for since then.
+        requests: addresses that were requested since then.
     """
 
     def __init__(self, read: int, write: int) -> None:

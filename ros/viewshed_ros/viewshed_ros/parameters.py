@@ -332,7 +332,7 @@ def declare_table(node: Node, table: dict[str, Parameter]) -> None:
         if not node.has_parameter(name):
             try:
                 node.declare_parameter(name, parameter.default, parameter.descriptor())
-            except InvalidParameterValueException:  # said when it is read, so that it can be mended
+            except InvalidParameterValueException:  # reported when it is read, so that it can be mended
                 node.declare_parameter(name, parameter.default, parameter.descriptor(with_range=False))
 
 

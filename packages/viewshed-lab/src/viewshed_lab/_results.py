@@ -51,7 +51,7 @@ class KeyNumber:
 
 @dataclass(frozen=True, slots=True)
 class ResultPage:
-    """What is said of one page.
+    """What describes one page.
 
     Attributes:
         title: of the page, or of several that one command writes.
@@ -73,7 +73,7 @@ class ResultPage:
 
 @cache
 def result_pages() -> dict[str, ResultPage]:
-    """Return what is said of each page, by title."""
+    """Return the description of each page, by title."""
     text = resources.files("viewshed_lab").joinpath("result_pages.toml").read_text(encoding="utf-8")
     pages = [
         ResultPage(**{**page, "numbers": [KeyNumber(**number) for number in page.get("numbers", [])]})

@@ -143,7 +143,7 @@ class AttackPlan:
         mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
         half_extent_m: half the side of the victim's grid.
         placement: one of ``Placement``; None is the attack's own.
-        victim: name of the estimator that an attacker who adapts asks.
+        victim: name of the estimator that an attacker who adapts queries.
         estimator: that estimator.
 
     Raises:

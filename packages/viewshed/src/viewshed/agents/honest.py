@@ -1,7 +1,7 @@
 """What honest agents report, and what they do not: likelihoods from scenes in which nobody lies.
 
 Detectors miss cars, find hedges, and put centers half a meter off. So that one agent reports what another does not is
-no contradiction by itself; it is one where an honest agent would hardly ever do so. Five questions are asked, each
+no contradiction by itself; it is one where an honest agent would hardly ever do so. There are five questions, each
 answered by weights of bins that add up (logistic regression):
 
 - *reported*: others report an object; would an honest agent with this view report it as well? What counts: how many

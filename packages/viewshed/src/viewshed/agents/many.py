@@ -66,7 +66,7 @@ STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
 
 LOOKED_AT = (13, 7)
-"""Points along and across a box at which views are asked what it holds."""
+"""Points along and across a box at which views are looked up."""
 
 LEAST_TRUST = 0.05
 """Weight of an agent's detections that is left when nobody trusts it."""
@@ -158,7 +158,7 @@ class AgentReport:
 
     @cached_property
     def view(self) -> GridView:
-        """Its field of view, to be asked in the world."""
+        """Its field of view, looked up in the world."""
         return GridView(self.estimate, 0.0)
 
     def chance(self, boxes: F64, claims: ClaimTable) -> F64:
@@ -246,7 +246,7 @@ class CommonPicture:
         verdicts: of the agents, and of those tracks that somebody reports now.
         existence: (N,) probability of each track, whoever lies.
         reporters: (N, A) bool, who reports each track now.
-        said: what all agents say of those tracks that somebody reports now, in their order.
+        said: what all agents report about those tracks that somebody reports now, in their order.
         checks: (A, C) of the agents' views, the mean of the last ones; NaN where there is none.
         suspicion: (A,) how suspicious each agent is, by what it reports and what it claims.
         notes: what was left out, a sentence each.

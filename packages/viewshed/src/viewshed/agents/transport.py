@@ -31,7 +31,7 @@ class Delivery:
 
     Attributes:
         data: as they were sent, if nobody changed them.
-        at_ns: when they arrived, nanoseconds of the clock that :meth:`Transport.take` was asked with.
+        at_ns: when they arrived, nanoseconds of the clock that :meth:`Transport.take` was given.
         link: who brought them, empty where the transport does not know for sure.
     """
 

@@ -10,7 +10,7 @@ third could see, "the one lies" and "the other lies" explain it about as well, a
 (:mod:`viewshed.agents.honest`): whether it reports what other honest agents report and deny, whether it alone reports
 an object (*invented* by its own view, *contradicted* by others'), whether its box lies on the surfaces of its own view
 (*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to agree with its lies, so
-it vouches for them within a bound only. Each agent is asked given the other honest ones: a pseudo-likelihood (Besag,
+it vouches for them within a bound only. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag,
 1975). A liar does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are
 there: then every report is as likely as none. So whoever is honest about many objects is not cleared of the one.
 
@@ -400,7 +400,7 @@ class TrustLimits:
         return np.asarray(kinds * np.where(elevated, of_elevated, of_low) <= rate * (1.0 + 1e-9))
 
     def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:
-        """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.
+        """Return who is disputed (A,): somebody lies, they are the ones it may be, and it is unknown which.
 
         Raises:
             ValueError: there are too few scenes for this rate.

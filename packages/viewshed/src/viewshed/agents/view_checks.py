@@ -102,12 +102,12 @@ class ClaimedView:
 
     @cached_property
     def _cells(self) -> SeenCells:
-        """What the agent itself claims, to be asked in ``level``."""
+        """What the agent itself claims, looked up in ``level``."""
         return SeenCells(self.estimate.grid, self.estimate.state, Rigid.identity())
 
     @cached_property
     def _others(self) -> list[SeenCells]:
-        """What the others claim, to be asked in ``level`` of the agent."""
+        """What the others claim, looked up in ``level`` of the agent."""
         return [SeenCells(other.grid, other.state, between(self.estimate, other)) for other in self.others]
 
     @cached_property

@@ -1,6 +1,6 @@
 """The paper's detector: cells whose Monte Carlo dropout deviation is larger than it is on benign sweeps.
 
-It asks the estimate alone, one sweep at a time. A fitted monitor as a file.
+It checks the estimate alone, one sweep at a time. A fitted monitor as a file.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class BoxCells(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenCells:
-    """The states of a field of view, to be asked in the frame of the tracks.
+    """The states of a field of view, looked up in the frame of the tracks.
 
     Attributes:
         grid: where the cells are.

@@ -51,7 +51,7 @@ class PublishedRules:
         duplicate_m: of tracks nearer to each other than this the one with most detections is kept.
         fastest_mps: faster tracks end.
         repairs_empty_view: False is the published bug: a view that covers no track counts as one that covers all.
-        false_odds: is not asked.
+        false_odds: is not used.
         most_tracks, most_detections, longest_m, late_s: as of ``ExistenceRules``; the published code has no limits.
     """
 

@@ -3,7 +3,7 @@
 A track that is not detected may be hidden, out of view, or too far for enough returns; or it is *missing though
 visible*. One that is detected may be where beams pass (*seen through*) or where nothing can be seen, may have begun in
 the middle of cells that were seen free, or may have jumped as nothing moves. Nothing is detected again in the points:
-fusion asks the field of view and the past.
+fusion uses the field of view and the past.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
 from viewshed.detections import Detections
-from viewshed.objects.before import ASKED_AFTER, SeenBefore, surface_shares
+from viewshed.objects.before import FOLLOWED_AFTER, SeenBefore, surface_shares
 from viewshed.objects.cells import BoxCells
 from viewshed.objects.evidence import (
     BLIND,
@@ -121,10 +121,10 @@ class SingleFusion:
             memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
         )
         # Cells betray a forged detection, and where its surface came from a ghost made in the sweep: half each.
-        asked = is_matched & ~alarmed & np.isin(memory.hits, ASKED_AFTER)
+        followed = is_matched & ~alarmed & np.isin(memory.hits, FOLLOWED_AFTER)
         surface = np.zeros(count)
-        surface[asked] = surface_shares(views[0].cells, both.boxes[asked])
-        birth = birth_bins(self._before.free_shares(both, surface, asked))
+        surface[followed] = surface_shares(views[0].cells, both.boxes[followed])
+        birth = birth_bins(self._before.free_shares(both, surface, followed))
         memory.birth = np.where(birth == BLIND, memory.birth, ratios_of(model.birth, birth))
         memory.wealth[seen, FABRICATED] = 0.5 * (np.exp(memory.log_mean[seen]) + memory.birth[seen])
         for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
@@ -207,7 +207,7 @@ def _explanations(
     )
 
 
-_NO_POSES = "no poses: nothing is said of sudden moves and of births, and tracks that the tracker gave up are not held"
+_NO_POSES = "no poses: sudden moves and births are not judged, and tracks that the tracker gave up are not carried over"
 
 _MOST_WEALTH = 1e6
 """Largest e-value of a suspicion, so that a track can be acquitted again."""

@@ -453,10 +453,10 @@ class Tracker:
         if len(born):
             born = rules.begin(born, new, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
-        left = max(rules.most_tracks - len(tracks), 0)
-        if len(born) > left:
-            notes.append(f"{len(born) - left} new tracks refused: {rules.most_tracks} are held")
-            born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:left]))
+        capacity = max(rules.most_tracks - len(tracks), 0)
+        if len(born) > capacity:
+            notes.append(f"{len(born) - capacity} new tracks refused: {rules.most_tracks} are held")
+            born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:capacity]))
         born.ids = np.arange(self._next_id, self._next_id + len(born))
         self._next_id += len(born)
         if len(born):

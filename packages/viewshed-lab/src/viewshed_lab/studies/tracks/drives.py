@@ -38,7 +38,7 @@ from viewshed_lab.sim.world import Agent, World
 from viewshed_lab.studies.tracks.lidar_level import SweepForger
 
 FOVS = ("none", "published", "polygon", "default_hard", "default", "exact")
-"""No field of view; the published tracker with its polygon; that polygon asked by ours; the default method's as a mask;
+"""No field of view; the published tracker with its polygon; that polygon used by ours; the default method's as a mask;
 its probability; the exact one."""
 
 POLYGON = "paper_concave_hull"

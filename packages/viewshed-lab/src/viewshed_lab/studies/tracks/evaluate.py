@@ -35,7 +35,7 @@ COUNTED_RETURNS, RECENT_S = 10, 3.0
 """Objects count while they gave at least this number of returns at most this time ago."""
 
 SURE = 0.9
-"""Removed objects are asked for where they are visible with this probability."""
+"""Removed objects count where they are visible with this probability."""
 
 KNOWN_HITS = 10
 """A removed object is known if a confirmed track of it had at least this number of detections before."""
