@@ -53,7 +53,7 @@ def frames_of(browser: Browser) -> list[Shown]:
 
 
 def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:
-    """Return for each moment the latest frame of each agent, from the first moment at which all have one.
+    """Return for each time the latest frame of each agent, from the first time at which all have one.
 
     >>> a, b, c = Shown(0, "x", 0.0, 1.0), Shown(1, "y", 0.1, 1.0), Shown(2, "x", 1.0, 1.0)
     >>> [[shown.number for shown in step.values()] for step in steps([a, b, c], 30.0)]

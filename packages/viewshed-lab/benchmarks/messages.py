@@ -160,7 +160,7 @@ def readable(index: Path) -> Iterator[Sweep]:
 
 
 def simulated() -> Iterator[Sweep]:
-    """Yield simulated sweeps: a moment of each world with each sensor."""
+    """Yield simulated sweeps: a snapshot of each world with each sensor."""
     for number, kind in enumerate(WORLDS_SEEN):
         for sensor in SENSORS:
             rng = np.random.default_rng([SEED, number])

@@ -83,12 +83,12 @@ def result_pages() -> dict[str, ResultPage]:
 
 
 def with_numbers(title: str, facts: str, body: str) -> str:
-    """Return a page: title, its three numbers, the body, and at its foot how it was made."""
+    """Return a page: title, its three numbers, the body, and at its end how it was made."""
     page = result_pages().get(title)
     found = [(number.find(body), number.of) for number in page.numbers] if page else []
     top = "\n".join(f"- **{value}** {of}" for value, of in [one for one in found if one[0]][:_NUMBERS])
-    foot = f"{_MADE}\n\n{facts}" if facts else ""
-    return "\n\n".join(part.strip("\n") for part in (f"# {title}", top, body, foot) if part) + "\n"
+    ending = f"{_MADE}\n\n{facts}" if facts else ""
+    return "\n\n".join(part.strip("\n") for part in (f"# {title}", top, body, ending) if part) + "\n"
 
 
 def shortened(name: str, markdown: str) -> str:

@@ -70,5 +70,5 @@ class Sample:
         return replace(self, measured=tampered.sweep, tampered=tampered, clean=clean)
 
     def corrupted(self, sweep: Sweep) -> Sample:
-        """Return the sample with another sweep, of whose returns nobody says which moved; the truth stays."""
+        """Return the sample with another sweep, of whose returns it is unknown which moved; the truth stays."""
         return replace(self, measured=sweep, tampered=None, clean=None)

@@ -221,7 +221,7 @@ class CorruptionPlan:
         CORRUPTIONS[self.corruption](self.severity)
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample with a corrupted sweep; nobody says which returns moved."""
+        """Return the sample with a corrupted sweep; it is unknown which returns moved."""
         return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
 
     @property

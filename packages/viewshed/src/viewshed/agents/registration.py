@@ -102,7 +102,7 @@ class PoseStd:
 
 
 EXACT = PoseStd()
-"""Of a pose without errors, or of one whose errors nobody states."""
+"""Of a pose without errors, or of one whose errors are not stated."""
 
 
 def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> list[Rigid]:

@@ -322,7 +322,7 @@ class RealScores:
         above = np.flatnonzero(counted & (self.place == self.place[counted].max(initial=-1.0)))
         low = max(self.weak[above].max(initial=0.0), step)
         high = self.strict[~counted].min(initial=1.0)
-        # Below a real score that simulated ones equal nobody can tell how many of these lie between.
+        # Below a real score that simulated ones equal it is unknown how many of these lie between.
         tied = (self.strict[above] < self.weak[above] - 1e-9 * step).any()
         share = 1.0 if tied else min((max(p - low, 0.0) + step) / (max(high - low, 0.0) + step), 1.0)
         return float(min((counted.sum() + share) / (len(self) + 1), 1.0))

@@ -42,9 +42,9 @@ _APART_S = 1.0
 
 
 def hold_over(sweeps: Sequence[LeveledSweep]) -> list[LeveledSweep]:
-    """Return the sweeps of a stream, the oldest first, each with what those before it hold.
+    """Return the sweeps of a stream, the oldest first, each with what those before it carry over.
 
-    Those that hold something already are taken as they are.
+    Those that carry something over already are taken as they are.
 
     Raises:
         ValueError: one of them has no pose.

@@ -62,7 +62,7 @@ def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
                 estimator = estimator_named(method, seen.scene.domain.name, target)
                 if estimator is not None:
                     yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
-    # A base frame whose offset nobody tells has no exact beams from its own origin: no ladder there.
+    # A base frame whose offset is not given has no exact beams from its own origin: no ladder there.
     if plan.ladder and seen.mounting.family.frame != "base":
         for target in plan.targets:
             yield from _ladder(seen, TARGETS[target])

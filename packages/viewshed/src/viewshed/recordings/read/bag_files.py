@@ -472,7 +472,7 @@ class SqliteBag:
 
 
 def _unpacked_zstd(packed: bytes) -> bytes:
-    """Return what a file or a message holds, whose unpacked length nobody tells."""
+    """Return what a file or a message holds, whose unpacked length is not given."""
     limit = unpack_limit(len(packed))
     try:
         content = _unzstd(packed, limit + 1)
