@@ -233,7 +233,7 @@ def _against(outcomes: Sequence[Outcome], least_precision: float, least_recall: 
 
 
 def report(count: int) -> str:
-    """Return the page for so many scenes."""
+    """Return the page for ``count`` scenes."""
     grid = GRIDS["road"]
     victims = {
         name: load_estimator(name, grid=grid) for name in dict.fromkeys([DEFAULT_ESTIMATOR, *HELPED, *CLASSICAL])

@@ -80,7 +80,7 @@ class Browser:
 
     Attributes:
         problems: errors and warnings of the console, exceptions of scripts, since the last page was opened.
-        requests: addresses that were asked for since then.
+        requests: addresses that were requested since then.
     """
 
     def __init__(self, read: int, write: int) -> None:
@@ -135,7 +135,7 @@ class Browser:
             time.sleep(0.02)
 
     def window(self, width: int, height: int, dark: bool = False) -> None:
-        """Give the page a window of so many pixels, and a light or a dark system."""
+        """Give the page a window of this size in pixels, and a light or a dark system."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.send("Emulation.setEmulatedMedia", features=[scheme])
@@ -170,16 +170,16 @@ class Browser:
         self._note(message.get("method", ""), message.get("params", {}))
         return message
 
-    def _note(self, method: str, told: Mapping[str, Any]) -> None:
+    def _note(self, method: str, parameters: Mapping[str, Any]) -> None:
         self._events.add(method)
         if method == "Network.requestWillBeSent":
-            self.requests.append(told["request"]["url"])
+            self.requests.append(parameters["request"]["url"])
         elif method == "Runtime.exceptionThrown":
-            self.problems.append(_words(told["exceptionDetails"]))
-        elif method == "Log.entryAdded" and told["entry"]["level"] in {"warning", "error"}:
-            self.problems.append(told["entry"]["text"])
-        elif method == "Runtime.consoleAPICalled" and told["type"] in {"warning", "error", "assert"}:
-            self.problems.append(json.dumps(told["args"]))
+            self.problems.append(_words(parameters["exceptionDetails"]))
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] in {"warning", "error"}:
+            self.problems.append(parameters["entry"]["text"])
+        elif method == "Runtime.consoleAPICalled" and parameters["type"] in {"warning", "error", "assert"}:
+            self.problems.append(json.dumps(parameters["args"]))
 
 
 def _words(details: Mapping[str, Any]) -> str:

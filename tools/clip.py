@@ -46,14 +46,14 @@ class Shown:
 
 def frames_of(browser: Browser) -> list[Shown]:
     """Return the frames of the open page, in its order."""
-    told = json.loads(
+    rows = json.loads(
         browser.value("JSON.stringify(abouts.map((about, k) => [about.agent, seconds[k], about.visible_m2]))")
     )
-    return [Shown(number, *each) for number, each in enumerate(told)]
+    return [Shown(number, *each) for number, each in enumerate(rows)]
 
 
 def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:
-    """Return for each moment the latest frame of each agent, from the first moment at which all have one.
+    """Return for each time the latest frame of each agent, from the first time at which all have one.
 
     >>> a, b, c = Shown(0, "x", 0.0, 1.0), Shown(1, "y", 0.1, 1.0), Shown(2, "x", 1.0, 1.0)
     >>> [[shown.number for shown in step.values()] for step in steps([a, b, c], 30.0)]

@@ -40,7 +40,7 @@ SEED, ACCUSED, START_S = 20_261_123, 0.03, 2.0
 """Of all that is random; share of honest tracks that may be accused; when attacks begin."""
 
 NEAR_M = 2.0
-"""A track so near to a forged object is of it."""
+"""A track within this distance of a forged object is of it."""
 
 
 def sweeps_of(number: int, seconds: float) -> Iterator[Sweep]:

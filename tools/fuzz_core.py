@@ -394,7 +394,7 @@ def _arrays_in(values: Iterable[Any]) -> Iterator[np.ndarray[Any, Any]]:
 def main() -> int:
     """Fuzz the functions of the core and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=30.0, help="so long for each function")
+    parser.add_argument("--seconds", type=float, default=30.0, help="time for each function")
     parser.add_argument("--only", default="", help="only functions whose name holds this")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sanitize", action="store_true", help="check addresses and undefined behavior")

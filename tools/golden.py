@@ -28,8 +28,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["record", "check"])
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts.PARTS)}")
-    asked = parser.parse_args()
-    words = asked.parts or list(parts.PARTS)
+    arguments = parser.parse_args()
+    words = arguments.parts or list(parts.PARTS)
     names = [name for word in words for name in (("published", "tiny") if word == "tables" else (word,))]
     unknown = set(names) - set(parts.PARTS)
     if unknown:
@@ -40,13 +40,13 @@ def main() -> int:
     for name in names:
         start = time.perf_counter()
         part = parts.PARTS[name]
-        lines = [] if asked.what == "record" else part.check(Path(folder) if folder else None)
-        if asked.what == "record":
+        lines = [] if arguments.what == "record" else part.check(Path(folder) if folder else None)
+        if arguments.what == "record":
             part.record(Path(folder) if folder else None)
         differing += len(lines)
         for line in lines:
             print(f"  {line}")
-        print(f"{asked.what} {name}: {len(lines)} differences, {time.perf_counter() - start:.0f} s")
+        print(f"{arguments.what} {name}: {len(lines)} differences, {time.perf_counter() - start:.0f} s")
     return 1 if differing else 0
 
 

@@ -124,7 +124,7 @@ def _ranks(name: str, measured: dict[str, list[NDArray[np.float32]]]) -> list[tu
     return sorted(((float(area), kind) for area, kind in zip(areas, EVIDENCE, strict=True)), reverse=True)
 
 
-def _told(ranks: list[tuple[float, str]], count: int = 3) -> str:
+def _first(ranks: list[tuple[float, str]], count: int = 3) -> str:
     return ", ".join(f"`{kind}` {area:.2f}" for area, kind in ranks[:count])
 
 
@@ -136,7 +136,7 @@ def effects(found: Found) -> str:
         rows.append([
             f"`{name}`", f"{acts.mean():.0%}", f"{np.median(np.array(found.touched[name])[acts]):.0f}",
             f"{np.mean(found.over_m2[name]):.0f}", f"{np.mean(found.under_m2[name]):.0f}",
-            _told(_ranks(name, found.alone)), _told(_ranks(name, found.timed)),
+            _first(_ranks(name, found.alone)), _first(_ranks(name, found.timed)),
         ])  # fmt: skip
     head = ["attack", "acts", "returns (median)", "over-claim m²", "under-claim m²", "AUROC, one sweep",
             "AUROC, with five earlier"]  # fmt: skip
@@ -145,12 +145,14 @@ def effects(found: Found) -> str:
 
 def verdict(found: Found) -> str:
     """Return what was asked for against attackers who know the monitor, and what the best single evidence reaches."""
-    said = []
+    results = []
     for name in INFORMED:
         alone, timed = _ranks(name, found.alone)[0][0], _ranks(name, found.timed)[0][0]
         words = "reached" if timed >= ASKED else "missed"
-        said.append(f"`{name}` {alone:.2f} by one sweep, {timed:.2f} with earlier ones ({words})")
-    return f"Asked for: an AUROC of {ASKED:.2f} against attackers who know the evidence. Best kind: {'; '.join(said)}."
+        results.append(f"`{name}` {alone:.2f} by one sweep, {timed:.2f} with earlier ones ({words})")
+    return (
+        f"Asked for: an AUROC of {ASKED:.2f} against attackers who know the evidence. Best kind: {'; '.join(results)}."
+    )
 
 
 def nulls(found: Found) -> str:
@@ -160,7 +162,7 @@ def nulls(found: Found) -> str:
         cells = [f"`{name}`"]
         for measured in (found.alone, found.timed):
             ranks = sorted(_ranks(f"null {name}", measured), key=lambda one: -abs(one[0] - 0.5))
-            cells.append(_told(ranks, 2))
+            cells.append(_first(ranks, 2))
         rows.append(cells)
     return table(["null attack", "farthest from .50, one sweep", "with five earlier"], rows)
 
@@ -186,8 +188,8 @@ def alarms(scenes: int, places: int = 2, queries: int = 14) -> str:
         shares = tripped_shares(watched, 0.0, generator(2, words), mode=mode, places=places, queries=queries)  # type: ignore[arg-type]
         needed = smallest_budget(shares)
         rows.append([words, *(f"{share:.0%}" for share in shares), "none" if needed is None else str(needed)])
-    said = ALARMS.format(asked=places * queries, watched=len(watched))
-    return f"## Returns that raise an alarm\n\n{said}\n\n{table(['spoofing', *map(str, BITS), 'half'], rows)}"
+    text = ALARMS.format(asked=places * queries, watched=len(watched))
+    return f"## Returns that raise an alarm\n\n{text}\n\n{table(['spoofing', *map(str, BITS), 'half'], rows)}"
 
 
 def main() -> None:

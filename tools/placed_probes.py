@@ -69,7 +69,7 @@ class Probes:
 
     @property
     def agree(self) -> NDArray[np.bool_]:
-        """(N,) whether truth and probe say the same of *visible*."""
+        """(N,) whether truth and probe agree on *visible*."""
         least = self.target.min_returns
         same: NDArray[np.bool_] = (self.expected >= least) == (self.met >= least)
         return same

@@ -198,7 +198,7 @@ class Load:
         return time.perf_counter()
 
     def run_closed(self, seconds: float, under_way: int) -> float:
-        """Keep so many messages of the first stream under way, and return the seconds that it took."""
+        """Keep ``under_way`` messages of the first stream under way, and return the seconds that it took."""
         stream = self.streams[0]
         begin_s = time.perf_counter()
         while time.perf_counter() - begin_s < seconds:

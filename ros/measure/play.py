@@ -24,7 +24,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 
 LAYERS = ("state", "visibility")
 LONGEST_S = 30.0
-"""A message without grids for so long is counted as lost."""
+"""A message without grids for this time is counted as lost."""
 
 
 def main() -> None:

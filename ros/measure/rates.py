@@ -72,7 +72,7 @@ def _sweep(path: Path) -> Sweep:
 
 
 def _closed(name: str, message: bytes, monitor: str, seconds: float, *, is_scan: bool) -> Iterator[dict[str, Any]]:
-    """Yield latencies and rates with so many messages under way."""
+    """Yield latencies and rates for numbers of messages under way."""
     parameters = {"profile": "infrastructure", "rate_hz": "0.0", "monitor": monitor}
     if is_scan:
         parameters |= {"lidar.type": "scan", "grid": "indoor"}

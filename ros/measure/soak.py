@@ -43,7 +43,7 @@ from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
 
 RESTARTED_SHARE = 3
-"""Of so many times that it begins anew the process is ended once; else its lifecycle goes round."""
+"""Every k-th time that it begins anew the process is ended; else its lifecycle goes round."""
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Sensor, poses, network and node cut one by one, as a strip: ``ros/python.sh ros/measure/stop_strip.py PICTURE``.
 
-Runs the node and the watchdog with the robot of the tests, draws what a subscriber held at each moment, and prints the
+Runs the node and the watchdog with the robot of the tests, draws what a subscriber held at each time, and prints the
 seconds from the last cloud or pose to masks by which nav2 stops, as JSON.
 """
 
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def run(robot: Robot, node: Any) -> tuple[list[dict[str, str]], dict[str, float]]:
-    """Return what each moment's subscriber held, and how long nav2 drove on after each cut."""
+    """Return what a subscriber held at each time, and how long nav2 drove on after each cut."""
     views: list[float] = []
     heard: Any = None
     rows, last_s, stopped_s = list[dict[str, str]](), dict.fromkeys(CUTS, 0.0), dict[str, float]()

@@ -48,21 +48,23 @@ def _measured(folder: Path, only: str, bandwidth: float, facts: dict[str, str]) 
     for case in all_cases(folder, rng):
         if only in case.step:
             medians = interleaved({"": case.job, **case.others}, rng)
-            yield _told(_row_of_case(case, medians, bandwidth))
+            yield _printed(_row_of_case(case, medians, bandwidth))
     if only in processes.IMPORT_ALL:
         timings = processes.imports(rng)
         for name in (processes.IMPORT, processes.IMPORT_ALL):
-            yield _told(_row_of_process(name, "–", timings, 500.0))
+            yield _printed(_row_of_process(name, "–", timings, 500.0))
     if only in "viewshed estimate":
         sweep = clouds.write_nuscenes(clouds.synthetic("35k", rng), folder / "cold.pcd.bin")
         processes.estimate(sweep, folder / "out", rng)
-        yield _told(_row_of_process("viewshed estimate", "35k", processes.estimate(sweep, folder / "out", rng), 2500.0))
+        yield _printed(
+            _row_of_process("viewshed estimate", "35k", processes.estimate(sweep, folder / "out", rng), 2500.0)
+        )
     if only in processes.IN_AN_EMPTY_HOME:
         sweep = clouds.write_nuscenes(clouds.synthetic("35k", rng), folder / "start.pcd.bin")
         for results, targets in processes.START_TARGETS.items():
             starts = processes.estimates_in_empty_homes(sweep, folder, results)
-            yield _told(_row_of_starts(results, "first", starts.first, targets.first_s))
-            yield _told(_row_of_starts(results, "later", starts.later, targets.later_s))
+            yield _printed(_row_of_starts(results, "first", starts.first, targets.first_s))
+            yield _printed(_row_of_starts(results, "later", starts.later, targets.later_s))
     if only in "viewshed demo":
         first, second = processes.first_and_second_demo(folder)
         facts["viewshed demo"] = f"{first:.1f} s the first time ever (compiles), {second:.1f} s the second"
@@ -104,7 +106,7 @@ def _row_of_starts(results: str, when: str, starts: Sequence[processes.Start], t
     )  # fmt: skip
 
 
-def _told(row: Row) -> Row:
+def _printed(row: Row) -> Row:
     print(" | ".join(row.cells()), flush=True)
     return row
 

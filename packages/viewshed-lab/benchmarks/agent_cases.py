@@ -192,7 +192,7 @@ def scene_of(number: int, work: Path, study: AgentsPlan = PLAN) -> Scene:
 
 
 def run_some(number: int, scene: Scene, count: int) -> Outcome:
-    """Return what becomes of the first case where so many agents report: the attacked car, others, and the mast."""
+    """Return what becomes of the first case where ``count`` agents report: the attacked car, others, and the mast."""
     rng = generator(SEED, "count", number)
     cars = [int(car) for car in rng.permutation(len(scene.agents) - 1)]
     attack = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=2.0, start_s=ONSET_S)

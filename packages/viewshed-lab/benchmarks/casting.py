@@ -162,7 +162,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=Path("casting.md"), help="where the Markdown goes")
     chosen = parser.parse_args()
     rng = np.random.default_rng(SEED)
-    told = facts(
+    about = facts(
         load=f"{os.getloadavg()[0]:.1f} in the minute before",
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in ("numba", "embreex")),
     )
@@ -170,7 +170,7 @@ def main() -> None:
     rows += [_row(name, "hdl32e", rng) for name in ("street", "junction", "highway", "parking", "residential")]
     rows += [_row("street", sensor, rng) for sensor in ("hdl64e", "os1_128", "vlp16")]
     chosen.page.write_text(
-        page("Ray casting", told, TEXT.format(seed=SEED, seconds=SECONDS), table(HEAD, rows)), "utf-8"
+        page("Ray casting", about, TEXT.format(seed=SEED, seconds=SECONDS), table(HEAD, rows)), "utf-8"
     )
 
 

@@ -48,10 +48,10 @@ WITHIN_M = 40.0
 """Area about the car that counts."""
 
 STOPPING_M = 25.0
-"""A car at 45 km/h needs so much road to stop, 1 s of reaction and 6 m/s² of braking."""
+"""Distance that a car at 45 km/h needs to stop, 1 s of reaction and 6 m/s² of braking."""
 
 LATELY_S = 2.0
-"""Who was seen within so many seconds before the car is that near was seen in time."""
+"""A pedestrian was seen in time if it was seen at most this time before the car is that near."""
 
 CAR, MAST = "the car alone", "the mast alone"
 BOTH = "both"

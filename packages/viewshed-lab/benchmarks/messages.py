@@ -49,7 +49,7 @@ START_NS = 1_760_000_000_000_000_000
 STEP_NS = 100_000_000
 LISTENS_NS = START_NS - 1_000_000_000
 METHODS = {"shadow_map": 1, "viewnet": 1, "mc_dropout": 3}
-"""Estimators, and that each so many-th sweep is given to them."""
+"""Estimators; the number k beside each: it is given every k-th sweep."""
 
 WORLDS_SEEN = ("street", "junction", "highway", "parking", "residential")
 SENSORS = ("vlp16", "hdl32e", "hdl64e", "os1_128")
@@ -57,7 +57,7 @@ SENSORS = ("vlp16", "hdl32e", "hdl64e", "os1_128")
 
 POLYGON_EACH = 6
 HONEST_EACH = 100
-"""So many forged messages for each honest one."""
+"""Number of forged messages before each honest one."""
 
 SIZES = """## Bytes of a view
 
@@ -160,7 +160,7 @@ def readable(index: Path) -> Iterator[Sweep]:
 
 
 def simulated() -> Iterator[Sweep]:
-    """Yield simulated sweeps: a moment of each world with each sensor."""
+    """Yield simulated sweeps: a snapshot of each world with each sensor."""
     for number, kind in enumerate(WORLDS_SEEN):
         for sensor in SENSORS:
             rng = np.random.default_rng([SEED, number])
@@ -316,8 +316,8 @@ def refusals(good: bytes, key: SigningKey) -> str:
                 raise RuntimeError(f"{name} was refused as {here.refused}, not as {reason}")
         median, high = np.percentile(taken, [50, 99])
         limit = 500 if reason in (Reason.FORGED, Reason.BAD_CONTENT) else 100
-        said = "met" if high <= limit else "met by the median alone" if median <= limit else "**missed**"
-        rows.append([name, reason.value, f"{median:.1f}", f"{high:.1f}", f"≤ {limit}", said])
+        verdict = "met" if high <= limit else "met by the median alone" if median <= limit else "**missed**"
+        rows.append([name, reason.value, f"{median:.1f}", f"{high:.1f}", f"≤ {limit}", verdict])
     return table(["message", "reason", "median", "99 %", "target", ""], rows)
 
 

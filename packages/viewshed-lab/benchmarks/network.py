@@ -98,12 +98,12 @@ def main() -> None:
     if chosen.only:
         return
     libraries = ("numpy", "onnxruntime", "torch")
-    told = facts(
+    about = facts(
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
         load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
     )
     words = text((card, ours), chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
-    write_page(chosen.out, page("Speed of the network", told, words, table(HEAD, rows)))
+    write_page(chosen.out, page("Speed of the network", about, words, table(HEAD, rows)))
     print(f"written to {chosen.out}")
 
 

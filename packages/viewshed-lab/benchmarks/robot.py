@@ -190,7 +190,7 @@ def _profile_cost(name: str, profile: Profile, sweeps: Mapping[str, Sweep], coun
 
 
 def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
-    """Return latency, processor time and memory of a pipeline with a profile's settings over so many sweeps."""
+    """Return latency, processor time and memory of a pipeline with a profile's settings over ``count`` sweeps."""
     from viewshed.geometry import Rigid
 
     estimator = load_estimator(profile.method, grid=profile.grid)

@@ -57,7 +57,7 @@ LINES = 30
 """Of the log, whatever the time."""
 
 RESTARTS, LEAST_S = 20, 10.0
-"""How often everything begins anew, but not sooner than after so many seconds."""
+"""How often everything begins anew, and the least seconds between two of these times."""
 
 WARM_SHARE, GROWTH = 0.2, 0.05
 """Memory counts from this share of the time on, and may grow by this share from there."""
@@ -117,10 +117,10 @@ def main() -> None:
     prepare_process()
     pipeline = soak_pipeline(60.0 * chosen.minutes, np.random.default_rng(SEED))
     node = _soak_node(60.0 * chosen.minutes)
-    parts = ["## Through `viewshed.pipeline`", *_told(pipeline)]
+    parts = ["## Through `viewshed.pipeline`", *_section(pipeline)]
     parts += ["## Through the ROS 2 node"]
     parts += (
-        ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _told(node)
+        ["Not done: its environment could not be made (`ros/python.sh` says why)."] if node is None else _section(node)
     )
     content = page(
         "Soak",
@@ -221,10 +221,10 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
         # 3. Begin anew. What waits is still answered; what has no answer was dropped, as many as the pipeline says.
         statistics = pipeline.close()
         dropped += _settle(soaked, sent, answers)
-        said = statistics.dropped + sum(statistics.unpublished.values())
-        if sent or dropped != said:
+        counted = statistics.dropped + sum(statistics.unpublished.values())
+        if sent or dropped != counted:
             soaked.faults.append(
-                f"{len(sent)} sweeps without an answer, {dropped} replaced, {said} said to be dropped or not published"
+                f"{len(sent)} sweeps without an answer, {dropped} replaced, {counted} counted as dropped or unpublished"
             )
         soaked.restarts += 1
     soaked.seconds = time.perf_counter() - begin_s
@@ -234,7 +234,7 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
 
 
 def period_s(seconds: float) -> float:
-    """Return after how long everything begins anew in a soak of so many seconds."""
+    """Return after how long everything begins anew in a soak of ``seconds``."""
     return max(seconds / (RESTARTS + 1), LEAST_S)
 
 
@@ -356,7 +356,7 @@ def _columns(sweep: Sweep) -> dict[str, Any]:
     return {name: column for name, column in columns.items() if column is not None}
 
 
-def _told(soaked: Soaked) -> list[str]:
+def _section(soaked: Soaked) -> list[str]:
     """Return the parts of the page about one soak."""
     verdict = "**Passed.**" if not soaked.faults else "**Failed:** " + "; ".join(soaked.faults) + "."
     log = [[*(f"{count:.0f}" for count in line[:5]), *map(_tenths, line[5:])] for line in soaked.log]

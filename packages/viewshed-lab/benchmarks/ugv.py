@@ -76,7 +76,7 @@ BASELINE = "concave_hull"
 LASER = LidarModel("laser", np.zeros(1), 1440, min_range_m=0.05, max_range_m=30.0)
 ATTACKED = ("ghost_wall", "ghost_car", "far_wall", "removal", "relay", "jamming", "replay")
 CALM_SWEEPS, ATTACKED_SWEEPS = 50, 50
-"""Of each attack: so many sweeps as they are, then so many attacked."""
+"""Numbers of sweeps of each attack: first some as they are, then attacked ones."""
 
 REAL = (
     ("VLP-16, packets", "data", "vlp16_packets/einride_recording.bin"),
@@ -117,7 +117,7 @@ def main() -> None:
 
 
 def _recorded(plan: ScenePlan, seconds: int, work: Path, sweeps: int) -> tuple[Path, Path]:
-    """Return bags of the VLP-16 and of the laser with so many sweeps at least, recorded where they are not there."""
+    """Return bags of the VLP-16 and of the laser with at least ``sweeps`` sweeps, recorded where they are missing."""
     for kept in sorted(work.glob(f"lidar-{seconds}-*.mcap")):
         laser = kept.with_name(kept.name.replace("lidar", "laser"))
         if int(kept.stem.rpartition("-")[2]) >= sweeps and laser.exists():

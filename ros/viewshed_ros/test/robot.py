@@ -111,7 +111,7 @@ class Robot:
             step_ns = STEP_NS
         raise AssertionError(f"no {name} came")
 
-    def told(self, word: str) -> bool:
+    def reported(self, word: str) -> bool:
         """Return whether the last diagnostics hold a word."""
         return bool(self.got["diagnostics"]) and word in str(self.got["diagnostics"][-1])
 

@@ -157,10 +157,10 @@ def test_every_parameter_has_a_description() -> None:
 def test_the_servers_of_nav2_are_told_what_the_node_would_publish() -> None:
     servers = yaml.safe_load((PACKAGE / "config" / "nav2_filter_info.yaml").read_text(encoding="utf-8"))
     for mask in ("keepout_mask", "speed_mask"):
-        told = servers[f"{mask.removesuffix('_mask')}_filter_info_server"]["ros__parameters"]
+        server = servers[f"{mask.removesuffix('_mask')}_filter_info_server"]["ros__parameters"]
         info = costmap_filters.info_of(_Info(), mask, f"front/{mask}", SpeedLimits())
-        assert (told["type"], told["mask_topic"], told["base"]) == (info.type, info.filter_mask_topic, info.base)
-        assert told["multiplier"] == pytest.approx(info.multiplier)
+        assert (server["type"], server["mask_topic"], server["base"]) == (info.type, info.filter_mask_topic, info.base)
+        assert server["multiplier"] == pytest.approx(info.multiplier)
 
 
 def test_shared_memory_holds_many_clouds() -> None:

@@ -109,21 +109,21 @@ def test_a_cloud_that_is_broken_costs_that_cloud_and_is_counted(robot: Robot) ->
     broken = cloud(POINTS, robot.t_ns + STEP_NS // 2)
     broken.point_step = 11
     robot.clouds.publish(broken)
-    robot.until(lambda: robot.told("leaves a point of 11 bytes"))
-    # STALE where the last view has grown too old meanwhile; either way the reason is told.
+    robot.until(lambda: robot.reported("leaves a point of 11 bytes"))
+    # STALE where the last view has grown too old meanwhile; either way the reason is reported.
     worst = (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
     robot.until(
         lambda: any(each.level in worst and "leaves a point of 11 bytes" in str(each) for each in robot.got["alarm"])
     )
     other = cloud(POINTS, robot.t_ns + STEP_NS // 2, frame="rear")
     robot.clouds.publish(other)
-    robot.until(lambda: robot.told("a cloud must be in frame 'lidar'"))
+    robot.until(lambda: robot.reported("a cloud must be in frame 'lidar'"))
     robot.answer()
 
 
 def test_time_that_goes_back_is_told_and_answered(robot: Robot) -> None:
     robot.answer(step_ns=-20 * STEP_NS)
-    robot.until(lambda: robot.told("time went back"))
+    robot.until(lambda: robot.reported("time went back"))
     robot.answer()
 
 
@@ -141,7 +141,7 @@ def test_parameters_change_while_it_runs_or_say_why_not(robot: Robot) -> None:
     for _ in range(20):
         robot.drive()
         robot.spin(0.1)
-    robot.until(lambda: robot.told("beyond the rate"))
+    robot.until(lambda: robot.reported("beyond the rate"))
     beyond = next(
         int(pair.value) for status in robot.got["diagnostics"][-1].status for pair in status.values
         if pair.key == "beyond the rate" and int(pair.value)
@@ -157,7 +157,7 @@ def test_without_a_pose_there_is_a_view_but_no_mask_and_that_is_told(robot: Robo
     stamp = stamp_of(robot.t_ns)
     robot.clouds.publish(cloud(POINTS, robot.t_ns))
     robot.until(lambda: any(message.header.stamp == stamp for message in robot.got["state"]))
-    robot.until(lambda: robot.told("without a pose"))
+    robot.until(lambda: robot.reported("without a pose"))
     assert not any(message.header.stamp == stamp for message in robot.got["speed_mask"][masks:])
 
 

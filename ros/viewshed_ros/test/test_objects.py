@@ -120,16 +120,16 @@ class Graph:
                     return t_ns
         raise AssertionError("no tracks came")
 
-    def tell_as_mast(self, t_ns: int, told: ViewMessage) -> None:
-        """Say what the car said, as the mast, from the same place."""
+    def tell_as_mast(self, t_ns: int, shared: ViewMessage) -> None:
+        """Publish what the car reported, as the mast, from the same place."""
         self.sequence += 1
-        said = ViewMessage(
-            "mast", self.sequence, t_ns, "map", told.world_from_level, POSE_COVARIANCE, SensorFacts("mast", 1.8),
-            view=told.view, detections=told.detections,
+        message = ViewMessage(
+            "mast", self.sequence, t_ns, "map", shared.world_from_level, POSE_COVARIANCE, SensorFacts("mast", 1.8),
+            view=shared.view, detections=shared.detections,
         )  # fmt: skip
-        self.views.publish(UInt8MultiArray(data=array("B", sign_message(said, MAST))))
+        self.views.publish(UInt8MultiArray(data=array("B", sign_message(message, MAST))))
 
-    def told(self, word: str) -> bool:
+    def reported(self, word: str) -> bool:
         return any(word in str(message) for message in self.got["/diagnostics"][-6:])
 
 
@@ -153,28 +153,28 @@ def test_tracks_are_published_with_their_explanations_and_told_to_the_center(gra
     for _ in range(30):  # what a loaded machine tells too late is refused
         t_ns = graph.drive()
         graph.spin(0.2)
-        told = None
+        shared = None
         for message in graph.got["/viewshed/views"]:
-            told = receiver.receive(bytes(message.data), t_ns).message or told
-        if told is None or told.t_ns != t_ns:  # lost on its way
+            shared = receiver.receive(bytes(message.data), t_ns).message or shared
+        if shared is None or shared.t_ns != t_ns:  # lost on its way
             continue
-        assert (told.agent, told.t_ns) == ("car", t_ns)
-        assert told.view is not None
-        assert told.detections is not None
-        assert told.tracks is not None
-        graph.tell_as_mast(t_ns, told)
+        assert (shared.agent, shared.t_ns) == ("car", t_ns)
+        assert shared.view is not None
+        assert shared.detections is not None
+        assert shared.tracks is not None
+        graph.tell_as_mast(t_ns, shared)
         graph.spin(0.3)
         graph.got["/viewshed/views"].clear()
         if len(graph.got["center/picture"]) >= 5:
             break
     graph.until(lambda: len(graph.got["center/visibility"]) > 0)
-    said = json.loads(graph.got["lidar/explained"][-1].data)
-    assert said["frame"] == "map"
-    assert len(said["tracks"]) > 5
-    assert all(track["explanation"] and track["reason"] for track in said["tracks"])
+    explained = json.loads(graph.got["lidar/explained"][-1].data)
+    assert explained["frame"] == "map"
+    assert len(explained["tracks"]) > 5
+    assert all(track["explanation"] and track["reason"] for track in explained["tracks"])
     markers = graph.got["lidar/tracks"][-1].markers
-    assert (markers[0].action, len(markers) - 1) == (Marker.DELETEALL, len(said["tracks"]))
-    assert [each.ns for each in markers[1:]] == [track["explanation"] for track in said["tracks"]]
+    assert (markers[0].action, len(markers) - 1) == (Marker.DELETEALL, len(explained["tracks"]))
+    assert [each.ns for each in markers[1:]] == [track["explanation"] for track in explained["tracks"]]
     assert len(graph.got["lidar/detections"][-1].markers) > 10
     # The center: joint tracks, trust in each agent, the joint view.
     picture = json.loads(graph.got["center/picture"][-1].data)
@@ -190,11 +190,11 @@ def test_a_forged_message_is_refused_and_counted(graph: Graph) -> None:
     message = ViewMessage("mast", 10**6, time.time_ns(), "map", Rigid.identity(), POSE_COVARIANCE, SensorFacts("x"))
     graph.views.publish(UInt8MultiArray(data=array("B", sign_message(message, stranger))))
     graph.views.publish(UInt8MultiArray(data=array("B", bytes(100))))
-    graph.until(lambda: graph.told("signed by a key that is not known"))
-    graph.until(lambda: graph.told("no signed message"))
-    graph.until(lambda: graph.told("trust of mast"))
+    graph.until(lambda: graph.reported("signed by a key that is not known"))
+    graph.until(lambda: graph.reported("no signed message"))
+    graph.until(lambda: graph.reported("trust of mast"))
     # No valid message, no round: what the center said of the last one is no word of now.
-    graph.until(lambda: graph.told("nothing is known of now"))
+    graph.until(lambda: graph.reported("nothing is known of now"))
 
 
 def test_clouds_are_forged_from_the_start_on(graph: Graph) -> None:

@@ -109,7 +109,7 @@ def test_nav2_stops_when_the_sensor_or_the_poses_stop_and_when_the_node_does(sta
     stack.enter_context(running({**PARAMETERS, "autostart": "true"}))
     robot = Robot()
     vehicle = Vehicle(robot)
-    # 1. From activation on, before the first sweep: nobody knows where the vehicle is, and it stops wherever that is.
+    # 1. From activation on, before the first sweep: it is unknown where the vehicle is, and it stops wherever that is.
     assert vehicle.stopped_after_s(time.monotonic() + 20.0) < 20.0
     assert late_joiner_stops(robot)
     # 2. The sensor is cut, poses go on.
@@ -203,7 +203,7 @@ def test_the_watchdog_stops_in_place_of_a_node_that_was_killed_and_withdraws_whe
 
 
 class Listened:
-    """A publisher with so many listeners, that keeps what it is given."""
+    """A publisher with this number of listeners that keeps what it is given."""
 
     def __init__(self, listeners: int) -> None:
         self.listeners, self.got = listeners, list[str]()

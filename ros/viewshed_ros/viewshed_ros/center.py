@@ -74,17 +74,17 @@ class CenterNode(Node):
         """Take what an agent tells; what is refused is counted with its reason."""
         now_ns = self.get_clock().now().nanoseconds
         receipt = self._receiver.receive(bytes(message.data), now_ns)
-        told = receipt.message
-        if told is None:
+        received = receipt.message
+        if received is None:
             reason = "" if receipt.reason is None else receipt.reason.value
             self.get_logger().warning(f"refused: {receipt.agent} {reason} {receipt.detail}", throttle_duration_sec=5.0)
             return
-        if told.view is None:
+        if received.view is None:
             return
         try:
-            self._publish_all(self._rounds.add(1e-9 * told.t_ns, AgentReport.of_message(told), 1e-9 * now_ns))
+            self._publish_all(self._rounds.add(1e-9 * received.t_ns, AgentReport.of_message(received), 1e-9 * now_ns))
         except Exception as error:  # one message costs no other
-            self._note([f"{told.agent}: {type(error).__name__}: {error}"])
+            self._note([f"{received.agent}: {type(error).__name__}: {error}"])
 
     def _tick(self) -> None:
         """Publish the rounds that need not wait any longer."""
@@ -132,12 +132,12 @@ class CenterNode(Node):
             status.level, status.message = DiagnosticStatus.STALE, "no round yet: nothing is known"
             return status
         silent_s = 1e-9 * (self.get_clock().now().nanoseconds - self._done_ns)
-        said = self._done.sentences()
-        status.level = DiagnosticStatus.WARN if said else DiagnosticStatus.OK
+        sentences = self._done.sentences()
+        status.level = DiagnosticStatus.WARN if sentences else DiagnosticStatus.OK
         if silent_s > HEARD_S:
-            said.insert(0, f"no round for {silent_s:.1f} s: nothing is known of now")
+            sentences.insert(0, f"no round for {silent_s:.1f} s: nothing is known of now")
             status.level = DiagnosticStatus.STALE
-        status.message = "; ".join(said) or f"{self._count} rounds, nobody contradicts the others"
+        status.message = "; ".join(sentences) or f"{self._count} rounds, nobody contradicts the others"
         for agent, each in self._done.numbers()["agents"].items():
             status.values.append(KeyValue(key=f"trust of {agent}", value=f"{each['trust']:.3f}"))
             if each["refused"]:

@@ -1,4 +1,4 @@
-"""What nav2's costmap filters must be told of a mask; published where nav2_msgs is installed.
+"""What nav2's costmap filters must know about a mask; published where nav2_msgs is installed.
 
 Elsewhere nav2's own ``costmap_filter_info_server`` says the same, by ``config/nav2_filter_info.yaml``.
 """

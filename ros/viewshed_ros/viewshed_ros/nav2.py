@@ -62,7 +62,7 @@ class SpeedLimits:
 def speed_values(estimate: FovEstimate, speed_mps: float, limits: SpeedLimits) -> NDArray[np.int8]:
     """Return the speed (cells, cells) in percent: no limit where visible, ``unseen_mps`` elsewhere.
 
-    nav2 asks for the cell that the robot is in; there the speed holds from which it stops in what it sees.
+    nav2 looks up the cell that the robot is in; there the speed holds from which it stops in what it sees.
     """
     values = np.where(estimate.visible(), np.int8(NO_LIMIT), np.int8(limits.percent(limits.unseen_mps)))
     values[polar_of_cells(estimate.grid)[0] <= limits.here_m] = limits.percent(speed_mps)
@@ -93,7 +93,7 @@ def obstruction_polygons(estimate: FovEstimate) -> str:
 
     ``[[azimuth, elevation, …], …]`` in radians: convex polygons, azimuths in [0, 2π], none across 0. A direction is
     obstructed where no cell from 1 m to 5 m is FREE: by the robot itself, or by what stands right before it. Walls
-    farther off cannot be said so: the polygons know no range. Empty where nothing is obstructed, or everything: a
+    farther off cannot be written so: the polygons know no range. Empty where nothing is obstructed, or everything: a
     sensor that looks over these cells knows nothing of its robot.
     """
     angle, range_m, number = _rays(estimate.grid)

@@ -53,7 +53,7 @@ LIVE = QoSProfile(depth=5)
 
 
 ALARM, VIEWS_TOPIC = "alarm", "views"
-"""Outlets of a sensor that are no layers: its alarm, and what other agents are told."""
+"""Outlets of a sensor that are no layers: its alarm, and what is shared with other agents."""
 
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 """Of timers that also run where simulated time stands still."""
@@ -78,7 +78,7 @@ class FieldOfView(LifecycleNode):
         self._diagnostics: Any = None
         self._diagnostics_timer: Any = None
         self._is_active = False
-        self._told_s = 0.0
+        self._diagnosed_s = 0.0
 
     # Transitions of the lifecycle
 
@@ -166,10 +166,10 @@ class FieldOfView(LifecycleNode):
             estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
             vehicle=settings.vehicle, objects=self._objects(settings),
         )  # fmt: skip
-        self._told_s = time.monotonic()
+        self._diagnosed_s = time.monotonic()
 
     def _diagnose_at(self, hz: float) -> None:
-        """Publish diagnostics so often from now on; 0 for never."""
+        """Publish diagnostics at this rate from now on; 0 for never."""
         if self._diagnostics_timer is not None:
             self.destroy_timer(self._diagnostics_timer)
         self._diagnostics_timer = self.create_timer(1.0 / hz, self._diagnose, clock=STEADY) if hz else None
@@ -265,7 +265,7 @@ class FieldOfView(LifecycleNode):
                 sensor.subscription = None
 
     def _close_outlets(self) -> None:
-        """Replace what was said by stop messages, after which nothing more is said."""
+        """Replace what was published by stop messages, after which nothing more is published."""
         self._is_active, now_s = False, time.monotonic()
         for sensor in self._sensors.values():
             for outlet in sensor.outlets.values():
@@ -337,7 +337,7 @@ class FieldOfView(LifecycleNode):
         return sensor.settings.input.sweep(message, agent=sensor.settings.name, world_from_sensor=pose, **known)
 
     def _pose(self, sensor: Sensor, t_ns: int) -> Rigid | None:
-        """Return where a sensor stood; None, counted, where nobody knows: the sweep is taken by itself."""
+        """Return where a sensor stood; None, counted, where it is not known: the sweep is taken by itself."""
         if self._poses is None:
             return None
         try:
@@ -474,7 +474,7 @@ class FieldOfView(LifecycleNode):
                 sensor.heartbeat.publish(OccupancyGrid(header=header, info=sensor.area))
 
     def _stop_one(self, sensor: Sensor, stop: Callable[[], None]) -> bool:
-        """Replace what one topic said, and return whether that could be done."""
+        """Replace what one topic reported, and return whether that could be done."""
         try:
             stop()
         except Exception as error:  # a context that has been shut down, say; the watchdog stops the vehicle then
@@ -530,7 +530,7 @@ class FieldOfView(LifecycleNode):
         if self._pipeline is None:
             return
         now_s = time.monotonic()
-        passed_s, self._told_s = now_s - self._told_s, now_s
+        passed_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         message = DiagnosticArray()
         message.header.stamp = self.get_clock().now().to_msg()
         message.status = [

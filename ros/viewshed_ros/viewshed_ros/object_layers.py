@@ -62,7 +62,7 @@ def tracks(view: ObjectsView) -> MarkerArray:
 
 
 def explained(view: ObjectsView) -> String:
-    """Return what is said of each track as JSON."""
+    """Return what is reported about each track as JSON."""
     shown, header = view.tracks()
     stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
     rows = explained_rows(view.objects, shown)

@@ -20,7 +20,7 @@ LONGEST_PERIOD_S = 1.5
 """Between two sweeps; more is a gap, and not the period of a sensor."""
 
 FRAME_CLOUDS, FRAME_S = 5, 2.0
-"""The frame of most clouds of this time is a sensor's, and of at least so many clouds."""
+"""A sensor's frame is that of most clouds of this time, and of at least this number of clouds."""
 
 MOST_CLOUDS = 1000
 """Whose frames are remembered."""
@@ -66,7 +66,7 @@ class Outlet:
                 self.seen_s, self.is_stop = now_s, True
 
     def close(self, now_s: float) -> None:
-        """Let nothing through any more, after a stop message in place of what was said."""
+        """Let nothing through any more, after a stop message in place of what was published."""
         with self._lock:
             self.is_open = False
         self.stop_if_older(-1.0, now_s)
@@ -94,7 +94,7 @@ class Pace:
 class FrameVote:
     """The frame of a sensor's clouds: a given one, or that of most of the last 2 s, and of five clouds at least.
 
-    Until so many have come it is the frame of the first.
+    Until five have come it is the frame of the first.
     """
 
     given: str = ""

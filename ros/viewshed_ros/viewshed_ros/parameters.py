@@ -174,7 +174,7 @@ PARAMETERS: dict[str, Parameter] = {
     "vehicle_delay_s": Parameter(VEHICLE.delay_s, "Time until the brakes act.", least_and_most=(0.0, 1e3)),
     "vehicle_braking_mps2": Parameter(VEHICLE.braking_mps2, "How hard the vehicle brakes.", least_and_most=(1e-3, 1e3)),
     "objects": Parameter(False, "Detect, track and explain objects as well; needs scipy."),
-    "agent": Parameter("", "Name under which the first sensor's answers are told to other agents; empty for not."),
+    "agent": Parameter("", "Name under which the first sensor's answers are shared with other agents; empty for not."),
     "agent_key": Parameter("", "File of the agent's private key, 64 hexadecimal digits."),
     "agent_topic": Parameter("/viewshed/views", "Topic of the signed messages of all agents."),
     "autostart": Parameter(False, "Configure and activate at once, where no manager of lifecycles does.", fixed=True),
@@ -332,7 +332,7 @@ def declare_table(node: Node, table: dict[str, Parameter]) -> None:
         if not node.has_parameter(name):
             try:
                 node.declare_parameter(name, parameter.default, parameter.descriptor())
-            except InvalidParameterValueException:  # said when it is read, so that it can be mended
+            except InvalidParameterValueException:  # reported when it is read, so that it can be mended
                 node.declare_parameter(name, parameter.default, parameter.descriptor(with_range=False))
 
 

@@ -43,7 +43,7 @@ class Speaker:
         """
         estimate, objects = answer.estimate, answer.objects
         if estimate is None or estimate.world_from_level is None or estimate.t_ns is None:
-            raise ValueError("what is told to others must have a pose and a time, got none for this sweep")
+            raise ValueError("what is shared with others must have a pose and a time, got none for this sweep")
         basis = estimate.basis
         # The first time in milliseconds is greater than before a restart. Where the clock was so far ahead that nobody
         # took a message, and is put right, an epoch begins anew: it must not be later than its messages.
@@ -51,7 +51,7 @@ class Speaker:
         if self._epoch < 0 or t_ms < self._epoch - AHEAD_MS:
             self._epoch, self._sequence = t_ms, 0
         self._sequence += 1
-        told = ViewMessage(
+        message = ViewMessage(
             agent=self.key.agent,
             sequence=self._sequence,
             t_ns=estimate.t_ns,
@@ -65,4 +65,4 @@ class Speaker:
             report=None if answer.report is None else answer.report.now,
             epoch=self._epoch,
         )
-        return UInt8MultiArray(data=array("B", sign_message(told, self.key)))
+        return UInt8MultiArray(data=array("B", sign_message(message, self.key)))

@@ -1,4 +1,4 @@
-"""Messages that claim nothing: they replace what was said of a view that is too old, and nav2 stops by them.
+"""Messages that claim nothing: they replace what was published of a view that is too old, and nav2 stops by them.
 
 Nothing of viewshed is imported, so that the watchdog is a small process of its own.
 """
@@ -29,8 +29,8 @@ MASK_STOPS = {"speed_mask": 1, "keepout_mask": 100}
 """Values by which nav2 stops: 1 percent of the greatest speed, as 0 is no limit, and lethal. It skips cells of -1."""
 
 _FARTHEST_M, _COARSE_CELLS = 1e7, 21
-"""Masks before any pose is known reach so far from the map's origin, in so many cells a side: nav2's KeepoutFilter
-leaves out half a cell at the lower edges."""
+"""Reach from the map's origin, and cells a side, of masks before any pose is known: nav2's KeepoutFilter leaves out
+half a cell at the lower edges."""
 
 
 def everywhere() -> MapMetaData:
@@ -75,11 +75,11 @@ class Stale:
 
 
 def stale_alarm(name: str, stale: Stale, beside: Iterable[KeyValue] = ()) -> DiagnosticStatus:
-    """Return the alarm of a view that is too old, with what else was to be said."""
+    """Return the alarm of a view that is too old, with what else was to be reported."""
     values: Mapping[str, str] = {
         "caution": "STALE", "speed in m/s": "0.00", "speed limit in m/s": f"{stale.unseen_mps:.2f}",
         "age in s": f"{stale.age_s:.2f}", "limit of age in s": f"{stale.limit_s:.2f}",
     }  # fmt: skip
-    said = [KeyValue(key=key, value=value) for key, value in values.items()]
-    said += [each for each in beside if each.key not in values]
-    return DiagnosticStatus(level=DiagnosticStatus.STALE, name=name, message=stale.line(), values=said)
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    pairs += [each for each in beside if each.key not in values]
+    return DiagnosticStatus(level=DiagnosticStatus.STALE, name=name, message=stale.line(), values=pairs)

@@ -340,7 +340,7 @@ ENGINES: dict[str, Callable[[int | None], Engine]] = {"local": LocalEngine, "ray
 
 
 def engine_named(name: str, workers: int | None = None) -> Engine:
-    """Return the engine with this name, for so many workers; None is one for each core of the machine or the cluster.
+    """Return the engine with this name and number of workers; None is one for each core of the machine or the cluster.
 
     Raises:
         ValueError: there is no such engine, or ``workers`` is below 1.

@@ -33,7 +33,7 @@ def facts(**more: str) -> dict[str, str]:
 
 
 def page(title: str, provenance: Mapping[str, str], *parts: str) -> str:
-    r"""Return a Markdown page: title, its three numbers, the parts, and at its foot the facts as a list.
+    r"""Return a Markdown page: title, its three numbers, the parts, and at its end the facts as a list.
 
     >>> page("Areas", {"seed": "0"}, "text")
     '# Areas\n\ntext\n\n## How it was made\n\n- seed: 0\n'

@@ -51,7 +51,7 @@ class KeyNumber:
 
 @dataclass(frozen=True, slots=True)
 class ResultPage:
-    """What is said of one page.
+    """What describes one page.
 
     Attributes:
         title: of the page, or of several that one command writes.
@@ -73,7 +73,7 @@ class ResultPage:
 
 @cache
 def result_pages() -> dict[str, ResultPage]:
-    """Return what is said of each page, by title."""
+    """Return the description of each page, by title."""
     text = resources.files("viewshed_lab").joinpath("result_pages.toml").read_text(encoding="utf-8")
     pages = [
         ResultPage(**{**page, "numbers": [KeyNumber(**number) for number in page.get("numbers", [])]})
@@ -83,12 +83,12 @@ def result_pages() -> dict[str, ResultPage]:
 
 
 def with_numbers(title: str, facts: str, body: str) -> str:
-    """Return a page: title, its three numbers, the body, and at its foot how it was made."""
+    """Return a page: title, its three numbers, the body, and at its end how it was made."""
     page = result_pages().get(title)
     found = [(number.find(body), number.of) for number in page.numbers] if page else []
     top = "\n".join(f"- **{value}** {of}" for value, of in [one for one in found if one[0]][:_NUMBERS])
-    foot = f"{_MADE}\n\n{facts}" if facts else ""
-    return "\n\n".join(part.strip("\n") for part in (f"# {title}", top, body, foot) if part) + "\n"
+    ending = f"{_MADE}\n\n{facts}" if facts else ""
+    return "\n\n".join(part.strip("\n") for part in (f"# {title}", top, body, ending) if part) + "\n"
 
 
 def shortened(name: str, markdown: str) -> str:

@@ -15,7 +15,7 @@ namespace {
 // Equal cells of slope in which the nearest beam is looked up.
 constexpr std::size_t CELLS = 4096;
 
-// A return is a beam's within so much of its elevation, in radians and in meters; it is close within the second.
+// Largest distance of a return from its beam's elevation, in radians and in meters; in the next line, of a close one.
 constexpr double OFF_RAD = 0.0026, OFF_M = 0.05;
 constexpr double CLOSE_RAD = 0.00175, CLOSE_M = 0.015;
 

@@ -130,7 +130,7 @@ float mean_of(View1<const float> table, float prob) {
     return first == table.end() ? std::numeric_limits<float>::infinity() : float(first - table.begin()) / STEPS;
 }
 
-// What is asked of an estimator's cells: enough returns, a sure aim, a probability.
+// What an estimator's cells must have: enough returns, a sure aim, a probability.
 struct Support {
     const float *measured, *inferred, *aimed, *visible_prob;
     const std::uint8_t* within_reach;

@@ -50,14 +50,14 @@ constexpr double FACE_M2 = 20.0, FOOT_M = 0.25, FOOT_SLOPE = 0.1;
 constexpr float AGREE_M = 0.3f;
 constexpr double LOWER_M = 0.3;
 
-// Steps that are followed: on flat nodes so much more per meter of their side, and where little carries there so much more.
+// Steps that are followed, what flat nodes add per meter of their side up to FLAT_NODE_M, and what is added in doubt.
 constexpr double STEP_M = 0.10, FLAT_STEP = 0.05, FLAT_NODE_M = 2.5, DOUBT_STEP_M = 0.10;
 
 // They are taken by this share in height and in slope.
 constexpr double FOLLOWED = 0.7, FOLLOWED_SLOPE = 0.25;
 
-// Where no ground is met so much of the slope and of the weight is carried on, and a slope that differs by at most so much
-// from that of the carrier's plane.
+// Where no ground is met these shares of slope and weight are carried on, and slopes up to CARRIED_SLOPE off the slope
+// of the carrier's plane.
 constexpr float CARRIED_SHARE = 0.9f, CARRIED_SLOPE = 0.15f, CARRIED_WEIGHT = 0.8f, LEAST_WEIGHT = 0.05f;
 
 // Weight in the walk of a level that no other direction confirms.

@@ -315,7 +315,7 @@ MULTIVERSION void find_gaps(const Profiles& profiles, Gaps& gaps) {
 
 // Raise the deviation in gaps along the lines of sight, and mend heights there. Behind an edge the ground lies below the beam
 // that passes it, and not far below where that beam meets the ground. Beyond the last return it may lie as it does nearby,
-// or at a level that is `lower` than the base by so much. All z are from the sensor.
+// or at a level that is `lower` meters below the base. All z are from the sensor.
 void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> base, View1<const bool> known, float lower,
                 View1<float> heights, View1<float> std) {
     const auto node_m = float(lattice.node_m);

@@ -12,7 +12,7 @@
 namespace viewshed {
 namespace {
 
-// Deviation by which held ground grows for a doubt of the poses' attitudes (0.1°), the farther from the sensor the more.
+// Growth of the deviation of ground carried over, by a doubt of the poses' attitudes (0.1°): more, the farther away.
 constexpr double TILT_STD = 0.002;
 
 // Two sweeps agree on ground that both see if their heights differ by no more than this, and twice their deviations.
@@ -22,7 +22,7 @@ constexpr float AGREE_M = 0.3f;
 constexpr std::ptrdiff_t AROUND = 3;
 constexpr double AGREEING_SHARE = 0.75;
 
-// Where fewer of all nodes that both see agree than this share, a pose is wrong, and nothing is held.
+// Where fewer of all nodes that both see agree than this share, a pose is wrong, and nothing is carried over.
 constexpr double MOST = 0.5;
 
 constexpr float NONE = std::numeric_limits<float>::infinity();

@@ -23,7 +23,8 @@ constexpr double ALIVE_SHARE = 0.02;
 // A return lies behind another if it is farther by this factor and this distance.
 constexpr float BEHIND = 1.1f, BEHIND_M = 0.3f;
 
-// The eight pixels around a hole are one surface if the farthest is at most so much farther than the nearest.
+// The eight pixels around one without a return are one surface if the farthest is at most this much farther than the
+// nearest: a factor and a distance.
 constexpr float SURROUND = 1.06f, SURROUND_M = 0.3f;
 
 // Isolated returns are in line if their ranges have a ratio below IN_LINE, within IN_LINE_RINGS and IN_LINE_COLUMNS.

@@ -16,7 +16,7 @@ constexpr float NONE = std::numeric_limits<float>::infinity();
 // Points of a part that is worth a thread.
 constexpr std::size_t PART = 16384;
 
-// What is asked of all points.
+// The rule that all points are tested by.
 struct Rule {
     float rotation[9];
     float near2, far2, half_m, nodes_per_m, cosine, sine;

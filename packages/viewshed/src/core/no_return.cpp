@@ -49,7 +49,7 @@ constexpr double WEIGHTY = 0.02;
 // Beyond some range lies only this share of the returns: that far the sensor reaches in this air, ...
 constexpr double REACH_SHARE = 0.001;
 
-// ... and so much farther a target would still be seen, for it faces the beams, which graze the ground.
+// ... and this times as far a target would still be seen, for it faces the beams, which graze the ground.
 constexpr double BEYOND_REACH = 2.0;
 
 // Pixels of a part that is worth a thread.

@@ -111,7 +111,7 @@ private:
         }
     }
 
-    const std::size_t count_;  // that were asked for
+    const std::size_t count_;  // that were requested
     std::mutex mutex_;
     std::condition_variable wake_;
     std::atomic<std::size_t> number_{0};  // of the job

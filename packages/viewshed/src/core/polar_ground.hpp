@@ -29,7 +29,7 @@ inline std::size_t ground_sector(float azimuth) {
     return std::size_t(s < 0 ? 0 : (s < int(GROUND_SECTORS) ? s : int(GROUND_SECTORS) - 1));
 }
 
-// Write the ground as seen from a sensor so high, and the tops of targets of height top_m.
+// Write the ground as seen from a sensor at this height, and the tops of targets of height top_m.
 void find_polar_ground(const Ground& ground, float sensor_height_m, double top_m, PolarGround& polar);
 
 // The range at which a beam first meets the ground, between its ranges linearly; +inf where it does not. `at` is the

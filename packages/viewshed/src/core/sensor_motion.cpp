@@ -25,7 +25,7 @@ constexpr std::array<double, 3> REFERENCES{0.5, 0.0, 1.0};
 constexpr double STEP_M = 0.4;
 constexpr int HEADINGS = 8;
 
-// A sensor that is pitched moves up or down in its own frame: so much of the way is tried as well.
+// A sensor that is pitched moves up or down in its own frame: this share of the way is tried as well.
 constexpr double CLIMB = 0.1;
 
 // They are improved in ever smaller steps down to this one; upward in steps of a quarter.

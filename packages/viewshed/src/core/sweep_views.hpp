@@ -29,7 +29,7 @@ struct Transform {
 };
 
 // What is found of a place where another sweep looked: an obstacle about there, free passage far beyond, beams that did not
-// return, or nothing that can be said (hidden, not looked at, at an edge).
+// return, or nothing that is known (hidden, not looked at, at an edge).
 enum class Seen : std::uint8_t { UNKNOWN, OCCUPIED, FREE, SILENT };
 
 // A sweep's range image, its obstacles, and how far the air at their heights is free, by azimuth.

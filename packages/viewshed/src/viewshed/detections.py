@@ -27,7 +27,7 @@ class ObjectKind(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """The objects that a detector found in one sweep, in one frame (``level`` of the sweep, unless said otherwise).
+    """The objects that a detector found in one sweep, in one frame (``level`` of the sweep, unless stated otherwise).
 
     Attributes:
         boxes: (K, 7) float64, columns ``BOX_COLUMNS``.

@@ -42,7 +42,7 @@ class LidarModel:
             circle; None where each column fires every ring at its azimuth. Only the simulator reads it. Without rings,
             ``elevation`` is a ladder from the lowest shot to the highest.
         reach_m: range up to which a target of 10 % reflectivity that faces the sensor returns every second time, or
-            None where nobody states it.
+            None where it is not stated.
         reach_source: where ``reach_m`` comes from.
         fires_rings: False for a sensor that fires anywhere in its field (Livox): its returns belong to no rings, none
             are looked for, and ``elevation`` is a ladder from the lowest shot to the highest. The simulator fires it.

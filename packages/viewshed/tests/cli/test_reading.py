@@ -41,8 +41,8 @@ DOUBTED = [
     (STREET.points + np.array([0.0, 0.0, 1.8], np.float32), (),
      "no point lies below the origin: are the points counted from the road\\? Say with --origin X,Y,Z"),
     (STREET.points + AXLE, (), r"counted from the axle or the road\? Say with --origin X,Y,Z where the sensor is"),
-    (STREET.points, ("--height", "50"), "the sensor's height is said to be 50.00 m, outside of 0.1 to 10 m"),
-    (STREET.points, ("--height", "0.04"), "the sensor's height is said to be 0.04 m, outside of 0.1 to 10 m"),
+    (STREET.points, ("--height", "50"), "the sensor's height is given as 50.00 m, outside of 0.1 to 10 m"),
+    (STREET.points, ("--height", "0.04"), "the sensor's height is given as 0.04 m, outside of 0.1 to 10 m"),
     (STREET.points, ("--sensor", "pandar40p"),
      "the returns do not lie at the beams of Pandar40P: name another --sensor, or none"),
 ]  # fmt: skip
@@ -104,7 +104,7 @@ def test_every_command_that_reads_a_sweep_says_its_doubts(command: str, tmp_path
     done = run(command, path, "--height", "50", *out)
     assert done.returncode == 0
     [line] = done.stderr.splitlines()
-    assert line.startswith("viewshed: a.npz: warning: the sensor's height is said to be 50.00 m, outside of 0.1 to 10")
+    assert line.startswith("viewshed: a.npz: warning: the sensor's height is given as 50.00 m, outside of 0.1 to 10")
 
 
 def test_a_low_robot_is_no_axle() -> None:

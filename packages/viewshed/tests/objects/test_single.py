@@ -171,7 +171,7 @@ def test_without_poses_less_is_explained_and_it_says_so() -> None:
         explained = fusion.explain(replace(shown, in_world=False), found, [here])
     assert explained.accused.tolist() == [False, True]
     assert explained.notes == (
-        "no poses: nothing is said of sudden moves and of births, and tracks that the tracker gave up are not held",
+        "no poses: sudden moves and births are not judged, and tracks that the tracker gave up are not carried over",
     )
     with pytest.raises(ValueError, match="views must be in the tracks' frame, the sensor's level frame, got another"):
         fusion.explain(replace(shown, in_world=False), found, [view(shown.t_s)])

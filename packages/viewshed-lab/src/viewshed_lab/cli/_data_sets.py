@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def build_with_bar(
     name: str, total: int | None, build: Callable[[Callable[[ShardResult], None]], Archive]
 ) -> tuple[Archive, int]:
-    """Return a data set and how many problems its shards had, each said as it comes up; a bar counts its sweeps.
+    """Return a data set and how many problems its shards had, each reported as it comes up; a bar counts its sweeps.
 
     ``build`` makes the data set and is given what to call with each finished shard.
     """

@@ -36,7 +36,7 @@ def truth(
     methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
     weights: Weights = None,
     target: TargetName = "car",
-    limit: Annotated[int, typer.Option(min=1, help="At most so many samples, spread evenly over each data set.")] = 200,
+    limit: Annotated[int, typer.Option(min=1, help="Most samples, spread evenly over each data set.")] = 200,
     split: Annotated[str | None, typer.Option(help="Only this split: train, test, …")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")

@@ -17,7 +17,7 @@ from viewshed.preprocess.evidence import expected_returns
 from viewshed_lab.data.object_truth import ObjectSweep, SweepObjects
 
 FEWEST_RETURNS, FARTHEST_M = 20, 40.0
-"""Objects that a detector is to find: with so many returns, so near."""
+"""A detector is to find objects with at least this number of returns, up to this distance."""
 
 LEAST_OVERLAP = 0.3
 """Intersection over union, seen from above, from which a box counts as right."""

@@ -23,7 +23,7 @@ OBJECT_KINDS = frozenset({
 """Things that are objects whether they move or not; whatever else moves is one as well."""
 
 SEEN_RETURNS = 5
-"""An object counts as seen by a sensor from so many returns on."""
+"""Least number of returns of an object that a sensor sees."""
 
 _DT_S = 0.05
 

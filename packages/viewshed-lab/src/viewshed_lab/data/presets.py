@@ -130,12 +130,12 @@ class Preset:
         return sum(self.frames)
 
     def plan(self, sensor: int, duration_s: float) -> AgentPlan:
-        """Return what a world is asked to carry, with one of the sensors."""
+        """Return which sensors a world must carry; ``sensor`` is the number of the moving agents' one."""
         height_m = self.sensor_height_m
         return AgentPlan(self.moving, self.roadside, self.sensors[sensor], self.roadside_sensor, height_m, duration_s)
 
     def scaled(self, sweeps: int) -> Preset:
-        """Return the preset with so many sweeps: splits keep their ratio and scenes their length, where they can.
+        """Return the preset with another number of sweeps: splits keep their ratio, scenes their length if they can.
 
         Raises:
             ValueError: there are fewer sweeps than splits.

@@ -28,9 +28,9 @@ class Sample:
         known: (cells, cells) bool, False where no truth exists (below the vehicle itself, outside the world).
         scene: where it was measured; splits never cut through a scene.
         split: ``train``, ``test``, …
-        tampered: the attacked sweep and what was done to it, or None where nobody says.
+        tampered: the attacked sweep and what was done to it, or None where it is not known.
         clean: the range image that an attacked sweep was made from, or None. Archives store it with the rows that the
-            attacker made, which takes less room than all points.
+            attacker made, which takes less memory than all points.
 
     Raises:
         ValueError: ``known`` does not fit the truth's grid, or ``tampered`` is of another number of returns.
@@ -70,5 +70,5 @@ class Sample:
         return replace(self, measured=tampered.sweep, tampered=tampered, clean=clean)
 
     def corrupted(self, sweep: Sweep) -> Sample:
-        """Return the sample with another sweep, of whose returns nobody says which moved; the truth stays."""
+        """Return the sample with another sweep, of whose returns it is unknown which moved; the truth stays."""
         return replace(self, measured=sweep, tampered=None, clean=None)

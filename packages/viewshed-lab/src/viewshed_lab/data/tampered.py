@@ -143,7 +143,7 @@ class AttackPlan:
         mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
         half_extent_m: half the side of the victim's grid.
         placement: one of ``Placement``; None is the attack's own.
-        victim: name of the estimator that an attacker who adapts asks.
+        victim: name of the estimator that an attacker who adapts queries.
         estimator: that estimator.
 
     Raises:
@@ -221,7 +221,7 @@ class CorruptionPlan:
         CORRUPTIONS[self.corruption](self.severity)
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample with a corrupted sweep; nobody says which returns moved."""
+        """Return the sample with a corrupted sweep; it is unknown which returns moved."""
         return sample.corrupted(CORRUPTIONS[self.corruption](self.severity).apply(sample.sweep, rng))
 
     @property

@@ -395,7 +395,7 @@ def wild_samples(
         set_name: of ``SETS``.
         domain: ``road`` or ``indoor``; both if left out.
         told: of ``TOLD``.
-        count: the first so many sweeps only.
+        count: at most this number of sweeps, the first ones.
         unseal: as for :func:`wild_scenes`.
 
     Raises:

@@ -51,7 +51,7 @@ def make_wild_archive(
         store: where it goes.
         engine: makes the shards.
         told: of ``TOLD``: what the sweeps say beside their points, in turn.
-        scenes: the first so many only.
+        scenes: at most this number of scenes, the first ones.
         on_progress: is called with each shard that is finished, also of an earlier run.
 
     Raises:

@@ -17,7 +17,7 @@ from viewshed_lab.sim.world import Agent, Thing, World
 
 FRAMES = ("sensor", "base_shifted_back", "base")
 """In which frame points are given: the ``sensor``'s; the carrier's axes with the origin at the sensor (its offset is
-known and was taken off); or the carrier's ``base``, whose offset from the sensor nobody tells."""
+known and was taken off); or the carrier's ``base``, whose offset from the sensor is not given."""
 
 _AXLE_M = (-1.35, 0.32)
 """x and z of the rear axle in the frame of a car, and so of the base frame; a robot's is below its middle."""
@@ -36,9 +36,9 @@ class MountingFamily:
     Attributes:
         name: of the family.
         height_m: of the sensor above the ground below the carrier.
-        yaw_deg: turned to the left or right by so much.
-        pitch_deg: tilted down by so much; negative is up.
-        roll_deg: rolled to the left or right by so much.
+        yaw_deg: angle of its turn to the left or right.
+        pitch_deg: angle of its tilt down; negative is up.
+        roll_deg: angle of its roll to the left or right.
         forward_m: of the sensor from where the world's maker puts it.
         left_m: to the left or right of there.
         roof_edge: whether the carrier's flat roof lies just below the sensor and ends a little before it and beside it,

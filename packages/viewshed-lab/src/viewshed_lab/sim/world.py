@@ -114,7 +114,7 @@ class Agent:
 
 @dataclass(frozen=True, slots=True)
 class AgentPlan:
-    """Which sensors a world is asked to carry.
+    """Which sensors a world must carry.
 
     Attributes:
         moving: vehicles (outdoors) or robots (indoors) that drive and measure.

@@ -53,7 +53,7 @@ class Page:
     pictures: Mapping[str, bytes]
 
     def markdown(self, provenance: Mapping[str, str]) -> str:
-        """Return the page with its three numbers on top and at its foot how it was made."""
+        """Return the page with its three numbers on top and at its end how it was made."""
         return page(self.title, provenance, self.body)
 
     def files(self, name: str, provenance: Mapping[str, str]) -> dict[str, bytes]:

@@ -1,4 +1,4 @@
-"""Attacks on objects: detections are fabricated, removed or moved, and what was forged is told.
+"""Attacks on objects: detections are fabricated, removed or moved, and reports say what was forged.
 
 >>> attack = OBJECT_ATTACKS["fabricate_static"](counts="exact", mean_count=2.0).begin(np.random.default_rng(0))
 >>> forged = [attack.apply(Detections.none(), t_s, np.zeros(3)) for t_s in (0.0, 1.9, 2.0)]
@@ -34,7 +34,7 @@ GHOST_RETURNS = 50
 """Returns that a fabricated detection claims."""
 
 _FOLLOW_M = 2.0
-"""A moved object is followed by the nearest honest detection within so many meters a sweep."""
+"""A moved object is followed by the nearest honest detection within this distance from sweep to sweep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,7 +265,7 @@ class _OnObjects(ObjectAttack):
 
     Attributes:
         within_m: of the sensor, the objects that may be chosen.
-        near_m: an object is found again as the nearest detection within so many meters of its place.
+        near_m: an object is found again as the nearest detection within this distance of its place.
     """
 
     within_m: Annotated[float, Between(0.5, 1000.0)] = 50.0

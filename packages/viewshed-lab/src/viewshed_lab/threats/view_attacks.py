@@ -126,7 +126,7 @@ _DEPTH_M = 1.0
 """Depth of the near side of a claimed object."""
 
 _MARGIN_M = 0.4
-"""Boxes are taken so much larger on each side: surfaces lie in whole cells."""
+"""Margin of boxes on each side: surfaces lie in whole cells."""
 
 
 def _in_box(view: FovEstimate, box: NDArray[np.float64]) -> NDArray[np.bool_]:

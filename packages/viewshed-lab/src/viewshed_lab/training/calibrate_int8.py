@@ -20,7 +20,7 @@ MAX_F1_LOSS = 0.002
 """F1 that quantization may cost."""
 
 FRAMES = 64
-"""Sweeps that calibrate, and as many others that check, where not asked otherwise."""
+"""Sweeps that calibrate, and as many others that check, unless other numbers are given."""
 
 _EPOCH = 0x62797465
 
@@ -81,7 +81,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
 
 
 def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
-    """Yield so many frames, in no order; see :func:`quantize`."""
+    """Yield ``count`` frames, in no order; see :func:`quantize`."""
     if config.simulated:
         source = TrainingFrames(OnlineSimulation(config, count * FRAMES_PER_NEW_SCENE), config)
         numbers = np.arange(count) * FRAMES_PER_NEW_SCENE

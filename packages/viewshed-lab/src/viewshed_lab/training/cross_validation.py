@@ -2,7 +2,7 @@
 
 Scores are kept by us, a line of ``folds.jsonl`` for each finished fold, for both samplers: an optuna storage would keep
 its trials, but not the state of its sampler, so that a resumed search would ask for other settings than one that ran
-through. Ours asks the seeded sampler again from the start and looks up what is finished.
+through. Ours runs the seeded sampler again from the start and looks up what is finished.
 """
 
 from __future__ import annotations

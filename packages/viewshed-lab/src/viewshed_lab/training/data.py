@@ -71,7 +71,7 @@ def check_data(config: TrainConfig) -> None:
 
 
 def check_folds(config: TrainConfig, count: int) -> None:
-    """Check that a config's data have scenes enough for so many folds."""
+    """Check that a config's data have scenes enough for ``count`` folds."""
     if config.fresh:
         raise ValueError("fresh scenes have no folds: every epoch has its own; set fresh = false")
     for place in config.data:

@@ -79,7 +79,7 @@ class SampleCache:
         return tuple(name for name in self.inputs if not self.path(version, block, name).is_file())
 
     def build(self, frames: TrainingFrames, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
-        """Draw the samples of the blocks that are missing, in so many processes; see :func:`build_files`."""
+        """Draw the samples of the blocks that are missing, in ``workers`` processes; see :func:`build_files`."""
         blocks = range(-(-self.frames // _BLOCK))
         places = [(version, block) for version in range(self.versions) for block in blocks]
         jobs = [_BlockJob(self, frames, *place, names) for place in places if (names := self.missing(*place))]

@@ -278,7 +278,7 @@ class TrainingOrder:
     Attributes:
         frames: how many there are.
         take: how many an epoch shows.
-        block: so many in a row stay together.
+        block: number of frames in a row that stay together.
         seed: with the epoch it decides the order.
         share: this process's part; all are equally long, the first frames fill up.
         epoch: number of the epoch, from 0; Lightning sets it.

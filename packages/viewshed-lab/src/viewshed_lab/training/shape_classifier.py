@@ -22,7 +22,7 @@ NEAR_M = {
     ObjectKind.OTHER: 0.8, ObjectKind.PEDESTRIAN: 0.6, ObjectKind.CYCLIST: 1.0, ObjectKind.CAR: 1.5,
     ObjectKind.TRUCK: 3.0,
 }  # fmt: skip
-"""A candidate is an object if the middle of its whole box lies so near to that of the object ..."""
+"""A candidate is an object if the middle of its whole box lies within this distance of that of the object ..."""
 
 INSIDE_SHARE = 0.6
 """... and more than this share of its returns lies in the object's box, ..."""
@@ -31,7 +31,7 @@ AROUND_M = 0.15
 """... which is made larger by this on every side."""
 
 TURNED_M = 0.5
-"""A box that is turned by more than 45° counts as so much farther away."""
+"""Distance that is added to that of a box that is turned by more than 45°."""
 
 UNITS = (64, 32)
 """Of the hidden layers."""

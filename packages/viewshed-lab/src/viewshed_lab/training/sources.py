@@ -62,7 +62,7 @@ class PaperLabels:
         return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npy"
 
     def build(self, archive: Archive, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
-        """Label the shards of an archive that have no labels yet, in so many processes; see :func:`build_files`."""
+        """Label the shards of an archive that have no labels yet, in ``workers`` processes; see :func:`build_files`."""
         missing = [shard for shard in archive.shards if not self.path(shard).is_file()]
         jobs = [_LabelJob(self, archive.of_scenes([shard.scene]), shard) for shard in missing]
         build_files(_label_shard, self.folder, jobs, workers, on_progress)

@@ -48,7 +48,7 @@ class Freedom:
     Attributes:
         falls: with any of them, not only with medians.
         context: sees the medians.
-        epochs: for each epoch that was asked for.
+        epochs: for each epoch that was given.
     """
 
     falls: bool

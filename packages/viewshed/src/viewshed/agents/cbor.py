@@ -21,7 +21,7 @@ MAX_ITEMS = 512
 """The most items of a payload, those in arrays and maps counted."""
 
 MAX_DEPTH = 4
-"""So many arrays and maps lie in each other at most."""
+"""Most arrays and maps that lie in each other."""
 
 _DTYPES: dict[int, np.dtype[Any]] = {
     64: np.dtype("u1"), 78: np.dtype("<i4"), 79: np.dtype("<i8"), 85: np.dtype("<f4"), 86: np.dtype("<f8"),

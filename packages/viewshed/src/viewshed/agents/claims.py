@@ -24,7 +24,7 @@ RANGES_M = (15.0, 30.0)
 """Nearer than the first, between both, and farther."""
 
 _FEW = 20.0
-"""Claims of one kind count as if so many more had been seen that are found as often as all of their visibility."""
+"""A kind of claims counts as if this number more had been seen, found as often as all of their visibility."""
 
 _FILE = "claims.json"
 

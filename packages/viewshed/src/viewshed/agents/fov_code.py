@@ -99,7 +99,7 @@ def encode_fov(estimate: FovEstimate) -> bytes:
 
 
 def has_std(estimate: FovEstimate) -> bool:
-    """Return whether any cell of an estimate has a deviation: :func:`decode_fov` must be told."""
+    """Return whether any cell of an estimate has a deviation: :func:`decode_fov` must be given this."""
     return estimate.std is not None and not bool(np.isnan(estimate.std).all())
 
 

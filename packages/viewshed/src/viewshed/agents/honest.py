@@ -1,7 +1,7 @@
 """What honest agents report, and what they do not: likelihoods from scenes in which nobody lies.
 
 Detectors miss cars, find hedges, and put centers half a meter off. So that one agent reports what another does not is
-no contradiction by itself; it is one where an honest agent would hardly ever do so. Five questions are asked, each
+no contradiction by itself; it is one where an honest agent would hardly ever do so. There are five questions, each
 answered by weights of bins that add up (logistic regression):
 
 - *reported*: others report an object; would an honest agent with this view report it as well? What counts: how many
@@ -43,7 +43,7 @@ probability, chosen on these very scenes, would reach .010.
 """
 
 MOST_BEFORE = 3
-"""So many earlier reports of an object are as good as more."""
+"""Most earlier reports of an object that are counted; more say no more."""
 
 NO_DETECTION_M = 99.0
 """Distance to the next detection of an agent that has none."""
@@ -127,7 +127,7 @@ class ObjectReports:
 
 
 def is_expected(visible: F64, range_m: F64) -> Mask:
-    """Return whether an honest agent that claims so much (…,) at ranges (…,) sees an object; its silence denies it.
+    """Return whether an honest agent that claims visibility (…,) at ranges (…,) sees an object; its silence denies it.
 
     >>> is_expected(np.array([0.6, 0.6]), np.array([10.0, 40.0])).tolist()
     [True, False]
@@ -174,62 +174,64 @@ def _add_cells(bins: _Bins, cells: F64, range_m: F64, size_m: F64, height: NDArr
         bins.add(_bin(name, cells[..., _COLUMNS[name]]))
 
 
-def reported_columns(said: ObjectReports) -> tuple[Columns, int]:
+def reported_columns(reports: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *reported*, without the numbers of others, and how many columns there are."""
-    bins = _Bins(said.seen.shape)
-    _add_cells(bins, said.cells, said.range_m, said.size_m, said.height)
-    kind = (np.broadcast_to(said.height, said.seen.shape).astype(np.int32), HEIGHTS)
-    bins.add(_bin("visible", said.visible), _bin("surface", said.cells[..., _COLUMNS["surface"]]))
-    bins.add((np.minimum(said.before, MOST_BEFORE), MOST_BEFORE + 1), kind)
-    bins.add(_bin("apart_m", said.apart_m), _bin("size_m", np.broadcast_to(said.size_m[:, None], said.seen.shape)))
+    bins = _Bins(reports.seen.shape)
+    _add_cells(bins, reports.cells, reports.range_m, reports.size_m, reports.height)
+    kind = (np.broadcast_to(reports.height, reports.seen.shape).astype(np.int32), HEIGHTS)
+    bins.add(_bin("visible", reports.visible), _bin("surface", reports.cells[..., _COLUMNS["surface"]]))
+    bins.add((np.minimum(reports.before, MOST_BEFORE), MOST_BEFORE + 1), kind)
+    bins.add(
+        _bin("apart_m", reports.apart_m), _bin("size_m", np.broadcast_to(reports.size_m[:, None], reports.seen.shape))
+    )
     return bins.columns(), bins.size
 
 
 def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any]:
-    """Return the column of so many others that report an object, and so many that deny it."""
+    """Return the column for the numbers of others that report an object and that deny it."""
     column: NDArray[Any] = np.minimum(reporters, MOST_OTHERS) * (MOST_DENIERS + 1) + np.minimum(deniers, MOST_DENIERS)
     return column
 
 
-def own_box_columns(said: ObjectReports) -> tuple[Columns, int]:
+def own_box_columns(reports: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *invented* and *displaced*: what the agent's own view says of its own box."""
-    bins = _Bins(said.seen.shape)
-    _add_cells(bins, said.own_cells, said.range_m, said.size_m, said.height)
+    bins = _Bins(reports.seen.shape)
+    _add_cells(bins, reports.own_cells, reports.range_m, reports.size_m, reports.height)
     return bins.columns(), bins.size
 
 
-def contradicted_columns(said: ObjectReports) -> tuple[Columns, int]:
+def contradicted_columns(reports: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *contradicted*: what the views of others show where they claim to see."""
-    bins = _Bins(said.seen.shape)
-    others = ~np.eye(said.seen.shape[1], dtype=np.bool_)[None] & said.sees[:, None]
+    bins = _Bins(reports.seen.shape)
+    others = ~np.eye(reports.seen.shape[1], dtype=np.bool_)[None] & reports.sees[:, None]
     count = others.sum(axis=2)
     bins.add((np.minimum(count, 3), 4))
     for name in ("free", "surface", "near_free"):
-        most = np.where(others, said.cells[:, None, :, _COLUMNS[name]], 0.0).max(axis=2, initial=0.0)
+        most = np.where(others, reports.cells[:, None, :, _COLUMNS[name]], 0.0).max(axis=2, initial=0.0)
         binned, size = _bin(name, most)
         bins.add((np.where(count > 0, 1 + binned, 0), size + 1))
     return bins.columns(), bins.size
 
 
-def there_columns(said: ObjectReports) -> tuple[Columns, int, Columns]:
+def there_columns(reports: ObjectReports) -> tuple[Columns, int, Columns]:
     """Return the columns (J, A, F) of *there* for each agent, how many there are, and those (J, F') of the object.
 
     Those of agents that could not report the object are -1.
     """
-    bins, seen = _Bins(said.seen.shape), (said.seen.astype(np.int32), 2)
-    size = _bin("size_m", np.broadcast_to(said.size_m[:, None], said.seen.shape))
-    kind = (np.broadcast_to(said.height, said.seen.shape).astype(np.int32), HEIGHTS)
-    bins.add(seen, _bin("visible", said.visible), kind)
-    bins.add(seen, _bin("surface", said.cells[..., _COLUMNS["surface"]]))
-    bins.add(seen, _bin("range_m", said.range_m), size)
-    bins.add(seen, (np.minimum(said.before, MOST_BEFORE), MOST_BEFORE + 1))
-    bins.add(seen, _bin("near_free", said.cells[..., _COLUMNS["near_free"]]))
-    of_agents = np.where((said.able | said.seen)[..., None], bins.columns(), -1).astype(np.int32)
+    bins, seen = _Bins(reports.seen.shape), (reports.seen.astype(np.int32), 2)
+    size = _bin("size_m", np.broadcast_to(reports.size_m[:, None], reports.seen.shape))
+    kind = (np.broadcast_to(reports.height, reports.seen.shape).astype(np.int32), HEIGHTS)
+    bins.add(seen, _bin("visible", reports.visible), kind)
+    bins.add(seen, _bin("surface", reports.cells[..., _COLUMNS["surface"]]))
+    bins.add(seen, _bin("range_m", reports.range_m), size)
+    bins.add(seen, (np.minimum(reports.before, MOST_BEFORE), MOST_BEFORE + 1))
+    bins.add(seen, _bin("near_free", reports.cells[..., _COLUMNS["near_free"]]))
+    of_agents = np.where((reports.able | reports.seen)[..., None], bins.columns(), -1).astype(np.int32)
     count = bins.size
-    whole = _Bins(said.size_m.shape)
+    whole = _Bins(reports.size_m.shape)
     whole.size = count
-    whole.add(_bin("size_m", said.size_m))
-    whole.add((np.searchsorted([0.2, 0.5, 0.8, 0.95], said.existence), 5))
+    whole.add(_bin("size_m", reports.size_m))
+    whole.add((np.searchsorted([0.2, 0.5, 0.8, 0.95], reports.existence), 5))
     return of_agents, whole.size, whole.columns()
 
 
@@ -363,26 +365,28 @@ class HonestExamples:
     there: Columns
 
     @classmethod
-    def of(cls, said: ObjectReports, is_object: Mask, elsewhere: ObjectReports, moved: ObjectReports) -> HonestExamples:
+    def of(
+        cls, reports: ObjectReports, is_object: Mask, elsewhere: ObjectReports, moved: ObjectReports
+    ) -> HonestExamples:
         """Return the examples of one time.
 
         Args:
-            said: of honest agents, about the objects that somebody reports.
+            reports: of honest agents, about the objects that somebody reports.
             is_object: (J,) bool, which are objects in truth.
             elsewhere: places at which nobody reports anything, as if each were reported by one agent (``seen``).
             moved: boxes of detections that were moved, as if they were reported there.
         """
-        reporters, deniers = said.others()
-        columns, count = reported_columns(said)
-        chosen = said.able & (reporters > 0)
+        reporters, deniers = reports.others()
+        columns, count = reported_columns(reports)
+        chosen = reports.able & (reporters > 0)
         reported = np.concatenate([columns, count + others_column(reporters, deniers)[..., None]], axis=-1)
-        alone = said.seen & (reporters == 0)
-        of_agents, _, whole = there_columns(said)
+        alone = reports.seen & (reporters == 0)
+        of_agents, _, whole = there_columns(reports)
         return cls(
-            _labeled(reported[chosen], said.seen[chosen]),
-            _contrasted(own_box_columns, (said, alone), (elsewhere, elsewhere.seen)),
-            _contrasted(contradicted_columns, (said, alone), (elsewhere, elsewhere.seen)),
-            _contrasted(own_box_columns, (said, said.seen), (moved, moved.seen)),
+            _labeled(reported[chosen], reports.seen[chosen]),
+            _contrasted(own_box_columns, (reports, alone), (elsewhere, elsewhere.seen)),
+            _contrasted(contradicted_columns, (reports, alone), (elsewhere, elsewhere.seen)),
+            _contrasted(own_box_columns, (reports, reports.seen), (moved, moved.seen)),
             _labeled(np.concatenate([of_agents.reshape(len(whole), -1), whole], axis=1), is_object),
         )  # fmt: skip
 
@@ -408,8 +412,8 @@ def _contrasted(
 ) -> Columns:  # fmt: skip
     """Return the labeled columns (N, F + 1) of some honest reports (label 0) and of some made-up ones (label 1)."""
     rows = (
-        _labeled(columns_of(said)[0][chosen], np.full(int(chosen.sum()), label))
-        for label, (said, chosen) in enumerate((honest, other))
+        _labeled(columns_of(reports)[0][chosen], np.full(int(chosen.sum()), label))
+        for label, (reports, chosen) in enumerate((honest, other))
     )
     return np.concatenate(list(rows))
 

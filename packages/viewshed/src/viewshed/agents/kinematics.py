@@ -13,7 +13,7 @@ MOST_MPS = 70.0
 """No agent drives faster."""
 
 DEVIATIONS = 3.0
-"""So many standard deviations of its place are allowed for beside."""
+"""Number of standard deviations of its place that are allowed for beside."""
 
 MOST_M = 1e7
 """Coordinates are no larger."""
@@ -22,10 +22,10 @@ MOST_STD_M = 1e3
 """Whose place is less certain than this says nothing of any place: a covariance beyond (1 km)²."""
 
 LATE_S, AHEAD_S = 1.0, 0.5
-"""An agent's clock counts within so many seconds before and after the arrival of a report."""
+"""Most seconds by which an agent's clock may be before and after the arrival of a report."""
 
 AGREEING = 3
-"""So many refused poses in a row that agree with each other are a new beginning."""
+"""Number of refused poses in a row, agreeing with each other, that are a new beginning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

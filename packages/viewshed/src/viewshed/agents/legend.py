@@ -86,7 +86,7 @@ def tracks_of_agent(seen: SeenObjects) -> ShownTracks:
 
 
 def explained_rows(seen: SeenObjects, shown: ShownTracks) -> list[dict[str, object]]:
-    """Return what is said of each track that is shown, as plain values; boxes in the frame of ``shown``."""
+    """Return what describes each track that is shown, as plain values; boxes in the frame of ``shown``."""
     explained, chosen = seen.explained, np.flatnonzero(seen.shown)
     return [
         {

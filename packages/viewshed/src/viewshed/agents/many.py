@@ -66,7 +66,7 @@ STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
 
 LOOKED_AT = (13, 7)
-"""Points along and across a box at which views are asked what it holds."""
+"""Points along and across a box at which views are looked up."""
 
 LEAST_TRUST = 0.05
 """Weight of an agent's detections that is left when nobody trusts it."""
@@ -158,7 +158,7 @@ class AgentReport:
 
     @cached_property
     def view(self) -> GridView:
-        """Its field of view, to be asked in the world."""
+        """Its field of view, looked up in the world."""
         return GridView(self.estimate, 0.0)
 
     def chance(self, boxes: F64, claims: ClaimTable) -> F64:
@@ -246,7 +246,7 @@ class CommonPicture:
         verdicts: of the agents, and of those tracks that somebody reports now.
         existence: (N,) probability of each track, whoever lies.
         reporters: (N, A) bool, who reports each track now.
-        said: what all agents say of those tracks that somebody reports now, in their order.
+        said: what all agents report about those tracks that somebody reports now, in their order.
         checks: (A, C) of the agents' views, the mean of the last ones; NaN where there is none.
         suspicion: (A,) how suspicious each agent is, by what it reports and what it claims.
         notes: what was left out, a sentence each.
@@ -351,17 +351,17 @@ class CommandCenter:
         nobody = np.zeros(len(self.agents), np.int64)
         self._reported = {number: self._reported.get(number, nobody) for number in held}
         before = np.array([self._reported[number] for number in tracks.ids[reported].tolist()], np.int64)
-        said = object_reports(
+        of_objects = object_reports(
             reports, columns, len(self.agents), tracks.boxes[reported], members, before.reshape(-1, len(self.agents)),
             tracks.existence[reported],
         )  # fmt: skip
-        # An agent that is silent now stays of its kind: it is judged by what it said before.
-        self._elevated[columns] = said.height[columns] > 0
+        # An agent that is silent now stays of its kind: it is judged by what it reported before.
+        self._elevated[columns] = of_objects.height[columns] > 0
         seconds = 0.5 if self._last_s is None else t_s - self._last_s
-        judged = self._judged(tracks.ids[reported], said, reports, columns, members)
+        judged = self._judged(tracks.ids[reported], of_objects, reports, columns, members)
         verdicts, self._last_s = self._trust.add(judged, seconds), t_s
         self._weights = np.maximum(verdicts.trust, LEAST_TRUST)
-        for number, seen in zip(tracks.ids[reported].tolist(), said.seen, strict=True):
+        for number, seen in zip(tracks.ids[reported].tolist(), of_objects.seen, strict=True):
             self._reported[number] = self._reported[number] + seen
         self._existence |= dict(zip(verdicts.ids.tolist(), verdicts.existence.tolist(), strict=True))
         self._existence = {number: self._existence.get(number, 1.0) for number in held}
@@ -371,14 +371,14 @@ class CommandCenter:
             existence = np.minimum(existence, [self._existence[number] for number in held])
             existence[reported] = verdicts.existence
         reporters = np.zeros((len(tracks), len(self.agents)), np.bool_)
-        reporters[reported] = said.seen
+        reporters[reported] = of_objects.seen
         claimed = {
             int(column): (report.estimate, report.detections) for column, report in zip(columns, reports, strict=True)
         }
         checks = self._checked.add({} if self.trusting else claimed)
         suspicion = self.suspicion(verdicts.evidence, checks, self._elevated)
         return CommonPicture(
-            t_s, self.agents, tuple(reports), tracks, verdicts, existence, reporters, said, checks, suspicion,
+            t_s, self.agents, tuple(reports), tracks, verdicts, existence, reporters, of_objects, checks, suspicion,
             tuple(tracks.notes),
         )  # fmt: skip
 
@@ -390,23 +390,23 @@ class CommandCenter:
         return np.array([self.agents.index(name) for name in names], np.intp)
 
     def _judged(
-        self, ids: NDArray[np.int64], said: ObjectReports, reports: Sequence[AgentReport],
+        self, ids: NDArray[np.int64], of_objects: ObjectReports, reports: Sequence[AgentReport],
         columns: NDArray[np.intp], members: NDArray[np.int32],
     ) -> Reports:  # fmt: skip
-        """Return what honest agents would say beside what is said; ``members`` (J, R) are the agents' detections."""
+        """Return reports with what honest agents would report; ``members`` (J, R) are the agents' detections."""
         model = self.honest
-        xy_m, std_m = np.full((*said.seen.shape, 2), np.nan), np.ones(said.seen.shape)
+        xy_m, std_m = np.full((*of_objects.seen.shape, 2), np.nan), np.ones(of_objects.seen.shape)
         for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
             hit = members[:, place] >= 0
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
-            std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
-        of_agents, _, whole = there_columns(said)
-        own = own_box_columns(said)[0]
+            std_m[:, column] = STD_M + STD_PER_M * of_objects.range_m[:, column]
+        of_agents, _, whole = there_columns(of_objects)
+        own = own_box_columns(of_objects)[0]
         there, prior = model.there(of_agents) - model.there.bias, model.there(whole)
         return Reports(
-            ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
-            model.invented(own), model.contradicted(contradicted_columns(said)[0]), model.displaced(own), there, prior,
-            xy_m, std_m, self._elevated.copy(),
+            ids, of_objects.seen, of_objects.able, of_objects.sees, model.reported(reported_columns(of_objects)[0]),
+            model.of_others, model.invented(own), model.contradicted(contradicted_columns(of_objects)[0]),
+            model.displaced(own), there, prior, xy_m, std_m, self._elevated.copy(),
         )  # fmt: skip
 
 
@@ -572,13 +572,13 @@ def joint_fov(
     most, surest = np.zeros(grid.shape), np.full(grid.shape, -1, np.int8)
     state = np.full(grid.shape, CellState.UNKNOWN, np.uint8)
     for number, (view, weight) in enumerate(zip(views, weights, strict=True)):
-        prob, said = claimed_at(view, grid, world_from_grid)
+        prob, claimed = claimed_at(view, grid, world_from_grid)
         prob = weight * prob
-        state[(said == CellState.HIDDEN) & (surest < 0)] = CellState.HIDDEN
+        state[(claimed == CellState.HIDDEN) & (surest < 0)] = CellState.HIDDEN
         missed *= 1.0 - prob
         seen_by += prob >= view.threshold
         better = (prob > most) & (prob >= view.threshold)
-        surest[better], state[better], most = number, said[better], np.maximum(most, prob)
+        surest[better], state[better], most = number, claimed[better], np.maximum(most, prob)
     agents = tuple(view.agent for view in views)
     return JointFov(grid, world_from_grid, agents, (1.0 - missed).astype(np.float32), seen_by, surest, state)
 
@@ -611,7 +611,7 @@ def confirmed(
         others: views of other agents, with poses.
         trust: (O,) in the others.
         least: trust from which an agent may confirm.
-        votes: so many agents must; with two, one liar alone confirms nothing.
+        votes: least number of agents that must; with two, one liar alone confirms nothing.
 
     Raises:
         ValueError: a view has no pose.

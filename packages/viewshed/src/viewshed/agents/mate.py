@@ -49,13 +49,13 @@ class MateRules:
         agent_bias, agent_threshold: values below the threshold move an agent by the bias; also published 6 and 0.3,
             8 and 0.2, and in the air a bias of 3.
         track_bias, track_threshold: the same of tracks.
-        return_s: after so long without measurements trust is (0.5, 0.5) again; also published 1 s.
+        return_s: after this time without measurements trust is (0.5, 0.5) again; also published 1 s.
         gate_m: an agent's own track farther from the center's is none of it; also published 2 and 1.
         self_m: a track nearer to an agent than this is the agent.
         reach_m: what is not matched counts up to this distance.
         near_m, near_frames, near_weight: nearer than this the weight is 1 after more frames in view than these, and
             before that it is the third.
-        far_frames: farther away it grows from 0 to 1 from so many frames in view to twice as many.
+        far_frames: farther away it grows from 0 to 1 between this number of frames in view and twice this number.
         distant_m, distant_weight: farther than this it is multiplied by that.
         least_updates: a track of the center with fewer updates is not missed.
         least_measurements: tracks with fewer pseudo-measurements in a round keep their trust.
@@ -222,12 +222,12 @@ def pseudo_measurements(
     weight = miss_weight(distance_m, frames.astype(np.float64), updates.astype(np.float64), rules)
     mean, sureness = mean_of(track_trust), 1.0 - 2.0 * std_of(track_trust)
     own = mean_of(agent_trust)
-    said = np.full((4, len(xy_m)), np.nan)
-    said[2:, is_self] = 1.0
-    said[:, is_matched] = np.stack([mean, sureness, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
-    said[:, is_missed] = np.stack([1.0 - mean, weight * sureness, np.zeros_like(mean), weight * own])[:, is_missed]
-    said[1] = np.clip(said[1], _LEAST_CONFIDENCE, _MOST_CONFIDENCE)
-    return PseudoMeasurements(*said)
+    values = np.full((4, len(xy_m)), np.nan)
+    values[2:, is_self] = 1.0
+    values[:, is_matched] = np.stack([mean, sureness, np.ones_like(mean), np.full_like(mean, own)])[:, is_matched]
+    values[:, is_missed] = np.stack([1.0 - mean, weight * sureness, np.zeros_like(mean), weight * own])[:, is_missed]
+    values[1] = np.clip(values[1], _LEAST_CONFIDENCE, _MOST_CONFIDENCE)
+    return PseudoMeasurements(*values)
 
 
 @dataclass(slots=True)
@@ -302,13 +302,13 @@ class MateTrust:
             frames = self._count_frames(report, ids)
             found.append(pseudo_measurements(report, self.agents[report.agent], xy_m, updates, betas, frames, rules))
 
-        # 3. Move agents, and those tracks of which enough was said.
-        for report, said in zip(reports, found, strict=True):
-            gain = gains(said.agent_value, said.agent_confidence, rules.agent_bias, rules.agent_threshold)
+        # 3. Move agents, and those tracks about which enough was reported.
+        for report, one in zip(reports, found, strict=True):
+            gain = gains(one.agent_value, one.agent_confidence, rules.agent_bias, rules.agent_threshold)
             self.agents[report.agent] = self.agents[report.agent] + np.nansum(gain, axis=0)
         if found:
-            values = np.stack([said.track_value for said in found])
-            confidences = np.stack([said.track_confidence for said in found])
+            values = np.stack([one.track_value for one in found])
+            confidences = np.stack([one.track_confidence for one in found])
             gain = np.nansum(gains(values, confidences, rules.track_bias, rules.track_threshold), axis=0)
             is_enough = (~np.isnan(values)).sum(axis=0) >= rules.least_measurements
             betas = betas + gain * is_enough[:, None]

@@ -27,7 +27,7 @@ MAX_RINGS = 256
 
 _FARTHEST_M = 10_000.0
 
-# A step is this share of a cell, and corners stay so many steps inside.
+# A cell has this number of steps, and corners stay this number of steps inside.
 _STEPS_PER_CELL, _MARGIN_STEPS = 8, 1.5
 
 # Bytes a corner at first, by which the number of corners is chosen; then by what they took.

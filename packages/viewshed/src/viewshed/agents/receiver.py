@@ -27,10 +27,10 @@ from viewshed.fov.estimate import CellState
 from viewshed.grid import BevGrid
 
 SEQUENCES_KEPT = 64
-"""Of each key so many signatures before the newest are remembered, to tell a copy from another message."""
+"""Number of signatures of each key, before the newest, that are kept to tell a copy from another message."""
 
 NUMBERS_PER_S = 1000
-"""A sequence number may rise by so many a second of the agent's clock, and by as many more: no agent sends so often."""
+"""A sequence number may rise by this a second of the agent's clock, and once by this more: no agent sends so often."""
 
 MAX_LINKS = 256
 """Links that are remembered; of more the longest unused is forgotten."""
@@ -75,7 +75,7 @@ class ReceiverLimits:
 
     Attributes:
         max_bytes: of a signed message.
-        max_age_s: a message may be so old by the receiver's clock.
+        max_age_s: largest age of a message by the receiver's clock.
         max_ahead_s: and so far in its future.
         max_hz: messages a second of one agent, over a while.
         burst: messages of one agent at once.

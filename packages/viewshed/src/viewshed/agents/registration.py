@@ -29,7 +29,7 @@ LEAST_M, LEAST_TURN = 0.03, float(np.radians(0.05))
 """Where both are smaller, a pose is left as it is."""
 
 REACH = 2.0
-"""So many standard deviations a pose is moved along each axis, or turned, at most."""
+"""Most standard deviations by which a pose is moved along each axis, or turned."""
 
 _STEPS = np.linspace(-REACH, REACH, 5)
 
@@ -40,7 +40,7 @@ _MOST_SURFACES = 250
 """Of more surface cells of the agent that is moved every second, third, ... one counts."""
 
 _FEWEST_MET = 30
-"""So many of them must meet surfaces of others at some pose."""
+"""Least number of them that must meet surfaces of others at some pose."""
 
 _NATS_EACH = 0.25
 """Log-likelihood of a surface that meets one of another agent."""
@@ -102,7 +102,7 @@ class PoseStd:
 
 
 EXACT = PoseStd()
-"""Of a pose without errors, or of one whose errors nobody states."""
+"""Of a pose without errors, or of one whose errors are not stated."""
 
 
 def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> list[Rigid]:

@@ -33,22 +33,22 @@ SLOP_S = 0.1
 """Reports farther apart in time than this are of two rounds."""
 
 DELAY_S = 0.5
-"""A round waits so long, after all its reports were made, for those that are under way."""
+"""Time that a round waits, after all its reports were made, for those that are under way."""
 
 HEARD_S = 1.5
 """A round waits for agents that were heard so lately."""
 
 CLOCK_S = 5.0
-"""How far a clock is ahead is told by the reports of so many seconds."""
+"""How far a clock is ahead is known from the reports of this time."""
 
 MOST_AGENTS = 16
 """More agents are refused: the work of a round grows with their square."""
 
 SILENT_S = 10.0
-"""An agent that is silent for so long gives its place to another; half of its record has faded by then."""
+"""An agent that is silent for this time gives its place to another; half of its record has faded by then."""
 
 MOST_OPEN = 64
-"""So many rounds wait at once: whoever reports one time again and again fills no memory."""
+"""Most rounds that wait at once: an agent that reports one time again and again fills no memory."""
 
 MOST_CELLS = 512
 """Cells along a side of a joint field of view."""
@@ -64,7 +64,7 @@ class Round:
     Attributes:
         picture: joint tracks, and what is believed of them and of the agents.
         accused: (A,) bool, agents that lie by the shipped limits.
-        disputed: (A,) bool, agents of which one lies, and nobody knows which.
+        disputed: (A,) bool, agents of which one lies; it is unknown which.
         missing: agents that were heard lately and have no report in the round.
         refused: reports of each agent that were refused so far, for poses that no vehicle can have; no entry for none.
     """
@@ -195,12 +195,12 @@ class _OpenRound:
     """Reports of one time, while more may come.
 
     Attributes:
-        said: report of each agent.
+        reports: report of each agent.
         times_s: of each agent, by the center's clock and as it states it.
         passed: agents of which no report of this time will come any more.
     """
 
-    said: dict[str, AgentReport] = field(default_factory=dict)
+    reports: dict[str, AgentReport] = field(default_factory=dict)
     times_s: list[tuple[float, float]] = field(default_factory=list)
     passed: set[str] = field(default_factory=set)
 
@@ -289,12 +289,12 @@ class Rounds:
             reports: one of each agent.
         """
         self.notes, self._now_s = [], max(self._now_s, t_s)
-        said = {
+        possible = {
             report.agent: report
             for report in reports
             if self._place_of(report.agent) is not None and self._is_possible(t_s, t_s, report)
         }
-        return self._end(_OpenRound(said, [(t_s, t_s)])) if said else None
+        return self._end(_OpenRound(possible, [(t_s, t_s)])) if possible else None
 
     def close(self, now_s: float | None = None) -> list[Round]:
         """Return rounds that no report has ended yet.
@@ -353,7 +353,7 @@ class Rounds:
                 return
             chosen = _OpenRound()
             self._open.append(chosen)
-        chosen.said[report.agent] = report
+        chosen.reports[report.agent] = report
         chosen.times_s.append((t_s, min(stated_s, t_s)))
         self._open.sort(key=lambda each: each.t_s)
         # Reports of one agent come in order.
@@ -365,10 +365,10 @@ class Rounds:
 
         So an agent that reports often, and opens rounds, draws no others into them.
         """
-        fitting = [each for each in self._open if agent not in each.said and apart_s(each) <= self.slop_s]
+        fitting = [each for each in self._open if agent not in each.reports and apart_s(each) <= self.slop_s]
         return min(
             fitting,
-            key=lambda each: (max(apart_s(each), self.slop_s / 2), -len(each.said), apart_s(each)),
+            key=lambda each: (max(apart_s(each), self.slop_s / 2), -len(each.reports), apart_s(each)),
             default=None,
         )
 
@@ -385,24 +385,24 @@ class Rounds:
         """Return whether the first of the open rounds waits for more reports."""
         if self._now_s > first.t_s + self.slop_s + DELAY_S or len(self._open) > MOST_OPEN:
             return False
-        if set(self.agents) == first.said.keys():
+        if set(self.agents) == first.reports.keys():
             return False
-        # Where agents are not named, the first round ends with a report of the next one: nobody knows who is there.
+        # Where agents are not named, the first round ends with a report of the next one: it is unknown who is there.
         if self._last_s == -np.inf and len(self._open) == 1:
             return True
         live = {agent for agent, heard in self._heard.items() if self._now_s < heard.last_s + HEARD_S}
-        later = {agent for each in self._open[1:] for agent in each.said}
+        later = {agent for each in self._open[1:] for agent in each.reports}
         if 2 * len(live & later) > len(live):
             return False
-        return not live <= first.said.keys() | first.passed
+        return not live <= first.reports.keys() | first.passed
 
     def _end(self, gathered: _OpenRound) -> Round | None:
         """Return a round; None where it fails, which costs nothing but this round."""
-        self._last_s, self._last_agents = max(gathered.t_s, self._last_s + 1e-3), tuple(gathered.said)
+        self._last_s, self._last_agents = max(gathered.t_s, self._last_s + 1e-3), tuple(gathered.reports)
         missing = tuple(
             sorted(
                 agent for agent, heard in self._heard.items()
-                if agent not in gathered.said and heard.since_s < self._last_s < heard.last_s + HEARD_S
+                if agent not in gathered.reports and heard.since_s < self._last_s < heard.last_s + HEARD_S
             )
         )  # fmt: skip
         if missing:
@@ -410,8 +410,8 @@ class Rounds:
                 f"{', '.join(missing)}: heard lately and missing at {self._last_s:.2f} s; check clocks and links"
             )
         try:
-            center = self._center_with(gathered.said)
-            picture = center.add(self._last_s, list(gathered.said.values()))
+            center = self._center_with(gathered.reports)
+            picture = center.add(self._last_s, list(gathered.reports.values()))
             refused = {agent: heard.kinematics.refused for agent, heard in self._heard.items()}
             return Round.of(picture, missing, {agent: count for agent, count in refused.items() if count})
         except Exception as error:

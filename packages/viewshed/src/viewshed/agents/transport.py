@@ -31,7 +31,7 @@ class Delivery:
 
     Attributes:
         data: as they were sent, if nobody changed them.
-        at_ns: when they arrived, nanoseconds of the clock that :meth:`Transport.take` was asked with.
+        at_ns: when they arrived, nanoseconds of the clock that :meth:`Transport.take` was given.
         link: who brought them, empty where the transport does not know for sure.
     """
 
@@ -185,8 +185,8 @@ class Tls:
 class ZenohTransport:
     """Sends by zenoh: each agent publishes under its name, and subscribes to all names.
 
-    Links are not told: who publishes under which name is not known for sure. Agents find each other by multicast only
-    where ``multicast`` says so; otherwise by the endpoints that are given.
+    Links are not reported: who publishes under which name is not known for sure. Agents find each other by multicast
+    only where ``multicast`` says so; otherwise by the endpoints that are given.
 
     Args:
         name: of the agent.

@@ -10,7 +10,7 @@ third could see, "the one lies" and "the other lies" explain it about as well, a
 (:mod:`viewshed.agents.honest`): whether it reports what other honest agents report and deny, whether it alone reports
 an object (*invented* by its own view, *contradicted* by others'), whether its box lies on the surfaces of its own view
 (*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to agree with its lies, so
-it vouches for them within a bound only. Each agent is asked given the other honest ones: a pseudo-likelihood (Besag,
+it vouches for them within a bound only. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag,
 1975). A liar does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are
 there: then every report is as likely as none. So whoever is honest about many objects is not cleared of the one.
 
@@ -62,10 +62,10 @@ class TrustRules:
         most_ratio: bound in nats of what views say about an invented or a displaced box; half as much for a report.
         agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
         disc_m: radius of the disc over which a lie puts an object.
-        astray: share of honest positions that are as those of lies: boxes of objects that are seen in part.
-        objects: so many objects count against a hypothesis, those that say most.
+        astray: outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part).
+        objects: most objects that count against a hypothesis, those that say most.
         most_of_object: bound in nats of what one object says against a hypothesis.
-        half_life_s: after so many seconds a report counts half.
+        half_life_s: after this time a report counts half.
         temper: log-likelihoods are divided by this before they become probabilities.
 
     Raises:
@@ -104,7 +104,7 @@ class Reports:
         able: (J, A) bool, who could.
         sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
         reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
-        of_others: (others, deniers) log-odds for so many others that report an object and so many that deny it.
+        of_others: (others, deniers) log-odds by the numbers of others that report an object and that deny it.
         invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
         contradicted: (J, A) the same in the views of others.
         displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
@@ -218,7 +218,7 @@ class Trust:
         self.__post_init__()
         columns = []
         for line in self._lies:
-            # Who comes has said nothing yet: it explains as much as if it were honest.
+            # A new agent has reported nothing yet: it explains as much as if it were honest.
             liars = frozenset(kept[agent] for agent in np.flatnonzero(line).tolist()) - {-1}
             if liars in logs:
                 columns.append(logs[liars])
@@ -286,7 +286,7 @@ class Trust:
     def _agreement(self, reports: Reports, reporters: Mask) -> F64:
         """Return the log-ratio (J, H, A) of each position about the mean of the other reporters' over one anywhere.
 
-        Positions are normal about it, but for a share that lies astray.
+        Positions are normal about it, but for a share of outliers.
         """
         of_agents = reports.std_m**-2.0
         # Sums over all reporters but the agent itself.
@@ -385,14 +385,14 @@ class TrustLimits:
 
     @property
     def least_rate(self) -> float:
-        """The smallest rate that so many scenes support, with sensors of both kinds."""
+        """The smallest rate that the number of scenes supports, with sensors of both kinds."""
         return 2.0 / (len(self.doubt) + 1.0)
 
     def accused(self, suspicion: F64, elevated: Mask, rate: float) -> Mask:
         """Return who is accused (A,) by how suspicious each is (A,): somebody in at most this share of benign scenes.
 
         Raises:
-            ValueError: so few scenes support no such rate.
+            ValueError: there are too few scenes for this rate.
         """
         kinds = len(np.unique(elevated))
         self._check(rate / max(kinds, 1))
@@ -400,10 +400,10 @@ class TrustLimits:
         return np.asarray(kinds * np.where(elevated, of_elevated, of_low) <= rate * (1.0 + 1e-9))
 
     def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:
-        """Return who is disputed (A,): somebody lies, they are the ones it may be, and nobody says which.
+        """Return who is disputed (A,): somebody lies, they are the ones it may be, and it is unknown which.
 
         Raises:
-            ValueError: so few scenes support no such rate.
+            ValueError: there are too few scenes for this rate.
         """
         self._check(rate)
         somebody = _p_values(self.doubt, np.array([verdicts.doubt]))[0] <= rate

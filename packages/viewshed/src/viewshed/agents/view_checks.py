@@ -27,7 +27,7 @@ AZIMUTHS, NEAREST_M, FARTHEST_M, STEP_M = 180, 2.0, 40.0, 0.5
 """Where views are compared: on rays from the sensor."""
 
 MARGIN_M = 1.5
-"""A surface has some depth of its own: what lies so near behind it is not yet behind it."""
+"""A surface has some depth of its own: what lies within this distance behind it is not yet behind it."""
 
 SHIFT_M, TURNS = 2.0, np.radians(np.arange(-3.0, 3.1, 1.0))
 """Poses so far around the claimed one at which surfaces are compared with those of others."""
@@ -56,10 +56,10 @@ SEEN_OVER_M, LOOKED_AT_M = 2.0, 1.2
 """An elevated sensor sees over surfaces of this height to targets of that height."""
 
 MOST_OTHERS = 4
-"""Views of so many other agents, the nearest ones, are compared with one that is checked."""
+"""Most other agents, the nearest ones, with whose views one view is compared."""
 
 LOOKS = 2
-"""Checks of an agent's view are the mean of its last so many."""
+"""Number of an agent's last checks whose mean counts."""
 
 USUAL, MOST = 0.5, 4.0
 """Surprise up to which a check says nothing, as suspicious as three honest views in ten, and the most that one says."""
@@ -102,12 +102,12 @@ class ClaimedView:
 
     @cached_property
     def _cells(self) -> SeenCells:
-        """What the agent itself claims, to be asked in ``level``."""
+        """What the agent itself claims, looked up in ``level``."""
         return SeenCells(self.estimate.grid, self.estimate.state, Rigid.identity())
 
     @cached_property
     def _others(self) -> list[SeenCells]:
-        """What the others claim, to be asked in ``level`` of the agent."""
+        """What the others claim, looked up in ``level`` of the agent."""
         return [SeenCells(other.grid, other.state, between(self.estimate, other)) for other in self.others]
 
     @cached_property
@@ -354,20 +354,20 @@ class CheckedViews:
         self._found = {number: self._found[old] for number, old in enumerate(kept) if old in self._found}
         self._last = [-1 if old < 0 else self._last[old] for old in kept]
 
-    def add(self, said: Mapping[int, tuple[FovEstimate, Detections]]) -> F64:
+    def add(self, views: Mapping[int, tuple[FovEstimate, Detections]]) -> F64:
         """Return the mean of the last checks of each agent (A, C); NaN before there are ``LOOKS`` of them.
 
         Args:
-            said: views and detections of one time, by the number of the agent.
+            views: views and detections of one time, by the number of the agent.
         """
         self._times += 1
-        known = [number for number, (estimate, _) in said.items() if not _is_too_tall(estimate)]
+        known = [number for number, (estimate, _) in views.items() if not _is_too_tall(estimate)]
         if known:
             number = min(known, key=lambda one: (self._last[one], one))
-            estimate, detections = said[number]
+            estimate, detections = views[number]
             # Others are the nearest ones: they see most of what the agent claims.
             others = sorted(
-                (other for one, (other, _) in said.items() if one != number),
+                (other for one, (other, _) in views.items() if one != number),
                 key=lambda other: _apart_m(estimate, other),
             )
             view = ClaimedView(estimate, detections, tuple(others[:MOST_OTHERS]))

@@ -197,7 +197,7 @@ class ViewMessage:
         inner: code of a polygon inside the visible cells, meters in ``level`` (``polygon_code``), or None.
         detections: objects of this sweep in ``level``, or None.
         tracks: objects over time in the map, or None.
-        report: what a monitor said of the sweep, or None; reasons and suspect cells are not sent.
+        report: of a monitor on the sweep, or None; reasons and suspect cells are not sent.
         epoch: which start of the agent this is, greater at each: the milliseconds since 1970 when it started, or a
             counter that it keeps in a file. Its numbers begin anew with each epoch.
 

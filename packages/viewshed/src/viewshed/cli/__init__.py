@@ -41,7 +41,7 @@ LABORATORY_COMMANDS = (
 def application() -> typer.Typer:
     """Return the commands of this package, and those that installed packages bring by entry points.
 
-    They are put together when they are first asked for: a module of such a package may import this one.
+    They are put together when they are first needed: a module of such a package may import this one.
     """
     app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     app.callback(invoke_without_command=True)(_root)
@@ -71,8 +71,8 @@ def _missing(name: str) -> Callable[[], None]:
     return command
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(is_wanted: bool) -> None:
+    if is_wanted:
         typer.echo(f"viewshed {__version__}")
         raise typer.Exit
 
@@ -127,7 +127,7 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Say a warning as other complaints are said, without the place in the source that Python would add."""
+    """Print a warning like other complaints, without the place in the source that Python would add."""
     complain(f"warning: {' '.join(str(message).split())}")
 
 

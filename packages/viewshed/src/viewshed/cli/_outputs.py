@@ -140,7 +140,7 @@ class Failures:
     """Reports each failure in a line on standard error, and counts them."""
 
     count: int = 0
-    _said: set[str] = field(default_factory=set, init=False)
+    _reported: set[str] = field(default_factory=set, init=False)
 
     def report(self, file: Path | str, error: Exception) -> None:
         """Say what went wrong with a file; an error that is no fault of the input is raised."""
@@ -149,8 +149,8 @@ class Failures:
         self.count += 1
         text = one_line(error)
         line = text if Path(file).name in text else f"{file}: {text}"
-        if line not in self._said:  # what is wrong with each sweep of a file is said once
-            self._said.add(line)
+        if line not in self._reported:  # what is wrong with each sweep of a file is reported once
+            self._reported.add(line)
             complain(line)
 
 
@@ -197,7 +197,7 @@ class Run:
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
-        """Yield the summary line of each sweep, one by one and timed, or so many of them together."""
+        """Yield the summary line of each sweep, one by one and timed, or ``batch`` of them together."""
         return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
 
     def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[str]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from viewshed.io import IndexEntry
 
 _FOLDERS_SEARCHED = 200
-"""So many folders below one without sweeps are looked into for a hint."""
+"""Most folders, below one without sweeps, that are searched for a hint."""
 
 _PATTERN = re.compile(r"[*?\[]")
 

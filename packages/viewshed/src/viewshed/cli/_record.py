@@ -94,10 +94,10 @@ class Listener:
         if answer.estimate is None:
             self._failures.report(f"{awaited.due_s:.3f} s", ValueError(answer.refused))
         else:
-            said = "" if answer.report is None else f"; {stream_verdicts(answer.report)}"
+            findings = "" if answer.report is None else f"; {stream_verdicts(answer.report)}"
             visible = f"visible {answer.estimate.area_m2():.0f} m²"
-            said += "" if answer.objects is None else objects_line(answer.objects)
-            typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{said}")
+            findings += "" if answer.objects is None else objects_line(answer.objects)
+            typer.echo(f"{awaited.due_s:9.3f} s  {visible}  {1e3 * answer.latency_s:.1f} ms{findings}")
         done = None if self._center is None else self._center.take(answer)
         if done is not None and self._center is not None:
             self.on_accused(self._center.accused)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, TextIO, cast
 
 QUIET_S = 1.0
-"""A terminal that was silent for so long gets a line."""
+"""A terminal that was silent for this time gets a line."""
 
 _PERIOD_S = 0.2
 

@@ -127,7 +127,7 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
 
 
 def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
-    """Return what keeps so many earlier sweeps for an estimator, or None for none.
+    """Return what keeps this number of earlier sweeps for an estimator, or None for none.
 
     Raises:
         ValueError: the estimator uses no history.

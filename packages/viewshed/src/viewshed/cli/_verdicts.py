@@ -98,11 +98,11 @@ def verdicts(report: IntegrityReport) -> str:
     found = (
         ("INCONSISTENT", report.inconsistent, report.p_value), ("DEGRADED", report.degraded, report.degraded_p_value)
     )  # fmt: skip
-    said = [word if math.isnan(p) else f"{word} (p = {p:.2g})" for word, is_so, p in found if is_so]
+    verdicts = [word if math.isnan(p) else f"{word} (p = {p:.2g})" for word, is_so, p in found if is_so]
     where = f" at {azimuths(report.suspect)}" if report.suspect.any() else ""
-    why = f": {report.reasons[0]}" if report.reasons and said else ""
+    why = f": {report.reasons[0]}" if report.reasons and verdicts else ""
     notes = "".join(f"; {note}" for note in report.notes)
-    return f"{' and '.join(said) or f'nothing found (p = {report.p_value:.2g})'}{where}{why}{notes}"
+    return f"{' and '.join(verdicts) or f'nothing found (p = {report.p_value:.2g})'}{where}{why}{notes}"
 
 
 def azimuths(suspect: NDArray[Any]) -> str:

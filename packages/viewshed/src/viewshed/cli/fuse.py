@@ -35,7 +35,7 @@ def fuse(
     reading: Reading = AS_THEY_ARE,
     index: options.Index = None,
     slop: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Sweeps at most so many seconds apart count as of the same time.")
+        float, typer.Option(min=0.0, max=1.0, help="Most seconds between sweeps that count as of the same time.")
     ] = 0.1,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),

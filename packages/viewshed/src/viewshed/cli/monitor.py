@@ -1,4 +1,4 @@
-"""``viewshed monitor``: is this sweep inconsistent or degraded, where and why; and how often that is said wrongly."""
+"""``viewshed monitor``: is this sweep inconsistent or degraded, where and why; and how often is that wrong."""
 
 from __future__ import annotations
 
@@ -307,7 +307,7 @@ def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failu
             if not drives.goes_on or group.earlier != "posed":
                 recent.clear()
             if group.earlier == "posed":
-                # As in a stream; those with fewer sweeps behind them than are held are as in no other place of it.
+                # As in a stream. Sweeps with fewer before them than are carried over are as in no other place of it.
                 recent[:] = [*recent, measured][-HELD_SWEEPS:]
                 if len(recent) < HELD_SWEEPS:
                     continue

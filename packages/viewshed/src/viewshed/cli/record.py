@@ -54,7 +54,7 @@ def record(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     following: Following = NOT_FOLLOWED,
-    sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")] = None,
+    sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")] = None,
     preset: Annotated[
         str, typer.Option(help="For sim: preset of sensors and heights: drives, nuscenes, ugv, …")
     ] = "drives",

@@ -41,7 +41,7 @@ class Pacer:
     """Hands sweeps on when they are due.
 
     Attributes:
-        rate: so many times as fast as they were measured; 0 waits for none.
+        rate: speed as a multiple of that of the measurement; 0 waits for none.
         time_s: of the last sweep that was handed on, since the first.
     """
 

@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
     """What a monitor says of the next sweep and its estimate, and that in words."""
 
-Every = Annotated[int, typer.Option(min=1, help="Take one of so many sweeps.")]
+Every = Annotated[int, typer.Option(min=1, help="Take every k-th sweep.")]
 
-MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after so many sweeps.")]
+MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
 
 
 def view(
@@ -225,7 +225,7 @@ def _frames(
             leveled = leveled if history is None else history.now
             estimate = estimator.estimate(leveled, history)
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
-            report, said = (None, "") if check is None else check(leveled, estimate)
+            report, findings = (None, "") if check is None else check(leveled, estimate)
             seen = None if objects is None else objects.follow(leveled, estimate, report)
             done = None if center is None or seen is None else center.add(estimate, seen)
         except BAD_INPUTS as error:
@@ -235,7 +235,7 @@ def _frames(
             buffer.add(leveled)
         sensor = leveled.sensor_id.model
         report_doubts(leveled, named.name)
-        line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{f'; {said}' if said else ''}"
+        line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{f'; {findings}' if findings else ''}"
         line += "" if seen is None else objects_line(seen)
         if done is not None:
             yield _round_frame(done, adversary), line

@@ -185,7 +185,7 @@ def estimate(
         world_from_sensor: of points, pose of the sensor in the map, if it is known.
 
     Raises:
-        ValueError: the points are no sweep, a name is unknown, or something is said of a Sweep that it says itself.
+        ValueError: the points are no sweep, a name is unknown, or a value is given for a Sweep that has its own.
 
     >>> import numpy as np
     >>> estimate(np.zeros((0, 4)), sensor="vlp16", world_from_sensor=Rigid.identity()).method

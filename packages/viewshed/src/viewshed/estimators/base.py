@@ -19,7 +19,7 @@ EarlierSweeps = History | Sequence[Sweep | LeveledSweep] | None
 class Estimator(FovEstimator, Protocol):
     """An estimator of the table: what it needs, what it can do, and its one call.
 
-    What an estimator can do stands here and is asked here: nothing else looks at its class or its name.
+    These attributes say what an estimator can do: nothing else looks at its class or its name.
     """
 
     @property

@@ -67,7 +67,7 @@ def cores() -> int:
 
 
 def in_order(work: Callable[[T], R], items: Iterable[T], ahead: int, threads: int) -> Generator[Future[R], None, None]:
-    """Yield for each item, in their order, what is done with it in threads, ``ahead`` so many items.
+    """Yield for each item, in their order, what is done with it in threads, at most ``ahead`` items ahead.
 
     An error of ``items`` itself is that of the last one.
     """

@@ -35,7 +35,7 @@ class FirstBlocker(ClassicalEstimator):
         grid: where the cells are.
         target: passed on; this estimator does not depend on it.
         rank: which obstacle return blocks, 1 the nearest.
-        median_bins: median of the limits over so many azimuth bins (odd), or 0 for none.
+        median_bins: number of azimuth bins (odd) over which the median of the limits is taken, or 0 for none.
         limit_farthest: visible no farther than the farthest return of the bin.
         obstacle_height_m: heights above local ground between which a return is an obstacle.
         azimuth_bins: number of bins; None takes them from the measured azimuth step.

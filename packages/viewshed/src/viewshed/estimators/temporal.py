@@ -32,7 +32,7 @@ class SweepBuffer:
     Attributes:
         sweeps: how many are kept of an agent.
         every_s: least time in seconds between two of them.
-        forget_s: those from longer before are not used any more; agents not seen for so long are dropped.
+        forget_s: those from longer before are not used any more; agents not seen for this time are dropped.
         agents: how many agents are kept; of more the one that was seen longest ago is dropped.
     """
 

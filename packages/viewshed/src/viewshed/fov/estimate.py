@@ -57,8 +57,8 @@ class Basis:
 
     Attributes:
         sensor_height_m: height of the sensor above the ground below it.
-        height_source: ``given`` with the sweep, ``estimated`` from its returns, ``held`` from earlier sweeps of the
-            stream, or ``assumed`` where no ground was seen.
+        height_source: ``given`` with the sweep, ``estimated`` from its returns, ``held`` (carried over from earlier
+            sweeps of the stream), or ``assumed`` where no ground was seen.
         ground_support: share in [0, 1] of the near ground that lies on the plane that carries the sensor.
         unsure_ground_share: share in [0, 1] of the FREE and SURFACE cells on ground whose height has a standard
             deviation above :data:`UNSURE_M`.

@@ -26,7 +26,7 @@ class LatticePositions(NamedTuple):
 
 
 def lattice_positions(xy: FloatArray, half_extent_m: float, nodes: int) -> LatticePositions:
-    """Return the positions of points (…, 2+) of ``level`` on a lattice of so many nodes a side."""
+    """Return the positions of points (…, 2+) of ``level`` on a lattice of ``nodes`` nodes a side."""
     xy = np.ascontiguousarray(xy, dtype=np.float32)
     node, down, right = _core.lattice_positions(xy.reshape(-1, xy.shape[-1]), half_extent_m, nodes)
     shape = xy.shape[:-1]
@@ -83,7 +83,7 @@ class HeightMap:
         return _core.interpolate(self.heights_m, node, down, right).reshape(positions.node.shape)
 
     def shifted(self, deviations: float) -> HeightMap:
-        """Return the ground that lies so many standard deviations higher."""
+        """Return the ground raised by a number of standard deviations."""
         return replace(self, heights_m=self.heights_m + np.float32(deviations) * self.std_m)
 
     def raised(self, delta_m: float) -> HeightMap:

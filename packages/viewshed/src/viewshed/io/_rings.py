@@ -19,7 +19,7 @@ _ORDERED = 0.9
 _AGREES = np.deg2rad(6.0)
 
 _SECTOR, _LEAST_NEIGHBORS = 0.035, 200
-"""Tangent of half of the four sectors ahead, behind and aside that are looked at, if they hold so many returns."""
+"""Tangent of half of each of the four sectors (ahead, behind, aside) that are used, and their least returns."""
 
 _FLAT = np.deg2rad(2.0)
 

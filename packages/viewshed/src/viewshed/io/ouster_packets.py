@@ -86,8 +86,8 @@ class OusterMetadata:
         origin_mm: where a beam starts in the plane of its column: distance from the axis, and height.
         sensor_from_lidar: (4, 4) float64, millimeters.
         product: name of the product line.
-        start: number of the sensor's start, 0 where it is not said.
-        serial: serial number, 0 where it is not said.
+        start: number of the sensor's start, 0 where it is not given.
+        serial: serial number, 0 where it is not given.
     """
 
     profile: PacketLayout

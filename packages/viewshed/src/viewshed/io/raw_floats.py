@@ -16,7 +16,7 @@ from viewshed.io._input import InputFile
 from viewshed.sweep import MAX_POINTS, Sweep
 
 _CHUNK_ROWS = 8_192
-"""So many rows stay in the nearest memory between reading and splitting."""
+"""Number of rows that stay in the nearest cache between reading and splitting."""
 
 _LOCAL = threading.local()
 

@@ -72,11 +72,11 @@ def p_values(benign: ArrayLike, scores: ArrayLike, rng: np.random.Generator | No
     return _p_values_of_ordered(np.sort(_checked("benign", benign)), _checked("scores", scores), rng)
 
 
-def _p_values_of_ordered(ordered: F64, asked: F64, rng: np.random.Generator | None) -> F64:
+def _p_values_of_ordered(ordered: F64, scores: F64, rng: np.random.Generator | None) -> F64:
     """Return the p-values (M,) of scores against ascending benign ones, all of them numbers."""
-    above = len(ordered) - np.searchsorted(ordered, asked, "right")
-    equal = len(ordered) - np.searchsorted(ordered, asked, "left") - above
-    share = np.ones(asked.shape) if rng is None else rng.random(asked.shape)
+    above = len(ordered) - np.searchsorted(ordered, scores, "right")
+    equal = len(ordered) - np.searchsorted(ordered, scores, "left") - above
+    share = np.ones(scores.shape) if rng is None else rng.random(scores.shape)
     result: F64 = np.maximum(above + share * (equal + 1.0), np.finfo(float).tiny) / (len(ordered) + 1.0)
     return result
 
@@ -95,16 +95,16 @@ def tail_p_values(ordered: F64, scores: ArrayLike) -> F64:
     >>> tail_p_values(np.arange(1.0, 20.0), [1.0, 17.0, 18.5, 100.0]).round(4)
     array([1.    , 0.2   , 0.0552, 0.    ])
     """
-    asked, count = np.asarray(scores, np.float64), len(ordered)
-    p = _p_values_of_ordered(ordered, asked, None)
+    values, count = np.asarray(scores, np.float64), len(ordered)
+    p = _p_values_of_ordered(ordered, values, None)
     above = math.ceil(TAIL_SHARE * (count + 1))
     if above >= count:
         return p
     start = float(ordered[count - above - 1])
     excess = float(ordered[count - above :].mean()) - start
     if excess > 0.0:
-        beyond = (above + 1) / (count + 1) * np.exp(-np.maximum(asked - start, 0.0) / excess)
-        p = np.where(asked > start, np.maximum(beyond, _LEAST_TAIL), p)
+        beyond = (above + 1) / (count + 1) * np.exp(-np.maximum(values - start, 0.0) / excess)
+        p = np.where(values > start, np.maximum(beyond, _LEAST_TAIL), p)
     return p
 
 
@@ -156,17 +156,17 @@ class HighestScores:
 
         They are 1 where a score is below those kept, or NaN.
         """
-        asked = np.asarray(scores, np.float32)
+        values = np.asarray(scores, np.float32)
         if self.highest.shape[1] == 1:
-            reached = len(self.highest) - np.searchsorted(self.highest[::-1, 0], asked)
+            reached = len(self.highest) - np.searchsorted(self.highest[::-1, 0], values)
         else:
-            reached = (self.highest >= asked).sum(axis=0)
+            reached = (self.highest >= values).sum(axis=0)
         known = (reached < len(self.highest)) & ~np.isnan(np.asarray(scores, np.float64))
         return np.where(known, (reached + 1.0) / (self.scenes + 1.0), 1.0)
 
 
 def alarms_allowed(scenes: int, rate: float, promise: Promise = "expected", *, unit: str = "scenes") -> int:
-    """Return how many of so many benign scores may lie above the limit of an alarm with this rate.
+    """Return how many of the benign scores of ``scenes`` scenes may lie above the limit of an alarm with this rate.
 
     Args:
         scenes: number of benign scores.
@@ -322,7 +322,7 @@ class RealScores:
         above = np.flatnonzero(counted & (self.place == self.place[counted].max(initial=-1.0)))
         low = max(self.weak[above].max(initial=0.0), step)
         high = self.strict[~counted].min(initial=1.0)
-        # Below a real score that simulated ones equal nobody can tell how many of these lie between.
+        # Below a real score that simulated ones equal it is unknown how many of these lie between.
         tied = (self.strict[above] < self.weak[above] - 1e-9 * step).any()
         share = 1.0 if tied else min((max(p - low, 0.0) + step) / (max(high - low, 0.0) + step), 1.0)
         return float(min((counted.sum() + share) / (len(self) + 1), 1.0))
@@ -500,20 +500,20 @@ class Calibration:
 
 
 def betting_martingale(p: ArrayLike) -> F64:
-    """Return the wealth (N,) after each of N p-values of one who bets that they are not independent and uniform.
+    """Return the e-value (N,) after each of N p-values, by bets that these are not independent and uniform.
 
     The Simple Jumper (Vovk et al., 2021, arXiv 2102.10439): it puts its money on small or on large p-values, and moves
-    1 % of it after each. If they are, the wealth ever reaches c with probability 1 / c at most.
+    1 % of it after each. If they are, the e-value ever reaches c with probability 1 / c at most.
     """
     slopes = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
     jump, accounts = 0.01, np.full(5, 0.2)
     values = np.asarray(p, np.float64)
-    wealth = np.empty(len(values))
+    e_values = np.empty(len(values))
     for number, value in enumerate(values):
         accounts *= 1.0 + slopes * (value - 0.5)
-        wealth[number] = accounts.sum()
-        accounts = (1.0 - jump) * accounts + jump * wealth[number] / 5
-    return wealth
+        e_values[number] = accounts.sum()
+        accounts = (1.0 - jump) * accounts + jump * e_values[number] / 5
+    return e_values
 
 
 def online_p_values(scores: ArrayLike, rng: np.random.Generator) -> F64:
@@ -527,7 +527,7 @@ def online_p_values(scores: ArrayLike, rng: np.random.Generator) -> F64:
 
 
 WORRYING = 100.0
-"""Wealth of the betting martingale from which a set is warned of: at most one exchangeable set in a hundred."""
+"""E-value of the betting martingale from which a set is warned of: at most one exchangeable set in a hundred."""
 
 
 def drift_warning(scores: Mapping[Group, ArrayLike], rng: np.random.Generator) -> str | None:
@@ -537,12 +537,12 @@ def drift_warning(scores: Mapping[Group, ArrayLike], rng: np.random.Generator) -
     shows as a run of high or low scores. What is attacked at random throughout the set does not show.
     """
     p = [online_p_values(each, rng) for each in scores.values()]
-    wealth = betting_martingale(np.concatenate([*p, np.zeros(0)]))
-    if not wealth.size or wealth.max() < WORRYING:
+    e_values = betting_martingale(np.concatenate([*p, np.zeros(0)]))
+    if not e_values.size or e_values.max() < WORRYING:
         return None
     return (
-        f"benign scenes must be exchangeable, but their scores drift (betting martingale {wealth.max():.3g} at scene"
-        f" {int(wealth.argmax()) + 1} of {len(wealth)}; exchangeable ones reach {WORRYING:g} in 1 of {WORRYING:g}"
+        f"benign scenes must be exchangeable, but their scores drift (betting martingale {e_values.max():.3g} at scene"
+        f" {int(e_values.argmax()) + 1} of {len(e_values)}; exchangeable ones reach {WORRYING:g} in 1 of {WORRYING:g}"
         " sets); look for attacked or foreign scenes, no rate is promised"
     )
 

@@ -1,6 +1,6 @@
 """The paper's detector: cells whose Monte Carlo dropout deviation is larger than it is on benign sweeps.
 
-It asks the estimate alone, one sweep at a time. A fitted monitor as a file.
+It checks the estimate alone, one sweep at a time. A fitted monitor as a file.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class DeviationMonitor:
 def _deviation(estimate: FovEstimate, grid: BevGrid, method: str) -> NDArray[np.float32]:
     """Return the standard deviation (cells, cells) of an estimate that must be on a grid and of a method."""
     if estimate.grid != grid:
-        raise ValueError(f"estimate must be on the monitor's grid {_told(grid)}, got {_told(estimate.grid)}")
+        raise ValueError(f"estimate must be on the monitor's grid {_size_of(grid)}, got {_size_of(estimate.grid)}")
     if estimate.method != method:
         raise ValueError(f"estimate must be of the monitor's method {method}, got {estimate.method}; fit one for it")
     std = np.asarray(estimate.std, np.float32)
@@ -179,7 +179,7 @@ def _deviation(estimate: FovEstimate, grid: BevGrid, method: str) -> NDArray[np.
     return std
 
 
-def _told(grid: BevGrid) -> str:
+def _size_of(grid: BevGrid) -> str:
     x, y = grid.offset_m
     return f"{grid.cells}x{grid.half_extent_m:g}" + (f" at ({x:g}, {y:g})" if x or y else "")
 

@@ -7,7 +7,7 @@ at most whatever came before, the mean time between two false alarms is at least
 That *whatever came before* is more than a calibration can give: neighbors in a drive are nearly the same sweep, and a
 scene that scores high does so again in the next sweep. So :func:`measure_false_alarms` counts what such a limit lets
 through, and :class:`BenignRuns` gives limits that need no statement about what is between sweeps: the detector begins
-anew after every run of so many sweeps and alarms once in it at most, and benign runs of as many sweeps, each of a scene
+anew after every run of fixed length and alarms once in it at most, and benign runs of the same length, each of a scene
 of its own, say how often it does. If a run of a drive is exchangeable with these, the expected number of false alarms
 an hour is at most the chosen one, however the runs of the drive depend on each other.
 """
@@ -48,10 +48,10 @@ class EDetector:
     The bets of a block are averaged: a mean of e-values is an e-value however they depend on each other.
 
     Attributes:
-        limit: of the wealth; the mean number of blocks between false alarms is at least this.
+        limit: of ``wealth``; the mean number of blocks between false alarms is at least this.
         block: sweeps of a block.
         run: sweeps after which it begins anew, having alarmed once at most; None to begin anew after alarms alone.
-        wealth: at the end of the last block; 0 at the beginning and after an alarm.
+        wealth: the value of the e-detector after the last block; 0 at the beginning and after an alarm.
         doubtful_sweeps: sweeps since the doubt that is left began; at an alarm, its delay.
 
     Raises:
@@ -73,7 +73,7 @@ class EDetector:
 
     @classmethod
     def for_rate(cls, per_hour: float, hz: float, block: int = 1) -> EDetector:
-        """Return the detector that states so many false alarms an hour, were the sweeps independent.
+        """Return the detector with ``per_hour`` false alarms an hour if the sweeps were independent.
 
         Args:
             per_hour: false alarms.
@@ -124,7 +124,7 @@ class BenignRuns:
     """What a detector reaches in benign runs of equal length, each of a scene of its own: its limits are from these.
 
     Attributes:
-        wealth: (n,) the highest in each run.
+        wealth: (n,) the highest value of the e-detector in each run.
         sweeps: of a run.
 
     Raises:
@@ -167,11 +167,11 @@ class BenignRuns:
         return cls(np.array(highest, np.float64), sweeps)
 
     def hours(self, hz: float) -> float:
-        """Return the hours of all runs at so many sweeps a second."""
+        """Return the hours of all runs at ``hz`` sweeps a second."""
         return len(self.wealth) * self.sweeps / (3600.0 * hz)
 
     def least_per_hour(self, hz: float) -> float:
-        """Return the smallest number of false alarms an hour that can be asked for."""
+        """Return the smallest number of false alarms an hour that can be given."""
         return 3600.0 * hz / (self.sweeps * (len(self.wealth) + 1))
 
     def detector(self, per_hour: float, hz: float) -> EDetector:

@@ -35,7 +35,7 @@ class IntegrityReport:
         suspect_cells: (cells, cells) bool on the grid; (0, 0) without one.
         reasons: what speaks against the sweep, the strongest first; a sentence each.
         notes: what the report could not rest on, and what was done instead; a sentence each.
-        evidence: (E, SECTORS) float32 that was scored, what is held over sweeps included; (0, SECTORS) where the
+        evidence: (E, SECTORS) float32 that was scored, with what earlier sweeps carry over; (0, SECTORS) where the
             monitor looks at no evidence.
         tail_p_value: ``p_value``, going on beyond the benign scores by an estimate of their tail: what alarms over time
             are made of. NaN where the monitor does not give it.

@@ -8,7 +8,7 @@ A sweep is measured as a matrix (E, SECTORS), one line for each kind of evidence
    the share of raised sectors of the whole sweep: rain raises all sectors, a spoofer some.
 3. A network of one hidden layer gives each sector a number: where doubt comes from.
 
-How much doubt there is, is said by statistics of the whole sweep (:class:`WholeSweep`), on a scale of benign *sweeps*:
+Statistics of the whole sweep (:class:`WholeSweep`) report how much doubt there is, on a scale of benign *sweeps*:
 of each evidence its largest sector, the means of the 3 and of the 9 largest and of all, and the median. Two networks
 learn from attacks what matters in them, one of them in the context of the medians, which say what honest causes raise.
 And the rarest of them count by themselves, so that evidence which no attack in training needed finds one that was never
@@ -31,7 +31,7 @@ from viewshed.arrays import F32
 from viewshed.monitor.evidence import EVIDENCE, SECTORS, Evidence, MonitoredSweep
 
 HELD_SWEEPS = 5
-"""Evidence over time is held over so many sweeps."""
+"""Number of sweeps over which evidence over time is carried over."""
 
 RAISED = 2.0
 """Surprise from which a sector counts as raised: one benign sector in a hundred."""
@@ -62,7 +62,7 @@ def measure_all(monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EV
 
 
 def held(recent: Sequence[F32] | NDArray[np.floating[Any]], over_time: Sequence[bool] | NDArray[np.bool_]) -> F32:
-    """Return the evidence (E, SECTORS) of the last of K sweeps, what it says over time held over all of them.
+    """Return the evidence (E, SECTORS) of the last of K sweeps, what it says over time carried over all of them.
 
     What appears or vanishes without cause does so once: one sweep later it is part of the history. So of evidence over
     time the strongest of each sector counts; of all other that of the last sweep.
@@ -432,7 +432,7 @@ _ARRAYS = ("mean", "spread", "weights", "offsets", "outputs", "output_offsets")
 
 
 def features_of(evidence: int) -> int:
-    """Return how many features a sector has with so many kinds of evidence."""
+    """Return how many features a sector has with this number of kinds of evidence."""
     return evidence * (SECTOR_FEATURES + SWEEP_FEATURES)
 
 

@@ -21,10 +21,10 @@ class StreamReport:
     """Doubt about a stream, at one of its sweeps.
 
     Attributes:
-        now: what is said of the sweep alone.
+        now: the report on the sweep alone.
         alarm: whether the sweeps together speak against the stream.
-        wealth: how much; it alarms from ``limit`` on, and begins anew after that.
-        limit: of the wealth.
+        wealth: how much: the value of the e-detector; it alarms from ``limit`` on, and begins anew after that.
+        limit: of ``wealth``.
         delay_s: time since the doubt that is left began, in seconds; 0 where there is none, or without times.
         notes: what became of the stream: a sentence each.
         doubtful_sweeps: sweeps since the doubt that is left began.

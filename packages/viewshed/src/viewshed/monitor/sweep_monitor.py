@@ -272,7 +272,8 @@ class SweepMonitor:
             monitored: the sweep, with those before it.
             evidence: what is measured.
             before: (E, SECTORS) each, what was measured of up to ``HELD_SWEEPS`` sweeps before it in its stream, to
-                which this one is added; None for a sweep by itself. Evidence over time is held if all have poses.
+                which this one is added; None for a sweep by itself. Evidence over time is carried over if all have
+                poses.
 
         Raises:
             ValueError: the sweep has no returns, lacks an estimate that the evidence needs, is of no calibrated group,

@@ -17,7 +17,7 @@ class UNetShape:
         depth: poolings, 1 to 8.
         dropout: share of channels that a mask sets to zero, in [0, 1).
         channels: channels of the input.
-        fold: blocks of so many cells a side are folded into the channels of one before the first stage, and unfolded
+        fold: cells a side of blocks that are folded into the channels of one cell before the first stage, and unfolded
             after the last (space to depth, Shi et al. 2016); 1 folds nothing, as published.
 
     >>> UNetShape().parameters, sum(UNetShape().masked_channels)

@@ -70,7 +70,7 @@ def inspect_network(content: bytes, name: str) -> NetworkCard:
         name: stands for it in messages.
 
     Raises:
-        ValueError: it is no ONNX file, has no valid card, or asks for more than a network of ours does.
+        ValueError: it is no ONNX file, has no valid card, or needs more than a network of ours does.
     """
     try:
         graph, metadata = _read_model(content)

@@ -68,7 +68,7 @@ def _cuda_session(content: bytes) -> Any:
         )
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _FATAL
-    onnxruntime.set_default_logger_severity(_FATAL)  # what it would say at length is said below in a line
+    onnxruntime.set_default_logger_severity(_FATAL)  # its long messages are reported below in a line
     why = _preload_cuda(onnxruntime)
     try:
         providers = [(_CUDA, _SETTINGS), _CPU]
@@ -123,13 +123,13 @@ class OnnxRunner:
     Args:
         path: the file; its checksum is compared, and what it would run is bounded by its card
             (:mod:`viewshed.networks.inspection`) before anything runs. The checksum finds damage, not forgery: take
-            networks from people whom you trust to say the truth.
+            networks from people whose statements you trust.
         threads: threads of one run; None leaves it to the engine (one for each core).
         engine: one of ``ENGINES``.
 
     Raises:
         ValueError: the file is damaged, another, of another version, or asks for more than a network of ours; or the
-            engine cannot do what is asked.
+            engine cannot do what is required.
         OSError: it cannot be read.
         ImportError: the engine is not installed.
 

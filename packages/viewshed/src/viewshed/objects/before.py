@@ -16,8 +16,8 @@ from viewshed.fov.estimate import CellState
 from viewshed.objects.cells import FINE, SeenCells, footprint_points
 from viewshed.objects.tracks import Tracks
 
-ASKED_AFTER = (5, 10)
-"""A track is followed back after so many detections: then its velocity is known."""
+FOLLOWED_AFTER = (5, 10)
+"""Numbers of detections at which a track is followed back: then its velocity is known."""
 
 _KEPT_S, _EVERY_S = 4.0, 0.25
 """Cells are kept for so long, at least so far apart in time."""
@@ -52,22 +52,22 @@ class SeenBefore:
         if cells is not None and (not self._past or t_s - self._past[-1][0] > _EVERY_S):
             self._past.append((t_s, cells))
 
-    def free_shares(self, tracks: Tracks, surface: F64, asked: NDArray[np.bool_]) -> F64:
-        """Return which share (N,) of the place where the surface of each asked track came from was seen free.
+    def free_shares(self, tracks: Tracks, surface: F64, followed: NDArray[np.bool_]) -> F64:
+        """Return which share (N,) of the place where the surface of each followed track came from was seen free.
 
-        Less than none where the oldest sweep still has its surface. NaN where nothing can be said: the track is not
-        asked or without poses, its velocity is not known, or there is hardly a surface to be followed.
+        Less than none where the oldest sweep still has its surface. NaN where nothing is known: the track is not
+        followed or without poses, its velocity is not known, or there is hardly a surface to be followed.
 
         Args:
             tracks: of this sweep.
             surface: (N,) of :func:`surface_shares` now.
-            asked: (N,) which tracks are followed.
+            followed: (N,) which tracks are followed.
         """
         shares = np.full(len(tracks), np.nan)
         variance = np.maximum(tracks.covariances[:, 2, 2], tracks.covariances[:, 3, 3])
         known = (variance <= _FASTEST_STD_MPS**2) & (surface >= _LEAST_SURFACE)
         known &= tracks.boxes[:, 3:5].max(axis=1, initial=0.0) >= _LEAST_M
-        left, boxes, t_s = np.flatnonzero(asked & known & tracks.in_world), tracks.boxes.copy(), tracks.t_s
+        left, boxes, t_s = np.flatnonzero(followed & known & tracks.in_world), tracks.boxes.copy(), tracks.t_s
         latest, was_lost = surface.copy(), np.zeros(len(tracks), np.bool_)
         for before_s, cells in reversed(self._past):
             if not len(left):
@@ -82,7 +82,7 @@ class SeenBefore:
             ends, was_lost[left] = is_lost & was_lost[left], is_lost
             latest[left] = np.where(is_lost, latest[left], 0.5 * (latest[left] + share))
             left, t_s = left[~ends], before_s
-        # Nothing is said of the oldest sweep alone, nor of a surface that faded away, as that of what came from afar.
+        # Nothing follows from the oldest sweep alone, nor from a surface that faded away, as what came from afar does.
         shares[left[was_lost[left]]] = np.nan
         return np.where(latest >= _LEAST_SURFACE, shares, np.nan)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from viewshed.arrays import F64
 from viewshed.monitor.calibration import alarms_allowed
-from viewshed.objects.before import ASKED_AFTER, SeenBefore, surface_shares
+from viewshed.objects.before import FOLLOWED_AFTER, SeenBefore, surface_shares
 from viewshed.objects.evidence import EvidenceCounts, EvidenceModel, birth_bins, jump_bins, view_bins
 from viewshed.objects.explained import take_tracks
 from viewshed.objects.jumps import LATEST, Sightings
@@ -117,10 +117,11 @@ def count_drive(drive: Iterable[Observed], counts: EvidenceCounts, rng: np.rando
             # A ghost that is made in the sweep stands in the open, has a surface and moves as a track does.
             honest = take_tracks(tracks, rows)
             ghosts, in_the_open = replace(honest, boxes=elsewhere), forged_cells.free >= _OPEN
-            asked = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), ASKED_AFTER)
+            followed = np.isin((~np.isnan(sightings.times[rows])).sum(axis=1), FOLLOWED_AFTER)
             surface = surface_shares(view.cells, honest.boxes)
             births = (
-                before.free_shares(honest, surface, asked), before.free_shares(ghosts, surface, asked & in_the_open)
+                before.free_shares(honest, surface, followed),
+                before.free_shares(ghosts, surface, followed & in_the_open),
             )  # fmt: skip
             counts.add("birth", birth_bins(births[0]), birth_bins(births[1]))
         length, way = rng.uniform(*_FALSE_JUMPS_M, len(rows)), rng.uniform(-np.pi, np.pi, len(rows))

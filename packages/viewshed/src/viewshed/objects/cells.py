@@ -63,7 +63,7 @@ class BoxCells(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenCells:
-    """The states of a field of view, to be asked in the frame of the tracks.
+    """The states of a field of view, looked up in the frame of the tracks.
 
     Attributes:
         grid: where the cells are.
@@ -100,7 +100,7 @@ class SeenCells:
         return np.where(inside, self.state.reshape(-1)[flat], np.uint8(CellState.UNKNOWN))
 
     def look(self, boxes: F64, place: F64, counts: tuple[int, int] = FINE) -> BoxCells:
-        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,), at so many points."""
+        """Return what the cells in and about boxes (K, 7) are, seen from a place (2,), at ``counts`` points."""
         points, around = footprint_points(boxes, counts), footprint_points(boxes, counts, _RING_M)
         states, about = np.split(self.states_at(np.concatenate([points, around], axis=1)), 2, axis=1)
         is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE

@@ -42,7 +42,7 @@ _RETURNS_AT = np.array([0, 1, 2, 3.5, 6, 9.5, 15.5, 27, 47, 88, 180, 350])
 _RANGE_AT_M = (np.array(RANGE_M[:-1]) + np.array(RANGE_M[1:])) / 2
 
 _PRIOR = 8.0
-"""A class counts as if so many objects of the class that it is part of had been among its own."""
+"""A class counts as if this number of objects of the class that it is part of had been among its own."""
 
 _LEAST_STD_M = 0.05
 

@@ -25,7 +25,7 @@ LEAST_PROB = 0.4
 """Probability of its kind from which a candidate is an object: fitted with the classifier."""
 
 MOST_OBJECTS = 500
-"""So many objects of a sweep are given, the surest; no street has as many."""
+"""Most objects of a sweep that are given, the surest; no street has as many."""
 
 _KINDS = np.eye(len(ObjectKind), dtype=np.float32)[KIND_SEEN_AS]
 """(7, 5) 1 where a member of :class:`SeenAs` is of a kind."""

@@ -14,13 +14,14 @@ there. Its e-value is the geometric mean of the ratios R, weighted by exp(-age/�
 
 That is at most the arithmetic mean of the ratios, and so has mean 1 at most however they depend on each other.
 What was forged as a detection is betrayed by its cells. What was made in the sweep has cells as a car has, and is
-betrayed by where its surface came from (:mod:`.before`), asked twice. The e-value of *fabricated* is the mean of both.
+betrayed by where its surface came from (:mod:`.before`), looked up twice. The e-value of *fabricated* is the mean of
+both.
 
-*Misses and jumps* happen anew. Their ratios enter the wealth
+*Misses and jumps* happen anew. Their ratios enter the value W of an e-detector
 
     W ← (W + dt/τ) · R^(dt/τ),
 
-the e-detector of Shiryaev and Roberts (Shin, Ramdas and Rinaldo, 2022, arXiv 2203.03532): each moment is a possible
+that of Shiryaev and Roberts (Shin, Ramdas and Rinaldo, 2022, arXiv 2203.03532): each time is a possible
 beginning, ratios below 1 make it forget. Within τ seconds ratios count as one (again a geometric mean); beyond, W is an
 e-value if what comes later is independent of what came before. That is more than drives give, so limits are taken from
 whole benign drives.
@@ -71,7 +72,7 @@ MOSTLY = 0.5
 """Boxes of which a larger share is unknown or outside the grid: the cells say nothing of them."""
 
 BLIND = -1
-"""The bin of a track of which nothing can be said."""
+"""The bin of a track about which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +181,7 @@ def ratios_of(table: EvidenceTable, bins: NDArray[np.int64]) -> F64:
 
 
 def wealth_after(wealth: F64, ratios: F64, dt_s: float, block_s: float) -> F64:
-    """Return the wealth (…,) after a sweep of ``dt_s`` seconds with ratios (…,), of which ``block_s`` are one evidence.
+    """Return the value (…,) of the e-detector after ``dt_s`` seconds with ratios (…,); ``block_s`` are one evidence.
 
     >>> wealth_after(np.array([0.0, 3.0]), np.array([4.0, 1.0]), 0.5, 1.0).tolist()
     [1.0, 3.5]

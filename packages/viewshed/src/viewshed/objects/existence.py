@@ -1,9 +1,9 @@
 """The probability that a track is an object (Musicki, Evans and Stankovic, 1994), where doubt lasts.
 
 The textbook counts each sweep as new evidence. But an object that a view calls half visible is not drawn anew ten times
-a second: if a pole's shadow hid it a moment ago, it does so still. So each track has a hidden number u, uniform in
+a second: if a pole's shadow hid it in the last sweep, it does so still. So each track has a hidden number u, uniform in
 [0, 1]: it can be found in a sweep if u is less than P_D of that sweep. What hits and misses say of u is kept, and
-forgotten with a time constant. And a false detection may be of something lasting (a bush) that comes back where it was:
+forgotten with a time constant. And a false detection may have a persistent source (a bush), and come back where it was:
 a track is an object, or such a false source, or nothing any more.
 """
 
@@ -35,34 +35,34 @@ def found_probability(levels: F64, shares: F64) -> F64:
 
 def after_detection(
     existence: F64,
-    lasting: F64,
+    persistent: F64,
     found: F64,
     density: F64,
     clutter_per_m2: float | F64,
     recurrence: float,
 ) -> tuple[F64, F64]:
-    """Return existence and the probability of a lasting false source, (M,) each, of tracks that were matched.
+    """Return existence and the probability of a persistent false source, (M,) each, of tracks that were matched.
 
-    A track is an object, or something lasting that looks like one (a bush), or nothing any more.
+    A track is an object, or something persistent that looks like one (a bush), or nothing any more.
 
     Args:
         existence: predicted, (M,).
-        lasting: predicted probability of a lasting false source, (M,); 0 is the textbook.
+        persistent: predicted probability of a persistent false source, (M,); 0 is the textbook.
         found: probability that each object is found, (M,).
         density: of the detection's center if it is the track's, per square meter, (M,).
         clutter_per_m2: other false detections per square meter and sweep, there.
-        recurrence: how often a lasting false source is detected, as a part of how often an object is.
+        recurrence: how often a persistent false source is detected, as a part of how often an object is.
     """
     real = existence * ((1.0 - found) * clutter_per_m2 + found * density)
-    false = lasting * ((1.0 - recurrence * found) * clutter_per_m2 + recurrence * found * density)
-    total = real + false + (1.0 - existence - lasting) * clutter_per_m2
+    false = persistent * ((1.0 - recurrence * found) * clutter_per_m2 + recurrence * found * density)
+    total = real + false + (1.0 - existence - persistent) * clutter_per_m2
     return real / total, false / total
 
 
-def after_miss(existence: F64, lasting: F64, found: F64, recurrence: float) -> tuple[F64, F64]:
+def after_miss(existence: F64, persistent: F64, found: F64, recurrence: float) -> tuple[F64, F64]:
     """Return the same (M,) of tracks that were not matched: unchanged where nothing can be found."""
-    real, false = existence * (1.0 - found), lasting * (1.0 - recurrence * found)
-    total = real + false + (1.0 - existence - lasting)
+    real, false = existence * (1.0 - found), persistent * (1.0 - recurrence * found)
+    total = real + false + (1.0 - existence - persistent)
     return real / total, false / total
 
 

@@ -39,7 +39,7 @@ class Explanation(IntEnum):
     TOO_FEW_RETURNS = 4
     """Not detected: in view, but the detector rarely finds so few returns."""
     ABSTAINED = 5
-    """The field of view itself is under alarm there: nothing is said."""
+    """The field of view itself is under alarm there: nothing is claimed."""
     MISSING = 6
     """Not detected though it is visible, again and again: its detections are removed."""
     NEW_IN_FREE = 7
@@ -53,7 +53,7 @@ class Explanation(IntEnum):
 
 
 FABRICATED, REMOVED, MOVED = range(3)
-"""What a track may be suspected of: columns of wealth."""
+"""What a track may be suspected of: columns of ``wealth``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,9 +68,9 @@ class ExplainedTracks:
         suspicions: (N,) uint8, the one that is nearest to its limit or farthest above.
         accused: (N,) bool, one of them has reached its limit.
         moved_m: (N, 2) by which a moved track jumped; 0 for all others.
-        held: (N,) bool, the tracker has given it up.
+        held: (N,) bool, the tracker has given it up: carried over from earlier sweeps.
         reasons: (N,) a sentence each.
-        notes: what could not be asked of this sweep, and why, in sentences.
+        notes: what could not be checked in this sweep, and why, in sentences.
     """
 
     tracks: Tracks

@@ -13,7 +13,7 @@ from viewshed.arrays import F64
 Numbers = NDArray[np.intp]
 
 WITHIN_M = 2.0
-"""Centers so near are those of one object."""
+"""Centers within this distance are those of one object."""
 
 
 def match_boxes(

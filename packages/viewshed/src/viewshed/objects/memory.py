@@ -20,7 +20,7 @@ class Memory:
     """What is kept of N tracks.
 
     Attributes:
-        wealth: (N, 3) against each.
+        wealth: (N, 3) e-values against each.
         birth: (N,) ratio of where its surface came from.
         log_mean: (N,) log of the mean ratio of what its boxes held.
         looked_s: (N,) for how long they were looked at.

@@ -96,7 +96,7 @@ class ObjectStream:
         self._tamper, self._clock, self._found = tamper, clock, detection_table().prob
         self._model = stream_model() if model is None else model
         self._agents: dict[str, _Agent] = {}
-        self._agent("")  # what is not installed is said now
+        self._agent("")  # what is not installed is reported now
         self.reset()
 
     def fresh(self) -> ObjectStream:
@@ -115,7 +115,7 @@ class ObjectStream:
         Args:
             leveled: the sweep.
             estimate: what it sees.
-            report: of its monitor: where it alarms, nothing is said of tracks.
+            report: of its monitor: where it alarms, nothing is claimed of tracks.
 
         Raises:
             ValueError: a number of the sweep or of the estimate is out of range.

@@ -46,12 +46,12 @@ class PublishedRules:
         least_overlap: intersection over union below which no detection is of a track.
         radius_m: distance beyond which no detection is of a track.
         confirm_updates: detections from which on a track is confirmed.
-        coast_s: a track ends when for so long nothing was matched with it.
+        coast_s: a track ends when nothing was matched with it for this time.
         most_misses: a track ends after more misses than this in a row.
         duplicate_m: of tracks nearer to each other than this the one with most detections is kept.
         fastest_mps: faster tracks end.
         repairs_empty_view: False is the published bug: a view that covers no track counts as one that covers all.
-        false_odds: is not asked.
+        false_odds: is not used.
         most_tracks, most_detections, longest_m, late_s: as of ``ExistenceRules``; the published code has no limits.
     """
 

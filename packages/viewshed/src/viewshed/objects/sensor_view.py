@@ -1,4 +1,4 @@
-"""What fusion asks one sensor of the agent: what it could see, what its cells are, and whether it is under alarm."""
+"""What fusion needs from one sensor of the agent: what it could see, what its cells are, and whether it alarms."""
 
 from __future__ import annotations
 

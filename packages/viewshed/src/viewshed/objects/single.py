@@ -3,7 +3,7 @@
 A track that is not detected may be hidden, out of view, or too far for enough returns; or it is *missing though
 visible*. One that is detected may be where beams pass (*seen through*) or where nothing can be seen, may have begun in
 the middle of cells that were seen free, or may have jumped as nothing moves. Nothing is detected again in the points:
-fusion asks the field of view and the past.
+fusion uses the field of view and the past.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
 from viewshed.detections import Detections
-from viewshed.objects.before import ASKED_AFTER, SeenBefore, surface_shares
+from viewshed.objects.before import FOLLOWED_AFTER, SeenBefore, surface_shares
 from viewshed.objects.cells import BoxCells
 from viewshed.objects.evidence import (
     BLIND,
@@ -111,7 +111,7 @@ class SingleFusion:
         larger = (jumped > 1.0) & (np.hypot(*vectors.T) > np.hypot(*memory.offset.T))
         memory.offset[larger] = vectors[larger]
         ratios = np.clip(ratios, 1.0 / CAP, CAP)
-        # What was seen for a moment only is often a false detection: nobody need have removed it.
+        # What was seen only briefly is often a false detection: nobody need have removed it.
         ratios[~is_matched & ((memory.hits < _KNOWN_HITS) | ~both.confirmed), REMOVED] = 1.0
 
         # Evidence over time, of those that are under no alarm.
@@ -121,10 +121,10 @@ class SingleFusion:
             memory.log_mean[seen], ratios[seen, FABRICATED], dt_s, memory.looked_s[seen], model.window_s
         )
         # Cells betray a forged detection, and where its surface came from a ghost made in the sweep: half each.
-        asked = is_matched & ~alarmed & np.isin(memory.hits, ASKED_AFTER)
+        followed = is_matched & ~alarmed & np.isin(memory.hits, FOLLOWED_AFTER)
         surface = np.zeros(count)
-        surface[asked] = surface_shares(views[0].cells, both.boxes[asked])
-        birth = birth_bins(self._before.free_shares(both, surface, asked))
+        surface[followed] = surface_shares(views[0].cells, both.boxes[followed])
+        birth = birth_bins(self._before.free_shares(both, surface, followed))
         memory.birth = np.where(birth == BLIND, memory.birth, ratios_of(model.birth, birth))
         memory.wealth[seen, FABRICATED] = 0.5 * (np.exp(memory.log_mean[seen]) + memory.birth[seen])
         for suspicion, block_s in zip((REMOVED, MOVED), model.block_s, strict=True):
@@ -171,8 +171,8 @@ class SingleFusion:
         given_up &= (apart >= _SAME_M).all(axis=1)
         if not given_up.any():
             return tracks, memory
-        held = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
-        return join_tracks(tracks, held), memory.joined(self._memory.take(given_up))
+        carried_over = _predicted(take_tracks(last, given_up), tracks.t_s, dt_s, view)
+        return join_tracks(tracks, carried_over), memory.joined(self._memory.take(given_up))
 
     def _still_there(self, tracks: Tracks, look: _Look, is_matched: Mask, views: Sequence[SensorView]) -> F64:
         """Return gone : still there (N,) by the cells at the track, or at the nearest surface if these fit better."""
@@ -207,19 +207,19 @@ def _explanations(
     )
 
 
-_NO_POSES = "no poses: nothing is said of sudden moves and of births, and tracks that the tracker gave up are not held"
+_NO_POSES = "no poses: sudden moves and births are not judged, and tracks that the tracker gave up are not carried over"
 
 _MOST_WEALTH = 1e6
-"""Wealth is held below this, so that a track can be acquitted again."""
+"""Largest e-value of a suspicion, so that a track can be acquitted again."""
 
 _SAME_M = 1.2
-"""A detected track so near a given-up one is the same object."""
+"""A detected track within this distance of a given-up one is the same object."""
 
 _KNOWN_HITS = 10
-"""Only tracks with so many detections can be missed."""
+"""Only tracks with at least this number of detections can be missed."""
 
 _BARE_S = 0.5
-"""A given-up track without a surface for so long is gone."""
+"""A given-up track without a surface for this time is gone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

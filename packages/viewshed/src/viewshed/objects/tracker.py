@@ -45,7 +45,7 @@ MOTION = Motion(standing_share=0.5, outlier_share=0.2)
 """How road users move, and how well boxes about clusters of returns measure them."""
 
 SPREAD_FROM_M = 0.5
-"""The view is asked at several places of a track from this standard deviation of its place on."""
+"""The view is looked up at several places of a track from this standard deviation of its place on."""
 
 _EXTENT = [2, 3, 4, 5, 6]
 """Columns of a box that are filtered beside the state: z, length, width, height, yaw."""
@@ -69,7 +69,7 @@ class TrackTable:
         levels: (N, LEVELS) what is known of the number that decides what can be found; see ``existence``.
         updates: (N,) int32 detections so far.
         misses: (N,) int32 sweeps without a detection since the last one, of those that count.
-        lasting: (N,) probability that it is something lasting that only looks like an object.
+        lasting: (N,) probability that it is something persistent that only looks like an object.
         standing: (N,) probability that it has stood since its last detection, 0 while it is detected.
     """
 
@@ -226,7 +226,7 @@ class Rules(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ExistenceRules:
-    """A track is kept by the probability that it exists, and what was not seen is asked of the field of view.
+    """A track is kept by the probability that it exists; the field of view tells whether a missed one could be seen.
 
     Attributes:
         motion: how objects move and are measured.
@@ -236,7 +236,7 @@ class ExistenceRules:
         lasting_share: false detections of something new that will come back where it is, for one that will not.
         unseen_share: part of the detected objects that are not tracked yet, where they could not be seen.
         seen_share: part of these where they would have been seen.
-        recurrence: how often something lasting is falsely detected, against how often an object is.
+        recurrence: how often something persistent is falsely detected, against how often an object is.
         most_found: probability that a detector finds what it can find, at most.
         doubt_s: seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence.
         lifetime_s: mean time that an object exists.
@@ -442,7 +442,7 @@ class Tracker:
         rules.judge(tracks, measured, matched)
         _update(tracks, t_s, measured, matched, motion)
 
-        # What is left over begins tracks, as far as there is room.
+        # What is left over begins tracks, up to the most tracks.
         boxes, is_left = measured.boxes, np.ones(len(measured), np.bool_)
         is_left[matched[matched >= 0]] = False
         left = np.flatnonzero(is_left)
@@ -453,10 +453,10 @@ class Tracker:
         if len(born):
             born = rules.begin(born, new, tracks, view, self._view)
         tracks = _kept(tracks, rules.keep(tracks, t_s))
-        room = max(rules.most_tracks - len(tracks), 0)
-        if len(born) > room:
-            notes.append(f"{len(born) - room} new tracks refused: {rules.most_tracks} are held")
-            born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:room]))
+        capacity = max(rules.most_tracks - len(tracks), 0)
+        if len(born) > capacity:
+            notes.append(f"{len(born) - capacity} new tracks refused: {rules.most_tracks} are held")
+            born = born.take(np.sort(np.argsort(-born.existence, kind="stable")[:capacity]))
         born.ids = np.arange(self._next_id, self._next_id + len(born))
         self._next_id += len(born)
         if len(born):
@@ -574,7 +574,7 @@ def _spread_visible(tracks: TrackTable, view: View) -> F64:
     """Return the probability (N,) that each track could be seen, over where it may be.
 
     The unscented mean (Julier and Uhlmann, 1997) over five places: the mean weighs 1/3, the others, √3 standard
-    deviations along both axes of the covariance, 1/6 each. A track whose place is known is asked for at that place.
+    deviations along both axes of the covariance, 1/6 each. A track whose place is known is looked up at that place.
     """
     covariances = tracks.covariances[:, :2, :2]
     wide = np.flatnonzero(np.maximum(covariances[:, 0, 0], covariances[:, 1, 1]) > SPREAD_FROM_M**2)

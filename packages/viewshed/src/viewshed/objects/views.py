@@ -1,4 +1,4 @@
-"""What a tracker asks a field of view: could this be seen, would it be found, and could it have come unseen."""
+"""What a tracker needs from a field of view: could this be seen, would it be found, and could it have come unseen."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ALWAYS_FOUND = 0.9
 """Probability that a detector finds what is seen, where nothing better is known of it."""
 
 _STEP_M = 1.5
-"""Distance between places of which ``hides_near`` asks, ..."""
+"""Distance between the places that ``hides_near`` looks up, ..."""
 
 _MOST_RINGS = 8
 """... and the most rings of them, whatever the radius."""
@@ -129,7 +129,7 @@ class PolygonView:
 
 
 class GridView:
-    """An estimate of the field of view, asked in front of an object: what stands in a cell hides that cell.
+    """An estimate of the field of view, looked up in front of an object: what stands in a cell hides that cell.
 
     Five lines of sight across the box are followed to its near side, and one cell back; the object is as visible as the
     mean of these cells.
@@ -175,7 +175,7 @@ class GridView:
 
 
 class BeamView:
-    """The beams of the sweep, asked how many would meet a box if its own returns were not there."""
+    """The beams of the sweep: how many would meet a box if its own returns were not there."""
 
     def __init__(
         self,
@@ -198,10 +198,10 @@ class BeamView:
         self.t_s, self.in_world = t_s, world_from_level is not None
         self._leveled, self._found, self._min_returns = leveled, found, min_returns
         self._level_from_tracks = _level_from_tracks(world_from_level)
-        self._asked = np.zeros((0, 7)), np.zeros(0)
+        self._counted = np.zeros((0, 7)), np.zeros(0)
 
     def visible(self, boxes: F64) -> F64:
-        """Return the probability (K,) that at least so many beams meet each box."""
+        """Return the probability (K,) that at least ``min_returns`` beams meet each box."""
         return self._visible(self._counts(moved_boxes(boxes, self._level_from_tracks)))
 
     def detectable(self, boxes: F64, kinds: Kinds) -> F64:
@@ -221,11 +221,11 @@ class BeamView:
         return hidden_within(self, boxes, within_m)
 
     def _counts(self, level: F64) -> F64:
-        """Return the expected returns (K,); a tracker asks of the same boxes twice, whether seen and whether found."""
-        boxes, counts = self._asked
+        """Return the expected returns (K,); a tracker needs the same boxes twice, whether seen and whether found."""
+        boxes, counts = self._counted
         if not np.array_equal(boxes[: len(level)], level):
             counts = expected_returns(self._leveled, level, leave_out_own=True).astype(np.float64)
-            self._asked = level, counts
+            self._counted = level, counts
         return counts[: len(level)]
 
     def _visible(self, counts: F64) -> F64:

@@ -1,4 +1,4 @@
-"""Adversary: what a stream asks of who forges it; the laboratory has those of the package."""
+"""Adversary: what a stream requires of who forges it; the laboratory has those of the package."""
 
 from __future__ import annotations
 

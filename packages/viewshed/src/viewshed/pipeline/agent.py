@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does w
     from viewshed.objects.object_stream import ObjectStream, SeenObjects
 
 UNHEARD_S = 10.0
-"""An agent that was not heard for so long gives up its place in a stream."""
+"""An agent that was not heard for this time gives up its place in a stream."""
 
 _LONGEST_PERIOD_S = 1.0
 """Of sweeps whose view is stale after two periods; a slower sensor needs a larger ``stale_after_s``."""
@@ -44,8 +44,8 @@ class Answer:
         notes: what was noticed on the way (a clock that jumps, say), a sentence each.
         refused: why there is no estimate; empty where there is one.
         latency_s: from putting the sweep in to its answer.
-        objects: detections and explained tracks, by the estimate before anything was withdrawn; None where nobody asked
-            for them, or they failed: a note says why.
+        objects: detections and explained tracks, by the estimate before anything was withdrawn; None where they are
+            not wanted, or failed: a note says why.
         put_s: when the sweep was put in, on the clock of :func:`time.perf_counter`.
     """
 
@@ -111,7 +111,7 @@ class Agent:
 
     @property
     def stale_note(self) -> str:
-        """What is said of a view that is too old."""
+        """The report on a view that is too old."""
         return f"the newest view is {self.age_s:.2g} s old: nothing is claimed"
 
     def time_note(self, t_ns: int | None) -> str:

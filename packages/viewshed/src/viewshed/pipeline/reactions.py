@@ -27,18 +27,18 @@ class Caution(IntEnum):
     KEEP = 0
     """Every claim holds."""
     ASK = 1
-    """The view is worse than usual: every claim holds; others are asked."""
+    """The view is worse than usual: every claim holds; other agents are queried."""
     WIDEN = 2
     """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN."""
     CONFIRMED = 3
-    """It goes on being impossible, or nobody knows where: what no earlier sweep confirms is UNKNOWN as well."""
+    """It goes on being impossible, or is so at an unknown place: what no earlier sweep confirms is UNKNOWN as well."""
     STALE = 4
     """The newest sweep or pose is too old: nothing is claimed, and the vehicle stops."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """What was found in one sweep, as far as reactions ask.
+    """What was found in one sweep, as far as reactions need it.
 
     Attributes:
         degraded: the view is worse than usual, there is none, or an object of it is suspicious.
@@ -111,12 +111,12 @@ def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) ->
     if found.inconsistent:
         inconsistent = state.inconsistent + 1
         is_known_where = bool(found.suspect.any()) and not found.lasting and inconsistent < rules.persist_sweeps
-        asked = Caution.WIDEN if is_known_where else Caution.CONFIRMED
+        wanted = Caution.WIDEN if is_known_where else Caution.CONFIRMED
     else:
-        asked = Caution.ASK if found.degraded or found.stale else Caution.KEEP
+        wanted = Caution.ASK if found.degraded or found.stale else Caution.KEEP
     # Caution rises at once, and falls by one step after enough calm sweeps in a row; a stale one is not calm.
-    caution, calm = asked, 0
-    if asked < before:
+    caution, calm = wanted, 0
+    if wanted < before:
         calm = 0 if found.stale else state.calm + 1
         caution, calm = (Caution(before - 1), 0) if calm >= rules.recover_sweeps else (before, calm)
     suspect = state.suspect if before >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)

@@ -563,8 +563,8 @@ def _finding(
     suspicious = objects is not None and bool((objects.shown & objects.explained.accused).any())
     if report is None:
         return Finding(suspicious, is_accused, is_accused)
-    now, lasting = report.now, report.alarm or is_accused
-    return Finding(now.degraded or suspicious, now.inconsistent or lasting, lasting, now.suspect)
+    now, persistent = report.now, report.alarm or is_accused
+    return Finding(now.degraded or suspicious, now.inconsistent or persistent, persistent, now.suspect)
 
 
 def _in_one_line(error: BaseException) -> str:

@@ -21,7 +21,7 @@ def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.ui
         evidence: what the beams of that sweep say.
         state: (cells, cells) of :class:`~viewshed.fov.estimate.CellState`, the estimate's.
     """
-    # The ground is asked at the node before each claimed cell.
+    # The ground is looked up at the node before each claimed cell.
     ground, target = leveled.ground, evidence.target
     nodes = positions_of_cells(evidence.grid, ground.half_extent_m, len(ground.std_m)).node
     claimed, over_unsure_ground, inferred = _core.claims(

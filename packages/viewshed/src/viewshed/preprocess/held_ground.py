@@ -1,11 +1,11 @@
-"""What a stream holds: ground that earlier sweeps saw, the sensor's height, and how far it sees.
+"""What a stream carries over: ground that earlier sweeps saw, the sensor's height, and how far it sees.
 
 Ground does not move. Where a sweep sees none, it takes the height that an earlier one of its stream saw there, with a
 deviation that has grown with time and distance, while both agree nearby on ground that both see; heights in between are
-filled from both. Where they disagree the present sweep is believed, and what was held there is dropped. The height of
+filled from both. Where they disagree the present sweep is believed, and what was carried over is dropped. The height of
 the sensor is that of the last sweeps where a single one differs, unless its returns speak for its own.
 
-Each sweep hands on what it holds; none refers to the sweeps before it.
+Each sweep hands on what it carries over; none refers to the sweeps before it.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from viewshed.preprocess.leveling import Held, LeveledSweep, level
 from viewshed.preprocess.reach import reach_of_sweep
 
 HEIGHTS = 7
-"""The sensor's height is the median of those of the last so many sweeps, the present one among them, ..."""
+"""The sensor's height is the median of those of the last ``HEIGHTS`` sweeps, the present one among them, ..."""
 
 FEWEST_HEIGHTS = 3
-"""... if they are at least so many, ..."""
+"""... if at least this number of them are known, ..."""
 
 HEIGHT_OFF_M = 0.15
 """... and the present one is off by more than this."""
 
 SUPPORT_KEPT = 0.8
-"""At the held height at least this part of the present support must be left, or the carrier did change its height."""
+"""Least part of the present support at the height carried over; with less the carrier did change its height."""
 
 STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
-"""Deviation in meters by which held ground grows: with the root of seconds, and with the root of meters driven."""
+"""Growth in meters of the deviation of ground carried over: with the root of seconds and of meters driven."""
 
 _APART_S = 1.0
 """Time between two sweeps that do not say theirs."""
 
 
 def hold_over(sweeps: Sequence[LeveledSweep]) -> list[LeveledSweep]:
-    """Return the sweeps of a stream, the oldest first, each with what those before it hold.
+    """Return the sweeps of a stream, the oldest first, each with what those before it carry over.
 
-    Those that hold something already are taken as they are.
+    Those that carry something over already are taken as they are.
 
     Raises:
         ValueError: one of them has no pose.

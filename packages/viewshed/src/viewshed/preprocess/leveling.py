@@ -49,7 +49,7 @@ PLANE_HEIGHT_M = 0.3
 """Height of a scan in one plane where it is not known: within every target."""
 
 _OBSTACLE_M = 0.5
-"""Returns of a scan in one plane count as at least so high above the ground: clearly obstacles."""
+"""Least height above the ground that counts for returns of a scan in one plane: clearly obstacles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class LeveledSweep:
         range_image: the sweep's N returns on its range image, or None where the rings are not known.
         held: what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a
             sweep by itself.
-        derived: what was computed of it once and is asked for again; the first item of a key names who computes it.
+        derived: what was computed of it once and is needed again; the first item of a key names who computes it.
     """
 
     sweep: Sweep

@@ -95,7 +95,7 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
         )
     if low_m <= height_m <= high_m:
         return ""
-    found = "is said to be" if given else "comes out as"
+    found = "is given as" if given else "comes out as"
     return f"the sensor's height {found} {height_m:.2f} m, outside of {low_m:g} to {high_m:g} m: check --height"
 
 
@@ -114,7 +114,7 @@ def _doubt_of_sensor(sweep: Sweep) -> str:
 
 
 def _doubt_of_field(sweep: Sweep, model: LidarModel) -> str:
-    """Return what is said where many returns lie above or below a sensor's field of view."""
+    """Return a sentence where many returns lie above or below a sensor's field of view."""
     _, slope, _ = polar(sweep.points)
     low, high = model.elevation[[0, -1]]
     outside = float(np.mean((np.arctan(slope) < low - _FIELD_SLACK) | (np.arctan(slope) > high + _FIELD_SLACK)))

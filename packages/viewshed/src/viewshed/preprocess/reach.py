@@ -15,7 +15,7 @@ LEAST_REACH_M = 20.0
 """Reach of a sensor that no table describes and whose returns show nothing."""
 
 BULK_SHARE, REACH_TIMES = 0.9, 2.5
-"""What the returns show: so many times the range within which this share of the supported ones lies."""
+"""The reach that the returns show is the range within which this share of the supported ones lies, times this."""
 
 USUAL_REACH_M = 85.0
 """Least reach of a sensor that no table describes and that has supported returns: the median of the shipped tables."""

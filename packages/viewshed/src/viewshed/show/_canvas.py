@@ -28,7 +28,7 @@ _DARK_PAGE, _DARK_INK = (30, 33, 41), (226, 228, 233)
 """Of a page that is looked at in the dark."""
 
 _SMOOTH = 8
-"""Shapes are drawn so many times larger and averaged: their edges are smooth."""
+"""Factor by which shapes are drawn larger, then averaged: their edges are smooth."""
 
 _POINT = 100 / 72
 """Pixels of a point of letter size."""
@@ -70,7 +70,7 @@ class Canvas:
         self._image.paste(other._image, (left, top))
 
     def text(self, at: tuple[float, float], words: str, points: float, anchor: str = "ls", bold: bool = False) -> None:
-        """Write a line of text in letters of so many points; ``anchor`` as Pillow has it: ``ls`` is left, baseline."""
+        """Write a line of text in letters of ``points``; ``anchor`` as Pillow has it: ``ls`` is left, baseline."""
         ImageDraw.Draw(self._image).text(at, words, fill=self.ink, font=_font(points, bold), anchor=anchor)
 
     def rectangle(self, box: Box, color: Color, outline: Color | None = None) -> None:
@@ -88,7 +88,7 @@ class Canvas:
         self._image.paste(WHITE, (left, top), mask.resize((width, height), Image.Resampling.BOX))
 
     def polygon(self, corners: Sequence[tuple[float, float]], color: Color, grow: float = 0.0) -> None:
-        """Fill a polygon with smooth edges; ``grow`` widens it by so many pixels on each side."""
+        """Fill a polygon with smooth edges; ``grow`` widens it by this number of pixels on each side."""
         xy = np.asarray(corners, np.float64)
         (left, top), (right, bottom) = np.floor(xy.min(axis=0) - grow - 1), np.ceil(xy.max(axis=0) + grow + 1)
         width, height = int(right - left), int(bottom - top)

@@ -62,7 +62,7 @@ def row_of_sample(sample: Sample, layout: Layout, sensors: Sensors) -> Row:
 
 
 def _pack_measured(sample: Sample, sensors: Sensors) -> tuple[dict[str, Any], bytes | None, bytes | None, bytes | None]:
-    """Return what is said about the sweep, and the columns ranges, intensity and points."""
+    """Return what describes the sweep, and the columns ranges, intensity and points."""
     measured, clean, tampered = sample.measured, sample.clean, sample.tampered
     if not isinstance(measured, Sweep):
         return _about(measured, sensors), *_pack_image(measured), None

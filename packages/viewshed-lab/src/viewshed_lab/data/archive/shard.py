@@ -132,7 +132,7 @@ class Shard:
             return sample_of_row(row, self.footer)
 
     def abouts(self) -> list[dict[str, Any]]:
-        """Return what is said of each frame beside its arrays, without reading these."""
+        """Return what describes each frame beside its arrays, without reading these."""
         with reading(self.name):
             return [json.loads(text) for text in self._file.read(columns=["about"]).column("about").to_pylist()]
 

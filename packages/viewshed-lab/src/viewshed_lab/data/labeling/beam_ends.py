@@ -16,7 +16,7 @@ from viewshed_lab.data.labeling.ground_map import Patch
 
 OPEN, SURFACE, SWALLOWED = 1, 2, 3
 """What became of a missing beam: nothing stood before the ground or the maximum range; the surface that its neighbors
-met; something, nobody knows where."""
+met; something at an unknown place."""
 
 _NONE, _GROUND = np.float32(-1.0), np.float32(-2.0)
 """What a neighboring beam met in place of a depth: nothing, or the ground."""
@@ -43,7 +43,7 @@ ISOLATED_M = 35.0
 """Isolated returns farther away are kept: there the beams lie too far apart to judge."""
 
 ISOLATED_SHARE = 0.06
-"""Returns in the air up to 35 m that no others share are drops or flakes if they are so many, and count as missing."""
+"""Isolated returns in the air up to 35 m are drops or flakes, and count as missing, if their share reaches this."""
 
 _BANDS, _SECTORS, _ENOUGH = 20, 32, 8
 """Bands of range and sectors of azimuth in which returns from the ground are counted, and beams that a share needs."""
@@ -125,7 +125,7 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
 
     - ended on the surface that its neighbors met, if those left and right of it in its ring (a gap of at most 5 m), or
       above and below it, met one surface: a window, a black car;
-    - was swallowed, nobody knows where, if its column and those beside it are empty, or if it aims at ground so near
+    - was swallowed at an unknown place if its column and those beside it are empty, or if it aims at ground so near
       that ground there always returns, and its neighbors are not all ground;
     - else met nothing before the ground or the maximum range; at least it went as far as the things next to it.
     """
@@ -289,7 +289,7 @@ def _end_missing_beam(evidence: Any, limits: Any, c: Any, r: Any) -> Any:  # pra
     up, down = _next_in_column(depth, thing, c, r, 1), _next_in_column(depth, thing, c, r, -1)
     near = min(up if up > 0 else _FAR, down if down > 0 else _FAR)
     near = min(near, left if left > 0 else _FAR, right if right > 0 else _FAR)
-    # A lost column, or something nearer than the sensor can measure: nobody knows.
+    # A lost column, or something nearer than the sensor can measure: it is unknown which.
     if evidence.lost[c] or near < np.float32(1.5) * limits.nearest + np.float32(0.1):
         return none, none, g, SWALLOWED
     # The neighbors on both sides met one surface: a window, a black car.

@@ -43,7 +43,7 @@ MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""
 
 GROUND_M, GROUND_PER_M, GROUND_MOST_M = 0.03, 0.03, 0.4
-"""The ground may be wrong by so much where it was seen, more for each meter from there, and at most by so much."""
+"""Error that the ground may have where it was seen, its growth for each meter from there, and its maximum."""
 
 LOWS_REACH = 1.5
 """Returns help to find the ground up to so far from the sensor, in half sides of the grid."""
@@ -222,14 +222,14 @@ class LabeledDrive(Generic[R]):
         sweep_of: reads one.
         refs: in time order.
         rules: how they are labeled.
-        moments: where and when each was measured; None where it was not looked at or could not be read.
+        poses: where and when each was measured; None where it was not looked at or could not be read.
         lows: of those that help, by their place.
     """
 
     sweep_of: Callable[[R], Sweep]
     refs: Sequence[R]
     rules: LabelRules
-    moments: Sequence[StampedPose | None]
+    poses: Sequence[StampedPose | None]
     lows: dict[int, Lows]
 
     @classmethod
@@ -239,7 +239,7 @@ class LabeledDrive(Generic[R]):
         """Return the track of ``refs``, looked through as far as the labels of those in ``span`` (all) need it."""
         first, last = (0, len(refs)) if span is None else span
         ahead = READ_AHEAD * rules.neighbors
-        moments: list[StampedPose | None] = [None] * len(refs)
+        poses: list[StampedPose | None] = [None] * len(refs)
         lows: dict[int, Lows] = {}
         last_post: StampedPose | None = None
         for index in range(max(first - ahead, 0), min(last + ahead, len(refs))):
@@ -247,13 +247,13 @@ class LabeledDrive(Generic[R]):
                 sweep = sweep_of(refs[index])
             except (ValueError, OSError):  # reported when it is labeled
                 continue
-            moment = StampedPose(sweep.world_from_sensor, sweep.t_ns)
-            moments[index] = moment
-            helps = well_spaced([last_post, moment], SPACING * rules.grid.half_extent_m)
+            pose = StampedPose(sweep.world_from_sensor, sweep.t_ns)
+            poses[index] = pose
+            helps = well_spaced([last_post, pose], SPACING * rules.grid.half_extent_m)
             if rules.neighbors and helps and helps[-1] == 1:
                 lows[index] = lows_of_sweep(sweep, rules)
-                last_post = moment
-        return cls(sweep_of, refs, rules, moments, lows)
+                last_post = pose
+        return cls(sweep_of, refs, rules, poses, lows)
 
     def label(self, index: int) -> tuple[Truth, Mask]:
         """Return the label of the sweep at ``place``, and where it is trusted.
@@ -263,11 +263,11 @@ class LabeledDrive(Generic[R]):
             OSError: it cannot be read.
         """
         sweep = self.sweep_of(self.refs[index])
-        moment = StampedPose(sweep.world_from_sensor, sweep.t_ns)
-        before = self.moments[index - 1] if index else None
-        after = self.moments[index + 1] if index + 1 < len(self.refs) else None
-        near = [] if moment.world_from_sensor is None else self._helpers(index)
-        drift = drift_of(before, moment, after) if self.rules.neighbors else drift_of(None, moment, None)
+        now = StampedPose(sweep.world_from_sensor, sweep.t_ns)
+        before = self.poses[index - 1] if index else None
+        after = self.poses[index + 1] if index + 1 < len(self.refs) else None
+        near = [] if now.world_from_sensor is None else self._helpers(index)
+        drift = drift_of(before, now, after) if self.rules.neighbors else drift_of(None, now, None)
         return label_sweep(sweep, drift, near, self.rules)
 
     def _helpers(self, index: int) -> list[Lows]:

@@ -17,10 +17,10 @@ MAX_SPEED_MPS = 70.0
 """Poses that could only be reached faster do not belong together."""
 
 POST_S = 2.0
-"""Sweeps that stand for all are at most so far apart in time."""
+"""Most time between sweeps that stand for all."""
 
 _SHORT_S = 0.15
-"""Times are uncertain by so much when speeds are judged."""
+"""Uncertainty of times when speeds are judged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ class StampedPose:
     t_ns: int | None
 
     def seconds_to(self, other: StampedPose) -> float:
-        """Return the seconds from this moment to another; 0 where a time is not known."""
+        """Return the seconds from this time to another's; 0 where a time is not known."""
         return 0.0 if self.t_ns is None or other.t_ns is None else (other.t_ns - self.t_ns) * 1e-9
 
     def meters_to(self, other: StampedPose) -> float:
@@ -88,10 +88,10 @@ def _reachable(one: StampedPose, other: StampedPose) -> bool:
     return one.meters_to(other) <= MAX_SPEED_MPS * max(abs(one.seconds_to(other)), _SHORT_S)
 
 
-def well_spaced(moments: Sequence[StampedPose | None], spacing_m: float) -> list[int]:
-    """Return the places of moments that stand for all: each ``spacing_m`` meters or two seconds from the one before.
+def well_spaced(poses: Sequence[StampedPose | None], spacing_m: float) -> list[int]:
+    """Return the places of the poses that stand for all: each ``spacing_m`` meters or two seconds from the one before.
 
-    Moments without a pose, and those that could only be reached faster than 70 m/s, stand for nothing.
+    Those that are not known, and those that could only be reached faster than 70 m/s, stand for nothing.
 
     >>> at = [StampedPose(Rigid.from_yaw(0.0, (x, 0.0, 0.0)), int(x * 1e8)) for x in (0.0, 1.0, 2.0, 2.5, 4.0)]
     >>> well_spaced(at, 2.0)
@@ -99,12 +99,12 @@ def well_spaced(moments: Sequence[StampedPose | None], spacing_m: float) -> list
     """
     posts: list[int] = []
     last: StampedPose | None = None
-    for place, moment in enumerate(moments):
-        if moment is None or moment.world_from_sensor is None:
+    for place, pose in enumerate(poses):
+        if pose is None or pose.world_from_sensor is None:
             continue
-        if last is None or (_reachable(last, moment) and _apart(last, moment, spacing_m)):
+        if last is None or (_reachable(last, pose) and _apart(last, pose, spacing_m)):
             posts.append(place)
-            last = moment
+            last = pose
     return posts
 
 

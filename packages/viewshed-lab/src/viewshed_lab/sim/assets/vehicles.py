@@ -18,7 +18,7 @@ _DARK = 0.22
 """Share of vehicles in dark paint."""
 
 _SENSOR_CLEARANCE_M = 0.25
-"""A sensor stands at least so high above the roof of its car."""
+"""Least height of a sensor above the roof of its car."""
 
 _ROOF_M = 0.08
 """Thickness of a roof."""

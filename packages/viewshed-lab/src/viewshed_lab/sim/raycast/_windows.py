@@ -19,7 +19,7 @@ def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> A
     """Return first column, number of columns, first block and last of the beams that may meet solid ``s``.
 
     The solid is widened by ``drift_m``, how far it moves within half the period as the sensor sees it; ``corners``
-    (2, 8) is room.
+    (2, 8) is scratch memory.
     """
     if _length(boxes, s, 0) - _length(boxes, s, 4) - drift_m > view.max_range_m:
         return 0, 0, 0, 0

@@ -64,7 +64,7 @@ def cast_world(
 
 
 def _empty_beams(model: LidarModel) -> Beams:
-    """Return room for every beam; those that fill up the last block point up and meet nothing of interest."""
+    """Return arrays for every beam; those that fill up the last block point up and meet nothing of interest."""
     blocks = -(-model.rings // BLOCK)
     beams = np.empty((5, blocks * model.azimuth_columns * BLOCK), np.float32)
     if model.rings % BLOCK:

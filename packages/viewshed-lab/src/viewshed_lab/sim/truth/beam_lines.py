@@ -14,7 +14,7 @@ from viewshed.grid import BevGrid
 from viewshed_lab._numba import atan2
 
 LANES = 16
-"""Beams of a ring lie in tiles of so many, sorted by azimuth."""
+"""Number of beams of a ring in a tile, sorted by azimuth."""
 
 SECTORS = 256
 """Sectors of azimuth in which the slopes of each ring are bounded."""

@@ -36,7 +36,7 @@ _FULL = np.int32(255 * 65537)
 _AZIMUTH_MARGIN = np.float32(1e-4)
 
 _SLOPE_MARGIN = np.float32(1e-5)
-"""Windows are wider by so much than rounding could make them too narrow."""
+"""Margin of windows, against rounding that could make them too narrow."""
 
 _SIDE = 4
 """Cells along a side of a patch."""
@@ -196,16 +196,16 @@ def count_cells(
     """
     tiles, starts = beams.tiles, beams.starts
     columns, guess = starts.shape[0] - 1, (0, -1)
-    room, counts = np.empty((6, LANES), np.float32), np.empty((2, LANES), np.int32)
+    lanes, counts = np.empty((6, LANES), np.float32), np.empty((2, LANES), np.int32)
     for p in range(patches.cells.shape[0]):
         azimuth, spread = patches.middles[p, 0], patches.middles[p, 1]
         nearest, farthest = patches.middles[p, 2], patches.middles[p, 3]
         if nearest - limits.cell > limits.max_range:
             continue
-        bottom, top = _load(patches, p, ground, plates, limits, room)
+        bottom, top = _load(patches, p, ground, plates, limits, lanes)
         counts[:] = 0
         if spread * columns > _NEAR or nearest <= 2 * limits.aside:
-            _count_near(beams, room, counts, plates, limits)
+            _count_near(beams, lanes, counts, plates, limits)
         else:
             # The window of azimuth and rings whose beams may meet a plate of the patch.
             angle = spread + _half_window(plates.half_a + limits.aside, nearest)
@@ -214,16 +214,18 @@ def count_cells(
             guess, needed = _rings_of(beams.bounds, azimuth, angle, least, most, guess), np.float32(-1.0)
             for ring in range(guess[0], guess[1] + 1):
                 begin, end, rest = _span(starts, first_bin, last_bin, ring)
-                _meet_patch(tiles, ring, begin, end, needed, room, plates, limits, counts)
-                _meet_patch(tiles, ring, 0, rest, needed, room, plates, limits, counts)
+                _meet_patch(tiles, ring, begin, end, needed, lanes, plates, limits, counts)
+                _meet_patch(tiles, ring, 0, rest, needed, lanes, plates, limits, counts)
                 needed = nearest - limits.cell if _clamp(counts, plates.least_a, plates.least_b) else needed
         for k in range(LANES):
             out[patches.cells[p, k]] = counts[0, k] + (counts[1, k] << 8)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _load(patches: Any, p: Any, ground: Any, plates: Any, limits: Any, room: Any) -> Any:  # pragma: no cover - compiled
-    """Store unit vectors, ranges, bottoms and tops of the plates in a patch; return the lowest and the highest.
+def _load(
+    patches: Any, p: Any, ground: Any, plates: Any, limits: Any, lanes: Any
+) -> Any:  # pragma: no cover - compiled
+    """Store unit vectors, ranges, bottoms and tops of a patch's plates in ``lanes``; return lowest and highest z.
 
     A bottom is infinite where nothing counts.
     """
@@ -231,16 +233,16 @@ def _load(patches: Any, p: Any, ground: Any, plates: Any, limits: Any, room: Any
     for k in range(LANES):
         r, height = patches.lanes[p, 2, k], ground[patches.cells[p, k]]
         counts = r > limits.aside and r - limits.cell <= limits.max_range
-        room[0, k], room[1, k], room[2, k] = patches.lanes[p, 0, k], patches.lanes[p, 1, k], r
-        room[3, k] = height - limits.below if counts else np.float32(np.inf)
-        room[4, k], room[5, k] = height + plates.high_a, height + plates.high_b
-        bottom, top = min(bottom, room[3, k]), max(top, height + tall)
+        lanes[0, k], lanes[1, k], lanes[2, k] = patches.lanes[p, 0, k], patches.lanes[p, 1, k], r
+        lanes[3, k] = height - limits.below if counts else np.float32(np.inf)
+        lanes[4, k], lanes[5, k] = height + plates.high_a, height + plates.high_b
+        bottom, top = min(bottom, lanes[3, k]), max(top, height + tall)
     return bottom, top
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _meet_patch(
-    tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, room: Any, plates: Any, limits: Any, counts: Any
+    tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, lanes: Any, plates: Any, limits: Any, counts: Any
 ) -> None:  # pragma: no cover - compiled
     """Add beams ``begin`` to ``end`` of a ring to the counts of a patch, if one of them reaches as far as needed."""
     if _farthest(tiles, ring, begin, end) >= needed:
@@ -249,7 +251,7 @@ def _meet_patch(
             bend, ux, uy = tiles[ring, t, 0, i], tiles[ring, t, 1, i], tiles[ring, t, 2, i]
             rise, slope, stop = tiles[ring, t, 3, i], tiles[ring, t, 4, i], tiles[ring, t, 5, i]
             for k in range(LANES):
-                plate = (room[0, k], room[1, k], room[2, k], room[3, k], room[4, k], room[5, k])
+                plate = (lanes[0, k], lanes[1, k], lanes[2, k], lanes[3, k], lanes[4, k], lanes[5, k])
                 a, b = _aim((bend, ux, uy, rise, slope, stop), plate, plates, limits)
                 counts[0, k] += a
                 counts[1, k] += b
@@ -273,12 +275,12 @@ def _limited(count: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count_near(beams: Any, room: Any, counts: Any, plates: Any, limits: Any) -> None:  # pragma: no cover - compiled
+def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -> None:  # pragma: no cover - compiled
     """Count beams by batches on each cell of a patch: near the sensor its cells have little of a window in common."""
     tiles, starts = beams.tiles, beams.starts
     columns, guess = starts.shape[0] - 1, (0, -1)
     for k in range(LANES):
-        plate = (room[0, k], room[1, k], room[2, k], room[3, k], room[4, k], room[5, k])
+        plate = (lanes[0, k], lanes[1, k], lanes[2, k], lanes[3, k], lanes[4, k], lanes[5, k])
         azimuth, r, a, b = atan2(plate[1], plate[0]), plate[2], np.int32(0), np.int32(0)
         if plate[3] < np.inf:
             angle = _half_window(plates.half_a + limits.aside, r)

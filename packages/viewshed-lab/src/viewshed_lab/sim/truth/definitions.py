@@ -28,7 +28,7 @@ BLOCKS, RETURNS, OPEN = 1, 2, 4
 """What a beam met, as flags: a thing that is not the sensor's own vehicle; what sends light back; nothing."""
 
 LANES = 32
-"""Cells of a bin are seen by so many at a time."""
+"""Number of cells of a bin that are looked at together."""
 
 FARTHEST, BLOCKER, SIGHT, BETWEEN = 1, 2, 4, 8
 """What is known of a cell, as flags: the definitions that see it, and that a line passes over it."""
@@ -144,48 +144,48 @@ def see_cells(
         cell: side of a cell.
         out: as above.
     """
-    room, seen, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
+    columns, seen, first = np.empty((3, LANES), np.float32), np.empty(LANES, np.int32), 0
     for n in range(batches.bins.shape[0]):
         b, ranges = batches.bins[n], batches.ranges[n]
         farthest, blocker = limits[0, b], limits[1, b]
         for k in range(LANES):
-            room[0, k] = ground[batches.cells[n, k]]
-        low, top = _extremes(room)
-        # The two definitions that compare ranges, and range, foot and top of each cell's column.
+            columns[0, k] = ground[batches.cells[n, k]]
+        low, top = _extremes(columns)
+        # The two definitions that compare ranges, and range, bottom and top of each cell's column.
         for k in range(LANES):
-            r, height = ranges[k], room[0, k]
-            room[0, k], room[1, k], room[2, k] = r, height - below, height + high
+            r, height = ranges[k], columns[0, k]
+            columns[0, k], columns[1, k], columns[2, k] = r, height - below, height + high
             near = FARTHEST | BLOCKER if r - cell <= blocker else FARTHEST
             seen[k] = near if r <= farthest else 0
         # Line of sight: a beam of the bin passes over the cell, or the gap between two rings lets see it.
         near_m, far_m = ranges[0], ranges[LANES - 1]
         first = _first_above(table, b, near_m, far_m, low - below, first)
-        if _meet_columns(table, b, near_m, far_m, cell, first, top + high, room, seen) < LANES:
+        if _meet_columns(table, b, near_m, far_m, cell, first, top + high, columns, seen) < LANES:
             for k in range(LANES):
                 if seen[k] < BETWEEN:
-                    seen[k] |= _through_gap(table, b, first, room[0, k], room[1, k], cell)
+                    seen[k] |= _through_gap(table, b, first, columns[0, k], columns[1, k], cell)
         for k in range(LANES):
             out[batches.cells[n, k]] = seen[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _extremes(room: Any) -> Any:  # pragma: no cover - compiled
+def _extremes(columns: Any) -> Any:  # pragma: no cover - compiled
     """Return the least and the largest of the first row (3, LANES), by halves: that fills vector registers."""
     for k in range(LANES):
-        room[1, k], room[2, k] = room[0, k], room[0, k]
+        columns[1, k], columns[2, k] = columns[0, k], columns[0, k]
     for half in (16, 8, 4, 2, 1):
         for k in range(half):
-            room[1, k] = min(room[1, k], room[1, k + half])
-            room[2, k] = max(room[2, k], room[2, k + half])
-    return room[1, 0], room[2, 0]
+            columns[1, k] = min(columns[1, k], columns[1, k + half])
+            columns[2, k] = max(columns[2, k], columns[2, k + half])
+    return columns[1, 0], columns[2, 0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first_above(table: Any, b: Any, near: Any, far: Any, foot: Any, ring: Any) -> Any:  # pragma: no cover - compiled
-    """Return the first ring that is not below the feet of all columns between two ranges, found from a guess."""
-    while ring > 0 and _highest(table, b, ring - 1, near, far) >= foot:
+def _first_above(table: Any, b: Any, near: Any, far: Any, bottom: Any, ring: Any) -> Any:  # pragma: no cover - compiled
+    """Return the first ring that is not below the bottoms of all columns between two ranges, found from a guess."""
+    while ring > 0 and _highest(table, b, ring - 1, near, far) >= bottom:
         ring -= 1
-    while ring < table.shape[1] and _highest(table, b, ring, near, far) < foot:
+    while ring < table.shape[1] and _highest(table, b, ring, near, far) < bottom:
         ring += 1
     return ring
 
@@ -199,20 +199,20 @@ def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:  # prag
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet_columns(
-    table: Any, b: Any, near: Any, far: Any, cell: Any, ring: Any, top: Any, room: Any, seen: Any
+    table: Any, b: Any, near: Any, far: Any, cell: Any, ring: Any, top: Any, columns: Any, seen: Any
 ) -> Any:  # pragma: no cover - compiled
-    """Flag in ``seen`` whether lines pass between foot and top of columns, and reach them; return how many have such.
+    """Flag in ``seen`` whether lines pass between bottom and top of columns, and reach them; return how many have such.
 
-    ``room`` (3, LANES) is range, foot and top of the columns; rings from ``ring`` on, up to one above ``top``.
+    ``columns`` (3, LANES) is range, bottom and top of the columns; rings from ``ring`` on, up to one above ``top``.
     """
     while ring < table.shape[1]:
         slope, rise, run = table[b, ring, 0], table[b, ring, 1], table[b, ring, 2]
         if min(rise + near * slope, rise + far * slope) > top:
             break
         for k in range(LANES):
-            height = rise + room[0, k] * slope
-            between = (height >= room[1, k]) & (height <= room[2, k])
-            worth = np.int32(BETWEEN | SIGHT) if run >= room[0, k] - cell else np.int32(BETWEEN)
+            height = rise + columns[0, k] * slope
+            between = (height >= columns[1, k]) & (height <= columns[2, k])
+            worth = np.int32(BETWEEN | SIGHT) if run >= columns[0, k] - cell else np.int32(BETWEEN)
             seen[k] |= worth if between else np.int32(0)
         ring += 1
     some = 0
@@ -222,10 +222,10 @@ def _meet_columns(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _through_gap(table: Any, b: Any, ring: Any, r: Any, foot: Any, cell: Any) -> Any:  # pragma: no cover - compiled
-    """Return SIGHT where the rings above and below the foot of a column let see between them, or 0."""
+def _through_gap(table: Any, b: Any, ring: Any, r: Any, bottom: Any, cell: Any) -> Any:  # pragma: no cover - compiled
+    """Return SIGHT where the rings above and below the bottom of a column let see between them, or 0."""
     rings = table.shape[1]
-    while ring < rings and table[b, ring, 1] + r * table[b, ring, 0] < foot:
+    while ring < rings and table[b, ring, 1] + r * table[b, ring, 0] < bottom:
         ring += 1
     above = ring == rings or table[b, ring, 2] >= r - cell
     below = ring == 0 or int(table[b, ring - 1, 3]) & BLOCKS == 0 or table[b, ring - 1, 2] >= r - cell

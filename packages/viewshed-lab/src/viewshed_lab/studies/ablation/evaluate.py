@@ -229,7 +229,7 @@ _AIM_M = 25.0
 
 
 def queried(queries: int) -> Case:
-    """Return the case of an attacker who makes so many queries."""
+    """Return the case of an attacker who makes this number of queries."""
     return replace(UNTOUCHED, level=str(queries))
 
 

@@ -146,13 +146,13 @@ class SettingResults(Domain[AblationPlan]):
 class Sure:
     """What is claimed where only sure cells are: claimed from a probability on, denied below 1 less it."""
 
-    share: float  # of the cells of which anything is said
+    share: float  # of the cells about which anything is claimed
     claims: float  # share of the claimed cells that are visible; NaN where none is claimed
     denials: float  # share of the denied cells that are not visible; NaN where none is denied
 
     @classmethod
     def of(cls, scores: Scores, sure: float) -> Sure:
-        """Return what is said of the cells of some scores from ``sure`` on, a multiple of .001 in [.5, 1).
+        """Return what is claimed of the cells of some scores from ``sure`` on, a multiple of .001 in [.5, 1).
 
         >>> scores = Scores()
         >>> scores.add([0.95, 0.9, 0.5, 0.05], [True, False, True, False])

@@ -96,7 +96,7 @@ def do_job(job: Job[AgentsPlan]) -> JobResult:
 
 
 def coverage_of(scene: Scene) -> dict[str, list[int]]:
-    """Return of how many objects agents claim so much: by probability [claimed, of these without five returns].
+    """Return how many objects agents claim, by the claimed probability: [claimed, of these without five returns].
 
     ``expected`` are those that an agent is expected to see, by probability and range.
     """

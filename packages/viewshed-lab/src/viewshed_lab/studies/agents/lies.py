@@ -34,7 +34,7 @@ CHANGED = 0.1
 """Probabilities that differ by more are changed."""
 
 FOLLOW_M = 8.0
-"""An object chosen to be forged is followed to the nearest detection within so many meters from time to time."""
+"""An object chosen to be forged is followed to the nearest detection within this distance at the next time."""
 
 
 @dataclass(slots=True)

@@ -281,7 +281,7 @@ class AgentsResults:
         return Table(header, rows)
 
     def _claimed(self) -> dict[str, NDArray[np.int64]]:
-        """Return how many objects were claimed with so much probability, and how many of these wrongly."""
+        """Return how many objects were claimed with this probability, and how many of these wrongly."""
         totals: dict[str, NDArray[np.int64]] = {}
         for key, found in self.results.facts.items():
             if key[:2] == ("run", "test"):

@@ -34,7 +34,7 @@ class AgentsPlan(Plan):
         sensors: beam tables of the vehicles, which the scenes take in turn.
         moving: vehicles that measure and report.
         roadside: sensors on masts that do.
-        tall_masts: one scene in so many has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none.
+        tall_masts: every k-th scene has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none.
         seconds: how long a scene lasts.
         hz: reports a second of each agent.
         claims: scenes from which it is learned what claims are worth.

@@ -31,14 +31,14 @@ class PublishedTrust:
         hits = {number: int(one >= 0) for number, one in zip(ids, tracks.detection.tolist(), strict=True)}
         self._updates = {number: self._updates.get(number, 0) + hits[number] for number in ids}
         xy_m = tracks.boxes[:, :2]
-        said = [
+        mate_reports = [
             MateReport(
                 report.agent, report.world_from_level.translation[:2], report.in_world.boxes[:, :2],
                 _covered(report, tracks.boxes),
             )
             for report in reports
         ]  # fmt: skip
-        self._mate.update(picture.t_s, said, tracks.ids, xy_m, np.array(list(self._updates.values()), np.int32))
+        self._mate.update(picture.t_s, mate_reports, tracks.ids, xy_m, np.array(list(self._updates.values()), np.int32))
         trust = np.array([self._mate.of_agent(agent) for agent in picture.agents])
         believed = tracks.confirmed & (self._mate.of_tracks(tracks.ids) >= self._mate.rules.least_trust)
         return trust, np.asarray(believed)

@@ -32,10 +32,10 @@ MOVED_M = (0.6, 4.0)
 """How far boxes are moved to learn what moved ones look like."""
 
 LEARNED_EACH = 2
-"""It is learned what honest agents report from one in so many times of a scene."""
+"""What honest agents report is learned from every k-th time of a scene."""
 
 ELSEWHERE_EACH = 2
-"""One in so many boxes is put elsewhere, and one is moved."""
+"""Every k-th box is taken: once it is put elsewhere, once it is moved."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,7 +83,7 @@ def monitor_table(rows: Mapping[str, pd.DataFrame], kind: str) -> Table:
     """Return AUROC, its interval, detections at 1 % and alarms for every attack or corruption.
 
     Args:
-        rows: by what is said of them behind a comma in the header; nothing is said of one without a name.
+        rows: by the name that stands behind a comma in the header; one without a name has no comma.
         kind: ``attack`` or ``corruption``.
     """
     words = ["AUROC [95 %]", "caught at 1 %", "alarms", "AUROC of the mean"]

@@ -1,4 +1,4 @@
-"""What all evidence said of a drive, as a file: score, limits and tables are made of it without simulating again."""
+"""What all evidence reports about a drive, as a file: score, limits and tables come from it without new simulations."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def over_time_of(names: tuple[str, ...]) -> NDArray[np.bool_]:
 
 
 def _held(evidence: NDArray[np.float16], over_time: NDArray[np.bool_]) -> NDArray[np.float16]:
-    """Return the evidence (F, E, SECTORS) of sweeps in a row, what it says over time held as in a stream.
+    """Return the evidence (F, E, SECTORS) of sweeps in a row, what it says over time carried over as in a stream.
 
     Sweeps without enough before them abstain over time, and so they stay.
     """
@@ -138,7 +138,7 @@ class SweepTable:
 
     Attributes:
         names: (E,) of the evidence.
-        evidence: (N, E, SECTORS) float16; what it says over time is held, see :func:`viewshed.monitor.score.held`.
+        evidence: (N, E, SECTORS) float16, over time as :func:`viewshed.monitor.score.held` carries it over.
         touched: (N, SECTORS) bool.
         drive: (N,) which of ``drives`` it is of.
         case: (N,) which of ``cases`` it is in; 0 is the drive as it was measured.

@@ -83,7 +83,7 @@ def _train(job: Job[MonitorPlan]) -> JobResult:
     table, trainer = _training(job.folder)
     left_out = job.key[1]
     chosen = is_trained_on(table, left_out)
-    # Where doubt comes from is asked of the score of all families alone.
+    # Only the score of all families also learns where doubt comes from.
     sector_epochs = job.plan.epochs if left_out == ALL_FAMILIES else 1
     score = trainer.train(chosen, job.plan.epochs, job.plan.seed, sector_epochs=sector_epochs)
     save_score(score, score_path(job.folder, left_out))

@@ -17,7 +17,7 @@ from viewshed_lab.studies.store import JobResult
 FILE = "published.npz"
 
 METHOD, PASSES = "mc_dropout", 20
-"""The network whose deviation is watched, and how often it is asked."""
+"""The network whose deviation is watched, and its number of passes."""
 
 LAST = FRAMES - 1
 """The sweep of each drive that is looked at: the detector looks at no other."""

@@ -35,7 +35,7 @@ RATE, LOW_RATE = 0.01, 0.001
 DRAWS = 1000
 
 PER_HOUR = (1.0, 10.0, 100.0)
-"""False alarms over time that limits of runs are asked for."""
+"""Numbers of false alarms an hour for which limits of runs are computed."""
 
 NOTHING = (float("nan"), float("nan"))
 
@@ -441,7 +441,7 @@ class AttackedSweeps:
 
     @classmethod
     def of(cls, chosen: Evaluation, mask: Mask, hz: float) -> AttackedSweeps:
-        """Return those of a mask (N,) of the test table that an attack touched, at so many sweeps a second."""
+        """Return those of a mask (N,) of the test table that an attack touched, at ``hz`` sweeps a second."""
         scored = chosen.tested.rows(mask & chosen.test.touched.any(axis=1))
         table = scored.table
         drives = [table.drives[drive] for drive in table.drive]

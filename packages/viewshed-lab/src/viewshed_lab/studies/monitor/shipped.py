@@ -53,7 +53,7 @@ def _in_a_row(table: SweepTable, kept: NDArray[np.bool_]) -> Iterator[BenignSwee
 
 def _sweeps(table: SweepTable, kept: NDArray[np.bool_], clear: NDArray[np.bool_]) -> Iterator[BenignSweep]:
     """Yield the benign sweeps of the kept drives (D,), each in its group; some drives (D,) are clear."""
-    # With earlier sweeps only the last, behind which as many lie as are held in a stream. The order of the drives means
+    # With earlier sweeps only the last, before which as many lie as a stream keeps. The order of the drives means
     # nothing, and those of one domain lie side by side: they are mixed, or they would look like a drift.
     is_used = (table.frame < ONSET) | (table.frame == FRAMES - 1)
     rows = np.flatnonzero((table.case == 0) & is_used & kept[table.drive])

@@ -38,7 +38,7 @@ from viewshed_lab.sim.world import Agent, World
 from viewshed_lab.studies.tracks.lidar_level import SweepForger
 
 FOVS = ("none", "published", "polygon", "default_hard", "default", "exact")
-"""No field of view; the published tracker with its polygon; that polygon asked by ours; the default method's as a mask;
+"""No field of view; the published tracker with its polygon; that polygon used by ours; the default method's as a mask;
 its probability; the exact one."""
 
 POLYGON = "paper_concave_hull"
@@ -125,7 +125,7 @@ _FALSE_PER_SWEEP, _FALSE_S = 0.3, 0.5
 
 
 def found_probability(returns: NDArray[Any]) -> F64:
-    """Return the probability (N,) that the simulated detector finds objects with so many returns (N,)."""
+    """Return the probability (N,) that the simulated detector finds objects by their number of returns (N,)."""
     counts, shares = np.array(_FOUND).T
     return np.asarray(np.interp(np.asarray(returns, np.float64), counts, shares))
 
@@ -314,7 +314,7 @@ _GONE_SHARE = 0.3
 """An object of whose returns an attack leaves no more than this is gone from the sweep."""
 
 _GHOST_WITHIN_M = 2.5
-"""A detection so near to a ghost, and of no object, is of the ghost."""
+"""A detection within this distance of a ghost, and of no object, is of the ghost."""
 
 
 def _counts_of(things: NDArray[Any], count: int) -> NDArray[np.intp]:

@@ -32,19 +32,19 @@ RANGE_M = 50.0
 """Objects and tracks farther from the sensor are not compared."""
 
 COUNTED_RETURNS, RECENT_S = 10, 3.0
-"""Objects count while they gave so many returns so short a time ago."""
+"""Objects count while they gave at least this number of returns at most this time ago."""
 
 SURE = 0.9
-"""Removed objects are asked for where they are visible with this probability."""
+"""Removed objects count where they are visible with this probability."""
 
 KNOWN_HITS = 10
-"""Removed objects are known if confirmed tracks of them had so many detections before."""
+"""A removed object is known if a confirmed track of it had at least this number of detections before."""
 
 OCCLUDED_S = (0.3, 3.0)
-"""Occlusions that last so long are counted."""
+"""Shortest and longest occlusions that are counted."""
 
 NEAR_M = 2.0
-"""A track is of an object so near to it."""
+"""A track is of an object within this distance of it."""
 
 
 @dataclass(slots=True)

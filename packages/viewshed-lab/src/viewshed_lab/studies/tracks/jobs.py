@@ -1,4 +1,4 @@
-"""The jobs of the study: each simulates one drive once, and asks every field of view and every attack of it."""
+"""The jobs of the study: each simulates one drive once, and tries every field of view and every attack on it."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ GHOST_RANGE_M = (8.0, 20.0)
 """Where ghost cars are: they drive along with the vehicle."""
 
 VICTIM_RETURNS, VICTIM_WITHIN_M = 30, 25.0
-"""Objects that are made to vanish give so many returns and are so near when the attack begins."""
+"""Objects that are made to vanish give at least this number of returns, within this range, when the attack begins."""
 
 _SECTOR_DEG = 30.0
 

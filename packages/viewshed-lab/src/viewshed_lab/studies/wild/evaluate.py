@@ -62,7 +62,7 @@ def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
                 estimator = estimator_named(method, seen.scene.domain.name, target)
                 if estimator is not None:
                     yield row_of(seen, sample, estimator.estimate(leveled), leveled, name)
-    # A base frame whose offset nobody tells has no exact beams from its own origin: no ladder there.
+    # A base frame whose offset is not given has no exact beams from its own origin: no ladder there.
     if plan.ladder and seen.mounting.family.frame != "base":
         for target in plan.targets:
             yield from _ladder(seen, TARGETS[target])
@@ -74,7 +74,7 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
     Args:
         seen: the sweep and all that the simulator knows.
         sample: what the estimator was given.
-        estimate: what it said.
+        estimate: of the method.
         leveled: the sweep as it was leveled, whose ground is judged.
         method: of the row.
     """
@@ -84,7 +84,7 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
         polar_of_cells(seen.truth.grid)[0],
         seen.sensor.model,
     )
-    # The truth is geometry: beyond the range at which the sensor sees a dark target nobody is asked.
+    # The truth is geometry: beyond the range at which the sensor sees a dark target no cell is scored.
     reach_m = min(optics_of(model).reach_m, model.max_range_m)
     known = seen.known & (range_m <= reach_m)
     true, claimed, prob = seen.truth.visible(target), estimate.visible(), estimate.visible_prob

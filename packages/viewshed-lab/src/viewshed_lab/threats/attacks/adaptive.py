@@ -53,7 +53,7 @@ class OverClaim:
     threshold: float = THRESHOLD
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return the objective; the victim is asked once."""
+        """Return the objective; the victim is queried once."""
         return _changed_area(self, clean, wedge, claimed=True)
 
 
@@ -65,7 +65,7 @@ class UnderClaim(OverClaim):
     """
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return the objective; the victim is asked once."""
+        """Return the objective; the victim is queried once."""
         return _changed_area(self, clean, wedge, claimed=False)
 
 
@@ -135,7 +135,7 @@ class SearchResult:
         tampered: the attacked sweep, with noise that the attacker could not know, and what was done to it.
         value: what the plan was worth to the attacker while planning.
         history: (P,) what each plan that was tried was worth, the first is doing nothing.
-        queries: how often the victim was asked.
+        queries: how often the victim was queried.
     """
 
     tampered: Tampered

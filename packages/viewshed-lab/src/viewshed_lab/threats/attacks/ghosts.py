@@ -35,7 +35,7 @@ from viewshed_lab.threats.attacks.wedge_attack import WedgeAttack
 from viewshed_lab.threats.parameters import Angle, Azimuth, Between, Budget, Checked, Range
 
 _MARGIN_M = 2.0
-"""A far wall stands so much nearer than the sensor's maximum range."""
+"""Distance of a far wall before the sensor's maximum range."""
 
 CAR_M = (4.2, 1.8, 1.5)
 """Length, width and height of a ghost car."""
@@ -43,8 +43,8 @@ CAR_M = (4.2, 1.8, 1.5)
 _WALL_M = (0.3, 3.0)
 """Thickness and height of a ghost wall."""
 
-_ROOM = 1.05
-"""Wedges of ghosts are so much wider than what they show."""
+_WIDER = 1.05
+"""Factor by which wedges of ghosts are wider than what they show."""
 
 _BEYOND = 1.2
 """Ghosts stand where some beam goes farther than this multiple of their range."""
@@ -145,7 +145,7 @@ class GhostCar(Checked):
         azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
         x, y, level_azimuth = position_at(sweep, azimuth, self.range_m)
         box = GroundBox((x, y), level_azimuth + self.heading, self.size_m, ground_at(sweep, x, y))
-        radius_m = _ROOM * float(np.hypot(*self.size_m[:2])) / 2
+        radius_m = _WIDER * float(np.hypot(*self.size_m[:2])) / 2
         return spoof_box(sweep, box, wedge_around(azimuth, self.range_m, radius_m), self, rng)
 
 
@@ -174,7 +174,7 @@ class GhostWall(Checked):
         azimuth = random_open_azimuth(sweep, _BEYOND * self.range_m, rng) if self.azimuth is None else self.azimuth
         wedge = Wedge.of_sector(azimuth, self.sector_deg)
         x, y, level_azimuth = position_at(sweep, wedge.azimuth, self.range_m + _WALL_M[0] / 2)
-        wide = 2 * self.range_m * np.tan(wedge.width / 2) * _ROOM + 1.0
+        wide = 2 * self.range_m * np.tan(wedge.width / 2) * _WIDER + 1.0
         box = GroundBox((x, y), level_azimuth, (_WALL_M[0], wide, self.height_m), ground_at(sweep, x, y))
         return spoof_box(sweep, box, wedge, self, rng)
 

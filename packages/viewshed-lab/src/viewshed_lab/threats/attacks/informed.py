@@ -39,31 +39,31 @@ _JUMP_M = 1.2
 """Returns of neighboring beams belong to one object where their depths differ by less."""
 
 _REACH = 2
-"""So many rings and columns apart, beams are neighbors: a lost one does not cut an object in two."""
+"""Beams are neighbors up to this number of rings and columns apart: a lost one does not cut an object in two."""
 
-_SKIRT_M = 0.5
-"""Returns below an object, too low for an obstacle, that are less than this nearer or farther than it are its own."""
+_BASE_DEPTH_M = 0.5
+"""Returns below an object, too low for an obstacle, and less than this nearer or farther, are the object's base."""
 
 _SIDE = 8
 """Columns to either side of a gap whose beams tell what is behind it."""
 
 _BEHIND_M = 0.3
-"""A background must lie so much behind what it replaces."""
+"""Least distance of a background behind what it replaces."""
 
 _FEWEST = 12
 """Returns of the smallest object that is worth an attack."""
 
 _VANISHING_SHARE = 0.5
-"""An object vanishes where something is known to lie behind so many of its beams."""
+"""An object vanishes where something is known to lie behind at least this share of its beams."""
 
 _DOWN = -0.005
 """Beams that fall by less than this a meter show no ground that could be continued."""
 
-_FOOT_M = 0.8
+_ON_GROUND_M = 0.8
 """What stands on the ground has a return lower than this; what hangs hides nothing."""
 
 _OPEN_M = 3.0
-"""Half of the beams of a copy went so much farther."""
+"""Half of the beams of a copy went farther than it by at least this."""
 
 _OCCLUDED_SHARE = 0.1
 """Beams of a copy that something nearer may keep."""
@@ -71,11 +71,11 @@ _OCCLUDED_SHARE = 0.1
 _PLACES = 300
 """Objects and azimuths that are tried for a copy."""
 
-_ROOM_DEG = 4.0
-"""A wedge is so much wider than what vanishes or appears: returns seen from a start beside the sensor move sideways."""
+_MARGIN_DEG = 4.0
+"""Margin of a wedge about what vanishes or appears: returns seen from a start beside the sensor move sideways."""
 
 _GROUND_M = 0.2
-"""The ground may be so much higher or lower below a copy than below its object."""
+"""Largest difference of the ground's height below a copy and below its object."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,9 +171,9 @@ def _objects_in_reach(sweep: Sweep, near_m: float, sector_deg: float, budget: in
         mine = label == number
         first, width = _arc(column[mine], circle)
         rays = image.rays.select(image.number[ring[mine], column[mine]])
-        if width * 360.0 / circle + _ROOM_DEG < sector_deg and _lowest_m(sweep, rays, rays.depth_m) < _FOOT_M:
+        if width * 360.0 / circle + _MARGIN_DEG < sector_deg and _lowest_m(sweep, rays, rays.depth_m) < _ON_GROUND_M:
             ahead = (column[mine] - first) % circle
-            found.append(_with_skirt(image, ring[mine], ahead, first, width))
+            found.append(_with_base(image, ring[mine], ahead, first, width))
     return [one for one in found if budget is None or len(one.ring) <= budget]
 
 
@@ -185,7 +185,7 @@ def _arc(column: Ints, circle: int) -> tuple[int, int]:
     return int(some[(widest + 1) % len(some)]), int(circle - gap[widest] + 1)
 
 
-def _with_skirt(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int) -> _Object:
+def _with_base(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int) -> _Object:
     """Return an object with the pixels right below it in each column that are about as near, too low for obstacles."""
     circle = image.depth_m.shape[1]
     lowest = np.full(width, image.depth_m.shape[0])
@@ -197,7 +197,7 @@ def _with_skirt(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: in
             continue
         depth_m = image.depth_m[:bottom, (first + at) % circle]
         own_m = image.depth_m[bottom, (first + at) % circle]
-        low = np.flatnonzero(np.abs(depth_m - own_m) < _SKIRT_M)
+        low = np.flatnonzero(np.abs(depth_m - own_m) < _BASE_DEPTH_M)
         rings.append(low)
         columns.append(np.full(len(low), at))
     return _Object(np.concatenate(rings), np.concatenate(columns), first, width)
@@ -270,12 +270,12 @@ def _azimuth_of(image: _RayImage, one: _Object) -> float:
 
 
 def _wedge_of(image: _RayImage, number: Ints) -> Wedge:
-    """Return a wedge that holds some rays, with room for their returns at other depths."""
+    """Return a wedge that holds some rays, with a margin for their returns at other depths."""
     x, y, _ = image.rays.direction[number].T
     azimuth = np.arctan2(y, x)
     middle = float(np.arctan2(np.sin(azimuth).mean(), np.cos(azimuth).mean()))
     apart = np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
-    return Wedge(middle, min(2 * float(apart.max()) + np.deg2rad(_ROOM_DEG), 2 * np.pi))
+    return Wedge(middle, min(2 * float(apart.max()) + np.deg2rad(_MARGIN_DEG), 2 * np.pi))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -399,10 +399,10 @@ class CopiedObject(_OfObjects):
             number, depth_m = number[number >= 0], depth_m[number >= 0]
             if len(number) and _is_open(sweep, image, chosen, turn, depth_m, number):
                 hollows = _hollows(image, chosen, turn)
-                room = len(hollows) if self.budget is None else self.budget - len(number)
+                left = len(hollows) if self.budget is None else self.budget - len(number)
                 wanted_m = np.full(len(image.rays), LEAVE)
-                wanted_m[hollows[:room]] = NO_RETURN
-                wanted_m[number] = np.where(image.rays.depth_m[number] > depth_m - _SKIRT_M, depth_m, LEAVE)
+                wanted_m[hollows[:left]] = NO_RETURN
+                wanted_m[number] = np.where(image.rays.depth_m[number] > depth_m - _BASE_DEPTH_M, depth_m, LEAVE)
                 return self.spoofer.spoof(sweep, image.rays, wanted_m, _wedge_of(image, number), rng)
         return untouched(sweep)
 
@@ -424,12 +424,12 @@ def _is_open(sweep: Sweep, image: _RayImage, chosen: _Object, turn: int, depth_m
     circle = image.depth_m.shape[1]
     apart = min(turn, circle - turn)
     farther_m = image.rays.depth_m[number] - depth_m
-    occluded = np.mean(farther_m < -_SKIRT_M)
+    occluded = np.mean(farther_m < -_BASE_DEPTH_M)
     if apart <= chosen.columns + _SIDE or occluded > _OCCLUDED_SHARE or np.median(farther_m) < _OPEN_M:
         return False
     source = image.number[chosen.ring, (chosen.first + chosen.column) % circle]
-    foot_m = _lowest_m(sweep, image.rays.select(source), image.rays.depth_m[source])
-    return abs(_lowest_m(sweep, image.rays.select(number), depth_m) - foot_m) < _GROUND_M
+    lowest_m = _lowest_m(sweep, image.rays.select(source), image.rays.depth_m[source])
+    return abs(_lowest_m(sweep, image.rays.select(number), depth_m) - lowest_m) < _GROUND_M
 
 
 def _lowest_m(sweep: Sweep, rays: Rays, depth_m: F64) -> float:

@@ -39,7 +39,7 @@ class WedgeAttack(Checked):
     spoofer: Spoofer = MEASURED_SPOOFER
 
     takes_empty: ClassVar[bool] = False
-    """Whether the plan is also asked about beams without a return."""
+    """Whether the plan also covers beams without a return."""
 
     @property
     def aim_m(self) -> float:

@@ -22,7 +22,7 @@ class TemporalConsistency:
 
     A return is seen through where both rings next to its direction, in the three columns about it, returned from more
     than ``margin_m`` behind it; a surface was seen where one of them returned from within that of it. Where the two
-    rings are more than ``gap_m`` apart something may stand between them, and nothing is said. What has moved there
+    rings are more than ``gap_m`` apart something may stand between them, and nothing is concluded. What has moved there
     since is dropped, too: that is the cost.
 
     Attributes:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rasterio.crs import CRS
 
 _WGS84 = "OGC:CRS84"
-"""Longitude and latitude in degrees, in this order: what RFC 7946 asks for."""
+"""Longitude and latitude in degrees, in this order: what RFC 7946 requires."""
 
 
 def crs_of(name: str) -> CRS:

@@ -21,13 +21,13 @@ MASK_STATES = (
 )
 
 NOTHING_KNOWN = -1
-"""Of a map or a mask: nothing is said of the cell."""
+"""Of a map or a mask: nothing is claimed of the cell."""
 
 _TRINARY = "mode: trinary\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.1\n"
 """Thresholds of darkness: 0 of 255 is occupied, 254 free, and 205, the usual gray of unknown cells, in between."""
 
 _RAW = "mode: raw\nnegate: 0\noccupied_thresh: 1.0\nfree_thresh: 0.0\n"
-"""Pixels 0 to 100 are values, others unknown; nav2 asks for thresholds in every mode."""
+"""Pixels 0 to 100 are values, others unknown; nav2 needs thresholds in every mode."""
 
 _TRINARY_PIXELS = np.array([205, 254, 0, 205], np.uint8)
 """By :class:`CellState`."""
@@ -52,13 +52,13 @@ def mask_yaml(estimate: FovEstimate) -> bytes:
 
 
 def mask_image(estimate: FovEstimate) -> bytes:
-    """Return the PGM of a mask for the KeepoutFilter, by :func:`keepout_values`; 255 where nothing is said."""
+    """Return the PGM of a mask for the KeepoutFilter, by :func:`keepout_values`; 255 where nothing is claimed."""
     values = _placed(estimate, keepout_values(estimate))
     return _pgm(np.where(values == NOTHING_KNOWN, _UNKNOWN_PIXEL, values).astype(np.uint8))
 
 
 def keepout_values(estimate: FovEstimate) -> NDArray[np.int8]:
-    """Return 100 (cells, cells) where nothing is seen, 0 where it is; beyond the sensor's reach nothing is said."""
+    """Return 100 (cells, cells) where nothing is seen, 0 where it is; beyond the sensor's reach nothing is claimed."""
     values = np.where(estimate.visible(), np.int8(0), np.int8(100))
     if estimate.basis is not None:
         values[polar_of_cells(estimate.grid)[0] > estimate.basis.reach_m] = NOTHING_KNOWN

@@ -33,7 +33,7 @@ def sweep_of_scan(scan: LaserScan) -> Sweep:
 
     Raises:
         ValueError: a number is missing or not finite, the limits are no limits, or the angles are not those of one turn
-            of so many ranges.
+            of this number of ranges.
     """
     ranges = np.asarray(scan.ranges, np.float32)
     intensity = np.asarray(scan.intensities, np.float32)

@@ -59,7 +59,7 @@ class Comparison:
         gaps_s: (K,) time from each to the next one.
         arrival_mps: (SECTORS,) speed that obstacles need to have come from the nearest cover. What stands where a beam
             passed freely came from behind an obstacle, from beyond the beams, or was one of the things near by. Where
-            the last sweep found the obstacle as well, the one before it is asked: it gives itself away for three.
+            the last sweep found the obstacle as well, the one before it is used: it gives itself away for three.
         appeared_m2: (SECTORS,) area of obstacles through which the last sweep looked. A beam that ended beyond a place
             proves that the place was empty. What moves uncovers and covers little of it between two sweeps: the front
             of a car, as wide as it drove. A spoofed object or wall stands there at once with all its surface.
@@ -105,7 +105,7 @@ def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
 
 def _elevations(leveled: LeveledSweep, rings: int) -> NDArray[np.float64]:
     """Return the mean elevation (rings,) of the returns of each ring; of those without returns, what lies between."""
-    step = max(len(leveled.sweep) // 4000, 1)  # so many rows are enough for a mean
+    step = max(len(leveled.sweep) // 4000, 1)  # 4,000 rows are enough for a mean
     points, ring = leveled.sweep.points[::step].astype(np.float64), leveled.sensor_id.ring
     assert ring is not None  # there is a range image
     ring = ring[::step]
@@ -139,7 +139,7 @@ def compare(monitored: MonitoredSweep) -> Comparison | None:
         gaps.append(gap_s)
     if not earlier:
         return None
-    # Most evidence asks for the same comparison; it holds no sweep, or the past of a stream would be kept.
+    # Most evidence needs the same comparison; it holds no sweep, or the past of a stream would be kept.
     key = ("comparison", *map(ref, earlier))
     comparison: Comparison | None = now.derived.get(key)
     if comparison is None:

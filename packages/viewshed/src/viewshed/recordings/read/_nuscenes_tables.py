@@ -149,7 +149,7 @@ def _lidar_rows(folder: Path, lidar: Mapping[str, bool], damage: list[str]) -> I
 
 
 def floats_of(parts: list[Any], lengths: tuple[int, ...]) -> array[float]:
-    """Return lists of so many numbers one after the other; all NaN where one is something else.
+    """Return lists of numbers, of these lengths, one after the other; all NaN where one is something else.
 
     >>> floats_of([[1, 2], [3.5]], (2, 1)), floats_of([[1, 2], None], (2, 1))
     (array('d', [1.0, 2.0, 3.5]), array('d', [nan, nan, nan]))

@@ -24,7 +24,7 @@ _PLAIN = {
     "null": r"~|null|Null|NULL|",
     "tag:yaml.org,2002:merge": r"<<",
 }
-"""Text without quotes that is a value, by tag: own ones, so that no tag of a file asks for what is not checked here.
+"""Text without quotes that is a value, by tag: own ones, so that no tag of a file needs what is not checked here.
 
 Integers to base 60 take minutes: they stay text."""
 

@@ -397,7 +397,7 @@ def _unzstd(packed: bytes, limit: int) -> bytes:
 
 
 _UNPACKERS = {"": _stored, "bz2": _bunzip2, "lz4": _unlz4, "zstd": _unzstd}
-"""What unpacks a chunk to at most so many bytes, by the name of the packing."""
+"""What unpacks a chunk to a bounded number of bytes, by the name of the packing."""
 
 
 class SqliteBag:
@@ -472,7 +472,7 @@ class SqliteBag:
 
 
 def _unpacked_zstd(packed: bytes) -> bytes:
-    """Return what a file or a message holds, whose unpacked length nobody tells."""
+    """Return what a file or a message holds, whose unpacked length is not given."""
     limit = unpack_limit(len(packed))
     try:
         content = _unzstd(packed, limit + 1)

@@ -22,7 +22,7 @@ _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
 _BYTES_MAX = 64_000_000
 
 _NEAR_NS = 50_000_000
-"""A sweep may lie so long before the first pose or after the last one."""
+"""Longest time of a sweep before the first pose or after the last one."""
 
 _GAP_NS = 2_000_000_000
 """Between poses farther apart than this nothing is interpolated."""

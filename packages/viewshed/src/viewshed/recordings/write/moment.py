@@ -163,7 +163,7 @@ class Moment:
         return None if self.answer.objects is None else tracks_of_agent(self.answer.objects)
 
     def explained(self) -> list[dict[str, object]] | None:
-        """Return what is said of each track as plain values; None where objects are not followed."""
+        """Return what describes each track as plain values; None where objects are not followed."""
         objects, tracks = self.answer.objects, self.tracks()
         return None if objects is None or tracks is None else explained_rows(objects, tracks)
 

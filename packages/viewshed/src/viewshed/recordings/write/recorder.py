@@ -38,7 +38,7 @@ def open_recorder(path: Path, schemas: str = "ros") -> Iterator[Record]:
             raise ValueError(f"Foxglove's schemas go into NAME.mcap, got {path}")
         from viewshed.recordings.write.foxglove_topics import foxglove_messages, foxglove_types
 
-        foxglove_types()  # what is not installed is said before anything is read
+        foxglove_types()  # what is not installed is reported before anything is read
         with open_bag_writer(path, profile="") as bag:
 
             def record(moment: Moment) -> None:

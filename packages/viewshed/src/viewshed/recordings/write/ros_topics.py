@@ -414,7 +414,7 @@ class RosTable:
 
     def __init__(self, *, ros1: bool) -> None:
         self.messages = RosMessages(ros1=ros1)
-        self._told: dict[str, int] = {}
+        self._sent_ns: dict[str, int] = {}
 
     def of(self, moment: Moment) -> Iterator[tuple[str, Any, bool]]:
         """Yield topic, message and whether it is latched, of all that a moment tells."""
@@ -422,9 +422,9 @@ class RosTable:
             name = ros_name(topic.name.format(agent=moment.agent))
             if topic.latched or topic.per_time:
                 now_ns = moment.t_ns if topic.per_time else 0
-                if self._told.get(name) == now_ns:
+                if self._sent_ns.get(name) == now_ns:
                     continue
-                self._told[name] = now_ns
+                self._sent_ns[name] = now_ns
             message = topic.make(self.messages, moment)
             if message is not None:
                 yield name, message, topic.latched

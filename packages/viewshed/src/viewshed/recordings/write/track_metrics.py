@@ -14,10 +14,10 @@ RANGE_M = 50.0
 """Objects and tracks that are farther from the sensor do not count."""
 
 REMEMBERED_S = 5.0
-"""An object counts from when it was seen until so long after it was seen last."""
+"""An object counts from when it was seen until this time after it was seen last."""
 
 NEAR_M = 2.0
-"""A track so near to an object that does not count is neither right nor false."""
+"""A track within this distance of an object that does not count is neither right nor false."""
 
 
 @dataclass(slots=True)

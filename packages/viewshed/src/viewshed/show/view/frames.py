@@ -30,7 +30,7 @@ MAX_POINTS = 10_000
 """Points of a sweep that are kept; the rest could not be distinguished at the size of a screen."""
 
 POINT_CELLS = 1024
-"""Of the points in each cell of a grid of so many, over the same extent, the highest is kept: it is drawn on top."""
+"""Cells a side of a grid over the same extent; of the points in a cell the highest is kept: it is drawn on top."""
 
 PROBABILITY_STEPS = 16
 

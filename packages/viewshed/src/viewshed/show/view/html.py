@@ -1,4 +1,4 @@
-"""The page: frames, style and script in one HTML file, which asks for nothing outside of it.
+"""The page: frames, style and script in one HTML file, which loads nothing outside of it.
 
 ``page.html`` has slots ``{{name}}``; ``page.css`` and ``page.js`` fill two of them. Frames are written as they come, so
 that memory does not grow with their number, and the file is there when all of it is written, or not at all.

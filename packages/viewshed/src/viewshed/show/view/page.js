@@ -11,7 +11,7 @@ const agents = [...new Set(abouts.flatMap(({ trust }) => (trust ?? []).map(([age
 const agentColor = (agent) => `hsl(${(agents.indexOf(agent) * 137 + 25) % 360} 70% 45%)`;
 const [map, strip, stage, root] = [element("map"), element("strip"), element("stage"), document.documentElement];
 
-let current = 0; // number of the frame that was asked for
+let current = 0; // number of the frame that was requested
 let shown = null; // its decoded arrays, and what was drawn of them
 let base = "states"; // which layer lies below
 const overlays = {}; // which layers lie on top
@@ -63,12 +63,12 @@ function frame(k) {
 async function show(k) {
   const wanted = (current = Math.max(0, Math.min(abouts.length - 1, k)));
   const [arrays, problem] = await frame(wanted).then((done) => [done, ""], (error) => [null, error.message]);
-  if (wanted !== current) return; // another one was asked for meanwhile
+  if (wanted !== current) return; // another one was requested meanwhile
   shown = arrays && { ...arrays };
   element("problem").textContent = problem && `Sweep ${wanted + 1} cannot be decoded: ${problem}`;
   tell();
   redraw();
-  if (wanted + 1 < abouts.length) frame(wanted + 1).catch(() => {}); // said when it is shown
+  if (wanted + 1 < abouts.length) frame(wanted + 1).catch(() => {}); // reported when it is shown
 }
 
 const color = (name) => getComputedStyle(root).getPropertyValue(`--${name}`).trim();

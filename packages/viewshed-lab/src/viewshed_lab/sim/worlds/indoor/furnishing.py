@@ -96,7 +96,7 @@ def furnish(floor_plan: FloorPlan, room: Rect, use: str, sides: tuple[int, ...] 
 def furnish_all(
     floor_plan: FloorPlan, rooms: Sequence[tuple[Rect, str]], hub_m: tuple[float, float], parts: int
 ) -> tuple[Rect, ...]:
-    """Furnish rooms from the nearest to a hub on; once the building has so many parts, the others are bare or empty.
+    """Furnish rooms from the nearest to a hub on; once the building has ``parts`` parts, the others are bare or empty.
 
     Returns:
         The rooms that are fully furnished.
