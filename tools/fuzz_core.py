@@ -51,7 +51,7 @@ def build_sanitized() -> Path:
 
 
 def run_sanitized(tests: list[str]) -> int:
-    """Run some tests, and then this tool again, with the sanitized core in place of the other."""
+    """Run this tool again, and some tests beside it, with the sanitized core in place of the other."""
     folder = build_sanitized()
     runtime = [
         subprocess.run(("gcc", f"-print-file-name={name}"), check=True, capture_output=True, text=True).stdout.strip()
@@ -63,14 +63,12 @@ def run_sanitized(tests: list[str]) -> int:
         "UBSAN_OPTIONS": "print_stacktrace=1",
         "VIEWSHED_CORE": str(folder),
     }
-    if tests:
-        command = (sys.executable, "-m", "pytest", "-n0", "-q", "-p", "fuzz_core", *tests)
-        there = environment | {"PYTHONPATH": str(Path(__file__).parent)}
-        code = subprocess.run(command, cwd=ROOT, env=there, check=False).returncode
-        if code:
-            return code
+    command = (sys.executable, "-m", "pytest", "-n0", "-q", "-p", "fuzz_core", *tests)
+    there = environment | {"PYTHONPATH": str(Path(__file__).parent)}
+    beside = subprocess.Popen(command, cwd=ROOT, env=there) if tests else None
     given = [each for each in sys.argv[1:] if each != "--sanitize" and each not in ("--tests", *tests)]
-    return subprocess.run((sys.executable, __file__, *given), env=environment, check=False).returncode
+    code = subprocess.run((sys.executable, __file__, *given), env=environment, check=False).returncode
+    return code or (0 if beside is None else beside.wait())
 
 
 def use_core_of(folder: str) -> None:
@@ -398,7 +396,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="only functions whose name holds this")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--sanitize", action="store_true", help="check addresses and undefined behavior")
-    parser.add_argument("--tests", nargs="*", default=[], help="with --sanitize: tests to run first")
+    parser.add_argument("--tests", nargs="*", default=[], help="with --sanitize: tests to run beside")
     given = parser.parse_args()
     if given.sanitize:
         return run_sanitized(given.tests)
