@@ -64,6 +64,21 @@ def overlaps(world: World, t_s: float) -> Iterator[tuple[str, str, float, float,
             yield *sorted(kinds), shared, shapes[a].centroid.x, shapes[a].centroid.y
 
 
+def in_the_way(world: World, times_s: NDArray[np.float64]) -> Iterator[tuple[str, float, str]]:
+    """Yield what still solids a carrier's box meets, from 0.45 m above its ground to 1.8 m: agent, time, kind."""
+    shapes, z, thing = outlines(world, 0.0)
+    still = np.array([world.things[k].track is None for k in thing], np.bool_)
+    tree = STRtree(shapes[still])
+    square = np.array([[2.3, 0.85], [-2.3, 0.85], [-2.3, -0.85], [2.3, -0.85]])
+    for agent in (one for one in world.agents if one.carrier is not None):
+        for t_s in times_s.tolist():
+            pose = world.pose_of(agent.carrier or 0, t_s)
+            near = tree.query(polygons(square @ pose.rotation[:2, :2].T + pose.translation[:2]), predicate="intersects")
+            low, high = z[still][near].T - pose.translation[2]
+            for k in thing[still][near[(high > 0.45) & (low < 1.8)]]:
+                yield agent.name, t_s, world.things[k].kind
+
+
 @pytest.mark.parametrize("name", TOWN + WILD)
 @pytest.mark.parametrize("plan", PLANS, ids=str)
 def test_nothing_stands_in_anything_else_at_any_time(name: str, plan: tuple[int, int, float]) -> None:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from shapely import STRtree, polygons
-from tests.sim.worlds.test_every_world import WILD, made, outlines
+from tests.sim.worlds.test_every_world import WILD, in_the_way, made
 
 from viewshed.sensors import lidar_model
 from viewshed_lab.sim.assets.shapes import material_index
@@ -30,21 +29,8 @@ STANDING = {
 
 @pytest.mark.parametrize("name", WILD)
 def test_the_way_of_a_vehicle_is_free(name: str) -> None:
-    """The box of the carrier, from 0.3 m above its ground up to the sensor, meets no solid that stands still."""
     for seed in range(4):
-        world = made(name, seed, (4, 3, 10.0))
-        shapes, z, thing = outlines(world, 0.0)
-        still = np.array([world.things[k].track is None for k in thing])
-        tree = STRtree(shapes[still])
-        for agent in (one for one in world.agents if one.carrier is not None):
-            for t_s in np.linspace(0.0, 10.0, 21):
-                pose = world.pose_of(agent.carrier or 0, t_s)
-                square = np.array([[2.3, 0.85], [-2.3, 0.85], [-2.3, -0.85], [2.3, -0.85]])
-                body = polygons(square @ pose.rotation[:2, :2].T + pose.translation[:2])
-                near = tree.query(body, predicate="intersects")
-                low, high = z[still][near].T - pose.translation[2]
-                met = [world.things[k].kind for k in thing[still][near[(high > 0.45) & (low < 1.8)]]]
-                assert met == [], (seed, agent.name, t_s)
+        assert list(in_the_way(made(name, seed, (4, 3, 10.0)), np.linspace(0.0, 10.0, 21))) == [], seed
 
 
 @pytest.mark.parametrize("name", WILD)
