@@ -12,6 +12,7 @@ NB_MODULE(_core, m) {
     viewshed::bind_reach(m);
     viewshed::bind_sensor_id(m);
     viewshed::bind_ground(m);
+    viewshed::bind_held_ground(m);
     viewshed::bind_leveling(m);
     viewshed::bind_no_return(m);
     viewshed::bind_grid(m);

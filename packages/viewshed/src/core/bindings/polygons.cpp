@@ -35,7 +35,7 @@ template <typename T>
 Out<T> array_of(const std::vector<T>& values) {
     Buffer<T> copy(values.size());
     std::copy(values.begin(), values.end(), copy.begin());
-    return std::move(copy).array();
+    return array(std::move(copy));
 }
 
 // Cells that a function of closed rings marks.
@@ -48,7 +48,7 @@ Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, st
         nb::gil_scoped_release unlocked;
         mark({view(points), from}, marked.view(cells, cells));
     }
-    return std::move(marked).array({cells, cells});
+    return array(std::move(marked), {cells, cells});
 }
 
 // Positive finite ranges of a number of wedges.
@@ -71,7 +71,7 @@ void bind_polygons(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 label_regions(view(mask), diagonal, labels.view(rows, columns));
             }
-            return std::move(labels).array({rows, columns});
+            return array(std::move(labels), {rows, columns});
         },
         "mask"_a.noconvert(), "diagonal"_a, "Number (rows, columns) of each cell's connected region, 0 for none.");
     m.def(
@@ -83,7 +83,7 @@ void bind_polygons(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 find_squared_depth(view(mask), depth.view(rows, columns));
             }
-            return std::move(depth).array({rows, columns});
+            return array(std::move(depth), {rows, columns});
         },
         "mask"_a.noconvert(), "Squared distance (rows, columns) to the nearest false cell, in cells.");
     m.def(
@@ -103,7 +103,7 @@ void bind_polygons(nb::module_& m) {
             }
             Buffer<std::int16_t> corners(rings->corners.size());
             std::copy(rings->corners.begin(), rings->corners.end(), corners.begin());
-            return nb::make_tuple(std::move(corners).array({rings->corners.size() / 2, std::size_t{2}}),
+            return nb::make_tuple(array(std::move(corners), {rings->corners.size() / 2, std::size_t{2}}),
                                   array_of(rings->begin), array_of(rings->region));
         },
         "mask"_a.noconvert(), "regions"_a.noconvert(),
@@ -154,7 +154,7 @@ void bind_polygons(nb::module_& m) {
                 find_free_ranges(view(mask), {x_m, y_m, cell_m, mask.shape(0)}, {apex_x_m, apex_y_m}, half_m, is_solid,
                                  ranges);
             }
-            return std::move(ranges).array();
+            return array(std::move(ranges));
         },
         "mask"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a, "apex_x_m"_a, "apex_y_m"_a, "half_m"_a, "bins"_a,
         "is_solid"_a, "How far (bins,) each wedge reaches from an apex before boxes about the false cells of a mask.");
@@ -173,7 +173,7 @@ void bind_polygons(nb::module_& m) {
                 vertices[2 * k] = found[k].angle;
                 vertices[2 * k + 1] = found[k].range;
             }
-            return std::move(vertices).array({found.size(), std::size_t{2}});
+            return array(std::move(vertices), {found.size(), std::size_t{2}});
         },
         "ranges"_a.noconvert(), "price_m2"_a,
         "Angle and range (V, 2) of the star polygon below ranges (bins,) with the most area less a price a vertex.");

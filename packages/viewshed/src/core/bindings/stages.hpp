@@ -1,16 +1,15 @@
 // The stages, each in a file of its own, that the module offers to Python.
 #pragma once
 
-#include "arrays.hpp"
+#include "bindings.hpp"
 
 namespace viewshed {
-
-using namespace nb::literals;
 
 void bind_range_image(nb::module_& m);
 void bind_reach(nb::module_& m);
 void bind_sensor_id(nb::module_& m);
 void bind_ground(nb::module_& m);
+void bind_held_ground(nb::module_& m);
 void bind_leveling(nb::module_& m);
 void bind_no_return(nb::module_& m);
 void bind_grid(nb::module_& m);
