@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.io.messages.pointcloud2 import PointField
 from viewshed.sweep import Sweep
 
-FLOAT32, UINT16, UINT32 = 7, 4, 6
+FLOAT32, UINT16 = 7, 4
 """Of ``PointField.datatype``."""
 
 

@@ -270,7 +270,6 @@ TINY_PAGES = {
     "robustness_tables": "robustness/robustness_tables.md",
     "paper": "paper/paper.md",
     "paper_strict": "paper/paper_strict.md",
-    "ablation": "ablation/ablation.md",
     "monitor_study": "deviation/deviation.md",
     "wild": "wild/wild.md",
     "agents": "agents/agents.md",
@@ -288,7 +287,6 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run = partial(_run, folder)
     run("study", "robustness", "--preset", "tiny", "--out", "robustness")
     run("study", "paper", "--preset", "tiny", "--out", "paper")
-    run("study", "ablation", "--preset", "tiny", "--out", "ablation")
     run("study", "deviation", "--preset", "tiny", "--out", "deviation")
     run("study", "wild", "--preset", "tiny", "--out", "wild")
     run("study", "agents", "--preset", "tiny", "--out", "agents")

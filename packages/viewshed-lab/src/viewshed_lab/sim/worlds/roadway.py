@@ -17,8 +17,8 @@ from viewshed_lab.sim.worlds.layout import Mast, Span, mast
 from viewshed_lab.sim.worlds.outdoor_ground import Relief
 from viewshed_lab.sim.worlds.traffic import Lane, line_lane
 
-HALF_M, ROAM_M = 112.0, 50.0
-"""Half the side of a world, and how far agents go from its middle."""
+HALF_M = 112.0
+"""Half the side of a world."""
 
 _CROWN, _MOST_LINES = 0.02, 46
 

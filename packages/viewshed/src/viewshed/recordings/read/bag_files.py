@@ -15,7 +15,7 @@ import contextlib
 import io
 import sqlite3
 import struct
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -151,10 +151,6 @@ class _UnpackBudget:
         self.spent += count
         if self.spent > self.limit:
             raise ValueError(f"is damaged: it unpacks to more than {self.limit} bytes in all; refused")
-
-
-Read = Callable[[int, int], bytes]
-"""(first byte, number of bytes) → what is there, of a file or of a chunk that was unpacked."""
 
 
 class _ChunkedBag:
