@@ -91,19 +91,12 @@ agent, a map, a camera. A removal alone is no evidence of an open view: what it 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one attack on one estimate of one scene, in the wedge where the truth is known.
+    """What came of one attack on one estimate of one scene, in the wedge where the truth is known."""
 
-    Attributes:
-        clean: the claims without an attack.
-        attacked: the claims under attack.
-        new: what is claimed under attack and not without, of it what the truth shows.
-        moving: whether the obstacle that the attack opens moves.
-    """
-
-    clean: ConfusionCounts
-    attacked: ConfusionCounts
-    new: ConfusionCounts
-    moving: bool = False
+    clean: ConfusionCounts  # the claims without an attack
+    attacked: ConfusionCounts  # the claims under attack
+    new: ConfusionCounts  # what is claimed under attack and not without, of it what the truth shows
+    moving: bool = False  # whether the obstacle that the attack opens moves
 
 
 Claims = dict[tuple[str, str], Mask]

@@ -47,19 +47,12 @@ class Arrays:
 
 @dataclass(frozen=True, slots=True)
 class SweepName:
-    """One sweep of the golden files.
+    """One sweep of the golden files."""
 
-    Attributes:
-        source: ``real``, or the preset that it is simulated from.
-        place: of a real sweep its path in index.json, else ``SCENE/FRAME`` of the preset's first split.
-        grid: ``road`` or ``indoor``.
-        attack: of ``ATTACKS``, or empty.
-    """
-
-    source: str
-    place: str
-    grid: str
-    attack: str = ""
+    source: str  # ``real``, or the preset that it is simulated from
+    place: str  # of a real sweep its path in index.json, else ``SCENE/FRAME`` of the preset's first split
+    grid: str  # ``road`` or ``indoor``
+    attack: str = ""  # of ``ATTACKS``, or empty
 
     def __str__(self) -> str:
         return f"{self.source}:{self.place}{self.attack and '+'}{self.attack}"

@@ -24,16 +24,11 @@ _HALF_EXTENT_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Things on a plane.
+    """Things on a plane."""
 
-    Attributes:
-        boxes: upright boxes.
-        cylinders: upright cylinders.
-        slope: the ground rises by (a, b) meters for each meter of x and y; it is 0 below the sensor.
-    """
-
-    boxes: tuple[Box, ...] = ()
-    cylinders: tuple[Cylinder, ...] = ()
+    boxes: tuple[Box, ...] = ()  # upright boxes
+    cylinders: tuple[Cylinder, ...] = ()  # upright cylinders
+    # the ground rises by (a, b) meters for each meter of x and y; it is 0 below the sensor
     slope: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:

@@ -23,15 +23,10 @@ SURE = np.float32(0.98)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewLie:
-    """How one agent lies about what it sees, the same way for a whole scene.
+    """How one agent lies about what it sees, the same way for a whole scene."""
 
-    Attributes:
-        azimuth: toward which it lies, radians in ``level``.
-        amount: how much: share of the visible area, meters, seconds; see each lie.
-    """
-
-    azimuth: float
-    amount: float
+    azimuth: float  # toward which it lies, radians in ``level``
+    amount: float  # how much: share of the visible area, meters, seconds; see each lie
 
 
 def over_claim(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
