@@ -38,7 +38,7 @@ def _fields(of_class: Any) -> Iterator[str]:
             before = takewhile(lambda line: line.lstrip().startswith("# "), reversed(lines[: member.lineno - 1]))
             words = behind[1] if behind else " ".join(line.strip()[2:] for line in reversed(list(before)))
             if words:
-                yield f"{name}: {ROLE.sub(_code, words).rstrip(".")}."
+                yield f"{name}: {ROLE.sub(_code, words).rstrip('.')}."
 
 
 def _code(role: re.Match[str]) -> str:
