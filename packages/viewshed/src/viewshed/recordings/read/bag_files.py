@@ -38,23 +38,14 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message as it is stored.
+    """One message as it is stored."""
 
-    Attributes:
-        topic: what it belongs to.
-        kind: its type, as ROS 2 writes it.
-        encoding: ``cdr`` or ``ros1``.
-        t_ns: when it was recorded, nanoseconds.
-        where: how :meth:`BagFile.message` finds it again.
-        raw: its bytes.
-    """
-
-    topic: str
-    kind: str
-    encoding: str
-    t_ns: int
-    where: str
-    raw: bytes
+    topic: str  # what it belongs to
+    kind: str  # its type, as ROS 2 writes it
+    encoding: str  # ``cdr`` or ``ros1``
+    t_ns: int  # when it was recorded, nanoseconds
+    where: str  # how :meth:`BagFile.message` finds it again
+    raw: bytes  # its bytes
 
 
 class BagFile(Protocol):
