@@ -100,8 +100,7 @@ def main() -> int:
         ]
         if number == 0:
             write_atomic(
-                pictures / f"{situation.name}_dark.png",
-                estimate.plot(leveled, f"{situation.title}\n{line}", dark=True),
+                pictures / f"{situation.name}_dark.png", estimate.plot(leveled, f"{situation.title}\n{line}", dark=True)
             )
             parts += [
                 "The same on a dark page (`--dark`):",

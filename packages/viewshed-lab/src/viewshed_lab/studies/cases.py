@@ -206,10 +206,7 @@ def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
     """Return a scan of a sensor that has only some of its rings (R,), from the lowest up."""
     model = scan.model
     fewer = replace(
-        model,
-        elevation=model.elevation[kept],
-        azimuth_offset=model.azimuth_offset[kept],
-        origin_m=model.origin_m[kept],
+        model, elevation=model.elevation[kept], azimuth_offset=model.azimuth_offset[kept], origin_m=model.origin_m[kept]
     )
     return replace(
         scan,

@@ -156,9 +156,7 @@ def _wedge(cells: NDArray[np.bool_], azimuth: NDArray[np.float32], lie: ViewLie,
 def _turned(view: FovEstimate, cells: NDArray[np.bool_], state: CellState) -> FovEstimate:
     prob = 1 - SURE if state == CellState.HIDDEN else SURE
     return replace(
-        view,
-        visible_prob=np.where(cells, prob, view.visible_prob),
-        state=np.where(cells, np.uint8(state), view.state),
+        view, visible_prob=np.where(cells, prob, view.visible_prob), state=np.where(cells, np.uint8(state), view.state)
     )
 
 

@@ -115,13 +115,7 @@ class WholeSweepTrainer:
         return (weight * np.count_nonzero(weight)).astype(np.float32)
 
     def _network(
-        self,
-        chosen: NDArray[np.bool_],
-        labels: F32,
-        weight: F32,
-        freedom: Freedom,
-        epochs: int,
-        seed: int,
+        self, chosen: NDArray[np.bool_], labels: F32, weight: F32, freedom: Freedom, epochs: int, seed: int
     ) -> StatisticsNetwork:
         rng = np.random.Generator(np.random.PCG64(seed))
         kinds = len(self.earlier)

@@ -255,12 +255,7 @@ class MateTrust:
         return np.array([self.tracks.get(int(track), unknown) for track in ids]).reshape(-1, 2)
 
     def update(
-        self,
-        t_s: float,
-        reports: Sequence[MateReport],
-        ids: NDArray[np.int64],
-        xy_m: F64,
-        updates: NDArray[np.int32],
+        self, t_s: float, reports: Sequence[MateReport], ids: NDArray[np.int64], xy_m: F64, updates: NDArray[np.int32]
     ) -> None:
         """Let agents and tracks of the center measure each other once.
 

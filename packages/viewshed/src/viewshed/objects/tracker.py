@@ -364,12 +364,7 @@ class Tracker:
         self._table, self._last, self._view = _no_tracks(self.rules.motion), None, None
 
     def step(
-        self,
-        t_s: float,
-        detections: Detections,
-        view: View,
-        noise: F64 | None = None,
-        false_odds: F64 | None = None,
+        self, t_s: float, detections: Detections, view: View, noise: F64 | None = None, false_odds: F64 | None = None
     ) -> Tracks:
         """Return all tracks after the detections of one sweep.
 
@@ -558,10 +553,7 @@ def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion
     """Return the densities (2, M) per square meter of each track's detection, as a usual one and as an outlier."""
     off, noise = measured.boxes[:, :2] - states[:, :2], measured.noise
     densities = []
-    for share, spread in (
-        (1.0 - motion.outlier_share, noise),
-        (motion.outlier_share, motion.outlier_noise(noise)),
-    ):
+    for share, spread in ((1.0 - motion.outlier_share, noise), (motion.outlier_share, motion.outlier_noise(noise))):
         inverses, determinants = inverse(covariances[:, :2, :2] + spread)
         squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
         densities.append(share * np.exp(center_log_density(squared, determinants)))

@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
-from viewshed_lab.sim.assets.street import (
-    bush,
-    concrete_barrier,
-    guard_rail,
-    lamp_post,
-    pick,
-    place_at,
-    sign,
-    tree,
-)
+from viewshed_lab.sim.assets.street import bush, concrete_barrier, guard_rail, lamp_post, pick, place_at, sign, tree
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import DECK, AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, mast, spots

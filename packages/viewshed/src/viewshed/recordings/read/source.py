@@ -195,9 +195,7 @@ class RecordingSource:
 
 
 def each_sweep(
-    source: SweepSource,
-    scenes: Iterable[str] | None = None,
-    on_damage: Callable[[str, str], None] | None = None,
+    source: SweepSource, scenes: Iterable[str] | None = None, on_damage: Callable[[str, str], None] | None = None
 ) -> Iterator[tuple[SweepRef, Sweep]]:
     """Yield the sweeps of a recording with their refs, scene by scene, in time order.
 
