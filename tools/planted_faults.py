@@ -32,8 +32,8 @@ _NO_DEFINITION = r"(namespace|using|enum|template|public|private)\b"
 class Fault:
     """One fault: in the source of ``symbol``, ``find`` (which must occur once) becomes ``replace``.
 
-    ``symbol`` is a function or constant after "core.FILE:" or "core.bindings.FILE:". ``find`` is compared without regard
-    to white space and to a comma before a closing bracket.
+    ``symbol`` is a function or constant after "core.FILE:" or "core.bindings.FILE:". ``find`` is compared without
+    regard to white space and to a comma before a closing bracket.
     """
 
     what: str
