@@ -1,0 +1,338 @@
+#include "guarantees.hpp"
+
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <optional>
+#include <utility>
+
+#include "parallel.hpp"
+#include "stages.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+constexpr float INFINITE = std::numeric_limits<float>::infinity();
+
+// Rows of cells, and points, that are worth a thread.
+constexpr std::size_t ROWS = 32, PART = 8192;
+
+// A window this many firings wide has that many, whatever its rounding.
+constexpr double ROUNDING = 1e-6;
+
+// Nearest returns (rings, 2 * columns) of the beams, the circle twice, so that no window is cut.
+using Nearest = View2<const float>;
+
+INLINE std::int32_t count_before(const float* __restrict range_m, std::size_t width, float near_m) {
+    std::int32_t count = 0;
+    for (std::size_t k = 0; k < width; ++k) count += range_m[k] < near_m;
+    return count;
+}
+
+// Write the margins of the cells of some rows: over the rings that pass, the firings sent less the beams blocked, not below 0.
+MULTIVERSION void count_margins(const SentBeams& sent, Nearest nearest, std::size_t first, std::size_t last, std::int32_t* margin) {
+    for (std::size_t cell = first; cell < last; ++cell) {
+        const SentBeams::Window& at = sent.windows[cell];
+        std::int32_t sum = 0;
+        if (at.firings > 0) {
+            for (std::size_t ring = at.ring; ring < at.ring_end; ++ring) {
+                if (!sent.passes(cell, ring)) continue;
+                const std::int32_t left = sent.firings(at, ring) - count_before(nearest[ring] + at.begin, at.width, at.near_m);
+                sum += left > 0 ? left : 0;
+            }
+        }
+        margin[cell] = sum;
+    }
+}
+
+// A cell that an attacker may change: how many of its beams must change, and which of them can: those that are blocked, where
+// the attacker opens, and those that are not, where it may have opened already.
+struct Attackable {
+    std::int32_t least;
+    bool opens;
+
+    // How many beams must change in a cell of this margin, 0 where none need to.
+    std::int32_t needed(std::int32_t margin) const {
+        const std::int32_t needed = opens ? least - margin : margin - least + 1;
+        return needed > 0 ? needed : 0;
+    }
+};
+
+// Add to each beam of a ring the cells that it helps to change, each shared by the beams that are needed there.
+void share_cells(const SentBeams& sent, Nearest nearest, const std::int32_t* margin, const std::uint8_t* counts,
+                 const Attackable& rule, std::int32_t most, std::size_t ring, double* weight) {
+    for (std::size_t cell = 0; cell < sent.windows.size(); ++cell) {
+        const SentBeams::Window& at = sent.windows[cell];
+        const std::int32_t needed = rule.needed(margin[cell]);
+        if (at.firings == 0 || needed == 0 || needed > most || !counts[cell] || !sent.passes(cell, ring)) continue;
+        const double share = 1.0 / needed;
+        const float* const range_m = nearest[ring] + at.begin;
+        for (std::size_t k = 0; k < at.width; ++k) {
+            const std::size_t half = at.begin + k;
+            weight[half < sent.columns ? half : half - sent.columns] += ((range_m[k] < at.near_m) == rule.opens) ? share : 0.0;
+        }
+    }
+}
+
+// Whether a wedge of `wide` columns anywhere can change a cell, and between which of its starts, see wedge_changes.
+bool wedge_starts(const SentBeams& sent, Nearest nearest, std::size_t cell, std::int32_t needed, bool opens, std::size_t wide,
+                  std::vector<std::int32_t>& changes, std::int64_t& first, std::int64_t& last) {
+    const SentBeams::Window& at = sent.windows[cell];
+    // The beams of each column that can change.
+    changes.assign(at.width, 0);
+    for (std::size_t ring = at.ring; ring < at.ring_end; ++ring) {
+        if (!sent.passes(cell, ring)) continue;
+        const float* const range_m = nearest[ring] + at.begin;
+        for (std::size_t k = 0; k < at.width; ++k) changes[k] += (range_m[k] < at.near_m) == opens;
+    }
+    // The most that a wedge covers.
+    std::int32_t covered = 0, most = 0;
+    for (std::size_t k = 0; k < at.width; ++k) {
+        covered += changes[k] - (k >= wide ? changes[k - wide] : 0);
+        most = std::max(most, covered);
+    }
+    if (most < needed) return false;
+    // It must reach the column up to which enough can change from the left, and begin no later than that from the right.
+    std::int32_t left = 0, right = 0;
+    std::size_t reach = 0, begin = at.width;
+    while (left < needed) left += changes[reach++];
+    while (right < needed) right += changes[--begin];
+    first = std::int64_t(at.begin + reach) - std::int64_t(wide);
+    last = std::int64_t(at.begin + begin);
+    return first <= last;
+}
+
+// The rings of the points by elevation: the beam whose line passes nearest at the point's range.
+std::size_t ring_of(float x, float y, float z, View1<const float> tangent, View1<const float> origin_m) {
+    const float range_m = std::max(std::sqrt(x * x + y * y), 1e-6f);
+    const auto miss = [&](std::size_t ring) { return std::fabs(z - origin_m[ring] - range_m * tangent[ring]); };
+    std::size_t ring = std::size_t(std::lower_bound(tangent.begin(), tangent.end(), z / range_m) - tangent.begin());
+    ring = std::min(ring, tangent.size - 1);
+    while (ring > 0 && miss(ring - 1) <= miss(ring)) --ring;
+    while (ring + 1 < tangent.size && miss(ring + 1) < miss(ring)) ++ring;
+    return ring;
+}
+
+// Write the horizontal range of the nearest return of each beam (rings, 2 * columns). `row` (N,) are the points' rings, or empty
+// where the table says; returns outside (near_m, far_m) are none.
+void find_nearest(View2<const float> points, const Buffer<std::int16_t>& row, const Buffer<float>& turn,
+                  View1<const float> tangent, View1<const float> origin_m, std::size_t columns, double near_m, double far_m,
+                  Buffer<float>& nearest) {
+    const float per_rad = float(double(columns) / (2 * std::numbers::pi));
+    const auto near_m2 = float(near_m * near_m), far_m2 = float(far_m * far_m);
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        const float x = points(n, 0), y = points(n, 1), z = points(n, 2), square_m2 = x * x + y * y + z * z;
+        if (!(square_m2 >= near_m2 && square_m2 <= far_m2)) continue;
+        const float lx = turn[0] * x + turn[1] * y + turn[2] * z, ly = turn[3] * x + turn[4] * y + turn[5] * z;
+        const std::size_t ring = row.size() > 0 ? std::size_t(row[n]) : ring_of(x, y, z, tangent, origin_m);
+        const std::size_t half = std::min(std::size_t((azimuth_of(ly, lx) + PI) * per_rad), columns - 1);
+        float& at = nearest[ring * 2 * columns + half];
+        at = std::min(at, std::sqrt(lx * lx + ly * ly));
+    }
+    // The circle once more.
+    for (std::size_t ring = 0; ring < tangent.size; ++ring) {
+        float* const of = nearest.data() + ring * 2 * columns;
+        std::copy(of, of + columns, of + columns);
+    }
+}
+
+}  // namespace
+
+SentBeams::SentBeams(View2<const float> range, View2<const float> azimuth_, View2<const std::uint8_t> fired, std::size_t rings_,
+                     std::size_t columns_, double cell_m, double width_m, double farthest_m)
+    : range_m(range.data, range.data + range.size()), azimuth(azimuth_.data, azimuth_.data + range.size()), rows(range.rows),
+      grid_columns(range.columns), rings(rings_), columns(columns_), words((rings_ + 63) / 64), windows(range.size()) {
+    constexpr double TURN = 2 * std::numbers::pi;
+    if (fired.data != nullptr) {
+        fired_before.resize(rings * (2 * columns + 1));
+        for (std::size_t ring = 0; ring < rings; ++ring) {
+            std::uint32_t* const before = &fired_before[ring * (2 * columns + 1)];
+            for (std::size_t k = 0; k < 2 * columns; ++k) before[k + 1] = before[k] + (fired(ring, k % columns) != 0);
+        }
+    }
+    for (std::size_t cell = 0; cell < windows.size(); ++cell) {
+        const float r = range_m[cell], near_m = r - float(cell_m);
+        if (near_m <= 0.0f || r > float(farthest_m)) continue;
+        // The columns whose middles lie within the target's width, and the firings that surely do.
+        const double half = std::atan2(width_m / 2, double(r)) / TURN * double(columns);
+        const double left = (double(azimuth[cell]) + std::numbers::pi) / TURN * double(columns) - half;
+        const auto begin = std::int64_t(std::ceil(left - 0.5)), end = std::int64_t(std::floor(left + 2 * half - 0.5)) + 1;
+        if (end <= begin) continue;
+        const auto turn = std::int64_t(columns);
+        windows[cell] = {std::uint32_t((begin + turn) % turn), std::uint32_t(std::min(end - begin, turn)),
+                         std::int32_t(std::floor(2 * half + ROUNDING)), near_m, 0, 0};
+    }
+}
+
+SentBeams SentBeams::aimed(View2<const float> low_m, View2<const float> high_m, View2<const float> slope,
+                           View1<const float> start_m) const {
+    SentBeams with = *this;
+    with.ring_bits.assign(windows.size() * words, 0);
+    const double per_rad = double(slope.columns) / (2 * std::numbers::pi);
+    for_ranges(rows, count_parts(rows, ROWS), [&](std::size_t, std::size_t first_row, std::size_t end_row) {
+        for (std::size_t cell = first_row * grid_columns; cell < end_row * grid_columns; ++cell) {
+            Window& at = with.windows[cell];
+            if (at.firings == 0) continue;
+            const auto turned = std::size_t(std::max((double(azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
+            const std::size_t sector = std::min(turned, slope.columns - 1);
+            at.ring = std::uint16_t(rings);
+            for (std::size_t ring = 0; ring < rings; ++ring) {
+                const float z_m = start_m[ring] + range_m[cell] * slope(ring, sector);
+                if (!(z_m >= low_m.data[cell] && z_m <= high_m.data[cell])) continue;
+                with.ring_bits[cell * words + ring / 64] |= std::uint64_t(1) << (ring % 64);
+                at.ring = std::min(at.ring, std::uint16_t(ring));
+                at.ring_end = std::uint16_t(ring + 1);
+            }
+        }
+    });
+    return with;
+}
+
+void bind_guarantees(nb::module_& m) {
+    static const auto same_cells = [](const SentBeams& sent, std::size_t rows, std::size_t columns) {
+        require(rows == sent.rows && columns == sent.grid_columns, "cells must be those of the beams that are sent");
+    };
+    nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
+        .def(
+            "__init__",
+            [](SentBeams* self, In2<float> range_m, In2<float> azimuth, std::optional<In2<std::uint8_t>> fired, std::size_t rings,
+               std::size_t columns, double cell_m, double width_m, double farthest_m) {
+                require(azimuth.shape(0) == range_m.shape(0) && azimuth.shape(1) == range_m.shape(1),
+                        "range_m and azimuth must have one shape (cells, cells)");
+                require(range_m.size() < (1u << 28), "cells must be fewer than 2^28");
+                require(rings >= 1 && rings <= 4096, "rings must lie in [1, 4096]");
+                require(columns >= 4 && columns <= 36000, "columns must lie in [4, 36000]");
+                require(!fired || (fired->shape(0) == rings && fired->shape(1) == columns), "fired must be (rings, columns)");
+                require(cell_m > 0 && width_m > 0 && std::isfinite(cell_m) && std::isfinite(width_m),
+                        "cell_m and width_m must be positive and finite");
+                const Buffer<float> ranges = copy_of(view(range_m).flat()), angles = copy_of(view(azimuth).flat());
+                for (std::size_t n = 0; n < ranges.size(); ++n) {
+                    require(ranges[n] >= 0 && ranges[n] < INFINITE && std::fabs(angles[n]) < 3.2f,
+                            "range_m must be finite, not negative, and azimuth lie in [-pi, pi]");
+                }
+                const std::size_t rows = range_m.shape(0), cells = range_m.shape(1);
+                const View2<const std::uint8_t> all{nullptr, 0, 0};
+                new (self) SentBeams({ranges.data(), rows, cells}, {angles.data(), rows, cells}, fired ? view(*fired) : all, rings,
+                                     columns, cell_m, width_m, farthest_m);
+            },
+            "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "fired"_a.noconvert().none(), "rings"_a, "columns"_a, "cell_m"_a,
+            "width_m"_a, "farthest_m"_a)
+        .def(
+            "aimed",
+            [](const SentBeams& self, In2<float> low_m, In2<float> high_m, In2<float> slope, In1<float> start_m) {
+                same_cells(self, low_m.shape(0), low_m.shape(1));
+                same_cells(self, high_m.shape(0), high_m.shape(1));
+                require(slope.shape(0) == self.rings && slope.shape(1) > 0 && start_m.shape(0) == self.rings,
+                        "slope must be (rings, sectors) and start_m (rings,)");
+                const nb::gil_scoped_release release;
+                return self.aimed(view(low_m), view(high_m), view(slope), view(start_m));
+            },
+            "low_m"_a.noconvert(), "high_m"_a.noconvert(), "slope"_a.noconvert(), "start_m"_a.noconvert());
+    m.def(
+        "nearest_returns",
+        [](Points points, std::optional<In1<std::int16_t>> ring, In2<float> rotation, In1<float> tangent, In1<float> origin_m,
+           std::size_t columns, double near_m, double far_m) {
+            const std::size_t rings = tangent.shape(0), count = points.shape(0);
+            require(rings > 0 && rings <= 4096 && origin_m.shape(0) == rings, "tangent and origin_m must be (rings,)");
+            require(rotation.shape(0) == 3 && rotation.shape(1) == 3, "rotation must be (3, 3)");
+            require(columns >= 4 && columns <= 36000, "columns must lie in [4, 36000]");
+            require(!ring || ring->shape(0) == count, "ring must be (N,) like points");
+            // Another thread may write it: what is checked is what is used.
+            Buffer<std::int16_t> rows(0);
+            if (ring) rows = indices_of(view(*ring), std::int16_t(0), std::int16_t(rings - 1), "ring");
+            const Buffer<float> turn = copy_of(view(rotation).flat());
+            Buffer<float> nearest(rings * 2 * columns, INFINITE);
+            {
+                const nb::gil_scoped_release release;
+                find_nearest(view(points), rows, turn, view(tangent), view(origin_m), columns, near_m, far_m, nearest);
+            }
+            return std::move(nearest).array({rings, 2 * columns});
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "rotation"_a.noconvert(), "tangent"_a.noconvert(),
+        "origin_m"_a.noconvert(), "columns"_a, "near_m"_a, "far_m"_a);
+    static const auto checked = [](const SentBeams& sent, const In2<float>& nearest) {
+        require(!sent.ring_bits.empty(), "sent must be aimed first");
+        require(nearest.shape(0) == sent.rings && nearest.shape(1) == 2 * sent.columns,
+                "nearest must be (rings, 2 * columns) of the same sensor");
+        return view(nearest);
+    };
+    m.def(
+        "envelope_margins",
+        [](const SentBeams& sent, In2<float> nearest_m) {
+            const Nearest nearest = checked(sent, nearest_m);
+            Buffer<std::int32_t> margin(sent.windows.size());
+            {
+                const nb::gil_scoped_release release;
+                for_ranges(sent.rows, count_parts(sent.rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
+                    count_margins(sent, nearest, first * sent.grid_columns, last * sent.grid_columns, margin.data());
+                });
+            }
+            return std::move(margin).array({sent.rows, sent.grid_columns});
+        },
+        "sent"_a, "nearest"_a.noconvert());
+    m.def(
+        "cells_of_beams",
+        [](const SentBeams& sent, In2<float> nearest_m, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
+           std::int32_t most, bool opens) {
+            const Nearest nearest = checked(sent, nearest_m);
+            same_cells(sent, margins.shape(0), margins.shape(1));
+            same_cells(sent, counts.shape(0), counts.shape(1));
+            Buffer<double> weight(sent.rings * sent.columns, 0.0);
+            {
+                const Attackable rule{least, opens};
+                const nb::gil_scoped_release release;
+                for_ranges(sent.rings, count_parts(sent.rings, 4), [&](std::size_t, std::size_t first, std::size_t last) {
+                    for (std::size_t ring = first; ring < last; ++ring) {
+                        share_cells(sent, nearest, margins.data(), reinterpret_cast<const std::uint8_t*>(counts.data()), rule,
+                                    most, ring, weight.data() + ring * sent.columns);
+                    }
+                });
+            }
+            return std::move(weight).array({sent.rings, sent.columns});
+        },
+        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "most"_a, "opens"_a);
+    m.def(
+        "wedge_changes",
+        [](const SentBeams& sent, In2<float> nearest_m, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
+           std::size_t wide, bool opens) {
+            const Nearest nearest = checked(sent, nearest_m);
+            same_cells(sent, margins.shape(0), margins.shape(1));
+            same_cells(sent, counts.shape(0), counts.shape(1));
+            const std::size_t columns = sent.columns;
+            require(wide >= 1 && wide <= columns / 2, "wide must lie in [1, columns / 2]");
+            Buffer<bool> changes(sent.windows.size(), false);
+            // How many cells more a wedge changes that begins in a column than one before it; starts from -columns on.
+            std::vector<std::int64_t> more(4 * columns + 1, 0);
+            const Attackable rule{least, opens};
+            {
+                const nb::gil_scoped_release release;
+                std::vector<std::int32_t> column;
+                for (std::size_t cell = 0; cell < sent.windows.size(); ++cell) {
+                    const std::int32_t needed = rule.needed(margins.data()[cell]);
+                    std::int64_t first = 0, last = 0;
+                    if (sent.windows[cell].firings == 0 || needed == 0 || !counts.data()[cell]) continue;
+                    if (!wedge_starts(sent, nearest, cell, needed, opens, wide, column, first, last)) continue;
+                    changes[cell] = true;
+                    // No start counts a cell twice, however wide the wedge.
+                    last = std::min(last, first + std::int64_t(columns) - 1);
+                    ++more[std::size_t(first + std::int64_t(columns))];
+                    --more[std::size_t(last + std::int64_t(columns) + 1)];
+                }
+            }
+            std::vector<std::int64_t> at(columns, 0);
+            std::int64_t now = 0;
+            for (std::size_t s = 0; s < 4 * columns; ++s) {
+                now += more[s];
+                at[s % columns] += now;
+            }
+            return std::pair(*std::max_element(at.begin(), at.end()), std::move(changes).array({sent.rows, sent.grid_columns}));
+        },
+        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "wide"_a, "opens"_a);
+}
+
+}  // namespace viewshed
