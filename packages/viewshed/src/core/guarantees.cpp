@@ -2,6 +2,7 @@
 
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
 
 #include <algorithm>
 #include <cmath>
@@ -37,14 +38,12 @@ INLINE std::int32_t count_before(const float* __restrict range_m, std::size_t wi
 // Write the margins of the cells of some rows: over the rings that pass, the firings sent less the beams blocked, not below 0.
 MULTIVERSION void count_margins(const SentBeams& sent, Nearest nearest, std::size_t first, std::size_t last, std::int32_t* margin) {
     for (std::size_t cell = first; cell < last; ++cell) {
-        const SentBeams::Window& at = sent.windows[cell];
+        const TargetColumns::Window& at = sent.of->windows[cell];
         std::int32_t sum = 0;
-        if (at.firings > 0) {
-            for (std::size_t ring = at.ring; ring < at.ring_end; ++ring) {
-                if (!sent.passes(cell, ring)) continue;
-                const std::int32_t left = sent.firings(at, ring) - count_before(nearest[ring] + at.begin, at.width, at.near_m);
-                sum += left > 0 ? left : 0;
-            }
+        for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
+            if (!sent.passes(cell, ring)) continue;
+            const std::int32_t left = sent.of->firings(at, ring) - count_before(nearest[ring] + at.begin, at.width, at.near_m);
+            sum += left > 0 ? left : 0;
         }
         margin[cell] = sum;
     }
@@ -66,15 +65,16 @@ struct Attackable {
 // Add to each beam of a ring the cells that it helps to change, each shared by the beams that are needed there.
 void share_cells(const SentBeams& sent, Nearest nearest, const std::int32_t* margin, const std::uint8_t* counts,
                  const Attackable& rule, std::int32_t most, std::size_t ring, double* weight) {
-    for (std::size_t cell = 0; cell < sent.windows.size(); ++cell) {
-        const SentBeams::Window& at = sent.windows[cell];
+    const std::size_t columns = sent.of->columns;
+    for (std::size_t cell = 0; cell < sent.ring.size(); ++cell) {
+        const TargetColumns::Window& at = sent.of->windows[cell];
         const std::int32_t needed = rule.needed(margin[cell]);
-        if (at.firings == 0 || needed == 0 || needed > most || !counts[cell] || !sent.passes(cell, ring)) continue;
+        if (needed == 0 || needed > most || !counts[cell] || !sent.passes(cell, ring)) continue;
         const double share = 1.0 / needed;
         const float* const range_m = nearest[ring] + at.begin;
         for (std::size_t k = 0; k < at.width; ++k) {
-            const std::size_t half = at.begin + k;
-            weight[half < sent.columns ? half : half - sent.columns] += ((range_m[k] < at.near_m) == rule.opens) ? share : 0.0;
+            const std::size_t column = at.begin + k;
+            weight[column < columns ? column : column - columns] += ((range_m[k] < at.near_m) == rule.opens) ? share : 0.0;
         }
     }
 }
@@ -82,10 +82,10 @@ void share_cells(const SentBeams& sent, Nearest nearest, const std::int32_t* mar
 // Whether a wedge of `wide` columns anywhere can change a cell, and between which of its starts, see wedge_changes.
 bool wedge_starts(const SentBeams& sent, Nearest nearest, std::size_t cell, std::int32_t needed, bool opens, std::size_t wide,
                   std::vector<std::int32_t>& changes, std::int64_t& first, std::int64_t& last) {
-    const SentBeams::Window& at = sent.windows[cell];
+    const TargetColumns::Window& at = sent.of->windows[cell];
     // The beams of each column that can change.
     changes.assign(at.width, 0);
-    for (std::size_t ring = at.ring; ring < at.ring_end; ++ring) {
+    for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
         if (!sent.passes(cell, ring)) continue;
         const float* const range_m = nearest[ring] + at.begin;
         for (std::size_t k = 0; k < at.width; ++k) changes[k] += (range_m[k] < at.near_m) == opens;
@@ -143,10 +143,11 @@ void find_nearest(View2<const float> points, const Buffer<std::int16_t>& row, co
 
 }  // namespace
 
-SentBeams::SentBeams(View2<const float> range, View2<const float> azimuth_, View2<const std::uint8_t> fired, std::size_t rings_,
-                     std::size_t columns_, double cell_m, double width_m, double farthest_m)
-    : range_m(range.data, range.data + range.size()), azimuth(azimuth_.data, azimuth_.data + range.size()), rows(range.rows),
-      grid_columns(range.columns), rings(rings_), columns(columns_), words((rings_ + 63) / 64), windows(range.size()) {
+TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimuth_, View2<const std::uint8_t> fired,
+                             std::size_t rings_, std::size_t columns_, double cell_m, double width_m, double farthest_m)
+    : rows(range.rows), grid_columns(range.columns), rings(rings_), columns(columns_),
+      range_m(range.data, range.data + range.size()), azimuth(azimuth_.data, azimuth_.data + range.size()),
+      windows(range.size()) {
     constexpr double TURN = 2 * std::numbers::pi;
     if (fired.data != nullptr) {
         fired_before.resize(rings * (2 * columns + 1));
@@ -158,50 +159,52 @@ SentBeams::SentBeams(View2<const float> range, View2<const float> azimuth_, View
     for (std::size_t cell = 0; cell < windows.size(); ++cell) {
         const float r = range_m[cell], near_m = r - float(cell_m);
         if (near_m <= 0.0f || r > float(farthest_m)) continue;
-        // The columns whose middles lie within the target's width, and the firings that surely do.
         const double half = std::atan2(width_m / 2, double(r)) / TURN * double(columns);
         const double left = (double(azimuth[cell]) + std::numbers::pi) / TURN * double(columns) - half;
         const auto begin = std::int64_t(std::ceil(left - 0.5)), end = std::int64_t(std::floor(left + 2 * half - 0.5)) + 1;
-        if (end <= begin) continue;
-        const auto turn = std::int64_t(columns);
+        const auto turn = std::int64_t(columns), firings = std::int64_t(std::floor(2 * half + ROUNDING));
+        if (end <= begin || firings == 0) continue;
         windows[cell] = {std::uint32_t((begin + turn) % turn), std::uint32_t(std::min(end - begin, turn)),
-                         std::int32_t(std::floor(2 * half + ROUNDING)), near_m, 0, 0};
+                         std::int32_t(firings), near_m};
     }
 }
 
-SentBeams SentBeams::aimed(View2<const float> low_m, View2<const float> high_m, View2<const float> slope,
-                           View1<const float> start_m) const {
-    SentBeams with = *this;
-    with.ring_bits.assign(windows.size() * words, 0);
-    const double per_rad = double(slope.columns) / (2 * std::numbers::pi);
-    for_ranges(rows, count_parts(rows, ROWS), [&](std::size_t, std::size_t first_row, std::size_t end_row) {
-        for (std::size_t cell = first_row * grid_columns; cell < end_row * grid_columns; ++cell) {
-            Window& at = with.windows[cell];
-            if (at.firings == 0) continue;
-            const auto turned = std::size_t(std::max((double(azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
-            const std::size_t sector = std::min(turned, slope.columns - 1);
-            at.ring = std::uint16_t(rings);
-            for (std::size_t ring = 0; ring < rings; ++ring) {
-                const float z_m = start_m[ring] + range_m[cell] * slope(ring, sector);
-                if (!(z_m >= low_m.data[cell] && z_m <= high_m.data[cell])) continue;
-                with.ring_bits[cell * words + ring / 64] |= std::uint64_t(1) << (ring % 64);
-                at.ring = std::min(at.ring, std::uint16_t(ring));
-                at.ring_end = std::uint16_t(ring + 1);
+SentBeams::SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const float> low_m, View2<const float> high_m,
+                     View2<const float> slope, View1<const float> start_m)
+    : of(std::move(columns)), words((of->rings + 63) / 64), bits(of->windows.size() * words, 0), ring(of->windows.size(), 0),
+      ring_end(of->windows.size(), 0) {
+    const double per_rad = double(slope.rows) / (2 * std::numbers::pi);
+    for_ranges(of->rows, count_parts(of->rows, ROWS), [&](std::size_t, std::size_t first_row, std::size_t end_row) {
+        for (std::size_t cell = first_row * of->grid_columns; cell < end_row * of->grid_columns; ++cell) {
+            if (of->windows[cell].firings == 0) continue;
+            const float r = of->range_m[cell], low = low_m.data[cell], high = high_m.data[cell];
+            const auto turned = std::size_t(std::max((double(of->azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
+            const std::size_t sector = std::min(turned, slope.rows - 1);
+            for (std::size_t k = 0; k < of->rings; ++k) {
+                const float z_m = start_m[k] + r * slope(sector, k);
+                if (!(z_m >= low && z_m <= high)) continue;
+                bits[cell * words + k / 64] |= std::uint64_t(1) << (k % 64);
+                if (ring_end[cell] == 0) ring[cell] = std::uint16_t(k);
+                ring_end[cell] = std::uint16_t(k + 1);
             }
         }
     });
-    return with;
 }
 
 void bind_guarantees(nb::module_& m) {
-    static const auto same_cells = [](const SentBeams& sent, std::size_t rows, std::size_t columns) {
-        require(rows == sent.rows && columns == sent.grid_columns, "cells must be those of the beams that are sent");
+    static const auto same_cells = [](const TargetColumns& of, std::size_t rows, std::size_t columns) {
+        require(rows == of.rows && columns == of.grid_columns, "cells must be those of the beams that are sent");
     };
-    nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
+    static const auto checked = [](const SentBeams& sent, const In2<float>& nearest) {
+        require(nearest.shape(0) == sent.of->rings && nearest.shape(1) == 2 * sent.of->columns,
+                "nearest must be (rings, 2 * columns) of the same sensor");
+        return view(nearest);
+    };
+    nb::class_<TargetColumns>(m, "TargetColumns", "The columns of azimuth that fall on a target in each cell.")
         .def(
             "__init__",
-            [](SentBeams* self, In2<float> range_m, In2<float> azimuth, std::optional<In2<std::uint8_t>> fired, std::size_t rings,
-               std::size_t columns, double cell_m, double width_m, double farthest_m) {
+            [](TargetColumns* self, In2<float> range_m, In2<float> azimuth, std::optional<In2<std::uint8_t>> fired,
+               std::size_t rings, std::size_t columns, double cell_m, double width_m, double farthest_m) {
                 require(azimuth.shape(0) == range_m.shape(0) && azimuth.shape(1) == range_m.shape(1),
                         "range_m and azimuth must have one shape (cells, cells)");
                 require(range_m.size() < (1u << 28), "cells must be fewer than 2^28");
@@ -217,22 +220,24 @@ void bind_guarantees(nb::module_& m) {
                 }
                 const std::size_t rows = range_m.shape(0), cells = range_m.shape(1);
                 const View2<const std::uint8_t> all{nullptr, 0, 0};
-                new (self) SentBeams({ranges.data(), rows, cells}, {angles.data(), rows, cells}, fired ? view(*fired) : all, rings,
-                                     columns, cell_m, width_m, farthest_m);
+                new (self) TargetColumns({ranges.data(), rows, cells}, {angles.data(), rows, cells}, fired ? view(*fired) : all,
+                                         rings, columns, cell_m, width_m, farthest_m);
             },
             "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "fired"_a.noconvert().none(), "rings"_a, "columns"_a, "cell_m"_a,
-            "width_m"_a, "farthest_m"_a)
+            "width_m"_a, "farthest_m"_a);
+    nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
         .def(
-            "aimed",
-            [](const SentBeams& self, In2<float> low_m, In2<float> high_m, In2<float> slope, In1<float> start_m) {
-                same_cells(self, low_m.shape(0), low_m.shape(1));
-                same_cells(self, high_m.shape(0), high_m.shape(1));
-                require(slope.shape(0) == self.rings && slope.shape(1) > 0 && start_m.shape(0) == self.rings,
-                        "slope must be (rings, sectors) and start_m (rings,)");
+            "__init__",
+            [](SentBeams* self, std::shared_ptr<TargetColumns> columns, In2<float> low_m, In2<float> high_m, In2<float> slope,
+               In1<float> start_m) {
+                same_cells(*columns, low_m.shape(0), low_m.shape(1));
+                same_cells(*columns, high_m.shape(0), high_m.shape(1));
+                require(slope.shape(1) == columns->rings && slope.shape(0) > 0 && start_m.shape(0) == columns->rings,
+                        "slope must be (sectors, rings) and start_m (rings,)");
                 const nb::gil_scoped_release release;
-                return self.aimed(view(low_m), view(high_m), view(slope), view(start_m));
+                new (self) SentBeams(std::move(columns), view(low_m), view(high_m), view(slope), view(start_m));
             },
-            "low_m"_a.noconvert(), "high_m"_a.noconvert(), "slope"_a.noconvert(), "start_m"_a.noconvert());
+            "columns"_a, "low_m"_a.noconvert(), "high_m"_a.noconvert(), "slope"_a.noconvert(), "start_m"_a.noconvert());
     m.def(
         "nearest_returns",
         [](Points points, std::optional<In1<std::int16_t>> ring, In2<float> rotation, In1<float> tangent, In1<float> origin_m,
@@ -255,24 +260,18 @@ void bind_guarantees(nb::module_& m) {
         },
         "points"_a.noconvert(), "ring"_a.noconvert().none(), "rotation"_a.noconvert(), "tangent"_a.noconvert(),
         "origin_m"_a.noconvert(), "columns"_a, "near_m"_a, "far_m"_a);
-    static const auto checked = [](const SentBeams& sent, const In2<float>& nearest) {
-        require(!sent.ring_bits.empty(), "sent must be aimed first");
-        require(nearest.shape(0) == sent.rings && nearest.shape(1) == 2 * sent.columns,
-                "nearest must be (rings, 2 * columns) of the same sensor");
-        return view(nearest);
-    };
     m.def(
         "envelope_margins",
         [](const SentBeams& sent, In2<float> nearest_m) {
             const Nearest nearest = checked(sent, nearest_m);
-            Buffer<std::int32_t> margin(sent.windows.size());
+            Buffer<std::int32_t> margin(sent.ring.size());
             {
                 const nb::gil_scoped_release release;
-                for_ranges(sent.rows, count_parts(sent.rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
-                    count_margins(sent, nearest, first * sent.grid_columns, last * sent.grid_columns, margin.data());
+                for_ranges(sent.of->rows, count_parts(sent.of->rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
+                    count_margins(sent, nearest, first * sent.of->grid_columns, last * sent.of->grid_columns, margin.data());
                 });
             }
-            return std::move(margin).array({sent.rows, sent.grid_columns});
+            return std::move(margin).array({sent.of->rows, sent.of->grid_columns});
         },
         "sent"_a, "nearest"_a.noconvert());
     m.def(
@@ -280,20 +279,20 @@ void bind_guarantees(nb::module_& m) {
         [](const SentBeams& sent, In2<float> nearest_m, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
            std::int32_t most, bool opens) {
             const Nearest nearest = checked(sent, nearest_m);
-            same_cells(sent, margins.shape(0), margins.shape(1));
-            same_cells(sent, counts.shape(0), counts.shape(1));
-            Buffer<double> weight(sent.rings * sent.columns, 0.0);
+            same_cells(*sent.of, margins.shape(0), margins.shape(1));
+            same_cells(*sent.of, counts.shape(0), counts.shape(1));
+            Buffer<double> weight(sent.of->rings * sent.of->columns, 0.0);
             {
                 const Attackable rule{least, opens};
                 const nb::gil_scoped_release release;
-                for_ranges(sent.rings, count_parts(sent.rings, 4), [&](std::size_t, std::size_t first, std::size_t last) {
+                for_ranges(sent.of->rings, count_parts(sent.of->rings, 4), [&](std::size_t, std::size_t first, std::size_t last) {
                     for (std::size_t ring = first; ring < last; ++ring) {
                         share_cells(sent, nearest, margins.data(), reinterpret_cast<const std::uint8_t*>(counts.data()), rule,
-                                    most, ring, weight.data() + ring * sent.columns);
+                                    most, ring, weight.data() + ring * sent.of->columns);
                     }
                 });
             }
-            return std::move(weight).array({sent.rings, sent.columns});
+            return std::move(weight).array({sent.of->rings, sent.of->columns});
         },
         "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "most"_a, "opens"_a);
     m.def(
@@ -301,21 +300,21 @@ void bind_guarantees(nb::module_& m) {
         [](const SentBeams& sent, In2<float> nearest_m, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
            std::size_t wide, bool opens) {
             const Nearest nearest = checked(sent, nearest_m);
-            same_cells(sent, margins.shape(0), margins.shape(1));
-            same_cells(sent, counts.shape(0), counts.shape(1));
-            const std::size_t columns = sent.columns;
+            same_cells(*sent.of, margins.shape(0), margins.shape(1));
+            same_cells(*sent.of, counts.shape(0), counts.shape(1));
+            const std::size_t columns = sent.of->columns;
             require(wide >= 1 && wide <= columns / 2, "wide must lie in [1, columns / 2]");
-            Buffer<bool> changes(sent.windows.size(), false);
+            Buffer<bool> changes(sent.ring.size(), false);
             // How many cells more a wedge changes that begins in a column than one before it; starts from -columns on.
             std::vector<std::int64_t> more(4 * columns + 1, 0);
             const Attackable rule{least, opens};
             {
                 const nb::gil_scoped_release release;
                 std::vector<std::int32_t> column;
-                for (std::size_t cell = 0; cell < sent.windows.size(); ++cell) {
+                for (std::size_t cell = 0; cell < sent.ring.size(); ++cell) {
                     const std::int32_t needed = rule.needed(margins.data()[cell]);
                     std::int64_t first = 0, last = 0;
-                    if (sent.windows[cell].firings == 0 || needed == 0 || !counts.data()[cell]) continue;
+                    if (needed == 0 || !counts.data()[cell]) continue;
                     if (!wedge_starts(sent, nearest, cell, needed, opens, wide, column, first, last)) continue;
                     changes[cell] = true;
                     // No start counts a cell twice, however wide the wedge.
@@ -330,7 +329,7 @@ void bind_guarantees(nb::module_& m) {
                 now += more[s];
                 at[s % columns] += now;
             }
-            return std::pair(*std::max_element(at.begin(), at.end()), std::move(changes).array({sent.rows, sent.grid_columns}));
+            return std::pair(*std::max_element(at.begin(), at.end()), std::move(changes).array({sent.of->rows, sent.of->grid_columns}));
         },
         "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "wide"_a, "opens"_a);
 }

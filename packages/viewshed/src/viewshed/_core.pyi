@@ -587,7 +587,7 @@ class SweepView:
 
 # guarantees.cpp
 
-class SentBeams:
+class TargetColumns:
     def __init__(
         self,
         range_m: NDArray[np.float32],
@@ -599,13 +599,16 @@ class SentBeams:
         width_m: float,
         farthest_m: float,
     ) -> None: ...
-    def aimed(
+
+class SentBeams:
+    def __init__(
         self,
+        columns: TargetColumns,
         low_m: NDArray[np.float32],
         high_m: NDArray[np.float32],
         slope: NDArray[np.float32],
         start_m: NDArray[np.float32],
-    ) -> SentBeams: ...
+    ) -> None: ...
 
 def nearest_returns(
     points: NDArray[np.float32],

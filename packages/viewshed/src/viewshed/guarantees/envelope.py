@@ -134,8 +134,8 @@ class Given:
     def __post_init__(self) -> None:
         if not self.model.fires_rings:
             raise ValueError(
-                f"a certificate needs a sensor that fires rings, got {self.model.name}: where its beams go in a sweep is"
-                " not known beforehand"
+                f"a certificate needs a sensor that fires rings, got {self.model.name}: where its beams go in"
+                " a sweep is not known beforehand"
             )
         if self.tilt > MOST_TILT:
             raise ValueError(
@@ -179,7 +179,7 @@ class Given:
         return float(np.arccos(np.clip(self.rotation[2, 2], -1.0, 1.0)))
 
     def slopes(self) -> F32:
-        """Return the slopes (rings, SECTORS) of the beams in the level frame, by azimuth there.
+        """Return the slopes (SECTORS, rings) of the beams in the level frame, by azimuth there.
 
         With n the level frame's image of the sensor's axis, a direction (cos a, sin a, tan φ) has elevation e where
         n · (cos φ cos a, cos φ sin a, sin φ) = sin e.
@@ -187,8 +187,8 @@ class Given:
         azimuth = (np.arange(SECTORS) + 0.5) * (2 * np.pi / SECTORS) - np.pi
         normal = self.rotation[:, 2]
         level, up = normal[0] * np.cos(azimuth) + normal[1] * np.sin(azimuth), normal[2]
-        angle = np.sin(self.model.elevation)[:, None] / np.hypot(level, up)
-        slope = np.tan(np.arcsin(np.clip(angle, -1.0, 1.0)) - np.arctan2(level, up))
+        angle = np.sin(self.model.elevation) / np.hypot(level, up)[:, None]
+        slope = np.tan(np.arcsin(np.clip(angle, -1.0, 1.0)) - np.arctan2(level, up)[:, None])
         return np.ascontiguousarray(slope, np.float32)
 
     def heights(self, grid: BevGrid) -> F32:
@@ -206,9 +206,9 @@ class Given:
         height, range_m = self.heights(grid), polar_of_cells(grid)[0]
         spread = np.float32(self.grade) * np.maximum(range_m - np.float32(LEVEL_M), np.float32(0.0))
         start_m = self.height_m + self.rotation[2, 2] * self.model.origin_m
-        return _windows(grid, target.width_m, self.model).aimed(
-            height - spread + np.float32(FOOT_M), height + spread + np.float32(target.height_m), self.slopes(),
-            start_m.astype(np.float32),
+        return _core.SentBeams(
+            _columns(grid, target.width_m, self.model), height - spread + np.float32(FOOT_M),
+            height + spread + np.float32(target.height_m), self.slopes(), start_m.astype(np.float32),
         )  # fmt: skip
 
     def nearest_returns(self, leveled: LeveledSweep) -> F32:
@@ -227,17 +227,17 @@ class Given:
 
 
 @lru_cache(maxsize=4)
-def _windows(grid: BevGrid, width_m: float, model: LidarModel) -> _core.SentBeams:
+def _columns(grid: BevGrid, width_m: float, model: LidarModel) -> _core.TargetColumns:
     """Return the columns that fall on a target in each cell; they are the same for every sweep."""
     range_m, azimuth = polar_of_cells(grid)
-    return _core.SentBeams(
+    return _core.TargetColumns(
         range_m, azimuth, fired_columns(model), model.rings, model.azimuth_columns, grid.cell_m, width_m,
         model.max_range_m,
     )  # fmt: skip
 
 
 # Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
-atexit.register(_windows.cache_clear)
+atexit.register(_columns.cache_clear)
 
 
 def fired_columns(model: LidarModel) -> NDArray[np.uint8] | None:
@@ -305,5 +305,7 @@ class Envelope:
         most = int(changes.sum())
         if beams and threat.kind in ("replaced", "dropped"):
             share = _core.cells_of_beams(self.sent, self.nearest_m, self.margins, among, least, beams, opens).ravel()
-            most = min(most, int(np.partition(share, -beams)[-beams:].sum() + _ROUNDING) if beams < share.size else most)
+            most = min(
+                most, int(np.partition(share, -beams)[-beams:].sum() + _ROUNDING) if beams < share.size else most
+            )
         return most * area_m2, changes
