@@ -1,18 +1,11 @@
 #include "guarantees.hpp"
 
-#include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/shared_ptr.h>
-
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <optional>
 #include <utility>
 
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -20,8 +13,8 @@ namespace {
 
 constexpr float INFINITE = std::numeric_limits<float>::infinity();
 
-// Rows of cells, and points, that are worth a thread.
-constexpr std::size_t ROWS = 32, PART = 8192;
+// Rows of cells that are worth a thread.
+constexpr std::size_t ROWS = 32;
 
 // A window this many firings wide has that many, whatever its rounding.
 constexpr double ROUNDING = 1e-6;
@@ -29,6 +22,7 @@ constexpr double ROUNDING = 1e-6;
 // Nearest returns (rings, 2 * columns) of the beams, the circle twice, so that no window is cut.
 using Nearest = View2<const float>;
 
+// How many of some beams are blocked before a target.
 INLINE std::int32_t count_before(const float* __restrict range_m, std::size_t width, float near_m) {
     std::int32_t count = 0;
     for (std::size_t k = 0; k < width; ++k) count += range_m[k] < near_m;
@@ -49,22 +43,9 @@ MULTIVERSION void count_margins(const SentBeams& sent, Nearest nearest, std::siz
     }
 }
 
-// A cell that an attacker may change: how many of its beams must change, and which of them can: those that are blocked, where
-// the attacker opens, and those that are not, where it may have opened already.
-struct Attackable {
-    std::int32_t least;
-    bool opens;
-
-    // How many beams must change in a cell of this margin, 0 where none need to.
-    std::int32_t needed(std::int32_t margin) const {
-        const std::int32_t needed = opens ? least - margin : margin - least + 1;
-        return needed > 0 ? needed : 0;
-    }
-};
-
 // Add to each beam of a ring the cells that it helps to change, each shared by the beams that are needed there.
-void share_cells(const SentBeams& sent, Nearest nearest, const std::int32_t* margin, const std::uint8_t* counts,
-                 const Attackable& rule, std::int32_t most, std::size_t ring, double* weight) {
+void share_cells(const SentBeams& sent, Nearest nearest, View1<const std::int32_t> margin, View1<const bool> counts,
+                 const Attack& rule, std::int32_t most, std::size_t ring, double* weight) {
     const std::size_t columns = sent.of->columns;
     for (std::size_t cell = 0; cell < sent.ring.size(); ++cell) {
         const TargetColumns::Window& at = sent.of->windows[cell];
@@ -118,29 +99,6 @@ std::size_t ring_of(float x, float y, float z, View1<const float> tangent, View1
     return ring;
 }
 
-// Write the horizontal range of the nearest return of each beam (rings, 2 * columns). `row` (N,) are the points' rings, or empty
-// where the table says; returns outside (near_m, far_m) are none.
-void find_nearest(View2<const float> points, const Buffer<std::int16_t>& row, const Buffer<float>& turn,
-                  View1<const float> tangent, View1<const float> origin_m, std::size_t columns, double near_m, double far_m,
-                  Buffer<float>& nearest) {
-    const float per_rad = float(double(columns) / (2 * std::numbers::pi));
-    const auto near_m2 = float(near_m * near_m), far_m2 = float(far_m * far_m);
-    for (std::size_t n = 0; n < points.rows; ++n) {
-        const float x = points(n, 0), y = points(n, 1), z = points(n, 2), square_m2 = x * x + y * y + z * z;
-        if (!(square_m2 >= near_m2 && square_m2 <= far_m2)) continue;
-        const float lx = turn[0] * x + turn[1] * y + turn[2] * z, ly = turn[3] * x + turn[4] * y + turn[5] * z;
-        const std::size_t ring = row.size() > 0 ? std::size_t(row[n]) : ring_of(x, y, z, tangent, origin_m);
-        const std::size_t half = std::min(std::size_t((azimuth_of(ly, lx) + PI) * per_rad), columns - 1);
-        float& at = nearest[ring * 2 * columns + half];
-        at = std::min(at, std::sqrt(lx * lx + ly * ly));
-    }
-    // The circle once more.
-    for (std::size_t ring = 0; ring < tangent.size; ++ring) {
-        float* const of = nearest.data() + ring * 2 * columns;
-        std::copy(of, of + columns, of + columns);
-    }
-}
-
 }  // namespace
 
 TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimuth_, View2<const std::uint8_t> fired,
@@ -191,147 +149,74 @@ SentBeams::SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const f
     });
 }
 
-void bind_guarantees(nb::module_& m) {
-    static const auto same_cells = [](const TargetColumns& of, std::size_t rows, std::size_t columns) {
-        require(rows == of.rows && columns == of.grid_columns, "cells must be those of the beams that are sent");
-    };
-    static const auto checked = [](const SentBeams& sent, const In2<float>& nearest) {
-        require(nearest.shape(0) == sent.of->rings && nearest.shape(1) == 2 * sent.of->columns,
-                "nearest must be (rings, 2 * columns) of the same sensor");
-        return view(nearest);
-    };
-    nb::class_<TargetColumns>(m, "TargetColumns", "The columns of azimuth that fall on a target in each cell.")
-        .def(
-            "__init__",
-            [](TargetColumns* self, In2<float> range_m, In2<float> azimuth, std::optional<In2<std::uint8_t>> fired,
-               std::size_t rings, std::size_t columns, double cell_m, double width_m, double farthest_m) {
-                require(azimuth.shape(0) == range_m.shape(0) && azimuth.shape(1) == range_m.shape(1),
-                        "range_m and azimuth must have one shape (cells, cells)");
-                require(range_m.size() < (1u << 28), "cells must be fewer than 2^28");
-                require(rings >= 1 && rings <= 4096, "rings must lie in [1, 4096]");
-                require(columns >= 4 && columns <= 36000, "columns must lie in [4, 36000]");
-                require(!fired || (fired->shape(0) == rings && fired->shape(1) == columns), "fired must be (rings, columns)");
-                require(cell_m > 0 && width_m > 0 && std::isfinite(cell_m) && std::isfinite(width_m),
-                        "cell_m and width_m must be positive and finite");
-                const Buffer<float> ranges = copy_of(view(range_m).flat()), angles = copy_of(view(azimuth).flat());
-                for (std::size_t n = 0; n < ranges.size(); ++n) {
-                    require(ranges[n] >= 0 && ranges[n] < INFINITE && std::fabs(angles[n]) < 3.2f,
-                            "range_m must be finite, not negative, and azimuth lie in [-pi, pi]");
-                }
-                const std::size_t rows = range_m.shape(0), cells = range_m.shape(1);
-                const View2<const std::uint8_t> all{nullptr, 0, 0};
-                new (self) TargetColumns({ranges.data(), rows, cells}, {angles.data(), rows, cells}, fired ? view(*fired) : all,
-                                         rings, columns, cell_m, width_m, farthest_m);
-            },
-            "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "fired"_a.noconvert().none(), "rings"_a, "columns"_a, "cell_m"_a,
-            "width_m"_a, "farthest_m"_a);
-    nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
-        .def(
-            "__init__",
-            [](SentBeams* self, std::shared_ptr<TargetColumns> columns, In2<float> low_m, In2<float> high_m, In2<float> slope,
-               In1<float> start_m) {
-                same_cells(*columns, low_m.shape(0), low_m.shape(1));
-                same_cells(*columns, high_m.shape(0), high_m.shape(1));
-                require(slope.shape(1) == columns->rings && slope.shape(0) > 0 && start_m.shape(0) == columns->rings,
-                        "slope must be (sectors, rings) and start_m (rings,)");
-                const nb::gil_scoped_release release;
-                new (self) SentBeams(std::move(columns), view(low_m), view(high_m), view(slope), view(start_m));
-            },
-            "columns"_a, "low_m"_a.noconvert(), "high_m"_a.noconvert(), "slope"_a.noconvert(), "start_m"_a.noconvert());
-    m.def(
-        "nearest_returns",
-        [](Points points, std::optional<In1<std::int16_t>> ring, In2<float> rotation, In1<float> tangent, In1<float> origin_m,
-           std::size_t columns, double near_m, double far_m) {
-            const std::size_t rings = tangent.shape(0), count = points.shape(0);
-            require(rings > 0 && rings <= 4096 && origin_m.shape(0) == rings, "tangent and origin_m must be (rings,)");
-            require(rotation.shape(0) == 3 && rotation.shape(1) == 3, "rotation must be (3, 3)");
-            require(columns >= 4 && columns <= 36000, "columns must lie in [4, 36000]");
-            require(!ring || ring->shape(0) == count, "ring must be (N,) like points");
-            // Another thread may write it: what is checked is what is used.
-            Buffer<std::int16_t> rows(0);
-            if (ring) rows = indices_of(view(*ring), std::int16_t(0), std::int16_t(rings - 1), "ring");
-            const Buffer<float> turn = copy_of(view(rotation).flat());
-            Buffer<float> nearest(rings * 2 * columns, INFINITE);
-            {
-                const nb::gil_scoped_release release;
-                find_nearest(view(points), rows, turn, view(tangent), view(origin_m), columns, near_m, far_m, nearest);
-            }
-            return std::move(nearest).array({rings, 2 * columns});
-        },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "rotation"_a.noconvert(), "tangent"_a.noconvert(),
-        "origin_m"_a.noconvert(), "columns"_a, "near_m"_a, "far_m"_a);
-    m.def(
-        "envelope_margins",
-        [](const SentBeams& sent, In2<float> nearest_m) {
-            const Nearest nearest = checked(sent, nearest_m);
-            Buffer<std::int32_t> margin(sent.ring.size());
-            {
-                const nb::gil_scoped_release release;
-                for_ranges(sent.of->rows, count_parts(sent.of->rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
-                    count_margins(sent, nearest, first * sent.of->grid_columns, last * sent.of->grid_columns, margin.data());
-                });
-            }
-            return std::move(margin).array({sent.of->rows, sent.of->grid_columns});
-        },
-        "sent"_a, "nearest"_a.noconvert());
-    m.def(
-        "cells_of_beams",
-        [](const SentBeams& sent, In2<float> nearest_m, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
-           std::int32_t most, bool opens) {
-            const Nearest nearest = checked(sent, nearest_m);
-            same_cells(*sent.of, margins.shape(0), margins.shape(1));
-            same_cells(*sent.of, counts.shape(0), counts.shape(1));
-            Buffer<double> weight(sent.of->rings * sent.of->columns, 0.0);
-            {
-                const Attackable rule{least, opens};
-                const nb::gil_scoped_release release;
-                for_ranges(sent.of->rings, count_parts(sent.of->rings, 4), [&](std::size_t, std::size_t first, std::size_t last) {
-                    for (std::size_t ring = first; ring < last; ++ring) {
-                        share_cells(sent, nearest, margins.data(), reinterpret_cast<const std::uint8_t*>(counts.data()), rule,
-                                    most, ring, weight.data() + ring * sent.of->columns);
-                    }
-                });
-            }
-            return std::move(weight).array({sent.of->rings, sent.of->columns});
-        },
-        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "most"_a, "opens"_a);
-    m.def(
-        "wedge_changes",
-        [](const SentBeams& sent, In2<float> nearest_m, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
-           std::size_t wide, bool opens) {
-            const Nearest nearest = checked(sent, nearest_m);
-            same_cells(*sent.of, margins.shape(0), margins.shape(1));
-            same_cells(*sent.of, counts.shape(0), counts.shape(1));
-            const std::size_t columns = sent.of->columns;
-            require(wide >= 1 && wide <= columns / 2, "wide must lie in [1, columns / 2]");
-            Buffer<bool> changes(sent.ring.size(), false);
-            // How many cells more a wedge changes that begins in a column than one before it; starts from -columns on.
-            std::vector<std::int64_t> more(4 * columns + 1, 0);
-            const Attackable rule{least, opens};
-            {
-                const nb::gil_scoped_release release;
-                std::vector<std::int32_t> column;
-                for (std::size_t cell = 0; cell < sent.ring.size(); ++cell) {
-                    const std::int32_t needed = rule.needed(margins.data()[cell]);
-                    std::int64_t first = 0, last = 0;
-                    if (needed == 0 || !counts.data()[cell]) continue;
-                    if (!wedge_starts(sent, nearest, cell, needed, opens, wide, column, first, last)) continue;
-                    changes[cell] = true;
-                    // No start counts a cell twice, however wide the wedge.
-                    last = std::min(last, first + std::int64_t(columns) - 1);
-                    ++more[std::size_t(first + std::int64_t(columns))];
-                    --more[std::size_t(last + std::int64_t(columns) + 1)];
-                }
-            }
-            std::vector<std::int64_t> at(columns, 0);
-            std::int64_t now = 0;
-            for (std::size_t s = 0; s < 4 * columns; ++s) {
-                now += more[s];
-                at[s % columns] += now;
-            }
-            return std::pair(*std::max_element(at.begin(), at.end()), std::move(changes).array({sent.of->rows, sent.of->grid_columns}));
-        },
-        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "wide"_a, "opens"_a);
+Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_t> row, View1<const float> turn,
+                              View1<const float> tangent, View1<const float> origin_m, std::size_t columns, double near_m,
+                              double far_m) {
+    Buffer<float> nearest(tangent.size * 2 * columns, INFINITE);
+    const float per_rad = float(double(columns) / (2 * std::numbers::pi));
+    const auto near_m2 = float(near_m * near_m), far_m2 = float(far_m * far_m);
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        const float x = points(n, 0), y = points(n, 1), z = points(n, 2), square_m2 = x * x + y * y + z * z;
+        if (!(square_m2 >= near_m2 && square_m2 <= far_m2)) continue;
+        const float lx = turn[0] * x + turn[1] * y + turn[2] * z, ly = turn[3] * x + turn[4] * y + turn[5] * z;
+        const std::size_t ring = row.size > 0 ? std::size_t(row[n]) : ring_of(x, y, z, tangent, origin_m);
+        const std::size_t half = std::min(std::size_t((azimuth_of(ly, lx) + PI) * per_rad), columns - 1);
+        float& at = nearest[ring * 2 * columns + half];
+        at = std::min(at, std::sqrt(lx * lx + ly * ly));
+    }
+    // The circle once more.
+    for (std::size_t ring = 0; ring < tangent.size; ++ring) {
+        float* const of = nearest.data() + ring * 2 * columns;
+        std::copy(of, of + columns, of + columns);
+    }
+    return nearest;
+}
+
+Buffer<std::int32_t> envelope_margins(const SentBeams& sent, View2<const float> nearest) {
+    const TargetColumns& of = *sent.of;
+    Buffer<std::int32_t> margin(of.windows.size());
+    for_ranges(of.rows, count_parts(of.rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
+        count_margins(sent, nearest, first * of.grid_columns, last * of.grid_columns, margin.data());
+    });
+    return margin;
+}
+
+Buffer<double> cells_of_beams(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
+                              View1<const bool> counts, const Attack& rule, std::int32_t most) {
+    const std::size_t rings = sent.of->rings, columns = sent.of->columns;
+    Buffer<double> weight(rings * columns, 0.0);
+    for_ranges(rings, count_parts(rings, 4), [&](std::size_t, std::size_t first, std::size_t last) {
+        for (std::size_t ring = first; ring < last; ++ring) {
+            share_cells(sent, nearest, margin, counts, rule, most, ring, weight.data() + ring * columns);
+        }
+    });
+    return weight;
+}
+
+std::int64_t wedge_changes(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
+                           View1<const bool> counts, const Attack& rule, std::size_t wide, View1<bool> changes) {
+    const auto columns = std::int64_t(sent.of->columns);
+    // How many cells more a wedge changes that begins in a column than one before it; starts from -columns on.
+    std::vector<std::int64_t> more(std::size_t(4 * columns + 1), 0), at(std::size_t(columns), 0);
+    std::vector<std::int32_t> column;
+    for (std::size_t cell = 0; cell < margin.size; ++cell) {
+        changes[cell] = false;
+        const std::int32_t needed = rule.needed(margin[cell]);
+        std::int64_t first = 0, last = 0;
+        if (needed == 0 || !counts[cell]) continue;
+        if (!wedge_starts(sent, nearest, cell, needed, rule.opens, wide, column, first, last)) continue;
+        changes[cell] = true;
+        // No start counts a cell twice, however wide the wedge.
+        last = std::min(last, first + columns - 1);
+        ++more[std::size_t(first + columns)];
+        --more[std::size_t(last + columns + 1)];
+    }
+    std::int64_t now = 0;
+    for (std::size_t s = 0; s < std::size_t(4 * columns); ++s) {
+        now += more[s];
+        at[s % std::size_t(columns)] += now;
+    }
+    return *std::max_element(at.begin(), at.end());
 }
 
 }  // namespace viewshed

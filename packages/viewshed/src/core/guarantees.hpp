@@ -55,6 +55,33 @@ struct SentBeams {
     Buffer<std::uint16_t> ring, ring_end;     // (cells,)
 };
 
-void bind_guarantees(nb::module_& m);
+// What an attack changes: cells of a margin below `least` that it opens, or claims that it may have opened.
+struct Attack {
+    std::int32_t least;
+    bool opens;
+
+    // How many of the beams that can change must, in a cell of this margin: those that are blocked where it opens, else those
+    // that are not; 0 where none need to.
+    std::int32_t needed(std::int32_t margin) const { return std::max(opens ? least - margin : margin - least + 1, 0); }
+};
+
+// The horizontal range of the nearest return of each beam (rings, 2 * columns), the circle twice, so that no window is cut; +inf
+// for none. `ring` (N,) are the points' rings, or empty: then the beam counts that passes nearest, by tangents of elevation and
+// heights of origin (rings,). `turn` (9,) rotates to the level frame. Returns outside (near_m, far_m) are none.
+Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_t> ring, View1<const float> turn,
+                              View1<const float> tangent, View1<const float> origin_m, std::size_t columns, double near_m,
+                              double far_m);
+
+// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0.
+Buffer<std::int32_t> envelope_margins(const SentBeams& sent, View2<const float> nearest);
+
+// For each beam (rings, columns), the sum over the cells that count and need at most `most` beams, of 1 / the number needed,
+// where it is one of those that can change.
+Buffer<double> cells_of_beams(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
+                              View1<const bool> counts, const Attack& rule, std::int32_t most);
+
+// The most cells that one wedge of `wide` columns changes, and which any does.
+std::int64_t wedge_changes(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
+                           View1<const bool> counts, const Attack& rule, std::size_t wide, View1<bool> changes);
 
 }  // namespace viewshed

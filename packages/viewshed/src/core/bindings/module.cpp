@@ -1,4 +1,3 @@
-#include "guarantees.hpp"
 #include "parallel.hpp"
 #include "stages.hpp"
 
