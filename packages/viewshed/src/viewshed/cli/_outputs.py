@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.guarantees.envelope import Threat
     from viewshed.monitor import StreamMonitor
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
@@ -185,6 +186,7 @@ class Run:
         monitor: says what it finds in each sweep; None without one.
         crs: reference system of the poses, for the formats that have one; None for none.
         dark: whether pictures are on a dark page.
+        certify: against what the claims are certified, ``added`` or ``replaced:5``; None where they are not.
     """
 
     estimator: Estimator
@@ -194,6 +196,7 @@ class Run:
     monitor: StreamMonitor | None = None
     crs: str | None = None
     dark: bool = False
+    certify: Threat | None = None
     _is_warm: bool = field(default=False, init=False)
 
     def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
@@ -279,7 +282,12 @@ class Run:
         from viewshed.io.export import EXPORTERS, write_export
 
         report_doubts(leveled, name)
-        estimate = replace(estimate, threshold=self.threshold)
+        estimate, certified = replace(estimate, threshold=self.threshold), ""
+        if self.certify is not None:
+            from viewshed.guarantees.certificate import certify
+
+            certificate = certify(leveled, estimate, self.certify)
+            estimate, certified = certificate.withdraw(estimate), f"; {certificate.line}"
         summary = summary_line(estimate, elapsed_ms)
         places = self.places(name)
         for kind, place in zip(self.results, places, strict=True):
@@ -288,7 +296,7 @@ class Run:
             else:
                 write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
         remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
-        return f"{name}: {summary}{remarks} → {places[0]}"
+        return f"{name}: {summary}{certified}{remarks} → {places[0]}"
 
 
 def warm_up(estimator: Estimator, sweep: Sweep) -> None:
