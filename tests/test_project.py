@@ -177,14 +177,3 @@ def test_shell_scripts_parse() -> None:
     checked = subprocess.run(["bash", "-n", str(ROOT / ".ci" / "run")], check=False, capture_output=True)
     assert checked.returncode == 0
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
-
-
-def test_figures_of_the_readme_are_those_of_the_pages_that_it_links() -> None:
-    """Each paragraph that says "Measured" has bold figures, and the page that it links has every one of them."""
-    measured = [part for part in re.split(r"\n{2,}", _text("README.md")) if part.startswith("Measured")]
-    assert len(measured) == 3
-    for paragraph in measured:
-        page = _text(re.findall(r"\]\((docs/results/\w+\.md)\)", paragraph)[0])
-        figures = [one.removeprefix("F1 ") for one in re.findall(r"\*\*(.*?)\*\*", paragraph)]
-        assert figures
-        assert [figure for figure in figures if figure not in page] == []
