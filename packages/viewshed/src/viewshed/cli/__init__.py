@@ -14,7 +14,7 @@ from viewshed import __version__
 from viewshed._extras import needed_for, plugin, plugins
 from viewshed.cli._options import with_groups
 from viewshed.cli._status import status_line
-from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, note, one_line
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
 from viewshed.cli.estimate import estimate
@@ -128,7 +128,11 @@ def _warn(
     line: str | None = None,
 ) -> None:
     """Print a warning like other complaints, without the place in the source that Python would add."""
-    complain(f"warning: {' '.join(str(message).split())}")
+    line = " ".join(str(message).split())
+    if category.__name__ == "Assumption":  # of viewshed.io, which is imported only where files are read
+        note(line)
+    else:
+        complain(f"warning: {line}")
 
 
 def _refuse(message: str) -> None:

@@ -302,9 +302,14 @@ def warm_up(estimator: Estimator, sweep: Sweep) -> None:
 
 
 def report_doubts(leveled: LeveledSweep, name: str) -> None:
-    """Say on standard error what cannot well be as it was read, a line each."""
-    from viewshed.preprocess.plausibility import doubts
+    """Say on standard error what cannot well be as it was read, a line each.
 
+    Raises:
+        ValueError: the points are not in meters about the sensor; no picture would show anything.
+    """
+    from viewshed.preprocess.plausibility import check_units, doubts
+
+    check_units(leveled.sweep)
     for doubt in doubts(leveled):
         complain(f"{name}: warning: {doubt}")
 
