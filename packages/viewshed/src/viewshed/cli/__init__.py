@@ -12,7 +12,7 @@ import typer
 
 from viewshed import __version__
 from viewshed._extras import needed_for, plugin, plugins
-from viewshed.cli._options import with_groups
+from viewshed.cli._options import SectionedCommand, with_groups
 from viewshed.cli._status import status_line
 from viewshed.cli._terminal import BAD_INPUTS, complain, note, one_line
 from viewshed.cli.compare import compare
@@ -46,7 +46,7 @@ def application() -> typer.Typer:
     app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     app.callback(invoke_without_command=True)(_root)
     for command in _COMMANDS:
-        app.command()(with_groups(command))
+        app.command(cls=SectionedCommand)(with_groups(command))
     app.add_typer(monitor_app, name="monitor")
     points = plugins("commands")
     for name in dict.fromkeys([*LABORATORY_COMMANDS, *sorted(points)]):
@@ -58,7 +58,7 @@ def application() -> typer.Typer:
         if isinstance(brought, typer.Typer):
             app.add_typer(brought, name=name)
         else:
-            app.command(name)(with_groups(brought))
+            app.command(name, cls=SectionedCommand)(with_groups(brought))
     return app
 
 

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
     """What a monitor says of the next sweep and its estimate, and that in words."""
 
-Every = Annotated[int, typer.Option(min=1, help="Take every k-th sweep.")]
+Step = Annotated[int, typer.Option(min=1, help="Take one sweep of so many.")]
 
 MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
 
@@ -75,7 +75,7 @@ def view(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     history: HistorySweeps = 0,
-    every: Every = 1,
+    step: Step = 1,
     sweeps: MostSweeps = None,
     following: Following = NOT_FOLLOWED,
 ) -> None:
@@ -86,7 +86,7 @@ def view(
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 
-    Example: viewshed view drive.mcap --html run.html --every 5
+    Example: viewshed view drive.mcap --html run.html --step 5
     """
     if [html, rerun, foxglove].count(None) != 2:
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
@@ -102,7 +102,7 @@ def view(
     if foxglove is not None:
         estimator = network.estimator(chosen.method, cells, target)
         watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
-        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else every * sweeps, every)
+        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, chosen.history)
         _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures, following)
     else:
@@ -110,7 +110,7 @@ def view(
         if chosen.monitor or monitor_file:
             own, check = _monitored(monitor_file, weights, method)
         estimator = own or network.estimator(chosen.method, cells, target)
-        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else every * sweeps, every)
+        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else step * sweeps, step)
         frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
