@@ -16,7 +16,9 @@ PAGES = sorted(DOCS.rglob("*.md"))
 
 def test_every_generated_table_stands_on_its_page_as_the_code_has_it() -> None:
     pages = [ROOT / "README.md", *PAGES]
-    marks = {mark for page in pages for mark in re.findall(r"^<!-- generated: (\w+) -->", page.read_text("utf-8"), re.M)}
+    marks = {
+        mark for page in pages for mark in re.findall(r"^<!-- generated: (\w+) -->", page.read_text("utf-8"), re.M)
+    }
     assert marks == set(docs_site.GENERATED)
     for page in pages:
         text = page.read_text("utf-8")

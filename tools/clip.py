@@ -52,7 +52,9 @@ class Shown:
 def frames_of(browser: Browser) -> list[Shown]:
     """Return the frames of the open page, in its order."""
     rows = json.loads(
-        browser.value("JSON.stringify(abouts.map((about, k) => [about.agent, about.name, seconds[k], about.visible_m2]))")
+        browser.value(
+            "JSON.stringify(abouts.map((about, k) => [about.agent, about.name, seconds[k], about.visible_m2]))"
+        )
     )
     return [Shown(number, *each) for number, each in enumerate(rows)]
 
@@ -120,7 +122,9 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--side", type=int, default=320)
     parser.add_argument("--layers", default="states", help="of the cells, with commas; several stand side by side")
-    parser.add_argument("--pace", type=float, help="seconds that each frame is shown, in place of the sweeps' own times")
+    parser.add_argument(
+        "--pace", type=float, help="seconds that each frame is shown, in place of the sweeps' own times"
+    )
     given = parser.parse_args()
     pictures = []
     with open_browser() as browser:

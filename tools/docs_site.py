@@ -315,7 +315,9 @@ def _headline(page: str, words: str) -> str:
 
 def _known(what: str) -> str:
     """Return the part of the page in the wild, of cars on roads, where so much was known."""
-    return _result("wild").split("## road, car\n")[1].split("\n## ")[0].split(f"**Known: {what}")[1].split("**Known: ")[0]
+    return (
+        _result("wild").split("## road, car\n")[1].split("\n## ")[0].split(f"**Known: {what}")[1].split("**Known: ")[0]
+    )
 
 
 def _row(part: str, method: str) -> list[str]:

@@ -62,7 +62,12 @@ class Home:
         env = {"HOME": str(self.folder), "PATH": self.path, "LANG": "C.UTF-8", "TERM": "xterm"}
         self._ours, theirs = pty.openpty()
         self._shell = subprocess.Popen(
-            ["bash", "--noprofile", "--norc"], cwd=self.folder, env=env, stdin=subprocess.PIPE, stdout=theirs, stderr=theirs
+            ["bash", "--noprofile", "--norc"],
+            cwd=self.folder,
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=theirs,
+            stderr=theirs,
         )
         os.close(theirs)
         return self

@@ -203,7 +203,9 @@ def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
     return payloads
 
 
-def las(points: NDArray[np.float64], intensity: NDArray[np.generic], offset: tuple[float, ...] = (0.0, 0.0, 0.0)) -> bytes:
+def las(
+    points: NDArray[np.float64], intensity: NDArray[np.generic], offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> bytes:
     """Return a LAS 1.2 file of point format 0: whole millimeters from an offset."""
     low, high = points.min(axis=0), points.max(axis=0)
     bounds = [number for axis in range(3) for number in (high[axis], low[axis])]
@@ -213,7 +215,8 @@ def las(points: NDArray[np.float64], intensity: NDArray[np.generic], offset: tup
     )  # fmt: skip
     steps = np.rint((points - offset) * 1e3).astype(int)
     return header + b"".join(
-        struct.pack("<3iHBBBBH", *map(int, row), int(value), 0, 0, 0, 0, 0) for row, value in zip(steps, intensity, strict=True)
+        struct.pack("<3iHBBBBH", *map(int, row), int(value), 0, 0, 0, 0, 0)
+        for row, value in zip(steps, intensity, strict=True)
     )
 
 

@@ -76,7 +76,7 @@ REFUSED = {
     "estimate meters.npy": "is the file in kilometers? Convert it to meters", "estimate zero.npy": "all points lie at the origin",
     "estimate nan.npy": "none of the 500 points is finite", "estimate map.npy": "in a map's coordinates?",
     "estimate words.csv": "got a word in the column 'kind': leave it out", "estimate two.csv": "three numbers or more a line",
-    "estimate no.csv": "must have columns x, y and z … --format", "info empty.csv": "the file is empty",
+    "estimate no.csv": "must have x, y and z among the names of its columns, got time, speed, heading", "info empty.csv": "the file is empty",
     "estimate ragged.csv": "ragged.csv: ", "estimate names.csv": "three numbers or more a line",
     "estimate more.csv": "a number for each of 3 names, got 4", "estimate german.csv": "for each of 3 names, got 6",
     "estimate json.csv": "three numbers or more a line", "estimate nul.xyz": "three numbers or more a line",

@@ -42,7 +42,9 @@ def test_a_batch_writes_what_one_by_one_writes_and_tells_no_time(
     assert (code, err, out.count(" ms); sensor 1.80 m high")) == (0, "", 5)
     code, batched, err = run(*words, "--out", tmp_path / "many", "--batch", 3)
     assert (code, err) == (0, "")
-    assert batched == re.sub(r", \d+ ms\)|; \d+ ms each", lambda ms: ")" * ms[0].count(")"), out.replace("/one/", "/many/"))
+    assert batched == re.sub(
+        r", \d+ ms\)|; \d+ ms each", lambda ms: ")" * ms[0].count(")"), out.replace("/one/", "/many/")
+    )
     names = sorted(path.name for path in (tmp_path / "one").iterdir())
     assert sorted(path.name for path in (tmp_path / "many").iterdir()) == names
     assert len(names) == 15

@@ -189,7 +189,9 @@ def test_a_line_is_short_and_a_total_ends_many(drive: Path, tmp_path: Path) -> N
     lines = done.stdout.splitlines()
     assert [len(line.partition(" → ")[0]) <= 100 for line in lines] == [True] * 4
     areas_m2 = [float(re.search(r"visible (\d+) m²", line)[1]) for line in lines[:3]]
-    assert lines[3].startswith(f"3 sweeps: {np.mean(areas_m2):.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}; ")
+    assert lines[3].startswith(
+        f"3 sweeps: {np.mean(areas_m2):.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}; "
+    )
 
 
 def test_json_says_what_the_arrays_hold_and_quiet_says_nothing(drive: Path, tmp_path: Path) -> None:
@@ -265,7 +267,11 @@ def test_python_takes_a_file_and_shows_what_it_found(drive: Path, monkeypatch: p
 
 @pytest.mark.parametrize(
     ("shape", "remedy"),
-    [((64, 1024), "is it a range image"), ((64, 1024, 3), r"reshape it \(points.reshape\(-1, 3\)\)"), ((), r"got \(\)")],
+    [
+        ((64, 1024), "is it a range image"),
+        ((64, 1024, 3), r"reshape it \(points.reshape\(-1, 3\)\)"),
+        ((), r"got \(\)"),
+    ],
 )
 def test_an_array_of_another_shape_is_no_cloud(shape: tuple[int, ...], remedy: str) -> None:
     with pytest.raises(ValueError, match=remedy):

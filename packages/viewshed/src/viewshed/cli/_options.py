@@ -81,9 +81,7 @@ Index = Annotated[
     Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
 ]
 TargetName = Annotated[str, typer.Option("--target", help="What a cell counts as visible for: car or pedestrian.")]
-Parameters = Annotated[
-    str, typer.Option("--parameters", help="Of the method: sound (ours) or paper (as published).")
-]
+Parameters = Annotated[str, typer.Option("--parameters", help="Of the method: sound (ours) or paper (as published).")]
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
 Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
@@ -350,10 +348,20 @@ class SectionedCommand(TyperCommand):
         """Write arguments and options, in sections where they are many."""
         shown = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
         titles = {name: f"{title} options" for title, names in SECTIONS.items() for name in names}
-        sections: dict[str, list[Any]] = {"Arguments": [], "Options": [], **{f"{title} options": [] for title in SECTIONS}}
+        sections: dict[str, list[Any]] = {
+            "Arguments": [],
+            "Options": [],
+            **{f"{title} options": [] for title in SECTIONS},
+        }
         for param, record in shown:
             is_argument = param.param_type_name == "argument"
-            title = "Arguments" if is_argument else titles.get(str(param.name), "Options") if len(shown) > _MANY else "Options"
+            title = (
+                "Arguments"
+                if is_argument
+                else titles.get(str(param.name), "Options")
+                if len(shown) > _MANY
+                else "Options"
+            )
             if record is not None:
                 sections[title].append(record)
         for title, records in sections.items():

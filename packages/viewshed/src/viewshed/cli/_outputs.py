@@ -78,7 +78,9 @@ def make_folder(out: Path) -> None:
         raise ValueError(f"--out must be a folder, got the file {out}")
     endings = {".png", *(exporter.suffix for exporter in EXPORTERS.values())}
     if not out.exists() and out.suffix and out.name.endswith(tuple(endings)):
-        raise ValueError(f"--out must be a folder for the results, got the name of a file, {out}; leave out {out.suffix}")
+        raise ValueError(
+            f"--out must be a folder for the results, got the name of a file, {out}; leave out {out.suffix}"
+        )
     out.mkdir(parents=True, exist_ok=True)
 
 
@@ -394,7 +396,9 @@ class Total:
         areas_m2, times_ms = self.areas_m2, sorted(self.times_ms)
         elapsed = f"; {times_ms[len(times_ms) // 2]:.0f} ms each" if times_ms else ""
         mean_m2 = sum(areas_m2) / len(areas_m2)
-        return f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
+        return (
+            f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
+        )
 
 
 _MUCH_UNSURE = 0.2

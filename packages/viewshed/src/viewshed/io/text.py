@@ -45,17 +45,26 @@ def _head(content: bytes) -> tuple[int, list[str]]:
         line = content[start : end if end >= 0 else start + _LINE_BYTES].decode("utf-8-sig", "replace").strip()
         words = [word.strip('"') for word in re.split(r"[,;\t ]+", line.strip(",; \t")) if word]
         if words and all(map(_is_number, words)) and len(words) >= 3:
+            if names and not {"x", "y", "z"} <= set(names):
+                raise ValueError(
+                    f"text must have x, y and z among the names of its columns, got {', '.join(names)[:200]}"
+                )
             if names and len(names) != len(words):
-                raise ValueError(f"text must have a number for each of {len(names)} names, got {len(words)} in {line[:80]!r}")
+                raise ValueError(
+                    f"text must have a number for each of {len(names)} names, got {len(words)} in {line[:80]!r}"
+                )
             extra = [f"column {at}" for at in range(len(_PLAIN), len(words))]
             return start, names or [*_PLAIN[: len(words)], *extra]
         if end < 0:
             break
         if {"x", "y", "z"} <= set(names) and len(words) == len(names):
             bad = next(name for name, word in zip(names, words, strict=True) if not _is_number(word))
-            raise ValueError(f"text must have numbers alone below its names, got a word in the column {bad!r}: leave it out")
+            raise ValueError(
+                f"text must have numbers alone below its names, got a word in the column {bad!r}: leave it out"
+            )
         lower = [_WORDS.get(word.lower(), word.lower()) for word in words if word not in {"#", "//"}]
-        names = lower if {"x", "y", "z"} <= set(lower) else names
+        is_comment = line.startswith(("#", "//"))
+        names = lower if lower and ({"x", "y", "z"} <= set(lower) or not is_comment) else names
         start = end + 1
     raise ValueError("text must have a point of three numbers or more a line, with names x, y, z above them or without")
 
