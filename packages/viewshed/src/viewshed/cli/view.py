@@ -163,29 +163,38 @@ _SWEEPS_SHOWN = 50
 
 def _serve_page(reading: Reading, estimator: Estimator) -> None:
     """Serve the page to try until Ctrl-C."""
+    from viewshed.preprocess.plausibility import doubts
     from viewshed.show.view import pack_frame, write_page
     from viewshed.show.view.serve import Refused, serving
 
-    def page_of(name: str, content: bytes) -> bytes:
+    def page_of(name: str, content: bytes) -> tuple[bytes, str]:
+        said: list[str] = []
+
+        def packed(frames: Iterator[tuple[Frame, str]]) -> Iterator[PackedFrame]:
+            for frame, line in frames:
+                typer.echo(line)
+                said[:] = [line, *(doubts(frame.leveled) if frame.leveled is not None else ())]
+                yield pack_frame(frame)
+
         with tempfile.TemporaryDirectory(prefix="viewshed") as folder:
             file, page = Path(folder, name), Path(folder, "page.html")
             file.write_bytes(content)
             try:
                 sweeps = islice((Named(sweep, name, file) for sweep in reading.sweeps(file)), _SWEEPS_SHOWN)
                 frames = _frames(sweeps, estimator, None, None, _Raising(), NOT_FOLLOWED)
-                write_page(page, (pack_frame(frame) for frame, line in frames if not typer.echo(line)), name)
+                write_page(page, packed(frames), name)
             except BAD_INPUTS as error:
                 line = one_line(error).replace(f"{folder}{os.sep}", "")
                 complain(line)
                 raise Refused(line) from error
-            return page.read_bytes()
+            return page.read_bytes(), "; ".join(said)
 
     with _serving_somewhere(serving, page_of) as server:
         typer.echo(f"open http://127.0.0.1:{server.server_address[1]}/ and drop a file on it; Ctrl-C ends")
         server.serve_forever()
 
 
-def _serving_somewhere(serving: Callable[..., Any], page_of: Callable[[str, bytes], bytes]) -> Any:
+def _serving_somewhere(serving: Callable[..., Any], page_of: Callable[[str, bytes], tuple[bytes, str]]) -> Any:
     """Return the server at its usual port, or at any that is free."""
     with socket.socket() as probe:
         is_taken = probe.connect_ex(("127.0.0.1", PAGE_PORT)) == 0

@@ -45,28 +45,28 @@ class Refused(ValueError):
 class _Pages:
     """The newest pages by address, and what makes one of a file's name and bytes, one at a time."""
 
-    page_of: Callable[[str, bytes], bytes]
+    page_of: Callable[[str, bytes], tuple[bytes, str]]
     made: dict[str, bytes] = field(default_factory=dict)
     lock: Lock = field(default_factory=Lock)
 
-    def add(self, name: str, content: bytes) -> str:
-        """Return the address of a new page; the oldest is forgotten."""
+    def add(self, name: str, content: bytes) -> dict[str, str]:
+        """Return the address of a new page and what is said beside it; the oldest page is forgotten."""
         with self.lock:
-            page = self.page_of(name, content)
+            page, said = self.page_of(name, content)
             address = f"/page/{secrets.token_hex(8)}"
             self.made[address] = page
             while len(self.made) > _PAGES_KEPT:
                 del self.made[next(iter(self.made))]
-        return address
+        return {"page": address, "said": said}
 
 
 @contextmanager
-def serving(port: int, page_of: Callable[[str, bytes], bytes]) -> Iterator[ThreadingHTTPServer]:
+def serving(port: int, page_of: Callable[[str, bytes], tuple[bytes, str]]) -> Iterator[ThreadingHTTPServer]:
     """Yield a server of the page to try at a port of this machine's loopback interface; it answers in ``serve_forever``.
 
     Args:
         port: of the server; 0 for any that is free.
-        page_of: turns the name and bytes of a dropped file into a page.
+        page_of: turns the name and bytes of a dropped file into a page, and what to say beside it.
 
     Raises:
         OSError: the port is taken.
@@ -119,11 +119,11 @@ class _Handler(BaseHTTPRequestHandler):
             "."
         )
         try:
-            address = self.kept.add(name or "file", content)
+            answer = self.kept.add(name or "file", content)
         except Refused as error:
             self._say(HTTPStatus.UNPROCESSABLE_ENTITY, str(error))
             return
-        self._send(HTTPStatus.OK, "application/json", json.dumps({"page": address}).encode())
+        self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
 
     def _is_ours(self) -> bool:
         """Whether the request names this server as its host; anything else is answered with a refusal."""
