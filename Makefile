@@ -77,7 +77,7 @@ $(VENV)/.made:
 	@touch $@
 
 # The native core is compiled by the install, and again when its sources change.
-CORE := $(addprefix packages/viewshed/,pyproject.toml CMakeLists.txt) $(wildcard packages/viewshed/src/core/*)
+CORE := $(addprefix packages/viewshed/,pyproject.toml CMakeLists.txt) $(wildcard packages/viewshed/src/core/* packages/viewshed/src/core/bindings/*)
 
 $(VENV)/.core: $(CORE) $(VENV)/.made
 	$(PIP) --editable packages/viewshed

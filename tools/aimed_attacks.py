@@ -21,14 +21,13 @@ from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
 from viewshed.metrics import ConfusionCounts
-from viewshed.preprocess.history import History
-from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, level
+from viewshed.preprocess.history import HISTORY_SWEEPS, History
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed_lab._page import facts, page, table
 from viewshed_lab._results import write_page
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame, world_of
-from viewshed_lab.studies.ablation.evaluate import PriorSweeps
 from viewshed_lab.studies.samples import StudySample
 from viewshed_lab.studies.statistics import bootstrap, precision
 from viewshed_lab.threats.attacks import ATTACKS, Placement, Tampered
@@ -92,19 +91,12 @@ agent, a map, a camera. A removal alone is no evidence of an open view: what it 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one attack on one estimate of one scene, in the wedge where the truth is known.
+    """What came of one attack on one estimate of one scene, in the wedge where the truth is known."""
 
-    Attributes:
-        clean: the claims without an attack.
-        attacked: the claims under attack.
-        new: what is claimed under attack and not without, of it what the truth shows.
-        moving: whether the obstacle that the attack opens moves.
-    """
-
-    clean: ConfusionCounts
-    attacked: ConfusionCounts
-    new: ConfusionCounts
-    moving: bool = False
+    clean: ConfusionCounts  # the claims without an attack
+    attacked: ConfusionCounts  # the claims under attack
+    new: ConfusionCounts  # what is claimed under attack and not without, of it what the truth shows
+    moving: bool = False  # whether the obstacle that the attack opens moves
 
 
 Claims = dict[tuple[str, str], Mask]
@@ -132,10 +124,20 @@ def attacked(name: str, placement: Placement, sweep: Sweep, number: int) -> Tamp
     return tampered
 
 
-def claims(sweep: Sweep, victims: Mapping[str, Estimator], prior: PriorSweeps) -> Claims:
+def earlier_sweeps(sample: StudySample) -> list[LeveledSweep]:
+    """Return the five sweeps that the sensor measured before a simulated sample, leveled, the oldest first."""
+    if sample.frame is None:
+        raise ValueError("a sample must be simulated to have earlier sweeps, got a recorded one")
+    scene, frame = sample.frame
+    step = scene.preset.agents
+    numbers = range(frame % step, frame, step)[-HISTORY_SWEEPS:]
+    return [level(simulate_frame(scene, number).sweep, sample.truth.grid) for number in numbers]
+
+
+def claims(sweep: Sweep, victims: Mapping[str, Estimator], earlier: Sequence[LeveledSweep]) -> Claims:
     """Return what every method claims of a sweep, by itself and with the sweeps before it where it uses any."""
-    leveled, found = level(sweep, prior.grid), Claims()
-    history = History.of(leveled, prior.levels)
+    leveled, found = level(sweep, next(iter(victims.values())).grid), Claims()
+    history = History.of(leveled, earlier)
     for name, victim in victims.items():
         found[name, ONE] = victim.estimate(leveled).visible()
         if victim.uses_history:
@@ -168,9 +170,9 @@ def opens_moving(sample: StudySample, tampered: Tampered) -> bool:
 
 def outcomes_of(sample: StudySample, victims: Mapping[str, Estimator], number: int) -> Outcomes:
     """Return what comes of every attack and placement on one scene; lists of one."""
-    prior, truth = PriorSweeps.of(sample), sample.truth.visible(CAR)
+    earlier, truth = earlier_sweeps(sample), sample.truth.visible(CAR)
     grid, found = sample.truth.grid, Outcomes()
-    unattacked = claims(sample.sweep, victims, prior)
+    unattacked = claims(sample.sweep, victims, earlier)
     for name in _TRIED:
         for placement in get_args(Placement):
             tampered = attacked(name, placement, sample.sweep, number)
@@ -178,7 +180,7 @@ def outcomes_of(sample: StudySample, victims: Mapping[str, Estimator], number: i
                 raise ValueError("an attack that is aimed must have a wedge, got none")
             inside = sample.known & cells_in(grid, sample.sweep, tampered.wedge)
             moving = opens_moving(sample, tampered)
-            for (method, basis), after in claims(tampered.sweep, victims, prior).items():
+            for (method, basis), after in claims(tampered.sweep, victims, earlier).items():
                 before = unattacked[method, basis]
                 clean, under_attack, new = (
                     ConfusionCounts.of(mask, truth, inside, grid.cell_area_m2)

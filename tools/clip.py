@@ -32,21 +32,13 @@ _HEAD = 46
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A frame of the page.
+    """A frame of the page."""
 
-    Attributes:
-        number: of the frame on the page.
-        agent: whose sweep it is.
-        name: of the sweep.
-        time_s: since the first frame.
-        visible_m2: of the estimate.
-    """
-
-    number: int
-    agent: str
-    name: str
-    time_s: float
-    visible_m2: float
+    number: int  # of the frame on the page
+    agent: str  # whose sweep it is
+    name: str  # of the sweep
+    time_s: float  # since the first frame
+    visible_m2: float  # of the estimate
 
 
 def frames_of(browser: Browser) -> list[Shown]:

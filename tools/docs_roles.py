@@ -1,12 +1,20 @@
-"""An extension of griffe: roles (``:class:`~a.b.C```) and doctests of docstrings are code on the pages of the site."""
+"""An extension of griffe: what the pages of the site show of docstrings, and of comments beside the fields of a class.
+
+Roles (``:class:`~a.b.C```) and doctests become code, the comments of fields a section of the class's docstring.
+"""
 
 import re
+from collections.abc import Iterator
+from itertools import takewhile
 from typing import Any
 
 import griffe
 
 ROLE = re.compile(r":(?:class|func|meth|data|mod|attr|obj):`(~?)([^`]+)`")
 DOCTEST = re.compile(r"^>>> .*?(?=\n\n|\Z)", re.MULTILINE | re.DOTALL)
+
+
+FIELD = re.compile(r"^\s+\w+: [^#]*  # (?!type:|noqa|fmt:)(.+)$")
 
 
 class Roles(griffe.Extension):  # type: ignore[misc]  # griffe is not looked at
@@ -17,6 +25,20 @@ class Roles(griffe.Extension):  # type: ignore[misc]  # griffe is not looked at
         if not obj.is_alias and obj.docstring:
             text = ROLE.sub(_code, obj.docstring.value)
             obj.docstring.value = DOCTEST.sub(lambda block: f"```pycon\n{block[0]}\n```", text)
+            if obj.is_class and (fields := list(_fields(obj))):
+                obj.docstring.value += "\n\nAttributes:\n" + "\n".join(f"    {field}" for field in fields)
+
+
+def _fields(of_class: Any) -> Iterator[str]:
+    """Yield "name: what it is" of each field with a comment, which stands behind it or in the lines above."""
+    lines = of_class.lines_collection[of_class.filepath]
+    for name, member in of_class.members.items():
+        if not member.is_alias and member.is_attribute and not name.startswith("_") and member.lineno:
+            behind = FIELD.match(lines[member.endlineno - 1])
+            before = takewhile(lambda line: line.lstrip().startswith("# "), reversed(lines[: member.lineno - 1]))
+            words = behind[1] if behind else " ".join(line.strip()[2:] for line in reversed(list(before)))
+            if words:
+                yield f"{name}: {ROLE.sub(_code, words).rstrip('.')}."
 
 
 def _code(role: re.Match[str]) -> str:

@@ -47,27 +47,16 @@ python tools/clip.py run.html docs/assets/agents.webp --side 300
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """One picture of the gallery.
+    """One picture of the gallery."""
 
-    Attributes:
-        name: of the picture's file.
-        title: of its section.
-        folder: ``data`` or ``recordings``.
-        file: below that folder.
-        shows: what a reader should look at.
-        source: who recorded it, by which sensor, under which license.
-        grid: name of the grid.
-        target: name of the target.
-    """
-
-    name: str
-    title: str
-    folder: str
-    file: str
-    shows: str
-    source: str
-    grid: str = "road"
-    target: str = "car"
+    name: str  # of the picture's file
+    title: str  # of its section
+    folder: str  # ``data`` or ``recordings``
+    file: str  # below that folder
+    shows: str  # what a reader should look at
+    source: str  # who recorded it, by which sensor, under which license
+    grid: str = "road"  # name of the grid
+    target: str = "car"  # name of the target
 
 
 def situations() -> list[Situation]:
@@ -111,8 +100,7 @@ def main() -> int:
         ]
         if number == 0:
             write_atomic(
-                pictures / f"{situation.name}_dark.png",
-                estimate.plot(leveled, f"{situation.title}\n{line}", dark=True),
+                pictures / f"{situation.name}_dark.png", estimate.plot(leveled, f"{situation.title}\n{line}", dark=True)
             )
             parts += [
                 "The same on a dark page (`--dark`):",

@@ -30,19 +30,12 @@ _PER_CAST = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boxes:
-    """Upright boxes in the world.
+    """Upright boxes in the world."""
 
-    Attributes:
-        cell: (N, 2) index of the cell that each stands in.
-        center_m: (N, 3) middle of the box.
-        yaw: (N,) heading of its length in the world.
-        half_m: (N, 3) half its length, width and height.
-    """
-
-    cell: NDArray[np.intp]
-    center_m: F64
-    yaw: F64
-    half_m: F64
+    cell: NDArray[np.intp]  # (N, 2) index of the cell that each stands in
+    center_m: F64  # (N, 3) middle of the box
+    yaw: F64  # (N,) heading of its length in the world
+    half_m: F64  # (N, 3) half its length, width and height
 
     def select(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Boxes:
         """Return the boxes that ``keep`` names."""
@@ -51,21 +44,13 @@ class Boxes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Probes:
-    """What placed targets gave, and what the truth expects.
+    """What placed targets gave, and what the truth expects."""
 
-    Attributes:
-        target: what was placed.
-        boxes: where, N of them.
-        range_m: (N,) horizontal range of the cells' centers.
-        expected: (N,) returns by the truth.
-        met: (N,) beams whose first stop is the probe.
-    """
-
-    target: Target
-    boxes: Boxes
-    range_m: F64
-    expected: NDArray[np.int64]
-    met: NDArray[np.int64]
+    target: Target  # what was placed
+    boxes: Boxes  # where, N of them
+    range_m: F64  # (N,) horizontal range of the cells' centers
+    expected: NDArray[np.int64]  # (N,) returns by the truth
+    met: NDArray[np.int64]  # (N,) beams whose first stop is the probe
 
     @property
     def agree(self) -> NDArray[np.bool_]:

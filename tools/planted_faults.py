@@ -32,8 +32,8 @@ _NO_DEFINITION = r"(namespace|using|enum|template|public|private)\b"
 class Fault:
     """One fault: in the source of ``symbol``, ``find`` (which must occur once) becomes ``replace``.
 
-    ``symbol`` is a function or constant after "core.FILE:". ``find`` is compared without regard to white space and to a
-    comma before a closing bracket.
+    ``symbol`` is a function or constant after "core.FILE:" or "core.bindings.FILE:". ``find`` is compared without
+    regard to white space and to a comma before a closing bracket.
     """
 
     what: str
@@ -83,6 +83,7 @@ def plant(fault: Fault, core: Path) -> tuple[Path, str]:
         ValueError: the symbol is not there or not the only one, or it does not hold the text exactly once.
     """
     file, _, name = fault.symbol.removeprefix("core.").partition(":")
+    file = file.replace(".", "/")
     path = next((path for path in sorted(core.glob(f"{file}.[ch]pp")) if _places(path, name)), core / f"{file}.cpp")
     places = _places(path, name) if path.exists() else []
     if len(places) != 1:

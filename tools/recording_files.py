@@ -126,6 +126,33 @@ def carla() -> Files:
     }
 
 
+def feather(**columns: Any) -> bytes:
+    """Return a feather file of columns."""
+    import pyarrow as pa
+    from pyarrow import feather as arrow
+
+    file = io.BytesIO()
+    arrow.write_feather(pa.table(columns), file, compression="lz4")
+    return file.getvalue()
+
+
+def argoverse2() -> Files:
+    """Return one sweep of an Argoverse 2 log with its pose and a box."""
+    sweep = dict(zip("xyz", POINTS.astype(np.float16).T, strict=True)) | {
+        "intensity": np.arange(6, dtype=np.uint8), "laser_number": np.arange(6, dtype=np.uint8),
+        "offset_ns": np.arange(6, dtype=np.int32),
+    }  # fmt: skip
+    time = {"timestamp_ns": np.array([315966265259836000])}
+    turned = {"qw": [0.8], "qx": [0.0], "qy": [0.0], "qz": [0.6]}
+    box = {"length_m": [4.0], "width_m": [1.8], "height_m": [1.5], "tx_m": [8.0], "ty_m": [3.0], "tz_m": [0.7]}
+    names = {"category": ["REGULAR_VEHICLE"], "track_uuid": ["a-1"]}
+    return {
+        "log/sensors/lidar/315966265259836000.feather": feather(**sweep),
+        "log/city_SE3_egovehicle.feather": feather(**time, **turned, tx_m=[5224.0], ty_m=[2384.0], tz_m=[69.0]),
+        "log/annotations.feather": feather(**time, **turned, **box, **names),
+    }
+
+
 def cloud(ros1: bool) -> tuple[Any, bytes]:
     """Return a type store, and a PointCloud2 of :data:`POINTS` as it writes it."""
     from rosbags.typesys import Stores, get_typestore
@@ -195,8 +222,8 @@ def recordings() -> dict[str, Files]:
     """Return the files of a small recording of every kind, by a name of its own."""
     return {
         "nuscenes": nuscenes(), "kitti_raw": kitti_raw(), "kitti_odometry": kitti_odometry(),
-        "kitti_object": kitti_object(), "opv2v": opv2v(), "carla": carla(), "ros1 bag": {"a.bag": ros1_bag()},
-        "db3": {"a.db3": db3()}, "mcap": {"a.mcap": mcap()},
+        "kitti_object": kitti_object(), "opv2v": opv2v(), "carla": carla(), "argoverse2": argoverse2(),
+        "ros1 bag": {"a.bag": ros1_bag()}, "db3": {"a.db3": db3()}, "mcap": {"a.mcap": mcap()},
         "ros2 folder": {"a/a_0.db3": db3(), "a/metadata.yaml": b""},
     }  # fmt: skip
 

@@ -62,21 +62,13 @@ Attacked = Mapping[int, Sequence[RunningAttack]]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One published case.
+    """One published case."""
 
-    Attributes:
-        title: of its page.
-        text: what is forged.
-        attack: of ``OBJECT_ATTACKS``.
-        count: objects at a time.
-        agents: who is attacked, from the cars of a scene in random order.
-    """
-
-    title: str
-    text: str
-    attack: str
-    count: int
-    agents: Callable[[list[int]], list[int]]
+    title: str  # of its page
+    text: str  # what is forged
+    attack: str  # of ``OBJECT_ATTACKS``
+    count: int  # objects at a time
+    agents: Callable[[list[int]], list[int]]  # who is attacked, from the cars of a scene in random order
 
 
 CASES = {

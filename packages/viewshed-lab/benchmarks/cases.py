@@ -26,25 +26,15 @@ QUICK = ("farthest", "continuous", "quantized", "first_blocker", "trimmed")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One row: what is done, to what, within which time, and beside what.
+    """One row: what is done, to what, within which time, and beside what."""
 
-    Attributes:
-        step: what is done.
-        size: "35k" or "120k".
-        job: does it once.
-        floor_bytes: bytes that must be read and written at least.
-        target_ms: most milliseconds, or None.
-        target_ratio: most (name of an alternative, multiple of its time), or None.
-        others: the alternatives by name.
-    """
-
-    step: str
-    size: str
-    job: Callable[[], object]
-    floor_bytes: int
-    target_ms: float | None = None
-    target_ratio: tuple[str, float] | None = None
-    others: Mapping[str, Callable[[], object]] = field(default_factory=dict)
+    step: str  # what is done
+    size: str  # "35k" or "120k"
+    job: Callable[[], object]  # does it once
+    floor_bytes: int  # bytes that must be read and written at least
+    target_ms: float | None = None  # most milliseconds, or None
+    target_ratio: tuple[str, float] | None = None  # most (name of an alternative, multiple of its time), or None
+    others: Mapping[str, Callable[[], object]] = field(default_factory=dict)  # the alternatives by name
 
 
 def all_cases(folder: Path, rng: np.random.Generator) -> Iterator[Case]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.io.messages.pointcloud2 import PointField
 from viewshed.sweep import Sweep
 
-FLOAT32, UINT16, UINT32 = 7, 4, 6
+FLOAT32, UINT16 = 7, 4
 """Of ``PointField.datatype``."""
 
 
@@ -56,17 +56,11 @@ def cloud_of(sweep: Sweep) -> Cloud:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """One thing that may be wrong with a cloud.
+    """One thing that may be wrong with a cloud."""
 
-    Attributes:
-        change: makes the cloud that is wrong.
-        says: what the refusal says, or "" where the cloud may be answered: nothing in it contradicts itself.
-        why: in words.
-    """
-
-    change: Callable[[Cloud], Cloud]
-    says: str
-    why: str
+    change: Callable[[Cloud], Cloud]  # makes the cloud that is wrong
+    says: str  # what the refusal says, or "" where the cloud may be answered: nothing in it contradicts itself
+    why: str  # in words
 
 
 def _without(cloud: Cloud, name: str) -> Cloud:

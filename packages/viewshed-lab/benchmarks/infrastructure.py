@@ -65,22 +65,17 @@ SETTING = Setting(GRIDS["road"])
 
 @dataclass(slots=True)
 class Scene:
-    """What one scene came to; areas in m² added over its times.
+    """What one scene came to; areas in m² added over its times."""
 
-    Attributes:
-        area: by whose view and "truth" or "claimed", m² visible.
-        right: by whose view, m² claimed that are visible.
-        indoors: by whose view, m² claimed within the boxes of buildings.
-        shadows: m² outside of buildings that something hides from the car, and of these what the mast sees.
-        sightings: by whose view, pedestrians within ``WITHIN_M`` of the car that are seen, added over times; ``all``.
-        in_time: by whose view, pedestrians seen before the car comes near; ``all`` who come near.
-    """
-
+    # by whose view and "truth" or "claimed", m² visible
     area: dict[tuple[str, str], float] = field(default_factory=dict)
-    right: dict[str, float] = field(default_factory=dict)
-    indoors: dict[str, float] = field(default_factory=dict)
+    right: dict[str, float] = field(default_factory=dict)  # by whose view, m² claimed that are visible
+    indoors: dict[str, float] = field(default_factory=dict)  # by whose view, m² claimed within the boxes of buildings
+    # m² outside of buildings that something hides from the car, and of these what the mast sees
     shadows: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    # by whose view, pedestrians within ``WITHIN_M`` of the car that are seen, added over times; ``all``
     sightings: dict[str, int] = field(default_factory=dict)
+    # by whose view, pedestrians seen before the car comes near; ``all`` who come near
     in_time: dict[str, int] = field(default_factory=dict)
 
 

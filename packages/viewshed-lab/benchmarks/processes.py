@@ -25,17 +25,11 @@ LIBRARIES = "import numpy, shapely, PIL.ImageFont, typer"
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What a process took.
+    """What a process took."""
 
-    Attributes:
-        seconds: on the wall clock.
-        processor_s: of all cores; on a busy machine the steadier figure.
-        peak_mb: most memory that it held, in 10⁶ bytes.
-    """
-
-    seconds: float
-    processor_s: float
-    peak_mb: float
+    seconds: float  # on the wall clock
+    processor_s: float  # of all cores; on a busy machine the steadier figure
+    peak_mb: float  # most memory that it held, in 10⁶ bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +50,10 @@ PEAK_MB = 200.0
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Starts of one command.
+    """Starts of one command."""
 
-    Attributes:
-        first: the first one in each of several empty homes.
-        later: the others.
-    """
-
-    first: list[Start]
-    later: list[Start]
+    first: list[Start]  # the first one in each of several empty homes
+    later: list[Start]  # the others
 
 
 def imports(rng: np.random.Generator) -> dict[str, Timing]:

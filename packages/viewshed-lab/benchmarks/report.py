@@ -13,33 +13,19 @@ from viewshed_lab._results import write_page
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measured step.
+    """One measured step."""
 
-    Attributes:
-        step: what was done.
-        size: to what.
-        median_ms: our median.
-        low_ms: 10th percentile.
-        high_ms: 90th percentile.
-        repeats: how often it ran.
-        floor_ms: bytes that must be moved over the bandwidth measured in the same run, or None.
-        target: in words, empty where there is none.
-        met: whether the target is met, None where there is none.
-        others_ms: medians of the alternatives by name.
-        peak_mb: most memory that a process held, in 10⁶ bytes, or None where it is not measured.
-    """
-
-    step: str
-    size: str
-    median_ms: float
-    low_ms: float
-    high_ms: float
-    repeats: int
-    floor_ms: float | None
-    target: str
-    met: bool | None
-    others_ms: dict[str, float]
-    peak_mb: float | None = None
+    step: str  # what was done
+    size: str  # to what
+    median_ms: float  # our median
+    low_ms: float  # 10th percentile
+    high_ms: float  # 90th percentile
+    repeats: int  # how often it ran
+    floor_ms: float | None  # bytes that must be moved over the bandwidth measured in the same run, or None
+    target: str  # in words, empty where there is none
+    met: bool | None  # whether the target is met, None where there is none
+    others_ms: dict[str, float]  # medians of the alternatives by name
+    peak_mb: float | None = None  # most memory that a process held, in 10⁶ bytes, or None where it is not measured
 
     def cells(self) -> list[str]:
         """Return the row as text, cell by cell."""

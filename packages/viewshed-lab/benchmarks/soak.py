@@ -72,40 +72,25 @@ CLOCKS = {
 
 @dataclass(slots=True)
 class Kind:
-    """What became of the sweeps of one kind.
+    """What became of the sweeps of one kind."""
 
-    Attributes:
-        sent: how many were put in.
-        answered: with an estimate.
-        refused: with a reason.
-        dropped: a newer sweep took their place, or the pipeline ended.
-        reasons: refusals and notes, and how many.
-    """
-
-    sent: int = 0
-    answered: int = 0
-    refused: int = 0
-    dropped: int = 0
-    reasons: Counter[str] = field(default_factory=Counter)
+    sent: int = 0  # how many were put in
+    answered: int = 0  # with an estimate
+    refused: int = 0  # with a reason
+    dropped: int = 0  # a newer sweep took their place, or the pipeline ended
+    reasons: Counter[str] = field(default_factory=Counter)  # refusals and notes, and how many
 
 
 @dataclass(slots=True)
 class Soaked:
-    """A soak.
+    """A soak."""
 
-    Attributes:
-        seconds: how long it took.
-        restarts: how often everything began anew.
-        kinds: by kind of sweep.
-        log: a line each: seconds, sent, answered, dropped, refused, median and 99 % latency in ms, memory in MB.
-        faults: what must not be; empty where the soak is passed.
-    """
-
-    seconds: float = 0.0
-    restarts: int = 0
-    kinds: dict[str, Kind] = field(default_factory=dict)
+    seconds: float = 0.0  # how long it took
+    restarts: int = 0  # how often everything began anew
+    kinds: dict[str, Kind] = field(default_factory=dict)  # by kind of sweep
+    # a line each: seconds, sent, answered, dropped, refused, median and 99 % latency in ms, memory in MB
     log: list[list[float]] = field(default_factory=list)
-    faults: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)  # what must not be; empty where the soak is passed
 
 
 def main() -> None:
@@ -160,15 +145,10 @@ _COLUMNS = """## How to read the log
 
 @dataclass(slots=True)
 class Script:
-    """What is sent, one sweep after the other: its kind and its time.
+    """What is sent, one sweep after the other: its kind and its time."""
 
-    Attributes:
-        rng: draws what is wrong.
-        t_ns: of the last sweep.
-    """
-
-    rng: np.random.Generator
-    t_ns: int = 10**15
+    rng: np.random.Generator  # draws what is wrong
+    t_ns: int = 10**15  # of the last sweep
     _left_of_burst: int = 0
     _last: str = "no points"
 

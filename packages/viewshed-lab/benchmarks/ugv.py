@@ -194,15 +194,10 @@ def _laser_truth(plan: ScenePlan, frame: int) -> tuple[NDArray[np.bool_], NDArra
 
 @dataclass(slots=True)
 class Stream:
-    """The sweeps of a bag, read once.
+    """The sweeps of a bag, read once."""
 
-    Attributes:
-        sweeps: all of them.
-        position: number of the next one.
-    """
-
-    sweeps: InitVar[Iterable[Sweep]]
-    position: int = 0
+    sweeps: InitVar[Iterable[Sweep]]  # all of them
+    position: int = 0  # number of the next one
     _rest: Iterator[Sweep] = field(init=False)
 
     def __post_init__(self, sweeps: Iterable[Sweep]) -> None:

@@ -6,12 +6,7 @@ from hypothesis import strategies as st
 from viewshed import BevGrid, Rigid
 from viewshed.grid import polar_of_cells
 
-grids = st.builds(
-    BevGrid,
-    st.integers(1, 64),
-    st.floats(0.5, 100.0),
-    st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
-)
+grids = st.builds(BevGrid, st.integers(1, 64), st.floats(0.5, 100.0), st.tuples(st.floats(-20, 20), st.floats(-20, 20)))
 
 
 @given(grids)

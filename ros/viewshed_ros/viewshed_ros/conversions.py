@@ -35,19 +35,13 @@ def stamp_of(t_ns: int) -> Time:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A type of message that holds a sweep.
+    """A type of message that holds a sweep."""
 
-    Attributes:
-        packages: of the message, the first that is installed is taken when a sensor uses it.
-        name: of the message in them.
-        sweep_of: makes the sweep, without its time; None of messages that hold a packet each.
-        packet: the attribute that holds the bytes of a packet; empty for messages that hold a sweep.
-    """
-
-    packages: tuple[str, ...]
-    name: str
+    packages: tuple[str, ...]  # of the message, the first that is installed is taken when a sensor uses it
+    name: str  # of the message in them
+    # makes the sweep, without its time; None of messages that hold a packet each
     sweep_of: Callable[[Any], Sweep] | None
-    packet: str = ""
+    packet: str = ""  # the attribute that holds the bytes of a packet; empty for messages that hold a sweep
 
     def message_type(self) -> type[Any]:
         """Return the class of the message.

@@ -37,27 +37,16 @@ from viewshed_ros.stops import MASK_STOPS, stop_mask
 
 @dataclass(frozen=True, slots=True)
 class PosedEstimate:
-    """One answer with an estimate, and where it stands.
+    """One answer with an estimate, and where it stands."""
 
-    Attributes:
-        estimate: in the ``level`` frame of its sensor.
-        stamp: of the cloud.
-        frame: the frame that grids, polygons and markers are published in.
-        frame_from_level: where the ``level`` frame stands in it.
-        world_frame: name of the map's frame.
-        suspect: (SECTORS,) bool, the sectors that the monitor suspects.
-        speed_mps: from which a vehicle stops within what is seen free ahead.
-        limits: of speed, for nav2.
-    """
-
-    estimate: FovEstimate
-    stamp: Any
-    frame: str
-    frame_from_level: Rigid
-    world_frame: str
-    suspect: NDArray[np.bool_]
-    speed_mps: float
-    limits: nav2.SpeedLimits
+    estimate: FovEstimate  # in the ``level`` frame of its sensor
+    stamp: Any  # of the cloud
+    frame: str  # the frame that grids, polygons and markers are published in
+    frame_from_level: Rigid  # where the ``level`` frame stands in it
+    world_frame: str  # name of the map's frame
+    suspect: NDArray[np.bool_]  # (SECTORS,) bool, the sectors that the monitor suspects
+    speed_mps: float  # from which a vehicle stops within what is seen free ahead
+    limits: nav2.SpeedLimits  # of speed, for nav2
 
     def header(self) -> Header:
         """Return the header of messages in ``frame``."""
@@ -76,21 +65,13 @@ class PosedEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """What stop messages are made of: nothing is seen any more, or not yet.
+    """What stop messages are made of: nothing is seen any more, or not yet."""
 
-    Attributes:
-        last: the last view.
-        world_frame: name of the map's frame.
-        area: where masks lie in it.
-        stamp: now.
-        since: time of the newest sweep.
-    """
-
-    last: PosedEstimate | None
-    world_frame: str
-    area: MapMetaData
-    stamp: Any
-    since: Any
+    last: PosedEstimate | None  # the last view
+    world_frame: str  # name of the map's frame
+    area: MapMetaData  # where masks lie in it
+    stamp: Any  # now
+    since: Any  # time of the newest sweep
 
     def view(self) -> PosedEstimate:
         """Return the last view with every cell UNKNOWN.
@@ -281,18 +262,12 @@ def _stopped(mask: str) -> Callable[[Unseen], OccupancyGrid]:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A topic that is made from a view.
+    """A topic that is made from a view."""
 
-    Attributes:
-        message_type: of its messages.
-        make: makes one, or its bytes.
-        latched: whether who comes late is given the last.
-        stop: makes what replaces a message that is too old; None where that claims nothing of what is clear.
-    """
-
-    message_type: type[Any]
-    make: Callable[[PosedEstimate], Any]
-    latched: bool
+    message_type: type[Any]  # of its messages
+    make: Callable[[PosedEstimate], Any]  # makes one, or its bytes
+    latched: bool  # whether who comes late is given the last
+    # makes what replaces a message that is too old; None where that claims nothing of what is clear
     stop: Callable[[Unseen], Any] | None
 
 

@@ -33,18 +33,13 @@ _RAYS_A_CELL, _STEPS_A_CELL = 2.0, 4.0
 class SpeedLimits:
     """What 100 % of a speed mask mean, and how fast one may drive where nothing is seen.
 
-    Attributes:
-        most_mps: 100 %.
-        unseen_mps: in cells that are not visible.
-        here_m: radius around the sensor where the speed from which the vehicle stops in what it sees holds.
-
     Raises:
         ValueError: a number is out of range.
     """
 
-    most_mps: float = 10.0
-    unseen_mps: float = 1.0
-    here_m: float = 3.0
+    most_mps: float = 10.0  # 100 %
+    unseen_mps: float = 1.0  # in cells that are not visible
+    here_m: float = 3.0  # radius around the sensor where the speed from which the vehicle stops in what it sees holds
 
     def __post_init__(self) -> None:
         if not (0.0 < self.unseen_mps <= self.most_mps < math.inf and self.here_m >= 0.0):

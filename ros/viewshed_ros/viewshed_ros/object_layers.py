@@ -26,21 +26,13 @@ _FOUND = (0.6, 0.6, 0.6)
 
 @dataclass(frozen=True, slots=True)
 class ObjectsView:
-    """The objects of one answer, and where they stand.
+    """The objects of one answer, and where they stand."""
 
-    Attributes:
-        objects: of the sensor.
-        stamp: of its cloud.
-        frame: of the sensor.
-        frame_from_level: where the ``level`` frame stands in it.
-        world_frame: name of the map's frame, for tracks where poses are known.
-    """
-
-    objects: SeenObjects
-    stamp: Any
-    frame: str
-    frame_from_level: Rigid
-    world_frame: str
+    objects: SeenObjects  # of the sensor
+    stamp: Any  # of its cloud
+    frame: str  # of the sensor
+    frame_from_level: Rigid  # where the ``level`` frame stands in it
+    world_frame: str  # name of the map's frame, for tracks where poses are known
 
     def tracks(self) -> tuple[ShownTracks, Header]:
         """Return the tracks in the map, or in the sensor's frame where no pose is known."""

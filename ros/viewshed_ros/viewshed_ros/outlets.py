@@ -28,21 +28,15 @@ MOST_CLOUDS = 1000
 
 @dataclass(slots=True)
 class Outlet:
-    """A topic whose last message is replaced by a stop message when it is too old; several threads may publish.
+    """A topic whose last message is replaced by a stop message when it is too old; several threads may publish."""
 
-    Attributes:
-        publisher: of the topic.
-        stop: makes the stop message; None where an old message claims nothing that could harm.
-        seen_s: steady time at which came in what the last message shows; None while there is nothing to replace.
-        is_stop: whether the last message is a stop message.
-        is_open: whether messages of answers are let through.
-    """
-
-    publisher: Any
+    publisher: Any  # of the topic
+    # makes the stop message; None where an old message claims nothing that could harm
     stop: Callable[[], Any] | None = None
+    # steady time at which came in what the last message shows; None while there is nothing to replace
     seen_s: float | None = None
-    is_stop: bool = False
-    is_open: bool = True
+    is_stop: bool = False  # whether the last message is a stop message
+    is_open: bool = True  # whether messages of answers are let through
     _lock: Lock = field(default_factory=Lock, repr=False)
 
     def publish(self, make: Callable[[], Any], seen_s: float, *, always: bool = False) -> None:
@@ -129,22 +123,16 @@ class FrameVote:
 
 @dataclass(slots=True)
 class Sensor:
-    """A sensor while the node is configured.
-
-    Attributes:
-        outlets: by the names of its topics.
-        heartbeat: publisher of what the watchdog listens to.
-        area: where its masks lie, by the last pose; the whole map before.
-        newest_s: steady time at which the newest sweep came that was answered with all that is wanted, its pose too.
-    """
+    """A sensor while the node is configured."""
 
     settings: SensorSettings
-    outlets: dict[str, Outlet]
-    heartbeat: Any
+    outlets: dict[str, Outlet]  # by the names of its topics
+    heartbeat: Any  # publisher of what the watchdog listens to
     frames: FrameVote
     counts: SensorCounts = field(default_factory=SensorCounts)
     pace: Pace = field(default_factory=Pace)
-    area: MapMetaData = field(default_factory=everywhere)
+    area: MapMetaData = field(default_factory=everywhere)  # where its masks lie, by the last pose; the whole map before
+    # steady time at which the newest sweep came that was answered with all that is wanted, its pose too
     newest_s: float | None = None
     last_view: PosedEstimate | None = None
     subscription: Any = None

@@ -23,26 +23,17 @@ class Packet:
 
 @dataclass(frozen=True, slots=True)
 class Revolution:
-    """The packets of one revolution.
+    """The packets of one revolution."""
 
-    Attributes:
-        packets: in the order in which they came.
-        t_ns: when the first one came.
-    """
-
-    packets: tuple[Packet, ...]
-    t_ns: int
+    packets: tuple[Packet, ...]  # in the order in which they came
+    t_ns: int  # when the first one came
 
 
 @dataclass(slots=True)
 class Revolutions:
-    """Gathers packets, which come one by one, into revolutions.
+    """Gathers packets, which come one by one, into revolutions."""
 
-    Attributes:
-        decoder: of the sensor.
-    """
-
-    decoder: OusterDecoder
+    decoder: OusterDecoder  # of the sensor
     _packets: list[Packet] = field(default_factory=list)
     _begin_ns: int = 0
     _number: int | None = None

@@ -33,25 +33,15 @@ Value = bool | str | float | int | list[str] | list[float]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter.
+    """A parameter."""
 
-    Attributes:
-        default: its value where none is given.
-        description: what it means.
-        choices: its values where they are few.
-        least_and_most: bounds of a number.
-        check: raises where a value makes no sense.
-        at_run: whether a change holds at once; else it needs another configuration.
-        fixed: whether it is read once, when the process starts.
-    """
-
-    default: Value
-    description: str
-    choices: tuple[str, ...] = ()
-    least_and_most: tuple[float, float] | None = None
-    check: Callable[[Any], object] | None = None
-    at_run: bool = False
-    fixed: bool = False
+    default: Value  # its value where none is given
+    description: str  # what it means
+    choices: tuple[str, ...] = ()  # its values where they are few
+    least_and_most: tuple[float, float] | None = None  # bounds of a number
+    check: Callable[[Any], object] | None = None  # raises where a value makes no sense
+    at_run: bool = False  # whether a change holds at once; else it needs another configuration
+    fixed: bool = False  # whether it is read once, when the process starts
 
     def descriptor(self, *, with_range: bool = True) -> ParameterDescriptor:
         """Return what ``ros2 param describe`` says."""

@@ -47,15 +47,10 @@ class PoseSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PoseTopic:
-    """A type of message that holds a pose.
+    """A type of message that holds a pose."""
 
-    Attributes:
-        message_type: of the topic.
-        rigid: makes ``world_from_base``.
-    """
-
-    message_type: type[Any]
-    rigid: Callable[[Any], Rigid]
+    message_type: type[Any]  # of the topic
+    rigid: Callable[[Any], Rigid]  # makes ``world_from_base``
 
 
 POSE_TOPICS = {

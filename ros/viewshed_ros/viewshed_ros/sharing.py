@@ -23,15 +23,10 @@ POSE_COVARIANCE = np.diag([POSE_STD_M**2] * 3 + [POSE_STD**2] * 3)
 
 @dataclass(slots=True)
 class Speaker:
-    """Signs what an agent saw.
+    """Signs what an agent saw."""
 
-    Attributes:
-        key: private key of the agent.
-        frame: name of the map that poses are in.
-    """
-
-    key: SigningKey
-    frame: str
+    key: SigningKey  # private key of the agent
+    frame: str  # name of the map that poses are in
     _epoch: int = -1
     _sequence: int = 0
 

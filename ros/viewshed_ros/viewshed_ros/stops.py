@@ -49,19 +49,12 @@ def stop_mask(header: Header, area: MapMetaData, value: int) -> OccupancyGrid:
 
 @dataclass(frozen=True, slots=True)
 class Stale:
-    """Why nothing is claimed.
+    """Why nothing is claimed."""
 
-    Attributes:
-        what: is too old.
-        age_s: of it; infinite where there was none yet.
-        limit_s: from which it is too old.
-        unseen_mps: how fast one may drive where nothing is seen.
-    """
-
-    what: str
-    age_s: float
-    limit_s: float
-    unseen_mps: float
+    what: str  # is too old
+    age_s: float  # of it; infinite where there was none yet
+    limit_s: float  # from which it is too old
+    unseen_mps: float  # how fast one may drive where nothing is seen
 
     def line(self) -> str:
         """Return it in one line.

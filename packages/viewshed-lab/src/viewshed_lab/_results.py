@@ -23,19 +23,12 @@ _MADE = "## How it was made"
 
 @dataclass(frozen=True, slots=True)
 class KeyNumber:
-    """A number on top of a page: a cell of one of its tables.
+    """A number on top of a page: a cell of one of its tables."""
 
-    Attributes:
-        of: what it is the number of.
-        table: heading of the section, and ``#2`` for its second table.
-        row: how the row begins, its cells joined by " | ", without stars and backticks.
-        column: header of the column.
-    """
-
-    of: str
-    table: str = ""
-    row: str = ""
-    column: str = ""
+    of: str  # what it is the number of
+    table: str = ""  # heading of the section, and ``#2`` for its second table
+    row: str = ""  # how the row begins, its cells joined by " | ", without stars and backticks
+    column: str = ""  # header of the column
 
     def find(self, markdown: str) -> str | None:
         """Return the number as it stands on the page, or None."""
@@ -51,24 +44,17 @@ class KeyNumber:
 
 @dataclass(frozen=True, slots=True)
 class ResultPage:
-    """What describes one page.
+    """What describes one page."""
 
-    Attributes:
-        title: of the page, or of several that one command writes.
-        group: of the overview, under which it stands.
-        files: names of the published pages without suffix.
-        numbers: for its top; of more than three the first three that are found. None where the writer heads it itself.
-        left_out: of the published page, as regular expressions: sections by their heading, tables as ``Heading #2``,
-            rows as ``Heading #2 | how the row reads``.
-        sources: files and folders of the repository that its figures depend on.
-    """
-
-    title: str
-    group: str = ""
-    files: Sequence[str] = ()
+    title: str  # of the page, or of several that one command writes
+    group: str = ""  # of the overview, under which it stands
+    files: Sequence[str] = ()  # names of the published pages without suffix
+    # for its top; of more than three the first three that are found. None where the writer heads it itself.
     numbers: Sequence[KeyNumber] = ()
+    # of the published page, as regular expressions: sections by their heading, tables as ``Heading #2``, rows as
+    # ``Heading #2 | how the row reads``
     left_out: Sequence[str] = ()
-    sources: Sequence[str] = ()
+    sources: Sequence[str] = ()  # files and folders of the repository that its figures depend on
 
 
 @cache

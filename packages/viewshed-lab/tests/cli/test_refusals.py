@@ -1,4 +1,4 @@
-"""What commands about data sets refuse: one line, exit code 2, and nothing is written."""
+"""What commands of the laboratory refuse: one line, exit code 2, and nothing is written."""
 
 import re
 from pathlib import Path
@@ -33,6 +33,15 @@ REFUSED = {
     "simulate ugv --sweeps 1": "sweeps must be at least 2, one for each split, got 1",
     "simulate ugv --seed -1": "seed must lie in", "simulate ugv --workers 0": "workers must be at least 1, got 0",
     "simulate ugv --engine slurm": "engine must be one of local, ray, got 'slurm'",
+    "evaluate truth nowhere": "nowhere", "evaluate truth nowhere --methods magic": "methods must be among continuous",
+    "evaluate truth nowhere --target ship": "target must be one of car, pedestrian, got 'ship'",
+    "study paper --preset huge": "preset must be one of paper, small, tiny, got 'huge'",
+    "study paper --only data,magic": "--only must be some of data, models, .*, got 'magic'",
+    "study paper --protocol loose": "protocol must be among paper, strict, got 'loose'",
+    "study paper --device tpu": "device must be among cpu, cuda, got 'tpu'",
+    "study robustness --preset nonsense": "preset must be one of full, small, tiny, got 'nonsense'",
+    "study robustness --preset tiny --no-run": "must hold results, got none; run without --no-run$",
+    "study deviation --preset tiny --no-run": "must hold results, got none; run without --no-run$",
     "dataset info .": r"^viewshed: \S+ must be a data set of viewshed, but has no manifest\.json$",
     "dataset verify .": r"^viewshed: \S+ must be a data set of viewshed, but has no manifest\.json$",
 }  # fmt: skip

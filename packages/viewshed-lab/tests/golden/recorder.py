@@ -47,19 +47,12 @@ class Arrays:
 
 @dataclass(frozen=True, slots=True)
 class SweepName:
-    """One sweep of the golden files.
+    """One sweep of the golden files."""
 
-    Attributes:
-        source: ``real``, or the preset that it is simulated from.
-        place: of a real sweep its path in index.json, else ``SCENE/FRAME`` of the preset's first split.
-        grid: ``road`` or ``indoor``.
-        attack: of ``ATTACKS``, or empty.
-    """
-
-    source: str
-    place: str
-    grid: str
-    attack: str = ""
+    source: str  # ``real``, or the preset that it is simulated from
+    place: str  # of a real sweep its path in index.json, else ``SCENE/FRAME`` of the preset's first split
+    grid: str  # ``road`` or ``indoor``
+    attack: str = ""  # of ``ATTACKS``, or empty
 
     def __str__(self) -> str:
         return f"{self.source}:{self.place}{self.attack and '+'}{self.attack}"
@@ -270,7 +263,6 @@ TINY_PAGES = {
     "robustness_tables": "robustness/robustness_tables.md",
     "paper": "paper/paper.md",
     "paper_strict": "paper/paper_strict.md",
-    "ablation": "ablation/ablation.md",
     "monitor_study": "deviation/deviation.md",
     "wild": "wild/wild.md",
     "agents": "agents/agents.md",
@@ -288,7 +280,6 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run = partial(_run, folder)
     run("study", "robustness", "--preset", "tiny", "--out", "robustness")
     run("study", "paper", "--preset", "tiny", "--out", "paper")
-    run("study", "ablation", "--preset", "tiny", "--out", "ablation")
     run("study", "deviation", "--preset", "tiny", "--out", "deviation")
     run("study", "wild", "--preset", "tiny", "--out", "wild")
     run("study", "agents", "--preset", "tiny", "--out", "agents")

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
+from tests.cli.commands import run
 
 from viewshed import CAR, BevGrid, Sweep
-from viewshed.cli import main
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
@@ -109,21 +107,6 @@ def test_other_definitions_are_compared_with_ours() -> None:
         scores("line_of_sight", "", VIEW)
 
 
-def test_nothing_claimed_and_nothing_visible_is_no_rate() -> None:
-    nothing = ConfusionCounts.of(*(np.zeros((2, 2), bool),) * 2, np.ones((2, 2), bool), 1.0)
-    assert np.isnan([nothing.precision, nothing.recall, nothing.f1, nothing.iou]).all()
-    assert (nothing.neither, nothing.over_m2) == (4, 0.0)
-
-
-@given(st.integers(0, 2**16 - 1), st.integers(0, 2**16 - 1), st.integers(1, 2**16 - 1))
-def test_a_counts_counts_every_cell_once(claimed: int, true: int, mask: int) -> None:
-    a, b, c = (np.array([value >> k & 1 for k in range(16)], bool) for value in (claimed, true, mask))
-    counts = ConfusionCounts.of(a, b, c, 0.25)
-    assert (counts.both, counts.over) == (int((a & b & c).sum()), int((a & ~b & c).sum()))
-    assert (counts.under, counts.neither) == (int((~a & b & c).sum()), int((~a & ~b & c).sum()))
-    assert counts.cells * 0.25 == counts.area_m2
-
-
 def test_forms_hide_what_they_say() -> None:
     model = LidarModel("m", np.zeros(1), 100)
     sweep = Sweep(
@@ -160,15 +143,12 @@ def test_a_shadow_map_of_exact_beams_is_near_the_truth_and_a_mirrored_one_is_not
     assert wrong.f1 < 0.96
 
 
-def test_command_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    data, page = str(tmp_path / "data"), tmp_path / "truth.md"
-    with pytest.raises(SystemExit) as made:
-        main(["simulate", "nuscenes-small", "--sweeps", "8", "--workers", "1", "--grid", "64x32", "--out", data])
-    assert made.value.code in (0, None)
-    words = ["evaluate", "truth", data, "--methods", "shadow_map,first_blocker", "--limit", "3", "--out", str(page)]
-    with pytest.raises(SystemExit) as done:
-        main(words)
-    assert done.value.code in (0, None)
+def test_command_writes_a_page(tmp_path: Path) -> None:
+    data, page = tmp_path / "data", tmp_path / "truth.md"
+    small = ("simulate", "nuscenes-small", "--sweeps", 8, "--workers", 1, "--grid", "64x32", "--out", data)
+    assert run(*small)[0] == 0
+    words = ("evaluate", "truth", data, "--methods", "shadow_map,first_blocker", "--limit", 3, "--out", page)
+    assert run(*words)[0] == 0
     short, text = page.read_text(encoding="utf-8"), (tmp_path / "truth_full.md").read_text(encoding="utf-8")
     assert short.count("| shadow_map |") == 2  # rings known, and by range
     assert "3 of 8 samples" in text
@@ -177,21 +157,3 @@ def test_command_writes_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "### F1 by sensor, rings known" in text
     assert all(0 <= float(cell) <= 1 for cell in rows[0].split("|")[2:6])
     assert "| line_of_sight |" in text
-    capsys.readouterr()
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["nowhere"], "nowhere"),
-        (["nowhere", "--methods", "magic"], "methods must be among continuous"),
-        (["nowhere", "--target", "ship"], "target must be one of car, pedestrian, got 'ship'"),
-    ],
-)
-def test_bad_input_is_one_line(words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as refused:
-        main(["evaluate", "truth", *words])
-    assert refused.value.code == 2
-    said = capsys.readouterr().err
-    assert complaint in said
-    assert said.count("\n") == 1

@@ -5,8 +5,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep
@@ -27,27 +25,6 @@ from viewshed_lab.studies.suite import EstimatorSuite, paper_suite, strict_suite
 from viewshed_lab.threats.attacks import Wedge
 
 GRID = BevGrid(4, 8.0)
-
-
-def _by_sorting(prob: NDArray[np.float32], visible: NDArray[np.bool_]) -> float:
-    """The definition itself: from the surest down, precision at each threshold times the recall it adds."""
-    total, recall_before = 0.0, 0.0
-    for threshold in sorted(set(prob.tolist()), reverse=True):
-        claimed = prob >= threshold
-        recall_now = (claimed & visible).sum() / visible.sum()
-        total += (recall_now - recall_before) * (claimed & visible).sum() / claimed.sum()
-        recall_before = recall_now
-    return float(total)
-
-
-@given(st.lists(st.tuples(st.integers(0, 20), st.booleans()), min_size=1, max_size=40))
-def test_average_precision_is_that_of_the_definition(cells: list[tuple[int, bool]]) -> None:
-    prob = np.array([p / 20 for p, _ in cells], np.float32)
-    visible = np.array([v for _, v in cells])
-    if visible.any():
-        assert average_precision(prob, visible) == pytest.approx(_by_sorting(prob, visible))
-    else:
-        assert np.isnan(average_precision(prob, visible))
 
 
 def test_average_precision_by_hand() -> None:

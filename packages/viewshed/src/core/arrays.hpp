@@ -1,14 +1,10 @@
-// Arrays as the stages see them: views with shapes, and buffers that become numpy arrays without a copy.
+// Arrays as the stages see them: views with shapes, and buffers. Nothing here or in a stage knows of Python.
 #pragma once
-
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <initializer_list>
 #include <memory>
 #include <new>
 #include <stdexcept>
@@ -17,8 +13,6 @@
 #include "memory.hpp"
 
 namespace viewshed {
-
-namespace nb = nanobind;
 
 // A contiguous array of one dimension.
 template <typename T>
@@ -54,47 +48,7 @@ struct View3 {
     std::size_t size() const { return planes * rows * columns; }
 };
 
-// What numpy hands in: contiguous, on the processor, of exactly this type (bindings say .noconvert()).
-template <typename T>
-using In1 = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-template <typename T>
-using In2 = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-template <typename T>
-using In3 = nb::ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-// Points (N, 3) in meters.
-using Points = nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
-// Arrays that are written in place.
-template <typename T>
-using InOut1 = nb::ndarray<T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-template <typename T>
-using InOut2 = nb::ndarray<T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-// What is handed back.
-template <typename T>
-using Out = nb::ndarray<T, nb::numpy, nb::c_contig>;
-
-template <typename T>
-View1<const T> view(const In1<T>& a) {
-    return {a.data(), a.shape(0)};
-}
-template <typename T>
-View2<const T> view(const In2<T>& a) {
-    return {a.data(), a.shape(0), a.shape(1)};
-}
-template <typename T>
-View3<const T> view(const In3<T>& a) {
-    return {a.data(), a.shape(0), a.shape(1), a.shape(2)};
-}
-inline View2<const float> view(const Points& a) { return {a.data(), a.shape(0), 3}; }
-template <typename T>
-View1<T> view(const InOut1<T>& a) {
-    return {a.data(), a.shape(0)};
-}
-template <typename T>
-View2<T> view(const InOut2<T>& a) {
-    return {a.data(), a.shape(0), a.shape(1)};
-}
-
-// Memory without a value, aligned for vectors and used again; either scratch of a stage or, by `array`, numpy's.
+// Memory without a value, aligned for vectors and used again: scratch of a stage, or a result.
 template <typename T>
 class Buffer {
 public:
@@ -116,16 +70,8 @@ public:
     View1<T> view() { return {data(), size_}; }
     View2<T> view(std::size_t rows, std::size_t columns) { return {data(), rows, columns}; }
 
-    // Give the memory to a numpy array of a shape that holds at most as many values. Needs the interpreter's lock.
-    Out<T> array(std::initializer_list<std::size_t> shape) && {
-        T* data = data_.release();
-        nb::capsule owner(data, [](void* p) noexcept { give_memory(p); });
-        return Out<T>(data, shape, owner);
-    }
-    Out<T> array() && {
-        const std::size_t size = size_;
-        return std::move(*this).array({size});
-    }
+    // Give the memory away; who takes it hands it back by give_memory.
+    T* release() && { return data_.release(); }
 
 private:
     struct Free {
@@ -140,7 +86,7 @@ private:
     std::unique_ptr<T[], Free> data_;
 };
 
-// Raise ValueError unless a rule holds.
+// Throw std::invalid_argument, which is a ValueError in Python, unless a rule holds.
 inline void require(bool holds, const char* rule) {
     if (!holds) throw std::invalid_argument(rule);
 }
@@ -155,7 +101,7 @@ Buffer<T> copy_of(View1<const T> values) {
     return copy;
 }
 
-// A copy of indices, all of which lie in [low, high]; raises ValueError where one does not. Block by block, so that what is
+// A copy of indices, all of which lie in [low, high]; throws std::invalid_argument where one does not. Block by block, so that what is
 // checked is still at hand.
 template <typename T>
 Buffer<T> indices_of(View1<const T> values, T low, T high, const char* name) {

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "parallel.hpp"
-#include "stages.hpp"
 
 namespace viewshed {
 namespace {

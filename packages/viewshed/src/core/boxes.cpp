@@ -1,11 +1,11 @@
-// How many beams would meet each of some boxes, were the boxes' own returns not there.
+#include "boxes.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <vector>
 
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -27,9 +27,6 @@ constexpr float FARTHEST_M = 1e30f;
 // Boxes of a part that is worth a thread.
 constexpr std::size_t PART = 32;
 
-// Columns of the array of boxes: center x, y, z, length, width, height in meters, yaw in radians.
-constexpr std::size_t NUMBERS = 7;
-
 std::size_t column_of(double azimuth) {
     const double turns = (azimuth + std::numbers::pi) / (2 * std::numbers::pi);
     const auto column = std::size_t((turns - std::floor(turns)) * COLUMNS);
@@ -47,11 +44,6 @@ INLINE void cross_slab(float from, float per_part, float half, float& enters, fl
     enters = low > enters ? low : enters;
     leaves = high < leaves ? high : leaves;
 }
-
-// A box seen from the sensor: where the sensor is, from the box's middle and along its sides; half its sizes; its heading.
-struct SeenBox {
-    float from_x, from_y, from_z, half_x, half_y, half_z, cosine, sine;
-};
 
 // Count the beams that meet a box. One that ends in the box met it; without own returns it would have gone on. Else only those
 // that go through it count.
@@ -72,102 +64,64 @@ MULTIVERSION std::int32_t count_meeting(const float* x, const float* y, const fl
     return meeting;
 }
 
-// Beams (B,) sorted by azimuth: horizontal direction, range over rise, and range at which they ended.
-class BeamsByAzimuth {
-public:
-    BeamsByAzimuth(View1<const float> azimuth, View1<const float> slope, View1<const float> depth_m)
-        : first_(COLUMNS + 1, 0), x_(azimuth.size), y_(azimuth.size), per_rise_(azimuth.size), depth_m_(azimuth.size) {
-        // Beams that point straight up or nowhere meet nothing.
-        Buffer<std::uint16_t> column(azimuth.size);
-        for (std::size_t n = 0; n < azimuth.size; ++n) {
-            const bool counts = std::isfinite(slope[n]) && std::isfinite(azimuth[n]) && depth_m[n] > 0;
-            column[n] = std::uint16_t(counts ? column_of(azimuth[n]) : COLUMNS);
-            if (column[n] < COLUMNS) ++first_[column[n] + 1];
-        }
-        for (std::size_t c = 0; c < COLUMNS; ++c) first_[c + 1] += first_[c];
-        std::vector<std::size_t> next = first_;
-        for (std::size_t n = 0; n < azimuth.size; ++n) {
-            if (column[n] == COLUMNS) continue;
-            const std::size_t k = next[column[n]]++;
-            x_[k] = std::cos(azimuth[n]);
-            y_[k] = std::sin(azimuth[n]);
-            per_rise_[k] = inverse(slope[n]);
-            depth_m_[k] = depth_m[n];
-        }
-    }
-
-    // Count the beams from a height that meet a box, given by NUMBERS numbers.
-    std::int32_t count(const float* box, float sensor_height_m, bool leave_out_own) const {
-        // The columns that the box's corners span, one more on either side; all of them around the sensor.
-        const double c = std::cos(double(box[6])), s = std::sin(double(box[6])), middle = std::atan2(box[1], box[0]);
-        double least = 0.0, most = 0.0;
-        for (const double along : {-0.5, 0.5}) {
-            for (const double across : {-0.5, 0.5}) {
-                const double x = box[0] + along * box[3] * c - across * box[4] * s;
-                const double y = box[1] + along * box[3] * s + across * box[4] * c;
-                const double away = std::remainder(std::atan2(y, x) - middle, 2 * std::numbers::pi);
-                least = std::min(least, away);
-                most = std::max(most, away);
-            }
-        }
-        const bool is_around = std::fabs(box[0] * c + box[1] * s) <= 0.5 * box[3] &&
-                               std::fabs(box[1] * c - box[0] * s) <= 0.5 * box[4];
-        const std::size_t span = std::size_t((most - least) * PER_RAD) + 4;
-        const SeenBox seen{-(box[0] * float(c) + box[1] * float(s)), box[0] * float(s) - box[1] * float(c),
-                           sensor_height_m - box[2], 0.5f * box[3], 0.5f * box[4], 0.5f * box[5], float(c), float(s)};
-        if (is_around || span >= COLUMNS) return count_within(0, first_[COLUMNS], seen, leave_out_own);
-        const std::size_t begin = (column_of(middle + least) + COLUMNS - 1) % COLUMNS, end = begin + span;
-        if (end <= COLUMNS) return count_within(first_[begin], first_[end], seen, leave_out_own);
-        return count_within(first_[begin], first_[COLUMNS], seen, leave_out_own) +
-               count_within(0, first_[end - COLUMNS], seen, leave_out_own);
-    }
-
-private:
-    std::int32_t count_within(std::size_t begin, std::size_t end, const SeenBox& seen, bool leave_out_own) const {
-        return count_meeting(&x_[begin], &y_[begin], &per_rise_[begin], &depth_m_[begin], end - begin, seen, leave_out_own);
-    }
-
-    std::vector<std::size_t> first_;  // (COLUMNS + 1,)
-    Buffer<float> x_, y_, per_rise_, depth_m_;
-};
-
 }  // namespace
 
-void bind_boxes(nb::module_& m) {
-    nb::class_<BeamsByAzimuth>(m, "BeamsByAzimuth", "Beams (B,) sorted by azimuth.")
-        .def(
-            "__init__",
-            [](BeamsByAzimuth* self, In1<float> azimuth, In1<float> slope, In1<float> depth_m) {
-                require(slope.shape(0) == azimuth.shape(0) && depth_m.shape(0) == azimuth.shape(0),
-                        "azimuth, slope and depth_m must have one shape (B,)");
-                new (self) BeamsByAzimuth(view(azimuth), view(slope), view(depth_m));
-            },
-            "azimuth"_a.noconvert(), "slope"_a.noconvert(), "depth_m"_a.noconvert())
-        .def(
-            "expected_returns",
-            [](const BeamsByAzimuth& beams, In2<float> boxes, float sensor_height_m, bool leave_out_own) {
-                const std::size_t count = boxes.shape(0);
-                require(boxes.shape(1) == NUMBERS, "boxes must have shape (K, 7)");
-                const Buffer<float> own = copy_of(view(boxes).flat());
-                for (std::size_t k = 0; k < own.size(); ++k) {
-                    const float number = own[k];
-                    require(std::isfinite(number) && std::fabs(number) < 1e6f, "boxes must be finite, and less than 1e6");
-                    const bool is_size = k % NUMBERS >= 3 && k % NUMBERS < 6;
-                    require(!is_size || number > 0, "length, width and height of boxes must be positive");
-                }
-                Buffer<std::int32_t> returns(count);
-                {
-                    nb::gil_scoped_release unlocked;
-                    for_ranges(count, count_parts(count, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
-                        for (std::size_t k = begin; k < end; ++k) {
-                            returns[k] = beams.count(own.data() + k * NUMBERS, sensor_height_m, leave_out_own);
-                        }
-                    });
-                }
-                return std::move(returns).array();
-            },
-            "boxes"_a.noconvert(), "sensor_height_m"_a, "leave_out_own"_a,
-            "Beams (K,) int32 that would meet each box (K, 7): center, length, width, height, yaw in level.");
+BeamsByAzimuth::BeamsByAzimuth(View1<const float> azimuth, View1<const float> slope, View1<const float> depth_m)
+    : first_(COLUMNS + 1, 0), x_(azimuth.size), y_(azimuth.size), per_rise_(azimuth.size), depth_m_(azimuth.size) {
+    // Beams that point straight up or nowhere meet nothing.
+    Buffer<std::uint16_t> column(azimuth.size);
+    for (std::size_t n = 0; n < azimuth.size; ++n) {
+        const bool counts = std::isfinite(slope[n]) && std::isfinite(azimuth[n]) && depth_m[n] > 0;
+        column[n] = std::uint16_t(counts ? column_of(azimuth[n]) : COLUMNS);
+        if (column[n] < COLUMNS) ++first_[column[n] + 1];
+    }
+    for (std::size_t c = 0; c < COLUMNS; ++c) first_[c + 1] += first_[c];
+    std::vector<std::size_t> next = first_;
+    for (std::size_t n = 0; n < azimuth.size; ++n) {
+        if (column[n] == COLUMNS) continue;
+        const std::size_t k = next[column[n]]++;
+        x_[k] = std::cos(azimuth[n]);
+        y_[k] = std::sin(azimuth[n]);
+        per_rise_[k] = inverse(slope[n]);
+        depth_m_[k] = depth_m[n];
+    }
+}
+
+// Count the beams from a height that meet a box, given by NUMBERS numbers.
+std::int32_t BeamsByAzimuth::count_one(const float* box, float sensor_height_m, bool leave_out_own) const {
+    // The columns that the box's corners span, one more on either side; all of them around the sensor.
+    const double c = std::cos(double(box[6])), s = std::sin(double(box[6])), middle = std::atan2(box[1], box[0]);
+    double least = 0.0, most = 0.0;
+    for (const double along : {-0.5, 0.5}) {
+        for (const double across : {-0.5, 0.5}) {
+            const double x = box[0] + along * box[3] * c - across * box[4] * s;
+            const double y = box[1] + along * box[3] * s + across * box[4] * c;
+            const double away = std::remainder(std::atan2(y, x) - middle, 2 * std::numbers::pi);
+            least = std::min(least, away);
+            most = std::max(most, away);
+        }
+    }
+    const bool is_around = std::fabs(box[0] * c + box[1] * s) <= 0.5 * box[3] &&
+                           std::fabs(box[1] * c - box[0] * s) <= 0.5 * box[4];
+    const std::size_t span = std::size_t((most - least) * PER_RAD) + 4;
+    const SeenBox seen{-(box[0] * float(c) + box[1] * float(s)), box[0] * float(s) - box[1] * float(c),
+                       sensor_height_m - box[2], 0.5f * box[3], 0.5f * box[4], 0.5f * box[5], float(c), float(s)};
+    if (is_around || span >= COLUMNS) return count_within(0, first_[COLUMNS], seen, leave_out_own);
+    const std::size_t begin = (column_of(middle + least) + COLUMNS - 1) % COLUMNS, end = begin + span;
+    if (end <= COLUMNS) return count_within(first_[begin], first_[end], seen, leave_out_own);
+    return count_within(first_[begin], first_[COLUMNS], seen, leave_out_own) +
+           count_within(0, first_[end - COLUMNS], seen, leave_out_own);
+}
+
+std::int32_t BeamsByAzimuth::count_within(std::size_t begin, std::size_t end, const SeenBox& seen, bool leave_out_own) const {
+    return count_meeting(&x_[begin], &y_[begin], &per_rise_[begin], &depth_m_[begin], end - begin, seen, leave_out_own);
+}
+
+void BeamsByAzimuth::count(View2<const float> boxes, float sensor_height_m, bool leave_out_own,
+                           View1<std::int32_t> returns) const {
+    for_ranges(boxes.rows, count_parts(boxes.rows, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t k = begin; k < end; ++k) returns[k] = count_one(boxes[k], sensor_height_m, leave_out_own);
+    });
 }
 
 }  // namespace viewshed

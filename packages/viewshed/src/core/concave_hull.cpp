@@ -4,7 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -356,92 +355,6 @@ void fill_rings(const std::vector<Edge>& edges, const SquareGrid& grid, View2<bo
     for (std::size_t i = 0; i < cells; ++i) {
         for (std::size_t j = 1; j < cells; ++j) inside(i, j) = inside(i, j) != inside(i, j - 1);
     }
-}
-
-namespace {
-
-void require_finite(View1<const float> values, const char* rule) {
-    bool is_finite = true;
-    for (const float value : values) is_finite &= std::fabs(value) <= std::numeric_limits<float>::max();
-    require(is_finite, rule);
-}
-
-SquareGrid checked_grid(double x_m, double y_m, double cell_m, std::size_t cells) {
-    require(std::isfinite(x_m) && std::isfinite(y_m) && cell_m > 0.0 && std::isfinite(cell_m), "a grid must be finite");
-    require(cells >= 1 && cells <= 4096, "cells must lie in [1, 4096]");
-    return {x_m, y_m, cell_m, cells};
-}
-
-// Thin out checked returns, without the interpreter's lock.
-std::vector<PlanePoint> thin_checked(const Points& points, const In1<float>& range_m, const SquareGrid& grid) {
-    require(points.shape(0) == range_m.shape(0), "points and range_m must be as long");
-    nb::gil_scoped_release unlocked;
-    const Buffer<float> own = copy_of(View1<const float>{points.data(), points.size()});
-    require_finite(own, "points must be finite");
-    return thin_returns({own.data(), points.shape(0), 3}, view(range_m), grid);
-}
-
-}  // namespace
-
-// What Python calls: arrays are checked here, whatever hands them in.
-void bind_concave_hull(nb::module_& m) {
-    m.def(
-        "concave_hull",
-        [](Points points, In1<float> range_m, double concavity, double length_m, double x_m, double y_m, double cell_m,
-           std::size_t cells) {
-            require(concavity > 0.0 && length_m >= 0.0, "concavity must be positive, and length_m not negative");
-            const SquareGrid grid = checked_grid(x_m, y_m, cell_m, cells);
-            const std::vector<PlanePoint> thinned = thin_checked(points, range_m, grid);
-            Buffer<bool> inside(cells * cells);
-            Buffer<float> visible(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                std::vector<Edge> edges;
-                if (span_area(thinned)) {
-                    const std::vector<PlanePoint> ring = concave_hull(thinned, concavity, length_m);
-                    for (std::size_t k = 0; k < ring.size(); ++k) edges.push_back({ring[k], ring[(k + 1) % ring.size()]});
-                }
-                fill_rings(edges, grid, inside.view(cells, cells));
-                for (std::size_t k = 0; k < visible.size(); ++k) visible[k] = inside[k] ? 1.0f : 0.0f;
-            }
-            return std::move(visible).array({cells, cells});
-        },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "concavity"_a, "length_m"_a, "x_m"_a, "y_m"_a, "cell_m"_a,
-        "cells"_a, "1 in cells (cells, cells) inside the concave hull of returns (M, 3), 0 elsewhere.");
-    m.def(
-        "thin_returns",
-        [](Points points, In1<float> range_m, double x_m, double y_m, double cell_m) {
-            const std::vector<PlanePoint> thinned = thin_checked(points, range_m, checked_grid(x_m, y_m, cell_m, 1));
-            Buffer<double> xy(2 * thinned.size());
-            for (std::size_t k = 0; k < thinned.size(); ++k) {
-                xy[2 * k] = thinned[k].x;
-                xy[2 * k + 1] = thinned[k].y;
-            }
-            const bool spans = span_area(thinned);
-            return nb::make_tuple(std::move(xy).array({thinned.size(), std::size_t{2}}), spans);
-        },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a,
-        "Points (K, 2) in meters, the farthest of each cell; and whether they are three or more, not on one line.");
-    m.def(
-        "fill_rings",
-        [](In2<double> edges, double x_m, double y_m, double cell_m, std::size_t cells) {
-            require(edges.shape(1) == 4, "edges must be (E, 4)");
-            const SquareGrid grid = checked_grid(x_m, y_m, cell_m, cells);
-            Buffer<bool> inside(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                const auto given = view(edges);
-                std::vector<Edge> all;
-                all.reserve(given.rows);
-                for (std::size_t e = 0; e < given.rows; ++e) {
-                    all.push_back({{given(e, 0), given(e, 1)}, {given(e, 2), given(e, 3)}});
-                }
-                fill_rings(all, grid, inside.view(cells, cells));
-            }
-            return std::move(inside).array({cells, cells});
-        },
-        "edges"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a, "cells"_a,
-        "Cells (cells, cells) inside closed rings of edges (E, 4), by the even-odd rule.");
 }
 
 }  // namespace viewshed

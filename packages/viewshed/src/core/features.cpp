@@ -1,9 +1,5 @@
 #include "features.hpp"
 
-#include <nanobind/stl/pair.h>
-#include <nanobind/stl/string.h>
-#include <nanobind/stl/vector.h>
-
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -14,7 +10,6 @@
 
 #include "azimuth_bins.hpp"
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -35,9 +30,6 @@ constexpr float LEAST_STD_M = 0.05f, MOST_STD_M = 5.0f;
 
 // Cells of a part that is worth a thread.
 constexpr std::size_t PART = 16384;
-
-// The most cells of a side: a row fits on the stack.
-constexpr std::size_t MOST_CELLS = 4096;
 
 // log(1 + x) for x in [0, 2^23), without branches: fdlibm's log1pf (Sun Microsystems 1993), digit for digit.
 INLINE float log1p_of(float x) {
@@ -332,124 +324,13 @@ void write_heights(View2<const float> points, View1<const float> height_m, float
     std::copy_n(high.data(), cells * cells, highest.data);
 }
 
-namespace {
-
-// An array that stands in a tuple, of exactly this type.
-template <typename Array>
-auto array_in(const nb::tuple& arrays, std::size_t k) {
-    Array array;
-    if (!nb::try_cast(arrays[k], array, false) || !array.is_valid()) {
-        throw nb::type_error("a feature's arrays must be contiguous, and of their coding's type and rank");
+void fold_maps(View3<const std::uint8_t> maps, std::size_t fold, View1<std::uint8_t> blocks) {
+    const std::size_t features = maps.planes, cells = maps.rows, side = cells / fold, block_size = features * fold * fold;
+    for (std::size_t i = 0; i < cells; ++i) {
+        for (std::size_t f = 0; f < features; ++f) {
+            fold_row(maps[f][i], fold, side, block_size, &blocks[i / fold * side * block_size + (f * fold + i % fold) * fold]);
+        }
     }
-    return view(array);
-}
-
-// What Python hands in for one feature: the name of its coding, and the arrays that it asks for.
-Feature feature_of(const std::pair<std::string, nb::tuple>& given, std::size_t cells) {
-    constexpr std::array<const char*, 6> NAMES = {"bytes", "returns", "probability", "beyond", "range", "deviation"};
-    constexpr std::array<std::size_t, 6> FEWEST = {1, 1, 1, 1, 0, 1}, MOST = {1, 2, 1, 1, 0, 1};
-    const auto& [name, arrays] = given;
-    const auto coding = std::size_t(std::find(NAMES.begin(), NAMES.end(), name) - NAMES.begin());
-    require(coding < NAMES.size(), "coding must be bytes, returns, probability, beyond, range or deviation");
-    require(nb::len(arrays) >= FEWEST[coding] && nb::len(arrays) <= MOST[coding], "a feature must have its arrays");
-    Feature feature{Coding(coding), {}, {}, {}, {}};
-    const auto of_grid = [&](const auto& values) {
-        require(values.rows == cells && values.columns == cells, "a feature's array must have the grid's shape");
-        return values;
-    };
-    switch (feature.coding) {
-        case Coding::BYTES:
-            feature.bytes = of_grid(array_in<In2<std::uint8_t>>(arrays, 0));
-            break;
-        case Coding::RETURNS:
-            feature.values = of_grid(array_in<In2<float>>(arrays, 0));
-            if (nb::len(arrays) == 2) feature.further = of_grid(array_in<In2<float>>(arrays, 1));
-            break;
-        case Coding::PROBABILITY:
-            feature.values = of_grid(array_in<In2<float>>(arrays, 0));
-            break;
-        case Coding::BEYOND:
-            feature.limit_m = array_in<In1<float>>(arrays, 0);
-            break;
-        case Coding::RANGE:
-            break;
-        case Coding::DEVIATION:
-            feature.values = array_in<In2<float>>(arrays, 0);
-            require(feature.values.rows >= 2 && feature.values.columns >= 2, "the ground must have 2 nodes a side");
-            break;
-    }
-    return feature;
-}
-
-}  // namespace
-
-// What Python calls: arrays are checked here, whatever hands them in.
-void bind_features(nb::module_& m) {
-    m.def(
-        "feature_maps",
-        [](const std::vector<std::pair<std::string, nb::tuple>>& given, In2<float> range_m, In2<std::int16_t> bin,
-           In1<float> x_m, In1<float> y_m, float half_extent_m, std::size_t fold) {
-            const std::size_t cells = x_m.shape(0), features = given.size();
-            require(cells >= 1 && cells <= MOST_CELLS && features <= 64, "1 to 4096 cells, and up to 64 features");
-            require(y_m.shape(0) == cells && range_m.shape(0) == cells && range_m.shape(1) == cells &&
-                        bin.shape(0) == cells && bin.shape(1) == cells,
-                    "cell_range_m and cell_bin must have the grid's shape, x_m and y_m its side");
-            require(fold <= cells && (fold == 0 || cells % fold == 0), "fold must divide the cells of a side");
-            require(half_extent_m > 0.0f, "half_extent_m must be positive");
-            std::vector<Feature> wanted;
-            for (const auto& one : given) wanted.push_back(feature_of(one, cells));
-            std::size_t bins = MOST_BINS + 1;
-            for (const Feature& one : wanted) {
-                if (one.coding == Coding::BEYOND) bins = std::min(bins, one.limit_m.size);
-            }
-            require(bins > 0, "a limit must have bins");
-            Buffer<std::int16_t> cell_bin(0);
-            if (bins <= MOST_BINS) cell_bin = indices_of<std::int16_t>(view(bin).flat(), 0, std::int16_t(bins - 1), "cell_bin");
-            Buffer<std::uint8_t> codes(features * cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                write_features(wanted, {view(range_m), {cell_bin.data(), cells, cells}, view(x_m), view(y_m)}, half_extent_m, fold, codes);
-            }
-            if (fold == 0) return std::move(codes).array({features, cells, cells});
-            return std::move(codes).array({cells / fold, cells / fold, features * fold * fold});
-        },
-        "features"_a, "cell_range_m"_a.noconvert(), "cell_bin"_a.noconvert(), "x_m"_a.noconvert(), "y_m"_a.noconvert(),
-        "half_extent_m"_a, "fold"_a,
-        "Codes (features, cells, cells) of features, or of fold > 0 in blocks (side, side, features · fold²).");
-    m.def(
-        "height_codes",
-        [](Points points, In1<float> height_m, float x0_m, float y0_m, float cells_per_m, std::size_t cells) {
-            require(points.shape(0) == height_m.shape(0), "points and height_m must be as long");
-            require(cells >= 1 && cells <= MOST_CELLS, "cells must lie in [1, 4096]");
-            Buffer<std::uint8_t> lowest(cells * cells), highest(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                write_heights(view(points), view(height_m), x0_m, y0_m, cells_per_m, cells, lowest, highest);
-            }
-            return nb::make_tuple(std::move(lowest).array({cells, cells}), std::move(highest).array({cells, cells}));
-        },
-        "points"_a.noconvert(), "height_m"_a.noconvert(), "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "cells"_a,
-        "Codes (cells, cells) of the lowest and the highest return of each cell, 0 for none.");
-    m.def(
-        "fold_maps",
-        [](In3<std::uint8_t> maps, std::size_t fold) {
-            const std::size_t features = maps.shape(0), cells = maps.shape(1);
-            require(cells >= 1 && maps.shape(2) == cells, "maps must be square");
-            require(fold >= 1 && cells % fold == 0, "fold must divide the cells of a side");
-            const std::size_t blocks = cells / fold, block_size = features * fold * fold;
-            Buffer<std::uint8_t> out(maps.size());
-            {
-                nb::gil_scoped_release unlocked;
-                for (std::size_t i = 0; i < cells; ++i) {
-                    for (std::size_t f = 0; f < features; ++f) {
-                        fold_row(view(maps)[f][i], fold, blocks, block_size,
-                                 &out[i / fold * blocks * block_size + (f * fold + i % fold) * fold]);
-                    }
-                }
-            }
-            return std::move(out).array({blocks, blocks, block_size});
-        },
-        "maps"_a.noconvert(), "fold"_a, "Maps (features, cells, cells) in blocks (side, side, features · fold²).");
 }
 
 }  // namespace viewshed

@@ -8,6 +8,9 @@
 
 namespace viewshed {
 
+// The most cells of a side: a row fits on the stack.
+constexpr std::size_t MOST_CELLS = 4096;
+
 // How a feature's codes are made.
 enum class Coding {
     BYTES,        // they are bytes
@@ -37,6 +40,9 @@ struct GridCells {
 // features · fold²), ordered by feature, row and column. The ground's lattice spans ± half_extent_m.
 void write_features(const std::vector<Feature>& features, const GridCells& cells, float half_extent_m, std::size_t fold,
                     View1<std::uint8_t> codes);
+
+// Write maps (features, cells, cells) as such blocks.
+void fold_maps(View3<const std::uint8_t> maps, std::size_t fold, View1<std::uint8_t> blocks);
 
 // Write the codes (cells · cells,) of the lowest and the highest return of each cell of a grid: 0 for none, 1 to 255
 // upwards. Points (M, 3) by x and y, and height_m (M,) above local ground.

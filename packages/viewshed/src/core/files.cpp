@@ -1,11 +1,11 @@
-// Columns of files: rows of float32, points moved between frames, and the packing of PCD.
+#include "files.hpp"
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
 #include <numbers>
 #include <vector>
 
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -20,7 +20,8 @@ constexpr float HIGHEST_RING = 127.0f;
 // Nearer returns are null returns or the sensor's own housing.
 constexpr float NULL_RANGE_M = 0.5f;
 
-// Split rows of x, y, z, intensity into points (3 N,) and intensity (N,).
+}  // namespace
+
 MULTIVERSION void split_four(const float* rows, std::size_t count, float* points, float* intensity) {
     for (std::size_t n = 0; n < count; ++n) {
         points[3 * n] = rows[4 * n];
@@ -29,6 +30,8 @@ MULTIVERSION void split_four(const float* rows, std::size_t count, float* points
         intensity[n] = rows[4 * n + 3];
     }
 }
+
+namespace {
 
 // Split rows of x, y, z, intensity, ring, and return how many rings are no 16-bit whole numbers; those become 0. With
 // quarter_turn points are (y, -x, z): nuScenes' x right, y forward becomes x forward, y left.
@@ -50,8 +53,8 @@ INLINE std::int32_t split_five_as(const float* rows, std::size_t count, float* p
     return bad;
 }
 
-MULTIVERSION std::int32_t split_five(const float* rows, std::size_t count, float* points, float* intensity,
-                                     std::int16_t* ring) {
+MULTIVERSION std::int32_t split_five_plain(const float* rows, std::size_t count, float* points, float* intensity,
+                                           std::int16_t* ring) {
     return split_five_as<false>(rows, count, points, intensity, ring);
 }
 
@@ -60,7 +63,13 @@ MULTIVERSION std::int32_t split_five_turned(const float* rows, std::size_t count
     return split_five_as<true>(rows, count, points, intensity, ring);
 }
 
-// Whether all values are numbers: the exponent of what is none has all its bits set.
+}  // namespace
+
+std::int32_t split_five(const float* rows, std::size_t count, bool quarter_turn, float* points, float* intensity,
+                        std::int16_t* ring) {
+    return (quarter_turn ? split_five_turned : split_five_plain)(rows, count, points, intensity, ring);
+}
+
 MULTIVERSION bool are_finite(const float* values, std::size_t count) {
     std::uint32_t wrong = 0;
     for (std::size_t n = 0; n < count; ++n) {
@@ -70,7 +79,6 @@ MULTIVERSION bool are_finite(const float* values, std::size_t count) {
     return wrong == 0;
 }
 
-// Whether rows of 4 or 5 columns read as meters, an intensity and a ring. Rows that are not finite say nothing.
 bool is_plausible(const float* rows, std::size_t count, std::size_t columns) {
     for (const float* row = rows; row < rows + count * columns; row += columns) {
         bool finite = true;
@@ -83,8 +91,6 @@ bool is_plausible(const float* rows, std::size_t count, std::size_t columns) {
     return true;
 }
 
-// Decode an LZF stream; return the bytes written, or -1 where the stream is damaged. No index leaves either array.
-//
 // Stream of M. Lehmann's liblzf: control < 32 is a run of control + 1 literals, else a back reference of length
 // (control >> 5) + 2 (+ one more byte if that field is 7) at distance ((control & 31) << 8 | byte) + 1.
 std::int64_t unpack_lzf(View1<const std::uint8_t> packed, View1<std::uint8_t> unpacked) {
@@ -115,15 +121,6 @@ std::int64_t unpack_lzf(View1<const std::uint8_t> packed, View1<std::uint8_t> un
     return std::int64_t(end);
 }
 
-// How the rings of returns beside each other differ, seen from the origin, in whatever frame and order.
-struct RingSpread {
-    std::size_t count;         // returns that were looked at
-    double elevation_std;      // their elevations' standard deviation in radians
-    double beside, any_two;    // mean difference of rings: of returns beside each other, and of any two
-};
-
-// Four narrow sectors, ahead, behind and aside, with all of their returns: those above each other in a degree of azimuth
-// are neighbors. half_width is the tangent of half of a sector.
 RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> ring, float half_width) {
     // Degree of azimuth, elevation and ring of each return there, in one number that sorts by them.
     std::vector<std::uint64_t> returns;
@@ -161,81 +158,14 @@ RingSpread spread_of_rings(View2<const float> points, View1<const std::int16_t> 
     return spread;
 }
 
-}  // namespace
-
-void bind_files(nb::module_& m) {
-    m.def(
-        "split_xyzi",
-        [](In1<float> rows, InOut1<float> points, InOut1<float> intensity) {
-            const std::size_t count = intensity.shape(0);
-            require(rows.shape(0) >= 4 * count && points.shape(0) == 3 * count, "sizes of columns must agree");
-            nb::gil_scoped_release unlocked;
-            split_four(rows.data(), count, points.data(), intensity.data());
-        },
-        "rows"_a.noconvert(), "points"_a.noconvert(), "intensity"_a.noconvert(),
-        "Split rows of x, y, z, intensity into points (3 N,) and intensity (N,).");
-    m.def(
-        "split_xyzir",
-        [](In1<float> rows, InOut1<float> points, InOut1<float> intensity, InOut1<std::int16_t> ring,
-           bool quarter_turn) {
-            const std::size_t count = intensity.shape(0);
-            require(rows.shape(0) >= 5 * count && points.shape(0) == 3 * count && ring.shape(0) == count,
-                    "sizes of columns must agree");
-            nb::gil_scoped_release unlocked;
-            return (quarter_turn ? split_five_turned : split_five)(rows.data(), count, points.data(), intensity.data(),
-                                                                   ring.data());
-        },
-        "rows"_a.noconvert(), "points"_a.noconvert(), "intensity"_a.noconvert(), "ring"_a.noconvert(),
-        "quarter_turn"_a,
-        "Split rows of x, y, z, intensity, ring; how many rings are no whole numbers. With quarter_turn points are "
-        "(y, -x, z).");
-    m.def(
-        "spread_of_rings",
-        [](Points points, In1<std::int16_t> ring, float half_width) {
-            require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
-            const RingSpread spread = spread_of_rings(view(points), view(ring), half_width);
-            return nb::make_tuple(spread.count, spread.elevation_std, spread.beside, spread.any_two);
-        },
-        "points"_a.noconvert(), "ring"_a.noconvert(), "half_width"_a,
-        "Returns in four narrow sectors, their elevations' standard deviation, and the mean difference of the rings of "
-        "neighbors and of any two.");
-    m.def(
-        "all_finite",
-        [](In2<float> values) {
-            nb::gil_scoped_release unlocked;
-            return are_finite(values.data(), values.size());
-        },
-        "values"_a.noconvert(), "Whether all of the values (N, K) are finite.");
-    m.def(
-        "plausible_rows",
-        [](In1<float> rows, std::size_t columns) {
-            require(columns == 4 || columns == 5, "columns must be 4 or 5");
-            return is_plausible(rows.data(), rows.shape(0) / columns, columns);
-        },
-        "rows"_a.noconvert(), "columns"_a,
-        "Whether rows (N · columns,) read as meters within 10 km, an intensity and, if five, a ring in 0…127.");
-    m.def(
-        "move_points",
-        [](nb::ndarray<float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu> points, In2<double> rotation,
-           In1<double> shift) {
-            require(rotation.shape(0) == 3 && rotation.shape(1) == 3 && shift.shape(0) == 3,
-                    "a transform must be a rotation (3, 3) and a shift (3,)");
-            const double* r = rotation.data();
-            for (std::size_t n = 0; n < points.shape(0); ++n) {
-                float* point = points.data() + 3 * n;
-                const double x = point[0], y = point[1], z = point[2];
-                for (std::size_t k = 0; k < 3; ++k) {
-                    point[k] = float(r[3 * k] * x + r[3 * k + 1] * y + r[3 * k + 2] * z + shift.data()[k]);
-                }
-            }
-        },
-        "points"_a.noconvert(), "rotation"_a.noconvert(), "shift"_a.noconvert(),
-        "Replace points (N, 3) by rotation @ point + shift, computed in float64.");
-    m.def(
-        "unpack_lzf",
-        [](In1<std::uint8_t> packed, InOut1<std::uint8_t> unpacked) { return unpack_lzf(view(packed), view(unpacked)); },
-        "packed"_a.noconvert(), "unpacked"_a.noconvert(),
-        "Decode an LZF stream; the bytes written, or -1 where it is damaged.");
+void move_points(View2<float> points, const double* rotation, const double* shift) {
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        float* point = points[n];
+        const double x = point[0], y = point[1], z = point[2];
+        for (std::size_t k = 0; k < 3; ++k) {
+            point[k] = float(rotation[3 * k] * x + rotation[3 * k + 1] * y + rotation[3 * k + 2] * z + shift[k]);
+        }
+    }
 }
 
 }  // namespace viewshed

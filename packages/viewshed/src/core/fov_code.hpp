@@ -8,6 +8,12 @@
 
 namespace viewshed {
 
+// The most rows and columns of a view in a code.
+constexpr std::size_t MOST_CELLS = 512;
+
+// States, levels of the probability and of the deviation of a cell.
+constexpr int STATES = 4, LEVELS = 16, DEVIATIONS = 9;
+
 // The cells of a view, row i forward and column j left.
 struct ViewCells {
     View2<const std::uint8_t> state;      // CellState, 0…3

@@ -1,9 +1,5 @@
 #include "height_map.hpp"
 
-#include <cmath>
-#include <limits>
-
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -51,35 +47,6 @@ LatticePositions lattice_positions(View2<const float> xy, float half_extent_m, s
 void interpolate(View2<const float> heights_m, View1<const std::int32_t> node, View1<const double> down,
                  View1<const double> right, View1<float> out) {
     mix(heights_m.data, std::uint32_t(heights_m.columns), node.size, node.data, down.data, right.data, out.data);
-}
-
-void bind_height_map(nb::module_& m) {
-    m.def(
-        "lattice_positions",
-        [](In2<float> xy, float half_extent_m, std::size_t nodes) {
-            require(xy.shape(1) >= 2, "xy must have at least two columns");
-            require(nodes >= 2 && nodes <= 16384, "a lattice must have 2 to 16384 nodes a side");
-            require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
-            LatticePositions at = lattice_positions(view(xy), half_extent_m, nodes);
-            return nb::make_tuple(std::move(at.node).array(), std::move(at.down).array(), std::move(at.right).array());
-        },
-        "xy"_a.noconvert(), "half_extent_m"_a, "nodes"_a,
-        "Node (N,) before each of N points, and how far beyond it in i and in j (N,), of a lattice.");
-    m.def(
-        "interpolate",
-        [](In2<float> heights_m, In1<std::int32_t> node, In1<double> down, In1<double> right) {
-            const std::size_t nodes = heights_m.shape(0), count = node.shape(0);
-            require(nodes >= 2 && nodes <= 16384 && heights_m.shape(1) == nodes,
-                    "heights_m must have shape (nodes, nodes), 2 to 16384 of them");
-            require(down.shape(0) == count && right.shape(0) == count, "node, down and right must be as long");
-            const Buffer<std::int32_t> before =
-                indices_of<std::int32_t>(view(node), 0, std::int32_t(nodes * nodes - nodes - 2), "node");
-            Buffer<float> out(count);
-            interpolate(view(heights_m), before, view(down), view(right), out);
-            return std::move(out).array();
-        },
-        "heights_m"_a.noconvert(), "node"_a.noconvert(), "down"_a.noconvert(), "right"_a.noconvert(),
-        "Heights (N,) at positions of a lattice, bilinear.");
 }
 
 }  // namespace viewshed

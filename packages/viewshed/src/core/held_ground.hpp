@@ -24,6 +24,4 @@ struct HeldPoses {
 bool hold_ground(const SeenGround& now, const SeenGround& before, const HeldPoses& poses, float variance_m2,
                  const Plane& carrier, float height_m, View1<float> heights_m, View1<float> std_m, View1<bool> seen);
 
-void bind_held_ground(nb::module_& m);
-
 }  // namespace viewshed

@@ -1,27 +1,15 @@
-// What earlier sweeps saw: obstacles by direction from where the sensor is now, and which cells a sweep confirms.
-#include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
+#include "history.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <tuple>
 #include <vector>
 
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
 namespace {
-
-// Rows by rise over range from the least to the greatest at which obstacles are remembered, 0.4° each; azimuth columns.
-constexpr std::size_t ROWS = 160, COLUMNS = 720;
-constexpr double LEAST_SLOPE = -0.75, MOST_SLOPE = 0.35;
-
-// Lines of sight are looked along in every second row and column.
-constexpr std::size_t SIGHT_STEP = 2;
 
 // Obstacle pixels of similar depth at most GAP_ROWS or GAP_COLUMNS (8° or 2°) apart belong to one obstacle.
 constexpr int GAP_ROWS = 20, GAP_COLUMNS = 4;
@@ -43,13 +31,13 @@ constexpr float NEAREST_M = 1.0f;
 // A line of sight is open if more than this share of a target is in view past what is remembered.
 constexpr float LEAST_VIEW = 0.15f;
 
+// As the header has them.
+constexpr std::size_t ROWS = SLOPE_ROWS, COLUMNS = AZIMUTHS;
+
 constexpr float NONE = std::numeric_limits<float>::infinity();
 
-struct Point {
-    float x, y, z;
-};
+}  // namespace
 
-// The returns (M,) of a sweep that are higher above the ground than `least_m`, moved by a transform (3, 4).
 std::vector<Point> obstacle_points(View2<const float> points, View1<const float> height_m, View2<const float> transform,
                                    float least_m) {
     std::vector<Point> moved;
@@ -61,6 +49,8 @@ std::vector<Point> obstacle_points(View2<const float> points, View1<const float>
     }
     return moved;
 }
+
+namespace {
 
 // The cell of a point in the map, at least one from the edge; -1 outside.
 std::int32_t map_cell(float x, float y) {
@@ -144,8 +134,8 @@ void close_gaps(View2<float> image) {
     }
 }
 
-// The horizontal range of the nearest obstacle by slope and azimuth, NONE where there is none: what two sweeps saw in one
-// place of the map, or what the only sweep saw.
+}  // namespace
+
 void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_height_m, View2<float> image) {
     // 1. Which sweeps saw an obstacle in each cell of the map?
     std::vector<std::int32_t> seen_by(std::size_t(MAP_CELLS) * MAP_CELLS, NOBODY);
@@ -159,7 +149,6 @@ void draw_image(const std::vector<std::vector<Point>>& sweeps, float sensor_heig
     close_gaps(image);
 }
 
-// Write the depth of each beam, no deeper than the obstacle in its direction.
 MULTIVERSION void end_at_obstacles(const float* image, const float* azimuth, const float* slope, const float* depth_m,
                                    std::size_t size, float* out) {
     for (std::size_t n = 0; n < size; ++n) {
@@ -169,8 +158,6 @@ MULTIVERSION void end_at_obstacles(const float* image, const float* azimuth, con
     }
 }
 
-// Mark the cells that an earlier sweep saw, as a mask (cells, cells) of its own frame says, and to which enough of the line
-// of sight is open. `earlier_from_now` (2, 3) maps x, y, 1.
 void confirm_cells(View2<const bool> seen, View2<const float> earlier_from_now, const float* origin_m, float cell_m,
                    const float* open, const float* whole, bool* confirmed) {
     const std::size_t cells = seen.rows;
@@ -189,83 +176,16 @@ void confirm_cells(View2<const bool> seen, View2<const float> earlier_from_now, 
     }
 }
 
-// The returns of a sweep as Python hands them in: points, height_m, and the transform (3, 4) to the sensor now.
-using Cloud = std::tuple<Points, In1<float>, In2<float>>;
-
-}  // namespace
-
-void bind_history(nb::module_& m) {
-    m.def(
-        "obstacle_image",
-        [](const std::vector<Cloud>& clouds, float least_m, float sensor_height_m) {
-            for (const auto& [points, height_m, transform] : clouds) {
-                require(height_m.shape(0) == points.shape(0), "height_m must have one value for each point");
-                require(transform.shape(0) == 3 && transform.shape(1) == 4, "transform must have shape (3, 4)");
-            }
-            Buffer<float> image(ROWS * COLUMNS);
-            {
-                nb::gil_scoped_release unlocked;
-                std::vector<std::vector<Point>> sweeps;
-                for (const auto& [points, height_m, transform] : clouds) {
-                    sweeps.push_back(obstacle_points(view(points), view(height_m), view(transform), least_m));
-                }
-                draw_image(sweeps, sensor_height_m, image.view(ROWS, COLUMNS));
-            }
-            return std::move(image).array({ROWS, COLUMNS});
-        },
-        "clouds"_a.noconvert(), "least_m"_a, "sensor_height_m"_a,
-        "Range (rows, columns) of the nearest obstacle by slope and azimuth; +inf for none. Of sweeps (points, height_m, "
-        "transform), each with returns higher than least_m.");
-    m.def(
-        "end_at_obstacles",
-        [](In2<float> image, In1<float> azimuth, In1<float> slope, In1<float> depth_m) {
-            const std::size_t size = azimuth.shape(0);
-            require(image.shape(0) == ROWS && image.shape(1) == COLUMNS, "image must be one of obstacle_image");
-            require(slope.shape(0) == size && depth_m.shape(0) == size, "azimuth, slope and depth_m must be as long");
-            Buffer<float> out(size);
-            end_at_obstacles(image.data(), azimuth.data(), slope.data(), depth_m.data(), size, out.data());
-            return std::move(out).array();
-        },
-        "image"_a.noconvert(), "azimuth"_a.noconvert(), "slope"_a.noconvert(), "depth_m"_a.noconvert(),
-        "Depth (B,) of beams, none deeper than the obstacle of an image in its direction.");
-    m.def(
-        "sight_lines",
-        []() {
-            const std::size_t rows = ROWS / SIGHT_STEP, columns = COLUMNS / SIGHT_STEP;
-            Buffer<float> azimuth(rows * columns), slope(rows * columns);
-            for (std::size_t r = 0; r < rows; ++r) {
-                for (std::size_t c = 0; c < columns; ++c) {
-                    azimuth[r * columns + c] =
-                        float((double(c * SIGHT_STEP) + 0.5) * (2 * std::numbers::pi / COLUMNS) - std::numbers::pi);
-                    slope[r * columns + c] =
-                        float(LEAST_SLOPE + (double(r * SIGHT_STEP) + 0.5) * ((MOST_SLOPE - LEAST_SLOPE) / ROWS));
-                }
-            }
-            return nb::make_tuple(std::move(azimuth).array(), std::move(slope).array());
-        },
-        "Azimuth and slope (L,) of lines of sight in every other row and column of the image of obstacles.");
-    m.def(
-        "confirmed_cells",
-        [](In2<bool> seen, In2<float> earlier_from_now, double origin_x_m, double origin_y_m, double cell_m,
-           In2<float> open, In2<float> whole) {
-            const std::size_t cells = seen.shape(0);
-            for (const auto& [rows, columns] : {std::array{seen.shape(0), seen.shape(1)},
-                                                {open.shape(0), open.shape(1)},
-                                                {whole.shape(0), whole.shape(1)}}) {
-                require(rows == cells && columns == cells, "seen, in_view and whole must have one shape (cells, cells)");
-            }
-            require(earlier_from_now.shape(0) == 2 && earlier_from_now.shape(1) == 3,
-                    "earlier_from_now must have shape (2, 3)");
-            require(cell_m > 0, "cell_m must be positive");
-            Buffer<bool> confirmed(cells * cells);
-            const float origin_m[2] = {float(origin_x_m), float(origin_y_m)};
-            confirm_cells(view(seen), view(earlier_from_now), origin_m, float(cell_m), open.data(), whole.data(),
-                          confirmed.data());
-            return std::move(confirmed).array({cells, cells});
-        },
-        "seen"_a.noconvert(), "earlier_from_now"_a.noconvert(), "origin_x_m"_a, "origin_y_m"_a, "cell_m"_a,
-        "in_view"_a.noconvert(), "whole"_a.noconvert(),
-        "Cells (cells, cells) that an earlier sweep saw, and to which enough of the whole view is open.");
+void sight_lines(View1<float> azimuth, View1<float> slope) {
+    constexpr std::size_t rows = ROWS / SIGHT_STEP, columns = COLUMNS / SIGHT_STEP;
+    for (std::size_t r = 0; r < rows; ++r) {
+        for (std::size_t c = 0; c < columns; ++c) {
+            azimuth[r * columns + c] =
+                float((double(c * SIGHT_STEP) + 0.5) * (2 * std::numbers::pi / COLUMNS) - std::numbers::pi);
+            slope[r * columns + c] =
+                float(LEAST_SLOPE + (double(r * SIGHT_STEP) + 0.5) * ((MOST_SLOPE - LEAST_SLOPE) / ROWS));
+        }
+    }
 }
 
 }  // namespace viewshed

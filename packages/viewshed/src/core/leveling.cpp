@@ -1,17 +1,13 @@
 #include "leveling.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
-#include <optional>
 #include <vector>
 
 #include "ego_vehicle.hpp"
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -193,6 +189,16 @@ LevelPoints level_points(View2<const float> points, View1<const bool> clutter, V
     return level;
 }
 
+void mark_cells(View2<const float> points, View1<const float> height_m, const SquareCells& of, View1<bool> mask) {
+    std::fill(mask.begin(), mask.end(), false);
+    std::int32_t cell[BLOCK];
+    for (std::size_t start = 0; start < points.rows; start += BLOCK) {
+        const std::size_t size = std::min(BLOCK, points.rows - start);
+        find_cells(points[start], &height_m[start], size, of.x0_m, of.y0_m, of.cells_per_m, of.low_m, of.high_m, of.cells, cell);
+        for (std::size_t k = 0; k < size; ++k) mask[cell[k]] = true;
+    }
+}
+
 void beam_slopes(View2<const float> points, View1<const float> range_m, float sensor_height_m,
                  View1<const bool> left_out, View1<const std::int32_t> rows, View1<float> slope) {
     for_ranges(rows.size, count_parts(rows.size, 2 * PART), [&](std::size_t, std::size_t begin, std::size_t end) {
@@ -202,92 +208,6 @@ void beam_slopes(View2<const float> points, View1<const float> range_m, float se
             slope[k] = left_out[rows[k]] ? std::numeric_limits<float>::infinity() : slope[k];
         }
     });
-}
-
-void bind_leveling(nb::module_& m) {
-    m.attr("EGO_BOX_M") = nb::make_tuple(EGO_LENGTH_M, EGO_WIDTH_M);
-    m.attr("EGO_HEIGHTS_M") = nb::make_tuple(LEAST_EGO_HEIGHT_M, MOST_EGO_HEIGHT_M);
-    using Rotation = nb::ndarray<const float, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
-    using Transform = nb::ndarray<const float, nb::shape<3, 4>, nb::c_contig, nb::device::cpu>;
-    m.def(
-        "vehicle_heading",
-        [](Points points, Rotation rotation) {
-            nb::gil_scoped_release unlocked;
-            return vehicle_heading(view(points), {rotation.data(), 3, 3});
-        },
-        "points"_a.noconvert(), "rotation"_a.noconvert(),
-        "Heading of the own vehicle in radians, of points (N, 3) and the rotation (3, 3) to a level frame.");
-    m.def(
-        "level_points",
-        [](Points points, std::optional<In1<bool>> clutter, Transform level_from_sensor, float near_m, float far_m,
-           double heading, In2<float> ground_m, float half_extent_m) {
-            const std::size_t nodes = ground_m.shape(0);
-            require(!clutter || clutter->shape(0) == points.shape(0), "clutter must be as long as points");
-            require(ground_m.shape(1) == nodes, "ground_m must be (n, n)");
-            require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
-            require(half_extent_m > 0.0f, "half_extent_m must be positive");
-            require(std::isfinite(heading), "heading must be finite");
-            require(points.shape(0) < std::numeric_limits<std::int32_t>::max(), "points must be fewer than 2^31");
-            std::optional<LevelPoints> made;
-            {
-                nb::gil_scoped_release unlocked;
-                const View1<const bool> mask = clutter ? view(*clutter) : View1<const bool>{nullptr, 0};
-                made = level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading,
-                                    {view(ground_m), half_extent_m});
-            }
-            LevelPoints& level = *made;
-            return nb::make_tuple(std::move(level.points).array({level.count, 3}), std::move(level.range_m).array(),
-                                  std::move(level.azimuth).array(), std::move(level.height_m).array(),
-                                  std::move(level.rows).array());
-        },
-        "points"_a.noconvert(), "clutter"_a.noconvert().none(), "level_from_sensor"_a.noconvert(), "near_m"_a,
-        "far_m"_a, "heading"_a, "ground_m"_a.noconvert(), "half_extent_m"_a,
-        "Level points (M, 3), range, azimuth, height above the ground and row (M,) of the points (N, 3) that count.");
-    m.def(
-        "beam_slopes",
-        [](Points points, In1<float> range_m, float sensor_height_m, std::optional<In1<bool>> left_out,
-           In1<std::int32_t> rows) {
-            const std::size_t count = points.shape(0);
-            require(range_m.shape(0) == count && rows.shape(0) == count, "points, range_m and rows must be as long");
-            View1<const bool> mask{nullptr, 0};
-            Buffer<std::int32_t> of_point(count);  // not looked at without a mask
-            if (left_out) {
-                mask = view(*left_out);
-                require(count == 0 || mask.size > 0, "left_out must have an element for each row");
-                of_point = indices_of<std::int32_t>(view(rows), 0, std::int32_t(std::max<std::size_t>(mask.size, 1) - 1), "rows");
-            }
-            Buffer<float> slope(count);
-            {
-                nb::gil_scoped_release unlocked;
-                beam_slopes(view(points), view(range_m), sensor_height_m, mask, of_point, slope);
-            }
-            return std::move(slope).array();
-        },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "sensor_height_m"_a, "left_out"_a.noconvert().none(),
-        "rows"_a.noconvert(), "Rise over range (M,) of level points (M, 3); +inf for rows that are left out.");
-    m.def(
-        "obstacle_cells",
-        [](Points points, In1<float> height_m, float x0_m, float y0_m, float cells_per_m, float low_m, float high_m,
-           std::int32_t cells) {
-            const std::size_t count = points.shape(0);
-            require(height_m.shape(0) == count, "points and height_m must be as long");
-            require(cells >= 1 && cells <= 32768, "cells must lie in [1, 32768]");
-            Buffer<bool> mask(std::size_t(cells) * cells + 1, false);  // the last one for points in no cell
-            {
-                nb::gil_scoped_release unlocked;
-                std::int32_t cell[BLOCK];
-                for (std::size_t start = 0; start < count; start += BLOCK) {
-                    const std::size_t size = std::min(BLOCK, count - start);
-                    find_cells(points.data() + 3 * start, height_m.data() + start, size, x0_m, y0_m, cells_per_m, low_m,
-                               high_m, cells, cell);
-                    for (std::size_t k = 0; k < size; ++k) mask[cell[k]] = true;
-                }
-            }
-            return std::move(mask).array({std::size_t(cells), std::size_t(cells)});
-        },
-        "points"_a.noconvert(), "height_m"_a.noconvert(), "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "low_m"_a, "high_m"_a,
-        "cells"_a,
-        "Mask (cells, cells) of cells that hold a point (N, 3) between two heights above the ground.");
 }
 
 }  // namespace viewshed

@@ -24,6 +24,16 @@ struct Ground {
 LevelPoints level_points(View2<const float> points, View1<const bool> clutter, View2<const float> level_from_sensor,
                          float near_m, float far_m, double heading, const Ground& ground);
 
+// Cells of a square grid, the corner of least x and y first, and the heights above the ground that count.
+struct SquareCells {
+    float x0_m, y0_m, cells_per_m, low_m, high_m;
+    std::int32_t cells;
+};
+
+// Mark the cells (cells · cells + 1,) that hold a level point (M, 3) between two heights above the ground (M,); the last one is
+// marked for points in no cell.
+void mark_cells(View2<const float> points, View1<const float> height_m, const SquareCells& of, View1<bool> mask);
+
 // Write the rise over range (M,) from the sensor to level points (M, 3), +inf for those whose row is left_out (N,);
 // without any element nothing is left out.
 void beam_slopes(View2<const float> points, View1<const float> range_m, float sensor_height_m,

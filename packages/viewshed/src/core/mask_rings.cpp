@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "stages.hpp"
 
 namespace viewshed {
 namespace {

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -45,22 +44,6 @@ void find_moments(View2<const float> probability, View1<float> mean, View1<float
             find_block_moments(&probability.data[start], passes, cells, count, &mean[start], &deviation[start]);
         }
     });
-}
-
-// What Python calls: arrays are checked here, whatever hands them in.
-void bind_mc_dropout(nb::module_& m) {
-    m.def(
-        "mean_and_deviation",
-        [](In2<float> probability) {
-            require(probability.shape(0) >= 1, "there must be a pass");
-            Buffer<float> mean(probability.shape(1)), deviation(probability.shape(1));
-            {
-                nb::gil_scoped_release unlocked;
-                find_moments(view(probability), mean, deviation);
-            }
-            return nb::make_tuple(std::move(mean).array(), std::move(deviation).array());
-        },
-        "probability"_a.noconvert(), "Mean and standard deviation (cells,) of probabilities (passes, cells).");
 }
 
 }  // namespace viewshed

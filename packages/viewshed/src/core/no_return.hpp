@@ -7,6 +7,9 @@
 
 namespace viewshed {
 
+// Ground nearer than this many sensor heights (seen at 14° or more) is always expected to return.
+constexpr double STEEP = 4.0;
+
 // Where the beams of each ring point: where in its columns it fires, radians above the horizon, height of their origin.
 struct RingAims {
     View1<const float> phase;

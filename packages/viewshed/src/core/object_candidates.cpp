@@ -6,7 +6,6 @@
 #include <numeric>
 
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -539,37 +538,6 @@ Candidates find_candidates(View2<const float> points, View1<const float> height_
         found.shapes[k][PARENT_M] = span.parent < 0 ? 0.0f : parent < 0 ? LONGEST_M : found.shapes[parent][LONG_M];
     }
     return found;
-}
-
-void bind_object_candidates(nb::module_& m) {
-    m.def(
-        "object_candidates",
-        [](Points points, In1<float> height_m, In1<float> range_m, float sensor_height_m) {
-            require(height_m.shape(0) == points.shape(0), "height_m must be as long as points");
-            require(range_m.shape(0) == points.shape(0), "range_m must be as long as points");
-            require(std::isfinite(sensor_height_m), "sensor_height_m must be finite");
-            Candidates found;
-            {
-                nb::gil_scoped_release unlocked;
-                const Buffer<float> own = copy_of(view(points).flat()), own_m = copy_of(view(height_m));
-                found = find_candidates({own.data(), points.shape(0), 3}, own_m, view(range_m), sensor_height_m);
-            }
-            const auto whole = [](const std::vector<std::int32_t>& values) {
-                Buffer<std::int32_t> out(values.size());
-                std::copy(values.begin(), values.end(), out.begin());
-                return std::move(out).array();
-            };
-            const std::size_t count = found.first.size();
-            Buffer<float> sides(count * 6), shapes(count * SHAPES);
-            for (std::size_t k = 0; k < count; ++k) {
-                std::copy(found.sides[k].begin(), found.sides[k].end(), sides.begin() + k * 6);
-                std::copy(found.shapes[k].begin(), found.shapes[k].end(), shapes.begin() + k * SHAPES);
-            }
-            return nb::make_tuple(whole(found.rows), whole(found.first), whole(found.last), whole(found.parent),
-                                  std::move(sides).array({count, 6}), std::move(shapes).array({count, SHAPES}));
-        },
-        "points"_a.noconvert(), "height_m"_a.noconvert(), "range_m"_a.noconvert(), "sensor_height_m"_a,
-        "Candidates for objects: rows (P,) by candidate, first, last, parent (C,), sides (C, 6) and shapes (C, 32).");
 }
 
 }  // namespace viewshed

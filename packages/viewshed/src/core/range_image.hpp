@@ -10,6 +10,9 @@ namespace viewshed {
 // Pixels count their returns up to this number.
 constexpr std::uint8_t FULL_COUNT = 255;
 
+// Throw std::invalid_argument unless an image has pixels, and no more than the densest sensor's by far.
+void require_image(std::size_t rings, std::size_t columns);
+
 // The N returns of a sweep on an image of rings × columns; viewshed.preprocess.range_image.RangeImage says what each is.
 struct RangeImage {
     std::size_t rings, columns;

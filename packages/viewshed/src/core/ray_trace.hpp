@@ -5,6 +5,9 @@
 
 namespace viewshed {
 
+// A cell is in doubt if returns of the END_SLICES slices at either end of its window decide.
+constexpr std::size_t END_SLICES = 3;
+
 // Cells by range, azimuth and fine azimuth bin ("slice"), each as many as there are cells.
 struct PolarCells {
     View1<const float> range_m, azimuth;

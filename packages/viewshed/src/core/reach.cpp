@@ -1,15 +1,11 @@
-// What the ranges of a sweep's returns show of its sensor's reach.
-#include <nanobind/stl/optional.h>
+#include "reach.hpp"
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <limits>
-#include <optional>
 #include <vector>
 
 #include "parallel.hpp"
-#include "stages.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -35,8 +31,8 @@ MULTIVERSION void find_bins(const float* range_m, std::size_t count, float most_
     }
 }
 
-// The quantile of the ranges (M,) up to most_m, linearly between two of them; NaN where none counts. Those that are left out,
-// by themselves (M,) or by their rows (N,), do not count.
+}  // namespace
+
 double range_quantile(View1<const float> range_m, View1<const bool> left_out, View1<const std::int32_t> rows, float most_m,
                       double share) {
     // 1. Count by bins.
@@ -79,26 +75,6 @@ double range_quantile(View1<const float> range_m, View1<const bool> left_out, Vi
     std::nth_element(some.begin(), at, some.end());
     const double one = double(*at), other = high == low ? one : double(*std::min_element(at + 1, some.end()));
     return one + (other - one) * (place - double(low));
-}
-
-}  // namespace
-
-void bind_reach(nb::module_& m) {
-    m.def(
-        "range_quantile",
-        [](In1<float> range_m, In1<bool> left_out, std::optional<In1<std::int32_t>> rows, float most_m, double share) {
-            const std::size_t count = range_m.shape(0);
-            require(share >= 0.0 && share <= 1.0, "share must lie in [0, 1]");
-            require(rows || left_out.shape(0) == count, "left_out must be as long as range_m");
-            require(!rows || rows->shape(0) == count, "rows must be as long as range_m");
-            require(count == 0 || left_out.shape(0) > 0, "left_out must have an element for each row");
-            Buffer<std::int32_t> of_point(0);
-            if (count && rows) of_point = indices_of<std::int32_t>(view(*rows), 0, std::int32_t(left_out.shape(0) - 1), "rows");
-            nb::gil_scoped_release unlocked;
-            return range_quantile(view(range_m), view(left_out), of_point, most_m, share);
-        },
-        "range_m"_a.noconvert(), "left_out"_a.noconvert(), "rows"_a.noconvert().none(), "most_m"_a, "share"_a,
-        "Quantile of ranges (M,) up to most_m; those left out, by themselves or by their rows, do not count. NaN without any.");
 }
 
 }  // namespace viewshed

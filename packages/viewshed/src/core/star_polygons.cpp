@@ -6,7 +6,6 @@
 #include <numbers>
 #include <utility>
 
-#include "stages.hpp"
 
 namespace viewshed {
 namespace {

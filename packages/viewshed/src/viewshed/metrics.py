@@ -16,25 +16,17 @@ from viewshed.arrays import Mask
 class ConfusionCounts:
     """How many cells of two masks agree, over any number of samples.
 
-    Attributes:
-        both: cells that both call visible.
-        over: cells that only the estimate calls visible.
-        under: cells that only the truth calls visible.
-        neither: cells that none calls visible.
-        area_m2: of all of them together.
-        samples: how many samples.
-
     >>> counts = ConfusionCounts(6, 2, 2, 10, area_m2=5.0)
     >>> counts.precision, counts.recall, counts.f1, counts.iou, counts.over_m2
     (0.75, 0.75, 0.75, 0.6, 0.5)
     """
 
-    both: int = 0
-    over: int = 0
-    under: int = 0
-    neither: int = 0
-    area_m2: float = 0.0
-    samples: int = 1
+    both: int = 0  # cells that both call visible
+    over: int = 0  # cells that only the estimate calls visible
+    under: int = 0  # cells that only the truth calls visible
+    neither: int = 0  # cells that none calls visible
+    area_m2: float = 0.0  # of all of them together
+    samples: int = 1  # how many samples
 
     @classmethod
     def of(cls, claimed: Mask, true: Mask, mask: Mask, cell_area_m2: float) -> ConfusionCounts:
@@ -137,14 +129,6 @@ class Scores:
     Everything is kept as whole numbers, so that the order and grouping of sweeps do not change a bit of the result.
     The caller hands in the cells whose truth is known, and no others.
 
-    Attributes:
-        steps: (1001, 2) int64 cells by step of probability (step k holds [k, k + 1) thousandths) that are not
-            visible, and that are.
-        bins: (15, 3) int64 by calibration bin: cells, visible cells, and the sum of their probabilities in 2⁻²⁴.
-        squares: sum of squared errors of the probabilities in 2⁻²⁸.
-        doubts: (1001, 2) int64 cells by standard deviation, in steps of 0.0005 up to 0.5, that a threshold of 0.5
-            calls right, and wrong; cells that came without a deviation are not in it.
-
     >>> scores = Scores()
     >>> scores.add([0.9, 0.8, 0.6, 0.1], [True, True, False, False])
     >>> scores.precision(), scores.recall(), scores.f1(), scores.accuracy()
@@ -153,9 +137,14 @@ class Scores:
     (0.105, 1.0)
     """
 
+    # (1001, 2) int64 cells by step of probability (step k holds [k, k + 1) thousandths) that are not visible, and that
+    # are
     steps: Counts = field(default_factory=_no_cells)
+    # (15, 3) int64 by calibration bin: cells, visible cells, and the sum of their probabilities in 2⁻²⁴
     bins: Counts = field(default_factory=_no_bins)
-    squares: int = 0
+    squares: int = 0  # sum of squared errors of the probabilities in 2⁻²⁸
+    # (1001, 2) int64 cells by standard deviation, in steps of 0.0005 up to 0.5, that a threshold of 0.5 calls right,
+    # and wrong; cells that came without a deviation are not in it
     doubts: Counts = field(default_factory=_no_cells)
 
     def add(self, prob: ArrayLike, visible: ArrayLike, std: ArrayLike | None = None) -> None:

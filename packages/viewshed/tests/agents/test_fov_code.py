@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from viewshed import BevGrid, CellState, FovEstimate, _core
-from viewshed.agents.fov_code import (
-    decode_fov,
-    encode_fov,
-    has_std,
-    level_values,
-    max_code_bytes,
-    sensor_cell,
-)
+from viewshed.agents.fov_code import decode_fov, encode_fov, has_std, level_values, max_code_bytes, sensor_cell
 
 
 def view_of(grid: BevGrid, prob: Any, state: Any, std: Any = None, threshold: float = 0.5) -> FovEstimate:

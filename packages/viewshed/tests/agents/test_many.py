@@ -54,8 +54,7 @@ def run(said: list[list[np.ndarray]], *, trusting: bool = False) -> list[CommonP
     center = CommandCenter(("a", "b", "c"), trusting=trusting)
     return [
         center.add(
-            0.5 * time,
-            [report(agent, boxes, standing=CARS) for agent, boxes in zip(AGENTS, reports, strict=True)],
+            0.5 * time, [report(agent, boxes, standing=CARS) for agent, boxes in zip(AGENTS, reports, strict=True)]
         )
         for time, reports in enumerate(said)
     ]

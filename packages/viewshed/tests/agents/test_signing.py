@@ -7,13 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viewshed.agents.signing import (
-    KeyRing,
-    SigningKey,
-    VerifyingKey,
-    read_signing_key,
-    read_verifying_keys,
-)
+from viewshed.agents.signing import KeyRing, SigningKey, VerifyingKey, read_signing_key, read_verifying_keys
 from viewshed.agents.transport import Tls, ZenohTransport
 
 PRIME = 2**255 - 19

@@ -1,7 +1,6 @@
 """Masks to polygons and back; inner polygons and sectors never leave the mask."""
 
 import itertools
-import time
 
 import numpy as np
 import pytest
@@ -118,16 +117,6 @@ def test_mask_of_polygon_agrees_with_shapely(seed: int, turn: float) -> None:
         return
     inside = shapely.contains_xy(polygon, grid.centers[..., 0], grid.centers[..., 1])
     np.testing.assert_array_equal(mask_of_polygon(polygon, grid), inside)
-
-
-def test_mask_of_polygon_agrees_with_rasterio() -> None:
-    reason = "rasterio is not installed: masks are not compared with it"
-    features, affine = (pytest.importorskip(name, reason=reason) for name in ("rasterio.features", "affine"))
-    mask, grid = street(3)
-    polygon = shapely.affinity.scale(polygon_of_mask(mask, grid), 0.83, 0.91, origin=(0.3, 0.1))
-    transform = affine.Affine(0.0, grid.cell_m, grid.origin_m[0], grid.cell_m, 0.0, grid.origin_m[1])
-    expected = features.rasterize([polygon], grid.shape, transform=transform).astype(bool)
-    assert (mask_of_polygon(polygon, grid) != expected).mean() < 1e-3
 
 
 def test_mask_of_polygon_wants_an_area() -> None:
@@ -314,17 +303,6 @@ def test_free_ranges_are_the_distance_to_what_is_not_true_in_each_wedge(
 def test_free_ranges_wants_quarters() -> None:
     with pytest.raises(ValueError, match="bins must be a positive multiple of 4, got 10"):
         free_ranges(np.ones((4, 4), bool), BevGrid(4, 2.0), (0.0, 0.0), 10)
-
-
-def test_polygon_of_a_realistic_mask_is_quick() -> None:
-    mask, grid = street(1, cells=256)
-    polygon_of_mask(mask, grid)
-    seconds = []
-    for _ in range(7):
-        begin_s = time.process_time()  # of this process alone: others may be busy
-        polygon_of_mask(mask, grid)
-        seconds.append(time.process_time() - begin_s)
-    assert min(seconds) < 0.02
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, -1e300, 0.0])

@@ -31,7 +31,7 @@ SPOILED = {
     "opv2v": ("s/641/000068.yaml", "s/data_protocol.yaml"), "kitti_raw": (f"{KITTI}tracklet_labels.xml",),
     "nuscenes": tuple(f"{NUSCENES}{table}.json" for table in ("sample_data", "ego_pose", "sample_annotation")),
     "carla": ("recording.json", "actors.jsonl", "car/poses.csv"), "ros1 bag": ("a.bag",), "db3": ("a.db3",),
-    "mcap": ("a.mcap",),
+    "mcap": ("a.mcap",), "argoverse2": ("log/city_SE3_egovehicle.feather", "log/annotations.feather"),
 }  # fmt: skip
 """Recording → its files that are damaged."""
 WORDS = (

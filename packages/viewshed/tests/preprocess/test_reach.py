@@ -120,10 +120,7 @@ def test_a_far_wall_of_150_returns_in_a_narrow_field_does_not_decide_on_its_reac
     assert reach_of(kept) == pytest.approx(reach_of(before_m), rel=most)
 
 
-@given(
-    arrays(np.float32, st.integers(4000, 5000), elements=st.floats(2.0, 80.0, width=32)),
-    st.floats(1.5, 8.0),
-)
+@given(arrays(np.float32, st.integers(4000, 5000), elements=st.floats(2.0, 80.0, width=32)), st.floats(1.5, 8.0))
 def test_twice_the_distances_give_no_more_than_twice_the_reach(range_m: F32, times: float) -> None:
     reach_m, farther_m = reach_of(range_m), reach_of(range_m * np.float32(times))
     assert USUAL_REACH_M <= reach_m <= farther_m <= reach_m * np.cbrt(times) * (1 + 1e-6)

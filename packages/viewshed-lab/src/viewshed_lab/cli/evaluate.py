@@ -115,6 +115,56 @@ def crossview(
     _tell(page_of(index, estimators, names, seed, _on_step, floor=floor), out)
 
 
+_JUDGED = "shadow_map,viewnet,majority_vote,first_blocker,continuous,concave_hull"
+
+
+@evaluate_app.command()
+def survey(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Folder of an Argoverse 2 log with its map.", show_default=False)
+    ],
+    methods: Annotated[
+        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")
+    ] = _JUDGED,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
+    ] = None,
+) -> None:
+    """Measure claims against a city's surveyed ground and people's boxes.
+
+    Example: viewshed evaluate survey val/7fab2350-7eaf-3b7e-a39d-6937a4c1bede --out survey.md
+    """
+    from viewshed.fov.visibility import CAR
+    from viewshed.recordings.read import open_source
+    from viewshed_lab.studies.judges import survey_page
+
+    _tell(survey_page(log, open_source(log, "argoverse2"), _estimators(methods), CAR), out)
+
+
+@evaluate_app.command()
+def boxes(
+    recording: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="nuScenes, KITTI or Argoverse 2, annotated.", show_default=False)
+    ],
+    methods: Annotated[
+        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")
+    ] = _JUDGED,
+    limit: Annotated[int, typer.Option(min=1, help="Most sweeps, spread evenly over the recording.")] = 200,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
+    ] = None,
+) -> None:
+    """Measure claims and ground against boxes that people drew.
+
+    Example: viewshed evaluate boxes nuscenes --limit 100 --out boxes.md
+    """
+    from viewshed.fov.visibility import CAR
+    from viewshed.recordings.read import open_source
+    from viewshed_lab.studies.judges import boxes_page
+
+    _tell(boxes_page(recording, open_source(recording), _estimators(methods), CAR, limit), out)
+
+
 def _estimators(methods: str) -> dict[str, FovEstimator]:
     """Return estimators for cars on the road grid by name, the paper's on its own."""
     from viewshed.estimators import PAPER_ESTIMATORS

@@ -121,35 +121,6 @@ def paper(
 
 
 @study_app.command()
-def ablation(
-    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
-    out: Out = None,
-    only: Annotated[
-        str | None,
-        typer.Option(
-            metavar="STEPS", help="Only these steps, separated by commas: models, validation, test, chosen, page."
-        ),
-    ] = None,
-    workers: Workers = None,
-    page: Pages = None,
-) -> None:
-    """What the parts of our network are worth.
-
-    The shipped network stands beside the estimators.
-
-    Example: viewshed study ablation --preset tiny --out study
-    """
-    from viewshed_lab._jobs import LocalEngine
-    from viewshed_lab.studies.ablation.jobs import run_study
-    from viewshed_lab.studies.ablation.page import files_of
-    from viewshed_lab.studies.ablation.plan import STEPS, AblationPlan
-
-    steps = _steps(only, STEPS)
-    work, pages = partial(run_study, engine=LocalEngine(workers), steps=steps), files_of if "page" in steps else None
-    _run(AblationPlan.load(preset), _folder(out, "ablation"), page, work, pages)
-
-
-@study_app.command()
 def deviation(
     preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
     out: Out = None,

@@ -25,21 +25,13 @@ LEAST_OVERLAP = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Detections of one kind against truth.
+    """Detections of one kind against truth."""
 
-    Attributes:
-        wanted: objects with at least 20 returns within 40 m.
-        found: those of them with a detection of their kind within 2 m.
-        overlapping: those of them whose detection overlaps them by .3.
-        called: detections of the kind within 40 m.
-        right: those of them that are matched with an object of the kind, however few returns it gave.
-    """
-
-    wanted: int = 0
-    found: int = 0
-    overlapping: int = 0
-    called: int = 0
-    right: int = 0
+    wanted: int = 0  # objects with at least 20 returns within 40 m
+    found: int = 0  # those of them with a detection of their kind within 2 m
+    overlapping: int = 0  # those of them whose detection overlaps them by .3
+    called: int = 0  # detections of the kind within 40 m
+    right: int = 0  # those of them that are matched with an object of the kind, however few returns it gave
 
     def __add__(self, other: Score) -> Score:
         """Return the counts of both."""

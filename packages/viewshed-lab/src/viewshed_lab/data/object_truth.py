@@ -44,19 +44,12 @@ KIND_OF_CATEGORY = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepObjects:
-    """The true objects about one sensor at the time of one sweep, in its ``level`` frame, without its own carrier.
+    """The true objects about one sensor at the time of one sweep, in its ``level`` frame, without its own carrier."""
 
-    Attributes:
-        boxes: (K, 7) float64, columns :data:`viewshed.detections.BOX_COLUMNS`.
-        kinds: (K,) uint8 of :class:`viewshed.detections.ObjectKind`.
-        returns: (K,) int32 returns that each gave.
-        numbers: (K,) int64 the same for one object over time.
-    """
-
-    boxes: NDArray[np.float64]
-    kinds: NDArray[np.uint8]
-    returns: NDArray[np.int32]
-    numbers: NDArray[np.int64]
+    boxes: NDArray[np.float64]  # (K, 7) float64, columns :data:`viewshed.detections.BOX_COLUMNS`
+    kinds: NDArray[np.uint8]  # (K,) uint8 of :class:`viewshed.detections.ObjectKind`
+    returns: NDArray[np.int32]  # (K,) int32 returns that each gave
+    numbers: NDArray[np.int64]  # (K,) int64 the same for one object over time
 
     def __len__(self) -> int:
         """Return the number of objects."""
@@ -74,19 +67,12 @@ class SweepObjects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectSweep:
-    """A simulated sweep, leveled, with the objects that it should show.
+    """A simulated sweep, leveled, with the objects that it should show."""
 
-    Attributes:
-        world: kind of world.
-        sensor: beam table.
-        leveled: the sweep.
-        objects: what is there.
-    """
-
-    world: str
-    sensor: str
-    leveled: LeveledSweep
-    objects: SweepObjects
+    world: str  # kind of world
+    sensor: str  # beam table
+    leveled: LeveledSweep  # the sweep
+    objects: SweepObjects  # what is there
 
 
 def road_sweeps(seed: int, drives: int, sensors: tuple[str, ...] = ROAD_SENSORS) -> Iterator[ObjectSweep]:

@@ -24,50 +24,29 @@ MAX_CELLS = 2048
 class Preset:
     """How a simulated data set is composed. Lists of names have weights or numbers beside them.
 
-    Attributes:
-        name: of the preset.
-        about: one line for people.
-        worlds: kinds of world, of ``WORLDS``.
-        world_weights: in what proportion the scenes are of each kind.
-        splits: names of the splits.
-        scenes: number of scenes of each split.
-        frames: number of sweeps of each split, spread evenly over its scenes.
-        moving: vehicles or robots in each scene that measure.
-        roadside: sensors on masts in each scene.
-        sensors: beam tables of the moving ones; the scenes take them in turn.
-        roadside_sensor: beam table of those on masts.
-        sensor_height_m: of the moving ones.
-        interval_s: between two sweeps of one agent.
-        revolution_s: duration of a sweep; 0 lets all beams fire at once.
-        conditions: weather and faults, of ``CONDITIONS``; one for each scene.
-        condition_weights: in what proportion the scenes have them.
-        grid_cells: cells a side of the truth.
-        grid_half_extent_m: half the side of the truth's grid.
-        seed: of everything random.
-
     Raises:
         ValueError: a name is not known, a number is out of range, or lists differ in length.
     """
 
-    name: str
-    about: str
-    worlds: tuple[str, ...]
-    world_weights: tuple[float, ...]
-    splits: tuple[str, ...]
-    scenes: tuple[int, ...]
-    frames: tuple[int, ...]
-    moving: int
-    roadside: int
-    sensors: tuple[str, ...]
-    roadside_sensor: str
-    sensor_height_m: float
-    interval_s: float
-    revolution_s: float
-    conditions: tuple[str, ...]
-    condition_weights: tuple[float, ...]
-    grid_cells: int
-    grid_half_extent_m: float
-    seed: int
+    name: str  # of the preset
+    about: str  # one line for people
+    worlds: tuple[str, ...]  # kinds of world, of ``WORLDS``
+    world_weights: tuple[float, ...]  # in what proportion the scenes are of each kind
+    splits: tuple[str, ...]  # names of the splits
+    scenes: tuple[int, ...]  # number of scenes of each split
+    frames: tuple[int, ...]  # number of sweeps of each split, spread evenly over its scenes
+    moving: int  # vehicles or robots in each scene that measure
+    roadside: int  # sensors on masts in each scene
+    sensors: tuple[str, ...]  # beam tables of the moving ones; the scenes take them in turn
+    roadside_sensor: str  # beam table of those on masts
+    sensor_height_m: float  # of the moving ones
+    interval_s: float  # between two sweeps of one agent
+    revolution_s: float  # duration of a sweep; 0 lets all beams fire at once
+    conditions: tuple[str, ...]  # weather and faults, of ``CONDITIONS``; one for each scene
+    condition_weights: tuple[float, ...]  # in what proportion the scenes have them
+    grid_cells: int  # cells a side of the truth
+    grid_half_extent_m: float  # half the side of the truth's grid
+    seed: int  # of everything random
 
     def __post_init__(self) -> None:
         self._check_lists()

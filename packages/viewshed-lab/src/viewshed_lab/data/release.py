@@ -21,15 +21,10 @@ CARD = "README.md"
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What is published of the data set.
+    """What is published of the data set."""
 
-    Attributes:
-        shards: SHA-256 of each shard by the name of its file.
-        made_with: versions of what decides about bytes, by name.
-    """
-
-    shards: dict[str, str]
-    made_with: dict[str, str]
+    shards: dict[str, str]  # SHA-256 of each shard by the name of its file
+    made_with: dict[str, str]  # versions of what decides about bytes, by name
 
 
 @cache

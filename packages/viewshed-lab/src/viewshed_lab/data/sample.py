@@ -21,27 +21,21 @@ if TYPE_CHECKING:
 class Sample:
     """One sweep with its truth: the one type for it, in memory, in archives and in studies.
 
-    Attributes:
-        measured: what the sensor measured: a range image, or points where there is none. Archives store a range image
-            in a tenth of the space of its points; :attr:`sweep` computes the points when they are first needed.
-        truth: what the sensor could have seen.
-        known: (cells, cells) bool, False where no truth exists (below the vehicle itself, outside the world).
-        scene: where it was measured; splits never cut through a scene.
-        split: ``train``, ``test``, …
-        tampered: the attacked sweep and what was done to it, or None where it is not known.
-        clean: the range image that an attacked sweep was made from, or None. Archives store it with the rows that the
-            attacker made, which takes less memory than all points.
-
     Raises:
         ValueError: ``known`` does not fit the truth's grid, or ``tampered`` is of another number of returns.
     """
 
+    # what the sensor measured: a range image, or points where there is none. Archives store a range image in a tenth of
+    # the space of its points; :attr:`sweep` computes the points when they are first needed.
     measured: StoredSweep | Sweep
-    truth: Truth
+    truth: Truth  # what the sensor could have seen
+    # (cells, cells) bool, False where no truth exists (below the vehicle itself, outside the world)
     known: NDArray[np.bool_]
-    scene: str = ""
-    split: str = ""
-    tampered: Tampered | None = None
+    scene: str = ""  # where it was measured; splits never cut through a scene
+    split: str = ""  # ``train``, ``test``, …
+    tampered: Tampered | None = None  # the attacked sweep and what was done to it, or None where it is not known
+    # the range image that an attacked sweep was made from, or None. Archives store it with the rows that the attacker
+    # made, which takes less memory than all points.
     clean: StoredSweep | None = None
 
     def __post_init__(self) -> None:

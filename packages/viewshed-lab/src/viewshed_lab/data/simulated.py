@@ -46,17 +46,11 @@ class _SeedPurpose(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ScenePlan:
-    """One scene of a simulated data set.
+    """One scene of a simulated data set."""
 
-    Attributes:
-        preset: the composition that it is part of.
-        split: number of its split.
-        number: its number in the split.
-    """
-
-    preset: Preset
-    split: int
-    number: int
+    preset: Preset  # the composition that it is part of
+    split: int  # number of its split
+    number: int  # its number in the split
 
     @property
     def split_name(self) -> str:

@@ -137,28 +137,19 @@ class TamperPlan(Protocol):
 class AttackPlan:
     """An attack on every sweep of a data set.
 
-    Attributes:
-        attack: a name of ``ATTACKS``, ``INFORMED`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture.
-        budget: most returns; None is the attack's own.
-        mode: ``free_form`` or ``beam_constrained``; None is the attack's own.
-        half_extent_m: half the side of the victim's grid.
-        placement: one of ``Placement``; None is the attack's own.
-        victim: name of the estimator that an attacker who adapts queries.
-        estimator: that estimator.
-
     Raises:
         ValueError: there is no such attack, or it has no such budget, mode or placement.
     """
 
     command: ClassVar[str] = "attack"
 
-    attack: str
-    budget: int | None = None
-    mode: str | None = None
-    half_extent_m: float = 64.0
-    placement: str | None = None
-    victim: str | None = None
-    estimator: FovEstimator | None = None
+    attack: str  # a name of ``ATTACKS``, ``INFORMED`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture
+    budget: int | None = None  # most returns; None is the attack's own
+    mode: str | None = None  # ``free_form`` or ``beam_constrained``; None is the attack's own
+    half_extent_m: float = 64.0  # half the side of the victim's grid
+    placement: str | None = None  # one of ``Placement``; None is the attack's own
+    victim: str | None = None  # name of the estimator that an attacker who adapts queries
+    estimator: FovEstimator | None = None  # that estimator
 
     def __post_init__(self) -> None:
         if self.attack != PAPER and self.attack not in _FACTORIES:
@@ -202,18 +193,14 @@ class AttackPlan:
 class CorruptionPlan:
     """A corruption of every sweep of a data set.
 
-    Attributes:
-        corruption: a name of ``CORRUPTIONS``.
-        severity: 1 to 5.
-
     Raises:
         ValueError: there is no such corruption or severity.
     """
 
     command: ClassVar[str] = "corrupt"
 
-    corruption: str
-    severity: int = 3
+    corruption: str  # a name of ``CORRUPTIONS``
+    severity: int = 3  # 1 to 5
 
     def __post_init__(self) -> None:
         if self.corruption not in CORRUPTIONS:
@@ -236,42 +223,25 @@ class CorruptionPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Frames of one scene that become one shard.
+    """Frames of one scene that become one shard."""
 
-    Attributes:
-        name: of the shard's file.
-        frames: of the whole scene.
-        scene: its name.
-        split: that it belongs to.
-        number: of the scene in the data set, for seeds.
-        first: the first frame.
-        last: the frame after the last.
-    """
-
-    name: str
-    frames: SceneFrames
-    scene: str
-    split: str
-    number: int
-    first: int
-    last: int
+    name: str  # of the shard's file
+    frames: SceneFrames  # of the whole scene
+    scene: str  # its name
+    split: str  # that it belongs to
+    number: int  # of the scene in the data set, for seeds
+    first: int  # the first frame
+    last: int  # the frame after the last
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweeps:
-    """A data set of any kind that can be attacked.
+    """A data set of any kind that can be attacked."""
 
-    Attributes:
-        layout: of its truth.
-        parts: what its shards are.
-        lineage: what it is, as plain values that do not depend on where it lies.
-        problems: one line for each thing that was found wrong on opening.
-    """
-
-    layout: Layout
-    parts: tuple[Part, ...]
-    lineage: Any
-    problems: tuple[str, ...] = ()
+    layout: Layout  # of its truth
+    parts: tuple[Part, ...]  # what its shards are
+    lineage: Any  # what it is, as plain values that do not depend on where it lies
+    problems: tuple[str, ...] = ()  # one line for each thing that was found wrong on opening
 
     @property
     def count(self) -> int:

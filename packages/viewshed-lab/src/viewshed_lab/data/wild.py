@@ -65,30 +65,19 @@ class _SeedPurpose(IntEnum):
 class WildDomain:
     """One part of a set: its road scenes, or its indoor scenes.
 
-    Attributes:
-        set_name: of ``SETS``.
-        name: ``road`` or ``indoor``, which is also the name of its grid.
-        styles: kinds of world, of ``WORLDS``; the scenes take them in turn.
-        sensors: names of sensor families, or of beam tables; taken in turn.
-        mountings: names of mounting families; taken in turn.
-        conditions: weather and faults, of ``CONDITIONS``; one for each scene.
-        scenes: how many.
-        sweeps: of each scene, 3 s apart.
-        seed: of everything random.
-
     Raises:
         ValueError: a name is not known, or a number is out of range.
     """
 
-    set_name: str
-    name: str
-    styles: tuple[str, ...]
-    sensors: tuple[str, ...]
-    mountings: tuple[str, ...]
-    conditions: tuple[str, ...]
-    scenes: int
-    sweeps: int
-    seed: int
+    set_name: str  # of ``SETS``
+    name: str  # ``road`` or ``indoor``, which is also the name of its grid
+    styles: tuple[str, ...]  # kinds of world, of ``WORLDS``; the scenes take them in turn
+    sensors: tuple[str, ...]  # names of sensor families, or of beam tables; taken in turn
+    mountings: tuple[str, ...]  # names of mounting families; taken in turn
+    conditions: tuple[str, ...]  # weather and faults, of ``CONDITIONS``; one for each scene
+    scenes: int  # how many
+    sweeps: int  # of each scene, 3 s apart
+    seed: int  # of everything random
 
     def __post_init__(self) -> None:
         if self.set_name not in SETS or self.name not in GRIDS:
@@ -173,15 +162,10 @@ def check_apart(domains: tuple[WildDomain, ...]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class WildScene:
-    """One scene of a domain.
+    """One scene of a domain."""
 
-    Attributes:
-        domain: that it is of.
-        number: its number there.
-    """
-
-    domain: WildDomain
-    number: int
+    domain: WildDomain  # that it is of
+    number: int  # its number there
 
     @property
     def name(self) -> str:
@@ -261,37 +245,22 @@ class WildScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildObservation:
-    """One sweep and all that the simulator knows of it.
+    """One sweep and all that the simulator knows of it."""
 
-    Attributes:
-        scene: that it is of.
-        number: of the sweep in its scene.
-        delivered: the sweep, with all that is known of it.
-        truth: what the sensor could have seen, on the domain's grid about the origin of the points.
-        known: (cells, cells) bool, where that is known.
-        ground_m: (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin.
-        origin_height_m: exact height of the origin of the points above the ground below it.
-        attitude: exact quaternion (w, x, y, z) of the frame of the points.
-        sensor: as drawn.
-        mounting: as drawn.
-        scan: what every beam met.
-        world: where.
-        agent: who measured.
-    """
-
-    scene: WildScene
-    number: int
-    delivered: Sweep
-    truth: Truth
-    known: NDArray[np.bool_]
+    scene: WildScene  # that it is of
+    number: int  # of the sweep in its scene
+    delivered: Sweep  # the sweep, with all that is known of it
+    truth: Truth  # what the sensor could have seen, on the domain's grid about the origin of the points
+    known: NDArray[np.bool_]  # (cells, cells) bool, where that is known
+    # (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin
     ground_m: NDArray[np.float32]
-    origin_height_m: float
-    attitude: NDArray[np.float64]
-    sensor: DrawnSensor
-    mounting: Mounting
-    scan: ExactScan
-    world: World
-    agent: Agent
+    origin_height_m: float  # exact height of the origin of the points above the ground below it
+    attitude: NDArray[np.float64]  # exact quaternion (w, x, y, z) of the frame of the points
+    sensor: DrawnSensor  # as drawn
+    mounting: Mounting  # as drawn
+    scan: ExactScan  # what every beam met
+    world: World  # where
+    agent: Agent  # who measured
 
     def told(self, told: str) -> Sweep:
         """Return the sweep that says no more than ``told``.
@@ -320,34 +289,21 @@ class WildObservation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WildSample:
-    """One sweep with its exact truth and its exact ground.
+    """One sweep with its exact truth and its exact ground."""
 
-    Attributes:
-        sweep: what an estimator is given.
-        truth: what the sensor could have seen, about the origin of the points.
-        known: (cells, cells) bool, where the truth is known.
-        ground_m: (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin of
-            the points; so z of the ``level`` frame.
-        origin_height_m: exact height of that origin above the ground below it.
-        attitude: exact quaternion (w, x, y, z) of the frame of the points.
-        style: kind of world.
-        sensor: family, or beam table.
-        mounting: family.
-        told: of ``TOLD``.
-        scene: its name; splits never cut through a scene.
-    """
-
-    sweep: Sweep
-    truth: Truth
-    known: NDArray[np.bool_]
+    sweep: Sweep  # what an estimator is given
+    truth: Truth  # what the sensor could have seen, about the origin of the points
+    known: NDArray[np.bool_]  # (cells, cells) bool, where the truth is known
+    # (cells, cells) float32 exact height of the ground at the cells' centers above that below the origin of the points;
+    # so z of the ``level`` frame
     ground_m: NDArray[np.float32]
-    origin_height_m: float
-    attitude: NDArray[np.float64]
-    style: str
-    sensor: str
-    mounting: str
-    told: str
-    scene: str
+    origin_height_m: float  # exact height of that origin above the ground below it
+    attitude: NDArray[np.float64]  # exact quaternion (w, x, y, z) of the frame of the points
+    style: str  # kind of world
+    sensor: str  # family, or beam table
+    mounting: str  # family
+    told: str  # of ``TOLD``
+    scene: str  # its name; splits never cut through a scene
 
     @property
     def exact_ground(self) -> HeightMap:

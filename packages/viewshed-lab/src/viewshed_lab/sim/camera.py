@@ -45,17 +45,11 @@ _HAZE_M = 150.0
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes:
-        pitch_deg: how far it looks up; negative is down.
-        across_deg: horizontal field of view.
-        shape: pixels down and across.
-    """
-
-    pitch_deg: float = -12.0
-    across_deg: float = 95.0
-    shape: tuple[int, int] = (256, 470)
+    pitch_deg: float = -12.0  # how far it looks up; negative is down
+    across_deg: float = 95.0  # horizontal field of view
+    shape: tuple[int, int] = (256, 470)  # pixels down and across
 
     def __post_init__(self) -> None:
         if not (-60 <= self.pitch_deg <= 30 and 20 <= self.across_deg <= 120 and min(self.shape) >= 2):

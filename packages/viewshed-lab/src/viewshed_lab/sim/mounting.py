@@ -33,31 +33,21 @@ _LIP_M = 0.09
 class MountingFamily:
     """Bounds within which mountings are drawn, uniformly; signs of angles are drawn as well.
 
-    Attributes:
-        name: of the family.
-        height_m: of the sensor above the ground below the carrier.
-        yaw_deg: angle of its turn to the left or right.
-        pitch_deg: angle of its tilt down; negative is up.
-        roll_deg: angle of its roll to the left or right.
-        forward_m: of the sensor from where the world's maker puts it.
-        left_m: to the left or right of there.
-        roof_edge: whether the carrier's flat roof lies just below the sensor and ends a little before it and beside it,
-            so that the sensor sees much of its carrier.
-        frame: of ``FRAMES``.
-
     Raises:
         ValueError: a name is unknown, bounds do not ascend, or a turned sensor is to have a base frame.
     """
 
-    name: str
-    height_m: tuple[float, float]
-    yaw_deg: tuple[float, float]
-    pitch_deg: tuple[float, float]
-    roll_deg: tuple[float, float]
-    forward_m: tuple[float, float]
-    left_m: tuple[float, float]
+    name: str  # of the family
+    height_m: tuple[float, float]  # of the sensor above the ground below the carrier
+    yaw_deg: tuple[float, float]  # angle of its turn to the left or right
+    pitch_deg: tuple[float, float]  # angle of its tilt down; negative is up
+    roll_deg: tuple[float, float]  # angle of its roll to the left or right
+    forward_m: tuple[float, float]  # of the sensor from where the world's maker puts it
+    left_m: tuple[float, float]  # to the left or right of there
+    # whether the carrier's flat roof lies just below the sensor and ends a little before it and beside it, so that the
+    # sensor sees much of its carrier
     roof_edge: bool
-    frame: str
+    frame: str  # of ``FRAMES``
 
     def __post_init__(self) -> None:
         if self.frame not in FRAMES:
@@ -83,25 +73,15 @@ class MountingFamily:
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """One mounting.
+    """One mounting."""
 
-    Attributes:
-        family: that it was drawn from.
-        height_m: of the sensor above the ground below the carrier.
-        yaw: radians to the left.
-        pitch: radians down.
-        roll: radians.
-        forward_m: from where the world's maker puts it.
-        left_m: as ``forward_m``.
-    """
-
-    family: MountingFamily
-    height_m: float
-    yaw: float
-    pitch: float
-    roll: float
-    forward_m: float
-    left_m: float
+    family: MountingFamily  # that it was drawn from
+    height_m: float  # of the sensor above the ground below the carrier
+    yaw: float  # radians to the left
+    pitch: float  # radians down
+    roll: float  # radians
+    forward_m: float  # from where the world's maker puts it
+    left_m: float  # as ``forward_m``
 
     @property
     def rotation(self) -> NDArray[np.float64]:

@@ -23,34 +23,21 @@ from viewshed_lab.sim.world import Agent, Snapshot, World
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """One revolution of one agent's sensor.
+    """One revolution of one agent's sensor."""
 
-    Attributes:
-        scan: what every beam met, without noise.
-        image: what the sensor stored; ``image.sweep()`` is the sweep.
-        truth: what it could have seen.
-        known: (cells, cells) bool, where that is known.
-    """
-
-    scan: ExactScan
-    image: StoredSweep
-    truth: Truth
-    known: NDArray[np.bool_]
+    scan: ExactScan  # what every beam met, without noise
+    image: StoredSweep  # what the sensor stored; ``image.sweep()`` is the sweep
+    truth: Truth  # what it could have seen
+    known: NDArray[np.bool_]  # (cells, cells) bool, where that is known
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """How a world is observed.
+    """How a world is observed."""
 
-    Attributes:
-        grid: of the truth.
-        conditions: weather and faults.
-        revolution_s: duration of a sweep; 0 lets all beams fire at once.
-    """
-
-    grid: BevGrid
-    conditions: Conditions = CONDITIONS["clear"]
-    revolution_s: float = 0.1
+    grid: BevGrid  # of the truth
+    conditions: Conditions = CONDITIONS["clear"]  # weather and faults
+    revolution_s: float = 0.1  # duration of a sweep; 0 lets all beams fire at once
 
 
 def observe(

@@ -24,16 +24,11 @@ _HALF_EXTENT_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Things on a plane.
+    """Things on a plane."""
 
-    Attributes:
-        boxes: upright boxes.
-        cylinders: upright cylinders.
-        slope: the ground rises by (a, b) meters for each meter of x and y; it is 0 below the sensor.
-    """
-
-    boxes: tuple[Box, ...] = ()
-    cylinders: tuple[Cylinder, ...] = ()
+    boxes: tuple[Box, ...] = ()  # upright boxes
+    cylinders: tuple[Cylinder, ...] = ()  # upright cylinders
+    # the ground rises by (a, b) meters for each meter of x and y; it is 0 below the sensor
     slope: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -111,10 +106,7 @@ def junction() -> Scene:
     >>> len(junction().boxes) > 30
     True
     """
-    return Scene(
-        boxes=(*_buildings(), *_walls(), *_traffic()),
-        cylinders=(*_people_and_poles(), *_trees()),
-    )
+    return Scene(boxes=(*_buildings(), *_walls(), *_traffic()), cylinders=(*_people_and_poles(), *_trees()))
 
 
 def _buildings() -> list[Box]:
@@ -164,10 +156,7 @@ def _car(x_m: float, y_m: float, yaw: float) -> list[Box]:
 def _people_and_poles() -> list[Cylinder]:
     people = [(15.2, -1.6), (15.6, -2.5), (14.9, 4.4), (11.0, -6.3), (1.5, 9.3), (34.5, -7.0), (-12.0, -6.8)]
     poles = [(12.6, -5.6), (12.4, 8.6), (33.8, 8.8), (34.2, -6.2), (-14.5, 9.6), (-22.0, -6.4), (56.0, 8.0)]
-    return [
-        *(Cylinder(x, y, 0.27, 1.72) for x, y in people),
-        *(Cylinder(x, y, 0.11, 7.0) for x, y in poles),
-    ]
+    return [*(Cylinder(x, y, 0.27, 1.72) for x, y in people), *(Cylinder(x, y, 0.11, 7.0) for x, y in poles)]
 
 
 def _trees() -> list[Cylinder]:

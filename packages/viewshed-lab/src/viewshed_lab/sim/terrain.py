@@ -24,19 +24,14 @@ class Terrain:
     The diagonal of quad (i, j) runs from node (i, j) to node (i + 1, j + 1). A curb is two lines a few
     centimeters apart.
 
-    Attributes:
-        x_m: (nx,) ascending lines.
-        y_m: (ny,) ascending lines.
-        heights_m: (nx, ny) z of the nodes.
-        material: (nx - 1, ny - 1) uint8 rows of ``MATERIALS``, one a quad; asphalt if left out.
-
     Raises:
         ValueError: a shape does not fit, or a line does not ascend.
     """
 
-    x_m: NDArray[np.float64]
-    y_m: NDArray[np.float64]
-    heights_m: NDArray[np.float64]
+    x_m: NDArray[np.float64]  # (nx,) ascending lines
+    y_m: NDArray[np.float64]  # (ny,) ascending lines
+    heights_m: NDArray[np.float64]  # (nx, ny) z of the nodes
+    # (nx - 1, ny - 1) uint8 rows of ``MATERIALS``, one a quad; asphalt if left out
     material: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
 
     def __post_init__(self) -> None:

@@ -26,17 +26,11 @@ _DT_S, _WHEELBASE_M = 0.05, 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Where something is over time: straight between knots; before the first and after the last it stands still.
+    """Where something is over time: straight between knots; before the first and after the last it stands still."""
 
-    Attributes:
-        t_s: (k,) ascending seconds.
-        xy_m: (k, 2) meters in the world.
-        yaw: (k,) radians, continuous (it may pass π).
-    """
-
-    t_s: NDArray[np.float64]
-    xy_m: NDArray[np.float64]
-    yaw: NDArray[np.float64]
+    t_s: NDArray[np.float64]  # (k,) ascending seconds
+    xy_m: NDArray[np.float64]  # (k, 2) meters in the world
+    yaw: NDArray[np.float64]  # (k,) radians, continuous (it may pass π)
 
     def __post_init__(self) -> None:
         for name in ("t_s", "xy_m", "yaw"):
@@ -66,29 +60,17 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """Something that stands on the ground or moves over it.
+    """Something that stands on the ground or moves over it."""
 
-    Attributes:
-        kind: what it is, for example ``car``.
-        parts: its solids, in its own frame: x forward, y left, z up from the ground below its origin.
-        x_m: where its origin is in the world (at rest).
-        y_m: see ``x_m``.
-        yaw: its heading in the world (at rest).
-        track: where it is over time, or None if it rests.
-        tilts: whether it lies along the ground's slope (vehicles) or stands upright.
-        z_m: height of its origin in the world, or None for the ground's.
-        upper: whether it stands or drives on the world's upper level where there is one, not below it.
-    """
-
-    kind: str
-    parts: tuple[Shape, ...]
-    x_m: float = 0.0
-    y_m: float = 0.0
-    yaw: float = 0.0
-    track: Track | None = None
-    tilts: bool = False
-    z_m: float | None = None
-    upper: bool = False
+    kind: str  # what it is, for example ``car``
+    parts: tuple[Shape, ...]  # its solids, in its own frame: x forward, y left, z up from the ground below its origin
+    x_m: float = 0.0  # where its origin is in the world (at rest)
+    y_m: float = 0.0  # see ``x_m``
+    yaw: float = 0.0  # its heading in the world (at rest)
+    track: Track | None = None  # where it is over time, or None if it rests
+    tilts: bool = False  # whether it lies along the ground's slope (vehicles) or stands upright
+    z_m: float | None = None  # height of its origin in the world, or None for the ground's
+    upper: bool = False  # whether it stands or drives on the world's upper level where there is one, not below it
 
     def pose_at(self, t_s: float) -> tuple[float, float, float]:
         """Return x and y in meters and yaw in radians at ``t_s``."""
@@ -97,40 +79,25 @@ class Thing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agent:
-    """A sensor on a vehicle or on a mast.
+    """A sensor on a vehicle or on a mast."""
 
-    Attributes:
-        name: who measures.
-        sensor: a beam table's name.
-        mount: ``carrier_from_sensor``: from the sensor to the frame of its carrier, or to the world if there is none.
-        carrier: index of the thing that it is mounted on, or None for a mast.
-    """
-
-    name: str
-    sensor: str
+    name: str  # who measures
+    sensor: str  # a beam table's name
+    # ``carrier_from_sensor``: from the sensor to the frame of its carrier, or to the world if there is none
     mount: Rigid
-    carrier: int | None = None
+    carrier: int | None = None  # index of the thing that it is mounted on, or None for a mast
 
 
 @dataclass(frozen=True, slots=True)
 class AgentPlan:
-    """Which sensors a world must carry.
+    """Which sensors a world must carry."""
 
-    Attributes:
-        moving: vehicles (outdoors) or robots (indoors) that drive and measure.
-        roadside: sensors on masts, elevated and tilted.
-        sensor: beam table of the moving ones.
-        roadside_sensor: beam table of those on masts.
-        sensor_height_m: of the moving ones, above the ground.
-        duration_s: how long the tracks must last.
-    """
-
-    moving: int = 1
-    roadside: int = 0
-    sensor: str = "hdl32e"
-    roadside_sensor: str = "roadside"
-    sensor_height_m: float = 1.84
-    duration_s: float = 20.0
+    moving: int = 1  # vehicles (outdoors) or robots (indoors) that drive and measure
+    roadside: int = 0  # sensors on masts, elevated and tilted
+    sensor: str = "hdl32e"  # beam table of the moving ones
+    roadside_sensor: str = "roadside"  # beam table of those on masts
+    sensor_height_m: float = 1.84  # of the moving ones, above the ground
+    duration_s: float = 20.0  # how long the tracks must last
 
     def __post_init__(self) -> None:
         if min(self.moving, self.roadside) < 0 or self.moving + self.roadside < 1:
@@ -141,48 +108,29 @@ class AgentPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """All solids of a world at one time, as arrays, in the world frame.
+    """All solids of a world at one time, as arrays, in the world frame."""
 
-    Attributes:
-        terrain: the ground.
-        kind: (n,) uint8: ``BOX``, ``CYLINDER`` or ``ELLIPSOID``.
-        center_m: (n, 3) float64.
-        rotation: (n, 3, 3) float64, ``world_from_shape``.
-        half_m: (n, 3) float64 half sizes along the shape's own axes.
-        velocity_mps: (n, 3) float64; solids do not turn within a revolution.
-        material: (n,) uint8 rows of ``MATERIALS``.
-        thing: (n,) int32 index of the thing that it belongs to.
-    """
-
-    terrain: Terrain
-    kind: NDArray[np.uint8]
-    center_m: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    half_m: NDArray[np.float64]
-    velocity_mps: NDArray[np.float64]
-    material: NDArray[np.uint8]
-    thing: NDArray[np.int32]
+    terrain: Terrain  # the ground
+    kind: NDArray[np.uint8]  # (n,) uint8: ``BOX``, ``CYLINDER`` or ``ELLIPSOID``
+    center_m: NDArray[np.float64]  # (n, 3) float64
+    rotation: NDArray[np.float64]  # (n, 3, 3) float64, ``world_from_shape``
+    half_m: NDArray[np.float64]  # (n, 3) float64 half sizes along the shape's own axes
+    velocity_mps: NDArray[np.float64]  # (n, 3) float64; solids do not turn within a revolution
+    material: NDArray[np.uint8]  # (n,) uint8 rows of ``MATERIALS``
+    thing: NDArray[np.int32]  # (n,) int32 index of the thing that it belongs to
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Ground, things and agents, made from a seed.
+    """Ground, things and agents, made from a seed."""
 
-    Attributes:
-        name: what kind of place it is.
-        terrain: the ground.
-        things: all that stands or moves on it, the agents' own vehicles too.
-        agents: the sensors in it.
-        indoor: whether it is a building.
-        upper: of a world with several levels the ground of those on the upper one: the top of its decks, and the
-            terrain where there is none. The decks themselves are solids, things of the kind :data:`DECK`.
-    """
-
-    name: str
-    terrain: Terrain
-    things: tuple[Thing, ...] = ()
-    agents: tuple[Agent, ...] = ()
-    indoor: bool = False
+    name: str  # what kind of place it is
+    terrain: Terrain  # the ground
+    things: tuple[Thing, ...] = ()  # all that stands or moves on it, the agents' own vehicles too
+    agents: tuple[Agent, ...] = ()  # the sensors in it
+    indoor: bool = False  # whether it is a building
+    # of a world with several levels the ground of those on the upper one: the top of its decks, and the terrain where
+    # there is none. The decks themselves are solids, things of the kind :data:`DECK`.
     upper: Terrain | None = None
 
     def ground_of(self, agent: Agent | None) -> Terrain:

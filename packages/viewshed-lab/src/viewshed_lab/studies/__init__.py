@@ -1,1 +1,1 @@
-"""Studies of estimators: the published one, robustness, the network's ablation, the monitor, cross-view."""
+"""Studies of estimators: the published one, robustness, the monitor, cross-view."""

@@ -15,7 +15,7 @@ import numpy as np
 from viewshed.arrays import Mask
 from viewshed.fov.visibility import CAR
 from viewshed.sensors import LidarModel
-from viewshed.sweep import Sweep, unorganized_no_sensor
+from viewshed.sweep import Sweep
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.sim.raycast.scan import ExactScan
 from viewshed_lab.sim.truth.exact import exact_truth
@@ -35,8 +35,8 @@ from viewshed_lab.threats.attacks.base import Attack, Tampered
 from viewshed_lab.threats.attacks.points import PaperAttack
 from viewshed_lab.threats.corruptions import CORRUPTIONS, Corruption
 
-KINDS = ("benign", "bare", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
-"""Nothing; without rings and sensor; an attack with a budget; with a sector, share or offset; a corruption with a
+KINDS = ("benign", "attack", "strength", "corruption", "paper", "adaptive", "unaware")
+"""Nothing; an attack with a budget; with a sector, share or offset; a corruption with a
 severity; the paper's attacks with a number of points; an attacker who queries the victim, and with it the defense if
 there is one; and one who queried the victim without knowing of the defense. The last two differ from victim to victim:
 see ``adaptive``."""
@@ -46,8 +46,6 @@ FULL = "full"
 
 DEFAULT = "default"
 """The budget that an attack has of itself."""
-
-BARE = Case("bare", "no rings")
 
 MIXTURE = Case("paper", "mixture")
 """The paper's attacks, drawn anew for each sweep."""
@@ -126,8 +124,6 @@ def apply(case: Case, sample: StudySample, rng: np.random.Generator, half_extent
     sweep = sample.sweep
     if case.kind == "benign":
         return untouched(sweep)
-    if case.kind == "bare":
-        return untouched(unorganized_no_sensor(sweep))
     if case.kind == "corruption":
         return untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
     return attack_of(case, sample, half_extent_m or sample.truth.grid.half_extent_m).apply(sweep, rng)
@@ -210,10 +206,7 @@ def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
     """Return a scan of a sensor that has only some of its rings (R,), from the lowest up."""
     model = scan.model
     fewer = replace(
-        model,
-        elevation=model.elevation[kept],
-        azimuth_offset=model.azimuth_offset[kept],
-        origin_m=model.origin_m[kept],
+        model, elevation=model.elevation[kept], azimuth_offset=model.azimuth_offset[kept], origin_m=model.origin_m[kept]
     )
     return replace(
         scan,

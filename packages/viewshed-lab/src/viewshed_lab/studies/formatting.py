@@ -133,16 +133,6 @@ def best_of_columns(rows: Sequence[Sequence[str]], *, ties: bool = True) -> list
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def best_of_rates(rates: Sequence[float]) -> list[str]:
-    """Return rates as words, the largest in bold; those that are equal in words may differ.
-
-    >>> best_of_rates([0.1, 0.7001, 0.7])
-    ['.100', '**.700**', '.700']
-    """
-    most = max((rate for rate in rates if not isnan(rate)), default=float("nan"))
-    return [f"**{format_rate(rate)}**" if rate == most else format_rate(rate) for rate in rates]
-
-
 def _figure(cell: str) -> float:
     word = cell.partition(" ")[0]
     return float(word) if word.replace(".", "", 1).isdecimal() else -1.0

@@ -63,13 +63,8 @@ def sample_of(domain: str, number: int, count: int, seed: int) -> StudySample:
         OSError: an archive cannot be read.
     """
     if domain in preset_names():
-        return sample_of_preset(preset_named(domain), number, count, seed)
+        return _simulated(_held_out(preset_named(domain), count, seed), number)
     return _recorded(_opened(domain), number, count)
-
-
-def sample_of_preset(preset: Preset, number: int, count: int, seed: int) -> StudySample:
-    """Return the sample ``number`` of ``count`` of a preset, each from a scene of its own, made with ``seed``."""
-    return _simulated(_held_out(preset, count, seed), number)
 
 
 def _held_out(preset: Preset, count: int, seed: int) -> Preset:

@@ -10,13 +10,7 @@ from itertools import chain
 
 import numpy as np
 
-from viewshed.estimators import (
-    CLASSICAL,
-    PAPER_THRESHOLD,
-    Estimator,
-    EstimatorFactory,
-    paper_estimators_on,
-)
+from viewshed.estimators import CLASSICAL, PAPER_THRESHOLD, Estimator, EstimatorFactory, paper_estimators_on
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import THRESHOLD, FovEstimate
 from viewshed.grid import GRIDS, BevGrid
@@ -25,7 +19,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab.studies.cases import ROOM_M
 
 _BESIDE: dict[str, dict[str, EstimatorFactory]] = {
-    "shadow_map": {"shadow_map_unknown": partial(ShadowMap, no_return="unknown")},
+    "shadow_map": {"shadow_map_unknown": partial(ShadowMap, no_return="unknown")}
 }
 """By the estimator after which they stand."""
 

@@ -41,22 +41,15 @@ _FOLLOW_M = 2.0
 class ForgedDetections:
     """Detections after an attack, with what the attacker did to them.
 
-    Attributes:
-        detections: K objects, what everybody else is shown.
-        source: (K,) int32 number of the honest detection that each was; -1 for fabricated ones.
-        ghost: (K,) int64 number of the fabricated object, the same over time; -1 for all others.
-        moved: (K,) bool, honest detections at a false place.
-        removed: (H,) bool of the honest detections, those that are gone.
-
     Raises:
         ValueError: the lengths do not fit.
     """
 
-    detections: Detections
-    source: NDArray[np.int32]
-    ghost: NDArray[np.int64]
-    moved: Mask
-    removed: Mask
+    detections: Detections  # K objects, what everybody else is shown
+    source: NDArray[np.int32]  # (K,) int32 number of the honest detection that each was; -1 for fabricated ones
+    ghost: NDArray[np.int64]  # (K,) int64 number of the fabricated object, the same over time; -1 for all others
+    moved: Mask  # (K,) bool, honest detections at a false place
+    removed: Mask  # (H,) bool of the honest detections, those that are gone
 
     def __post_init__(self) -> None:
         count = len(self.detections)
@@ -77,54 +70,35 @@ class ForgedDetections:
 
 @dataclass(slots=True)
 class Targets:
-    """What an attacker works on until the next reset: J places that move.
+    """What an attacker works on until the next reset: J places that move."""
 
-    Attributes:
-        numbers: (J,) int64, never given twice in one attack.
-        start: (J, 3) places in meters at the last reset.
-        places: (J, 3) places in meters now.
-        velocity: (J, 2) m/s of a random walk.
-        heading: (J,) radians, where a trajectory points; also the yaw of fabricated boxes.
-        shift: (J, 2) meters by which translated objects are moved in the end.
-        age_s: seconds since the reset.
-    """
-
-    numbers: NDArray[np.int64]
-    start: F64
-    places: F64
-    velocity: F64
-    heading: F64
-    shift: F64
-    age_s: float = 0.0
+    numbers: NDArray[np.int64]  # (J,) int64, never given twice in one attack
+    start: F64  # (J, 3) places in meters at the last reset
+    places: F64  # (J, 3) places in meters now
+    velocity: F64  # (J, 2) m/s of a random walk
+    heading: F64  # (J,) radians, where a trajectory points; also the yaw of fabricated boxes
+    shift: F64  # (J, 2) meters by which translated objects are moved in the end
+    age_s: float = 0.0  # seconds since the reset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectAttack(Checked, ABC):
     """An attack on the detections of one sensor; :meth:`begin` starts it.
 
-    Attributes:
-        mean_count: objects that are forged at a time, or the mean of their number.
-        counts: the number is Poisson distributed, or exact (then a whole number).
-        motion: of what is forged.
-        start_s: seconds from the first sweep to the attack.
-        reset_s: seconds until other objects are chosen.
-        speed_std_mps: of each axis of a random walk's first velocity.
-        step_std_mps: of each axis of its change from sweep to sweep.
-        max_speed_mps: that it never exceeds.
-        trajectory: rows of seconds since the reset, meters along the heading and to its left; straight lines between.
-
     Raises:
         ValueError: a value is out of range.
     """
 
+    # objects that are forged at a time, or the mean of their number
     mean_count: Annotated[float, Between(0.0, 1000.0)] = 2.0
-    counts: Counts = "poisson"
-    motion: Motion = "static"
-    start_s: Annotated[float, Between(0.0, 1e6)] = 2.0
-    reset_s: Annotated[float, Between(0.1, 1e6)] = 10.0
-    speed_std_mps: Annotated[float, Between(0.0, 100.0)] = 10.0
-    step_std_mps: Annotated[float, Between(0.0, 100.0)] = 0.5
-    max_speed_mps: Annotated[float, Between(0.0, 100.0)] = 30.0
+    counts: Counts = "poisson"  # the number is Poisson distributed, or exact (then a whole number)
+    motion: Motion = "static"  # of what is forged
+    start_s: Annotated[float, Between(0.0, 1e6)] = 2.0  # seconds from the first sweep to the attack
+    reset_s: Annotated[float, Between(0.1, 1e6)] = 10.0  # seconds until other objects are chosen
+    speed_std_mps: Annotated[float, Between(0.0, 100.0)] = 10.0  # of each axis of a random walk's first velocity
+    step_std_mps: Annotated[float, Between(0.0, 100.0)] = 0.5  # of each axis of its change from sweep to sweep
+    max_speed_mps: Annotated[float, Between(0.0, 100.0)] = 30.0  # that it never exceeds
+    # rows of seconds since the reset, meters along the heading and to its left; straight lines between
     trajectory: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0), (10.0, 80.0, 0.0))
 
     def __post_init__(self) -> None:
@@ -175,15 +149,10 @@ class ObjectAttack(Checked, ABC):
 
 @dataclass(slots=True, eq=False)
 class RunningAttack:
-    """An attack on the detections of one drive: sweep after sweep, in the order of time.
+    """An attack on the detections of one drive: sweep after sweep, in the order of time."""
 
-    Attributes:
-        attack: its parameters.
-        rng: draws all that is random.
-    """
-
-    attack: ObjectAttack
-    rng: np.random.Generator
+    attack: ObjectAttack  # its parameters
+    rng: np.random.Generator  # draws all that is random
     _first_s: float | None = field(default=None, repr=False)
     _last_s: float = field(default=0.0, repr=False)
     _targets: Targets | None = field(default=None, repr=False)
@@ -222,14 +191,10 @@ class RunningAttack:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fabricate(ObjectAttack):
-    """Objects that are not there, about the sensor.
+    """Objects that are not there, about the sensor."""
 
-    Attributes:
-        spread_std_m: of their places about the sensor, each axis.
-        size_m: length, width and height of their boxes.
-    """
-
-    spread_std_m: Annotated[float, Between(0.1, 1000.0)] = 15.0
+    spread_std_m: Annotated[float, Between(0.1, 1000.0)] = 15.0  # of their places about the sensor, each axis
+    # length, width and height of their boxes
     size_m: Annotated[tuple[float, float, float], Between(0.1, 100.0)] = (4.0, 2.0, 2.0)
 
     def choose(self, detections: Detections, ground: F64, count: int, rng: np.random.Generator) -> F64:
@@ -261,14 +226,10 @@ class Fabricate(ObjectAttack):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _OnObjects(ObjectAttack):
-    """Attacks on objects that are there, chosen at random among those near the sensor.
+    """Attacks on objects that are there, chosen at random among those near the sensor."""
 
-    Attributes:
-        within_m: of the sensor, the objects that may be chosen.
-        near_m: an object is found again as the nearest detection within this distance of its place.
-    """
-
-    within_m: Annotated[float, Between(0.5, 1000.0)] = 50.0
+    within_m: Annotated[float, Between(0.5, 1000.0)] = 50.0  # of the sensor, the objects that may be chosen
+    # an object is found again as the nearest detection within this distance of its place
     near_m: Annotated[float, Between(0.1, 100.0)] = 6.0
 
     def choose(self, detections: Detections, ground: F64, count: int, rng: np.random.Generator) -> F64:
@@ -318,17 +279,12 @@ class Remove(_OnObjects):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Translate(_OnObjects):
-    """Objects that are reported at a false place: by a fixed vector, one that walks at random, or one that grows.
+    """Objects that are reported at a false place: by a fixed vector, one that walks at random, or one that grows."""
 
-    Attributes:
-        near_m: how far an object may move from sweep to sweep.
-        shift_m: shortest and longest vector; the direction is random.
-        growth_s: on a trajectory, seconds until the whole vector is reached.
-    """
-
-    near_m: Annotated[float, Between(0.1, 100.0)] = _FOLLOW_M
+    near_m: Annotated[float, Between(0.1, 100.0)] = _FOLLOW_M  # how far an object may move from sweep to sweep
+    # shortest and longest vector; the direction is random
     shift_m: Annotated[tuple[float, float], Ascending(0.0, 100.0)] = (2.0, 6.0)
-    growth_s: Annotated[float, Between(0.1, 1000.0)] = 3.0
+    growth_s: Annotated[float, Between(0.1, 1000.0)] = 3.0  # on a trajectory, seconds until the whole vector is reached
 
     def draw_shift(self, count: int, rng: np.random.Generator) -> F64:
         """Return vectors (J, 2) of random direction."""

@@ -23,15 +23,10 @@ SURE = np.float32(0.98)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewLie:
-    """How one agent lies about what it sees, the same way for a whole scene.
+    """How one agent lies about what it sees, the same way for a whole scene."""
 
-    Attributes:
-        azimuth: toward which it lies, radians in ``level``.
-        amount: how much: share of the visible area, meters, seconds; see each lie.
-    """
-
-    azimuth: float
-    amount: float
+    azimuth: float  # toward which it lies, radians in ``level``
+    amount: float  # how much: share of the visible area, meters, seconds; see each lie
 
 
 def over_claim(views: Sequence[FovEstimate], lie: ViewLie) -> FovEstimate:
@@ -161,9 +156,7 @@ def _wedge(cells: NDArray[np.bool_], azimuth: NDArray[np.float32], lie: ViewLie,
 def _turned(view: FovEstimate, cells: NDArray[np.bool_], state: CellState) -> FovEstimate:
     prob = 1 - SURE if state == CellState.HIDDEN else SURE
     return replace(
-        view,
-        visible_prob=np.where(cells, prob, view.visible_prob),
-        state=np.where(cells, np.uint8(state), view.state),
+        view, visible_prob=np.where(cells, prob, view.visible_prob), state=np.where(cells, np.uint8(state), view.state)
     )
 
 

@@ -27,19 +27,12 @@ _EPOCH = 0x62797465
 
 @dataclass(frozen=True, slots=True)
 class QuantizationCost:
-    """What int8 costs, on sweeps of other scenes than those that calibrated.
+    """What int8 costs, on sweeps of other scenes than those that calibrated."""
 
-    Attributes:
-        f1: of the network in float32, all cells of all sweeps together.
-        f1_int8: of the network in int8.
-        mean_difference: mean absolute difference of their probabilities.
-        flipped_share: share of the known cells that one calls visible and the other does not.
-    """
-
-    f1: float
-    f1_int8: float
-    mean_difference: float
-    flipped_share: float
+    f1: float  # of the network in float32, all cells of all sweeps together
+    f1_int8: float  # of the network in int8
+    mean_difference: float  # mean absolute difference of their probabilities
+    flipped_share: float  # share of the known cells that one calls visible and the other does not
 
 
 def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: int = FRAMES) -> QuantizationCost:

@@ -45,86 +45,51 @@ _LIMITS: dict[str, tuple[float, float]] = {
 class TrainConfig:
     """How a network is trained. The same config gives the same weights on the same machine.
 
-    Attributes:
-        name: of the weights.
-        about: one line for people.
-        data: names of presets, which are simulated, or places of archives; not both.
-        train_split: the split that is used; a part of its scenes is for validation, other splits are never read.
-        validation_share: share of the scenes that validate, at least one of each place.
-        cells: cells a side of the network's grid.
-        half_extent_m: half the side of that grid.
-        target: what would have to be seen.
-        truth: ``probe``, the exact truth, or ``paper_label``, the label of arXiv 2503.07375 of the clean sweep.
-        variant: ``mcd`` trains with dropout, ``mle`` without.
-        attacks: names of ``ATTACKS``, one of which is drawn for a frame, or ``paper``; none is benign training.
-        attack_share: share of the frames that are attacked (the paper's mixture leaves some of those alone).
-        ringless_share: share of the frames whose sweep loses rings and sensor: a cloud and nothing else.
-        past_share: share of the frames that are shown with earlier sweeps, one to five of them as far as there are.
-            Under half of the attacks these are attacked as well.
-        width: channels of the first stage.
-        depth: poolings.
-        fold: cells a side of the blocks that are folded into channels; 1 as published.
-        dropout: share of the channels that are dropped, for ``mcd``.
-        loss: ``bce``, cross-entropy over the cells whose truth is known, or ``bce_dice``, with the Dice loss added.
-        learning_rate: of Adam.
-        schedule: of the learning rate: ``constant``, or ``cosine`` down to a hundredth at the last epoch.
-        batch: frames of one step in each process.
-        epochs: at most.
-        patience: epochs without a lower validation loss after which training ends.
-        frames_per_epoch: frames drawn for an epoch; 0 is all.
-        fresh: presets only: new scenes in every epoch, simulated while training.
-        versions: 0 makes each frame whenever it is shown; n makes n versions of it, each attacked anew, once and for
-            all, and shows one of them in each epoch. They are kept beside the labels, and cost no time while training.
-        mirrored: whether frames are turned by quarter turns and mirrored at random, which alters no truth.
-        precision: ``32``, or ``bf16`` for the network's convolutions.
-        workers: processes that prepare frames beside the one that trains.
-        threshold: probability from which a cell counts as visible, in the scores and in the weights' card.
-        seed: of everything random.
-        inputs: what the network is shown, names of ``FEATURES``; ``counts`` alone as published.
-        counts: how the returns of a cell are shown: ``linear``, as published, or ``log``.
-        max_range_m: returns up to this horizontal range count.
-        heights_m: lowest and highest z from the sensor at which returns count.
-
     Raises:
         ValueError: a name is not known or a number is out of range.
     """
 
-    name: str
-    about: str
-    data: tuple[str, ...]
-    train_split: str
-    validation_share: float
-    cells: int
-    half_extent_m: float
-    target: str
-    truth: str
-    variant: str
+    name: str  # of the weights
+    about: str  # one line for people
+    data: tuple[str, ...]  # names of presets, which are simulated, or places of archives; not both
+    train_split: str  # the split that is used; a part of its scenes is for validation, other splits are never read
+    validation_share: float  # share of the scenes that validate, at least one of each place
+    cells: int  # cells a side of the network's grid
+    half_extent_m: float  # half the side of that grid
+    target: str  # what would have to be seen
+    truth: str  # ``probe``, the exact truth, or ``paper_label``, the label of arXiv 2503.07375 of the clean sweep
+    variant: str  # ``mcd`` trains with dropout, ``mle`` without
+    # names of ``ATTACKS``, one of which is drawn for a frame, or ``paper``; none is benign training
     attacks: tuple[str, ...]
-    attack_share: float
-    ringless_share: float
+    attack_share: float  # share of the frames that are attacked (the paper's mixture leaves some of those alone)
+    ringless_share: float  # share of the frames whose sweep loses rings and sensor: a cloud and nothing else
+    # share of the frames that are shown with earlier sweeps, one to five of them as far as there are. Under half of the
+    # attacks these are attacked as well.
     past_share: float
-    width: int
-    depth: int
-    fold: int
-    dropout: float
-    loss: str
-    learning_rate: float
-    schedule: str
-    batch: int
-    epochs: int
-    patience: int
-    frames_per_epoch: int
-    fresh: bool
+    width: int  # channels of the first stage
+    depth: int  # poolings
+    fold: int  # cells a side of the blocks that are folded into channels; 1 as published
+    dropout: float  # share of the channels that are dropped, for ``mcd``
+    loss: str  # ``bce``, cross-entropy over the cells whose truth is known, or ``bce_dice``, with the Dice loss added
+    learning_rate: float  # of Adam
+    schedule: str  # of the learning rate: ``constant``, or ``cosine`` down to a hundredth at the last epoch
+    batch: int  # frames of one step in each process
+    epochs: int  # at most
+    patience: int  # epochs without a lower validation loss after which training ends
+    frames_per_epoch: int  # frames drawn for an epoch; 0 is all
+    fresh: bool  # presets only: new scenes in every epoch, simulated while training
+    # 0 makes each frame whenever it is shown; n makes n versions of it, each attacked anew, once and for all, and shows
+    # one of them in each epoch. They are kept beside the labels, and cost no time while training.
     versions: int
-    mirrored: bool
-    precision: str
-    workers: int
-    threshold: float
-    seed: int
-    inputs: tuple[str, ...]
-    counts: str
-    max_range_m: float
-    heights_m: tuple[float, float]
+    mirrored: bool  # whether frames are turned by quarter turns and mirrored at random, which alters no truth
+    precision: str  # ``32``, or ``bf16`` for the network's convolutions
+    workers: int  # processes that prepare frames beside the one that trains
+    threshold: float  # probability from which a cell counts as visible, in the scores and in the weights' card
+    seed: int  # of everything random
+    inputs: tuple[str, ...]  # what the network is shown, names of ``FEATURES``; ``counts`` alone as published
+    counts: str  # how the returns of a cell are shown: ``linear``, as published, or ``log``
+    max_range_m: float  # returns up to this horizontal range count
+    heights_m: tuple[float, float]  # lowest and highest z from the sensor at which returns count
 
     def __post_init__(self) -> None:
         for key, names in CHOICES.items():

@@ -46,15 +46,10 @@ class FoldScore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoldStore:
-    """Scores in a file: the first line tells what they are of, each other one a finished fold.
+    """Scores in a file: the first line tells what they are of, each other one a finished fold."""
 
-    Attributes:
-        path: of the file.
-        scores: by setting and fold.
-    """
-
-    path: Path
-    scores: dict[tuple[str, int], FoldScore]
+    path: Path  # of the file
+    scores: dict[tuple[str, int], FoldScore]  # by setting and fold
 
     @classmethod
     def open(cls, folder: Path, about: dict[str, Any]) -> FoldStore:
@@ -120,24 +115,17 @@ class Hyperparameters:
 class Search:
     """Which settings are tried.
 
-    Attributes:
-        sampler: ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for.
-        trials: how many; None is all of the grid.
-        folds: of the scenes.
-        widths: to choose from.
-        dropouts: to choose from.
-        learning_rates: to choose from.
-
     Raises:
         ValueError: a name is not known or a number is too small.
     """
 
+    # ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for
     sampler: str = "grid"
-    trials: int | None = None
-    folds: int = 5
-    widths: tuple[int, ...] = WIDTHS
-    dropouts: tuple[float, ...] = DROPOUTS
-    learning_rates: tuple[float, ...] = LEARNING_RATES
+    trials: int | None = None  # how many; None is all of the grid
+    folds: int = 5  # of the scenes
+    widths: tuple[int, ...] = WIDTHS  # to choose from
+    dropouts: tuple[float, ...] = DROPOUTS  # to choose from
+    learning_rates: tuple[float, ...] = LEARNING_RATES  # to choose from
 
     def __post_init__(self) -> None:
         if self.sampler not in SAMPLERS:
@@ -155,14 +143,10 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class CrossValidation:
-    """The result of cross-validation.
+    """The result of cross-validation."""
 
-    Attributes:
-        chosen: the setting with the highest mean F1; of equals the smaller network.
-        scores: by setting, one of each fold, in the order in which they were tried.
-    """
-
-    chosen: Hyperparameters
+    chosen: Hyperparameters  # the setting with the highest mean F1; of equals the smaller network
+    # by setting, one of each fold, in the order in which they were tried
     scores: dict[Hyperparameters, tuple[FoldScore, ...]]
 
 

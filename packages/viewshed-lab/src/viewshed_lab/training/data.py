@@ -53,15 +53,10 @@ class Fold:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingData:
-    """What a training reads; no scene is in both.
+    """What a training reads; no scene is in both."""
 
-    Attributes:
-        train: what the weights are fitted to.
-        validation: what decides when to stop and which epoch is best.
-    """
-
-    train: TrainingFrames
-    validation: TrainingFrames
+    train: TrainingFrames  # what the weights are fitted to
+    validation: TrainingFrames  # what decides when to stop and which epoch is best
 
 
 def check_data(config: TrainConfig) -> None:

@@ -38,27 +38,17 @@ _CHUNK = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoreExamples:
-    """Sweeps to train on; NaN where a label is not known.
+    """Sweeps to train on; NaN where a label is not known."""
 
-    Attributes:
-        names: (E,) of the evidence.
-        evidence: (N, E, SECTORS) floats.
-        inconsistent: (N,) 1 where a sweep is attacked, 0 where it is benign, however bad.
-        degraded: (N,) 1 where a sweep shows less or worse, 0 where it is as good as can be.
-        sectors: (N, SECTORS) 1 where a sector is attacked.
-        weight: (N,) of the sweeps.
-        usual: (N,) bool, benign sweeps in the proportions in which they occur: against these numbers are a surprise.
-        earlier: (E,) bool, evidence that abstains where nothing was measured before.
-    """
-
-    names: tuple[str, ...]
-    evidence: NDArray[np.floating[Any]]
-    inconsistent: F32
-    degraded: F32
-    sectors: F32
-    weight: F32
+    names: tuple[str, ...]  # (E,) of the evidence
+    evidence: NDArray[np.floating[Any]]  # (N, E, SECTORS) floats
+    inconsistent: F32  # (N,) 1 where a sweep is attacked, 0 where it is benign, however bad
+    degraded: F32  # (N,) 1 where a sweep shows less or worse, 0 where it is as good as can be
+    sectors: F32  # (N, SECTORS) 1 where a sector is attacked
+    weight: F32  # (N,) of the sweeps
+    # (N,) bool, benign sweeps in the proportions in which they occur: against these numbers are a surprise
     usual: NDArray[np.bool_]
-    earlier: NDArray[np.bool_]
+    earlier: NDArray[np.bool_]  # (E,) bool, evidence that abstains where nothing was measured before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,14 +57,10 @@ class ScoreTrainer:
 
     A network of one hidden layer learns which sectors are attacked, from what a sector and its neighbors say and from
     the whole sweep. How much doubt there is in all is learned apart, from statistics of whole sweeps.
-
-    Attributes:
-        examples: to train on.
-        scale: of their usual sweeps.
     """
 
-    examples: ScoreExamples
-    scale: SurpriseScale
+    examples: ScoreExamples  # to train on
+    scale: SurpriseScale  # of their usual sweeps
     _surprises: NDArray[np.float16]
     _whole: WholeSweepTrainer
 

@@ -88,23 +88,14 @@ def mapped_array(path: Path) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """How far a training is.
+    """How far a training is."""
 
-    Attributes:
-        stage: ``train``, ``validate``, or what is prepared before.
-        epoch: number, from 1; 0 before the first.
-        epochs: at most.
-        done: batches or frames of the stage that are done.
-        total: how many there are.
-        loss: of the last batch.
-    """
-
-    stage: str
-    epoch: int
-    epochs: int
-    done: int
-    total: int
-    loss: float
+    stage: str  # ``train``, ``validate``, or what is prepared before
+    epoch: int  # number, from 1; 0 before the first
+    epochs: int  # at most
+    done: int  # batches or frames of the stage that are done
+    total: int  # how many there are
+    loss: float  # of the last batch
 
 
 OnProgress = Callable[[Step], None]
@@ -112,35 +103,20 @@ OnProgress = Callable[[Step], None]
 
 @dataclass(frozen=True, slots=True)
 class Epoch:
-    """One epoch.
+    """One epoch."""
 
-    Attributes:
-        number: from 1.
-        train_loss: mean over the frames it showed, while the weights changed.
-        validation_loss: over the frames that validate, without dropout.
-        precision: of the cells called visible there, the share that is.
-        recall: of the visible cells there, the share that is called so.
-        f1: harmonic mean of these two.
-        iou: cells both called and truly visible, of those that are either.
-        accuracy: share of cells that are called what they are.
-        learning_rate: at its end.
-        seconds: that it took.
-        frames_per_s: frames trained on in a second of training, waiting counted, validation not.
-        network_share: share of training and validation in which the network ran, not waiting for frames.
-    """
-
-    number: int
-    train_loss: float
-    validation_loss: float
-    precision: float
-    recall: float
-    f1: float
-    iou: float
-    accuracy: float
-    learning_rate: float
-    seconds: float
-    frames_per_s: float
-    network_share: float
+    number: int  # from 1
+    train_loss: float  # mean over the frames it showed, while the weights changed
+    validation_loss: float  # over the frames that validate, without dropout
+    precision: float  # of the cells called visible there, the share that is
+    recall: float  # of the visible cells there, the share that is called so
+    f1: float  # harmonic mean of these two
+    iou: float  # cells both called and truly visible, of those that are either
+    accuracy: float  # share of cells that are called what they are
+    learning_rate: float  # at its end
+    seconds: float  # that it took
+    frames_per_s: float  # frames trained on in a second of training, waiting counted, validation not
+    network_share: float  # share of training and validation in which the network ran, not waiting for frames
 
 
 TIMES = ("seconds", "frames_per_s", "network_share")

@@ -14,21 +14,13 @@ from viewshed_lab.training.log import CHECKPOINT, WEIGHTS, Epoch, Machines, OnPr
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """What a training left.
+    """What a training left."""
 
-    Attributes:
-        weights: ``network.onnx`` of the best epoch.
-        checkpoint: ``last.ckpt``, from which training would go on.
-        history: its epochs.
-        frames_per_s: frames trained on in a second, waiting for frames counted.
-        network_share: share of the time in which the network ran.
-    """
-
-    weights: Path
-    checkpoint: Path
-    history: tuple[Epoch, ...]
-    frames_per_s: float
-    network_share: float
+    weights: Path  # ``network.onnx`` of the best epoch
+    checkpoint: Path  # ``last.ckpt``, from which training would go on
+    history: tuple[Epoch, ...]  # its epochs
+    frames_per_s: float  # frames trained on in a second, waiting for frames counted
+    network_share: float  # share of the time in which the network ran
 
     @property
     def best(self) -> Epoch:

@@ -37,23 +37,14 @@ _CONFIG_KEYS = (
 
 @dataclass(frozen=True, slots=True)
 class SampleCache:
-    """Samples of a config in rows: a byte of each cell for each channel, two bits for visible and known.
+    """Samples of a config in rows: a byte of each cell for each channel, two bits for visible and known."""
 
-    Attributes:
-        folder: where the files are; its name tells what decides the frames.
-        inputs: names of the channels.
-        cells: of the grid.
-        frames: how many there are.
-        first: epoch whose attacks the first version has.
-        versions: of each frame; later epochs show them again in turn.
-    """
-
-    folder: Path
-    inputs: tuple[str, ...]
-    cells: int
-    frames: int
-    first: int
-    versions: int
+    folder: Path  # where the files are; its name tells what decides the frames
+    inputs: tuple[str, ...]  # names of the channels
+    cells: int  # of the grid
+    frames: int  # how many there are
+    first: int  # epoch whose attacks the first version has
+    versions: int  # of each frame; later epochs show them again in turn
 
     def frame(self, epoch: int, index: int) -> TrainingSample:
         """Return a frame in the version of an epoch."""

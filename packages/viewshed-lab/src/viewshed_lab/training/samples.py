@@ -37,17 +37,11 @@ from viewshed_lab.training.sources import CleanSamples
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttackedSweep:
-    """A sweep as the network is shown it, and the attack on it, so that earlier sweeps can be attacked alike.
+    """A sweep as the network is shown it, and the attack on it, so that earlier sweeps can be attacked alike."""
 
-    Attributes:
-        sweep: attacked, or as it was measured.
-        attack: what was done to it, None for nothing.
-        wedge: where the attacker works, None if anywhere.
-    """
-
-    sweep: Sweep
-    attack: Attack | None = None
-    wedge: Wedge | None = None
+    sweep: Sweep  # attacked, or as it was measured
+    attack: Attack | None = None  # what was done to it, None for nothing
+    wedge: Wedge | None = None  # where the attacker works, None if anywhere
 
     def attack_history(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
         """Return earlier sweeps as if the attack had lasted: each attacked as well, in the same direction of the map.
@@ -152,16 +146,11 @@ class TrainingSample:
 
     Not a :class:`~viewshed_lab.data.sample.Sample`: sweep and truth are no longer in it, only what they come to on the
     network's grid.
-
-    Attributes:
-        maps: (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked.
-        visible: (cells, cells) bool, of the clean sweep.
-        known: (cells, cells) bool, where that counts.
     """
 
-    maps: NDArray[np.uint8]
-    visible: NDArray[np.bool_]
-    known: NDArray[np.bool_]
+    maps: NDArray[np.uint8]  # (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked
+    visible: NDArray[np.bool_]  # (cells, cells) bool, of the clean sweep
+    known: NDArray[np.bool_]  # (cells, cells) bool, where that counts
 
     def turned(self, turn: int) -> TrainingSample:
         """Return the frame after ``turn`` modulo 4 quarter turns; from 4 on its x and y change places first.
@@ -179,19 +168,13 @@ def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingFrames:
-    """Frames of one config as a map-style data set, in any number of processes.
+    """Frames of one config as a map-style data set, in any number of processes."""
 
-    Attributes:
-        source: the clean frames.
-        config: attacks, variant and seed.
-        cached: returns the sample of an epoch and a number that was drawn before; None draws each when it is needed.
-        mirrored: whether frames are turned and mirrored at random.
-    """
-
-    source: CleanSamples
-    config: TrainConfig
+    source: CleanSamples  # the clean frames
+    config: TrainConfig  # attacks, variant and seed
+    # returns the sample of an epoch and a number that was drawn before; None draws each when it is needed
     cached: Callable[[int, int], TrainingSample] | None = None
-    mirrored: bool = False
+    mirrored: bool = False  # whether frames are turned and mirrored at random
 
     def __len__(self) -> int:
         return len(self.source)
@@ -260,39 +243,26 @@ VALIDATION_EPOCH = 0
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """The part of one of several processes.
+    """The part of one of several processes."""
 
-    Attributes:
-        rank: number of the process.
-        world: how many there are.
-    """
-
-    rank: int = 0
-    world: int = 1
+    rank: int = 0  # number of the process
+    world: int = 1  # how many there are
 
 
 @dataclass(slots=True)
 class TrainingOrder:
     """The frames of an epoch in an order of its own, as keys; a sampler for torch's DataLoader.
 
-    Attributes:
-        frames: how many there are.
-        take: how many an epoch shows.
-        block: number of frames in a row that stay together.
-        seed: with the epoch it decides the order.
-        share: this process's part; all are equally long, the first frames fill up.
-        epoch: number of the epoch, from 0; Lightning sets it.
-
     >>> list(TrainingOrder(4, 4, 1, 7)) == sorted(TrainingOrder(4, 4, 1, 7))
     False
     """
 
-    frames: int
-    take: int
-    block: int
-    seed: int
-    share: Share = Share()
-    epoch: int = 0
+    frames: int  # how many there are
+    take: int  # how many an epoch shows
+    block: int  # number of frames in a row that stay together
+    seed: int  # with the epoch it decides the order
+    share: Share = Share()  # this process's part; all are equally long, the first frames fill up
+    epoch: int = 0  # number of the epoch, from 0; Lightning sets it
 
     def set_epoch(self, epoch: int) -> None:
         """Begin an epoch."""
@@ -315,15 +285,10 @@ class TrainingOrder:
 
 @dataclass(frozen=True, slots=True)
 class ValidationOrder:
-    """The frames that validate, one after the other, as keys; a sampler for torch's DataLoader.
+    """The frames that validate, one after the other, as keys; a sampler for torch's DataLoader."""
 
-    Attributes:
-        frames: how many there are.
-        share: this process's part; all are equally long, blank frames fill up.
-    """
-
-    frames: int
-    share: Share = Share()
+    frames: int  # how many there are
+    share: Share = Share()  # this process's part; all are equally long, blank frames fill up
 
     def __len__(self) -> int:
         return math.ceil(self.frames / self.share.world)

@@ -38,17 +38,11 @@ def paper_label(sweep: Sweep, grid: BevGrid, indoor: bool) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, slots=True)
 class PaperLabels:
-    """The paper's label of sweeps on a grid, one file of bits for each shard.
+    """The paper's label of sweeps on a grid, one file of bits for each shard."""
 
-    Attributes:
-        folder: where the files are.
-        grid: of the labels.
-        indoor: whether the paper's indoor settings are taken.
-    """
-
-    folder: Path
-    grid: BevGrid
-    indoor: bool
+    folder: Path  # where the files are
+    grid: BevGrid  # of the labels
+    indoor: bool  # whether the paper's indoor settings are taken
 
     def of_frame(self, shard: ShardFacts, row: int) -> NDArray[np.bool_]:
         """Return the label (cells, cells) of a frame whose shard :meth:`build` has seen."""
@@ -99,16 +93,11 @@ class CleanSample:
     """A sweep that nobody attacked, and the one mask that a config teaches of it.
 
     Not a :class:`~viewshed_lab.data.sample.Sample`: what is taught may be the paper's label, which is no truth.
-
-    Attributes:
-        sweep: what the sensor measured.
-        visible: (cells, cells) bool, the truth or the label.
-        known: (cells, cells) bool, where it is known.
     """
 
-    sweep: Sweep
-    visible: NDArray[np.bool_]
-    known: NDArray[np.bool_]
+    sweep: Sweep  # what the sensor measured
+    visible: NDArray[np.bool_]  # (cells, cells) bool, the truth or the label
+    known: NDArray[np.bool_]  # (cells, cells) bool, where it is known
 
 
 class CleanSamples(Protocol):
@@ -135,19 +124,12 @@ class CleanSamples(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchivedSamples:
-    """The frames of archives, one after the other; the same in every epoch.
+    """The frames of archives, one after the other; the same in every epoch."""
 
-    Attributes:
-        archives: what is read, each a part of a split.
-        config: target and truth.
-        labels: of the paper, where they are the truth.
-        block: see :class:`CleanSamples`.
-    """
-
-    archives: tuple[Archive, ...]
-    config: TrainConfig
-    labels: PaperLabels | None = None
-    block: int = 1
+    archives: tuple[Archive, ...]  # what is read, each a part of a split
+    config: TrainConfig  # target and truth
+    labels: PaperLabels | None = None  # of the paper, where they are the truth
+    block: int = 1  # see :class:`CleanSamples`
 
     def __len__(self) -> int:
         return sum(map(len, self.archives))
@@ -183,15 +165,10 @@ class ArchivedSamples:
 
 @dataclass(frozen=True, slots=True)
 class OnlineSimulation:
-    """Frames of scenes that no epoch has seen before; 8 of each scene, the presets in turn.
+    """Frames of scenes that no epoch has seen before; 8 of each scene, the presets in turn."""
 
-    Attributes:
-        config: seed, presets and number of frames.
-        count: frames of an epoch.
-    """
-
-    config: TrainConfig
-    count: int
+    config: TrainConfig  # seed, presets and number of frames
+    count: int  # frames of an epoch
 
     def __len__(self) -> int:
         return self.count

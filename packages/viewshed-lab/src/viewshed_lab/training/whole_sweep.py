@@ -43,17 +43,11 @@ _CHUNK = 4096
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What a network may do with statistics.
+    """What a network may do with statistics."""
 
-    Attributes:
-        falls: with any of them, not only with medians.
-        context: sees the medians.
-        epochs: for each epoch that was given.
-    """
-
-    falls: bool
-    context: bool
-    epochs: int
+    falls: bool  # with any of them, not only with medians
+    context: bool  # sees the medians
+    epochs: int  # for each epoch that was given
 
 
 IN_CONTEXT = Freedom(falls=False, context=True, epochs=8)
@@ -65,25 +59,15 @@ DEGRADED = Freedom(falls=True, context=True, epochs=6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WholeSweepTrainer:
-    """Trains on any part of some sweeps; scale and statistics are computed once.
+    """Trains on any part of some sweeps; scale and statistics are computed once."""
 
-    Attributes:
-        scale: of the statistics of usual sweeps.
-        surprises: (N, STATISTICS E) of all.
-        inconsistent: (N,) 1 where a sweep is attacked, 0 where it is benign, NaN where that is open.
-        degraded: (N,) 1 where a sweep shows less or worse, 0 where it is as good as can be, NaN where that is open.
-        weight: (N,) of the sweeps.
-        usual: (N,) bool, benign sweeps in the proportions in which they occur, with all earlier ones.
-        earlier: (E,) bool, evidence that abstains where nothing was measured before.
-    """
-
-    scale: SurpriseScale
-    surprises: F32
-    inconsistent: F32
-    degraded: F32
-    weight: F32
-    usual: NDArray[np.bool_]
-    earlier: NDArray[np.bool_]
+    scale: SurpriseScale  # of the statistics of usual sweeps
+    surprises: F32  # (N, STATISTICS E) of all
+    inconsistent: F32  # (N,) 1 where a sweep is attacked, 0 where it is benign, NaN where that is open
+    degraded: F32  # (N,) 1 where a sweep shows less or worse, 0 where it is as good as can be, NaN where that is open
+    weight: F32  # (N,) of the sweeps
+    usual: NDArray[np.bool_]  # (N,) bool, benign sweeps in the proportions in which they occur, with all earlier ones
+    earlier: NDArray[np.bool_]  # (E,) bool, evidence that abstains where nothing was measured before
     _degraded: dict[tuple[bytes, int, int], StatisticsNetwork] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -131,13 +115,7 @@ class WholeSweepTrainer:
         return (weight * np.count_nonzero(weight)).astype(np.float32)
 
     def _network(
-        self,
-        chosen: NDArray[np.bool_],
-        labels: F32,
-        weight: F32,
-        freedom: Freedom,
-        epochs: int,
-        seed: int,
+        self, chosen: NDArray[np.bool_], labels: F32, weight: F32, freedom: Freedom, epochs: int, seed: int
     ) -> StatisticsNetwork:
         rng = np.random.Generator(np.random.PCG64(seed))
         kinds = len(self.earlier)

@@ -23,6 +23,7 @@ LIE_TOGETHER = {
     "guard_rail", "barrier", "fence", "hedge", "wall", "retaining_wall", "parapet", "deck", "bridge", "pole", "ceiling",
     "duct", "pillar", "stop",
 }  # fmt: skip
+INDOOR = ("rooms", "corridors", "hall", "warehouse", "atrium", "loft", "tunnel")
 PLANS = [(1, 0, 2.0), (0, 1, 20.0), (5, 5, 60.0), (2, 3, 8.0)]
 
 
@@ -117,7 +118,7 @@ def test_a_sensor_is_inside_no_solid(name: str) -> None:
             assert not (local < snapshot.half_m).all(axis=1).any()
 
 
-@pytest.mark.parametrize("name", TOWN + WILD)
+@pytest.mark.parametrize("name", TOWN + WILD + INDOOR)
 def test_the_same_seed_gives_the_same_world_and_another_seed_another(name: str) -> None:
     one, same, other = (made(name, seed, (2, 2, 5.0)).snapshot(1.0) for seed in (7, 7, 8))
     for field in ("kind", "center_m", "rotation", "half_m", "velocity_mps", "material", "thing"):

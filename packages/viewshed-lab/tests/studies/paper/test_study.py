@@ -158,7 +158,3 @@ def test_a_network_is_tried_on_the_grid_of_where_it_is_tried(study: tuple[Result
     assert std[0, 0] > 0
     assert std[5, 5] == 0
     assert np.array_equal(several.estimate(sweep).visible_prob, several.estimate(sweep).visible_prob)
-
-
-def test_plans_of_one_domain_are_plans_too() -> None:
-    assert PaperPlan.from_json(PLAN.to_json()) == PLAN

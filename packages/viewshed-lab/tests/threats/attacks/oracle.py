@@ -36,25 +36,15 @@ SEEN_IN = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A simulated sweep and the pixels that it came from.
+    """A simulated sweep and the pixels that it came from."""
 
-    Attributes:
-        name: what it is.
-        image: the range image.
-        sweep: made from it.
-        earlier: the sweep of the same agent half a second before.
-        remeasured: the same instant measured once more, with other noise.
-        exact_m: (C, R) what each beam met, without noise.
-        half_extent_m: of the grid that suits it.
-    """
-
-    name: str
-    image: StoredSweep
-    sweep: Sweep
-    earlier: Sweep
-    remeasured: Sweep
-    exact_m: NDArray[np.float32]
-    half_extent_m: float
+    name: str  # what it is
+    image: StoredSweep  # the range image
+    sweep: Sweep  # made from it
+    earlier: Sweep  # the sweep of the same agent half a second before
+    remeasured: Sweep  # the same instant measured once more, with other noise
+    exact_m: NDArray[np.float32]  # (C, R) what each beam met, without noise
+    half_extent_m: float  # of the grid that suits it
 
     def again(self) -> Sweep:
         """Return an equal sweep that shares no memory with this one, so that nothing is remembered of it."""

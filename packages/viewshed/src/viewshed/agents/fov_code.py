@@ -38,16 +38,11 @@ _NO_PLANE = np.zeros((0, 0), np.uint8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewCells:
-    """The cells of a view as a code gives them back.
+    """The cells of a view as a code gives them back."""
 
-    Attributes:
-        state: (cells, cells) uint8 of :class:`viewshed.CellState`, as it was.
-        visible_prob: (cells, cells) float32, the middles of the levels.
-        std: (cells, cells) float32, the middles of the levels, NaN where there was none; None where no cell had one.
-    """
-
-    state: NDArray[np.uint8]
-    visible_prob: NDArray[np.float32]
+    state: NDArray[np.uint8]  # (cells, cells) uint8 of :class:`viewshed.CellState`, as it was
+    visible_prob: NDArray[np.float32]  # (cells, cells) float32, the middles of the levels
+    # (cells, cells) float32, the middles of the levels, NaN where there was none; None where no cell had one
     std: NDArray[np.float32] | None
 
 

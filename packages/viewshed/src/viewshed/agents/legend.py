@@ -47,23 +47,14 @@ LEGEND = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTracks:
-    """Tracks as they are drawn, in one frame.
+    """Tracks as they are drawn, in one frame."""
 
-    Attributes:
-        ids: (K,) int64.
-        boxes: (K, 7) columns ``viewshed.detections.BOX_COLUMNS``.
-        velocities: (K, 2) m/s along x and y.
-        existence: (K,) probability.
-        legend: (K,) places in ``LEGEND``.
-        reasons: (K,) a sentence each.
-    """
-
-    ids: NDArray[np.int64]
-    boxes: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    existence: NDArray[np.float64]
-    legend: NDArray[np.intp]
-    reasons: tuple[str, ...]
+    ids: NDArray[np.int64]  # (K,) int64
+    boxes: NDArray[np.float64]  # (K, 7) columns ``viewshed.detections.BOX_COLUMNS``
+    velocities: NDArray[np.float64]  # (K, 2) m/s along x and y
+    existence: NDArray[np.float64]  # (K,) probability
+    legend: NDArray[np.intp]  # (K,) places in ``LEGEND``
+    reasons: tuple[str, ...]  # (K,) a sentence each
 
     def __len__(self) -> int:
         """Return the number of tracks."""

@@ -162,19 +162,12 @@ def miss_weight(distance_m: F64, frames: F64, updates: F64, rules: MateRules) ->
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MateReport:
-    """What one agent brings to a round.
+    """What one agent brings to a round."""
 
-    Attributes:
-        agent: its name.
-        xy_m: (2,) where it is.
-        seen_xy_m: (K, 2) its own tracks.
-        covers: (J,) bool, which tracks of the center its view covers.
-    """
-
-    agent: str
-    xy_m: F64
-    seen_xy_m: F64
-    covers: Mask
+    agent: str  # its name
+    xy_m: F64  # (2,) where it is
+    seen_xy_m: F64  # (K, 2) its own tracks
+    covers: Mask  # (J,) bool, which tracks of the center its view covers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,12 +255,7 @@ class MateTrust:
         return np.array([self.tracks.get(int(track), unknown) for track in ids]).reshape(-1, 2)
 
     def update(
-        self,
-        t_s: float,
-        reports: Sequence[MateReport],
-        ids: NDArray[np.int64],
-        xy_m: F64,
-        updates: NDArray[np.int32],
+        self, t_s: float, reports: Sequence[MateReport], ids: NDArray[np.int64], xy_m: F64, updates: NDArray[np.int32]
     ) -> None:
         """Let agents and tracks of the center measure each other once.
 

@@ -71,27 +71,17 @@ class Reason(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ReceiverLimits:
-    """What a receiver takes.
+    """What a receiver takes."""
 
-    Attributes:
-        max_bytes: of a signed message.
-        max_age_s: largest age of a message by the receiver's clock.
-        max_ahead_s: and so far in its future.
-        max_hz: messages a second of one agent, over a while.
-        burst: messages of one agent at once.
-        forged_per_s: forged messages of one link and second that are still verified, over a while.
-        forged_burst: and at once.
-        forged_share: seconds of work a second that forged messages may cost, whatever link they come by. Half of it is
-            for all, the other half is split among the keys, so that forging under one leaves the others theirs.
-    """
-
-    max_bytes: int = MAX_BYTES
-    max_age_s: float = 1.0
-    max_ahead_s: float = 0.5
-    max_hz: float = 25.0
-    burst: int = 10
-    forged_per_s: float = 5.0
-    forged_burst: int = 50
+    max_bytes: int = MAX_BYTES  # of a signed message
+    max_age_s: float = 1.0  # largest age of a message by the receiver's clock
+    max_ahead_s: float = 0.5  # and so far in its future
+    max_hz: float = 25.0  # messages a second of one agent, over a while
+    burst: int = 10  # messages of one agent at once
+    forged_per_s: float = 5.0  # forged messages of one link and second that are still verified, over a while
+    forged_burst: int = 50  # and at once
+    # seconds of work a second that forged messages may cost, whatever link they come by. Half of it is for all, the
+    # other half is split among the keys, so that forging under one leaves the others theirs.
     forged_share: float = 0.25
 
     def __post_init__(self) -> None:
@@ -108,35 +98,22 @@ class ReceiverLimits:
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """What became of one message.
+    """What became of one message."""
 
-    Attributes:
-        message: what it says, or None where it was refused.
-        reason: why it was refused, or None.
-        agent: who it is from by its own words, empty where nobody could be read.
-        detail: more of the reason, for people.
-    """
-
-    message: ViewMessage | None
-    reason: Reason | None = None
-    agent: str = ""
-    detail: str = ""
+    message: ViewMessage | None  # what it says, or None where it was refused
+    reason: Reason | None = None  # why it was refused, or None
+    agent: str = ""  # who it is from by its own words, empty where nobody could be read
+    detail: str = ""  # more of the reason, for people
 
 
 @dataclass(slots=True)
 class AgentRecord:
-    """What a receiver remembers of an agent.
+    """What a receiver remembers of an agent."""
 
-    Attributes:
-        bucket: messages that it may send.
-        lost: messages before the newest that have not come.
-        taken: messages taken.
-        refused: messages refused after its signature was verified, by reason.
-    """
-
-    bucket: Bucket
-    lost: int = 0
-    taken: int = 0
+    bucket: Bucket  # messages that it may send
+    lost: int = 0  # messages before the newest that have not come
+    taken: int = 0  # messages taken
+    # messages refused after its signature was verified, by reason
     refused: Counter[Reason] = field(default_factory=Counter)
 
 

@@ -58,16 +58,12 @@ _ROUNDING = 1e-5
 class PoseStd:
     """What an agent says of the errors of its pose: standard deviations.
 
-    Attributes:
-        place_m: along each horizontal axis.
-        yaw: of the heading, radians.
-
     Raises:
         ValueError: a number is negative or not finite.
     """
 
-    place_m: float = 0.0
-    yaw: float = 0.0
+    place_m: float = 0.0  # along each horizontal axis
+    yaw: float = 0.0  # of the heading, radians
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.place_m < np.inf and 0.0 <= self.yaw < np.inf):

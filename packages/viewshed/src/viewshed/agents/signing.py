@@ -39,20 +39,14 @@ _is_strong = lru_cache(maxsize=256)(has_large_order)  # a key is made again with
 class VerifyingKey:
     """The public key of one agent.
 
-    Attributes:
-        agent: whose key it is.
-        public: 32 bytes.
-        from_ns: time of the first message that it may sign, nanoseconds since 1970.
-        until_ns: time of the last.
-
     Raises:
         ValueError: the key is none, or one that anybody can sign for; or it is valid at no time.
     """
 
-    agent: str
-    public: bytes
-    from_ns: int = 0
-    until_ns: int = FOREVER_NS
+    agent: str  # whose key it is
+    public: bytes  # 32 bytes
+    from_ns: int = 0  # time of the first message that it may sign, nanoseconds since 1970
+    until_ns: int = FOREVER_NS  # time of the last
 
     def __post_init__(self) -> None:
         require_name("agent", self.agent)

@@ -34,23 +34,14 @@ class Bucket:
 
 @dataclass(slots=True)
 class Stream:
-    """The messages of one key.
+    """The messages of one key."""
 
-    Attributes:
-        budget: seconds of work that forged messages under this key may cost.
-        epoch: greatest epoch that was signed with it, -1 for none.
-        newest: greatest sequence number of that epoch, -1 for none since the receiver began.
-        newest_ns: nothing is taken that is stamped earlier; None where nothing is known of the key.
-        kept_ns: time that the file names.
-        signatures: of the newest messages, by their numbers.
-    """
-
-    budget: Bucket
-    epoch: int = -1
-    newest: int = -1
-    newest_ns: int | None = None
-    kept_ns: int = -1
-    signatures: dict[int, bytes] = field(default_factory=dict)
+    budget: Bucket  # seconds of work that forged messages under this key may cost
+    epoch: int = -1  # greatest epoch that was signed with it, -1 for none
+    newest: int = -1  # greatest sequence number of that epoch, -1 for none since the receiver began
+    newest_ns: int | None = None  # nothing is taken that is stamped earlier; None where nothing is known of the key
+    kept_ns: int = -1  # time that the file names
+    signatures: dict[int, bytes] = field(default_factory=dict)  # of the newest messages, by their numbers
 
 
 def read_state(path: Path) -> dict[bytes, tuple[int, int]]:

@@ -27,17 +27,11 @@ _NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Bytes that arrived.
+    """Bytes that arrived."""
 
-    Attributes:
-        data: as they were sent, if nobody changed them.
-        at_ns: when they arrived, nanoseconds of the clock that :meth:`Transport.take` was given.
-        link: who brought them, empty where the transport does not know for sure.
-    """
-
-    data: bytes
-    at_ns: int
-    link: str = ""
+    data: bytes  # as they were sent, if nobody changed them
+    at_ns: int  # when they arrived, nanoseconds of the clock that :meth:`Transport.take` was given
+    link: str = ""  # who brought them, empty where the transport does not know for sure
 
 
 class Transport(Protocol):
@@ -58,23 +52,14 @@ class Transport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RadioFaults:
-    """What a radio does to messages, to each copy on its own.
+    """What a radio does to messages, to each copy on its own."""
 
-    Attributes:
-        loss: probability in [0, 1] that a copy does not arrive.
-        delay_s: least time on the way.
-        jitter_s: mean of the exponential time that comes on top; copies overtake each other.
-        doubled: probability that a copy arrives twice, each at its own time.
-        reordered: probability that a copy is held up by ``reordered_s`` more.
-        reordered_s: by how much.
-    """
-
-    loss: float = 0.0
-    delay_s: float = 0.0
-    jitter_s: float = 0.0
-    doubled: float = 0.0
-    reordered: float = 0.0
-    reordered_s: float = 0.1
+    loss: float = 0.0  # probability in [0, 1] that a copy does not arrive
+    delay_s: float = 0.0  # least time on the way
+    jitter_s: float = 0.0  # mean of the exponential time that comes on top; copies overtake each other
+    doubled: float = 0.0  # probability that a copy arrives twice, each at its own time
+    reordered: float = 0.0  # probability that a copy is held up by ``reordered_s`` more
+    reordered_s: float = 0.1  # by how much
 
     def __post_init__(self) -> None:
         for name in ("loss", "doubled", "reordered"):
@@ -169,17 +154,11 @@ class RadioEnd:
 
 @dataclass(frozen=True, slots=True)
 class Tls:
-    """Certificates for links by TLS, as files in PEM.
+    """Certificates for links by TLS, as files in PEM."""
 
-    Attributes:
-        authority: of whom certificates are believed.
-        certificate: our own.
-        key: the private key of our own certificate, which only its owner may read or write.
-    """
-
-    authority: Path
-    certificate: Path
-    key: Path
+    authority: Path  # of whom certificates are believed
+    certificate: Path  # our own
+    key: Path  # the private key of our own certificate, which only its owner may read or write
 
 
 class ZenohTransport:

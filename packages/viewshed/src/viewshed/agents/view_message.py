@@ -72,17 +72,11 @@ _ROUNDING = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class SensorFacts:
-    """The sensor of a view.
+    """The sensor of a view."""
 
-    Attributes:
-        name: of the beam table, or as the sender calls it; at most 32 characters.
-        height_m: above the ground below it; NaN where that is not known.
-        reach_m: how far it sees a dark target; NaN where that is not known.
-    """
-
-    name: str
-    height_m: float = math.nan
-    reach_m: float = math.nan
+    name: str  # of the beam table, or as the sender calls it; at most 32 characters
+    height_m: float = math.nan  # above the ground below it; NaN where that is not known
+    reach_m: float = math.nan  # how far it sees a dark target; NaN where that is not known
 
     def __post_init__(self) -> None:
         if not (0 < len(self.name) <= 32 and self.name.isprintable()):
@@ -95,36 +89,22 @@ class SensorFacts:
 class SharedTracks:
     """The tracks that an agent shares, in the frame of its message.
 
-    Attributes:
-        ids: (N,) int64, the sender's own, the same for one object over time.
-        states: (N, 4) x, y in meters and their velocities in m/s.
-        covariances: (N, 4, 4) of the states.
-        boxes: (N, 7) columns ``viewshed.detections.BOX_COLUMNS``; the centers are those of the states.
-        box_variances: (N, 5) of z, length, width, height (square meters) and yaw (square radians).
-        kinds: (N,) uint8 of :class:`viewshed.detections.ObjectKind`.
-        existence: (N,) probability that there is such an object.
-        visible: (N,) probability that the sender's view let it be seen.
-        detectable: (N,) probability that the sender's detector finds it where the view lets it be seen.
-        born_hidden: (N,) probability, at its first detection, that it could have come from where nothing was seen.
-        age_s: (N,) seconds since the first detection.
-        unseen_s: (N,) seconds since the last detection.
-
     Raises:
         ValueError: the lengths differ, a number is not finite or out of its range, a covariance is none.
     """
 
-    ids: NDArray[np.int64]
-    states: F64
-    covariances: F64
-    boxes: F64
-    box_variances: F64
-    kinds: NDArray[np.uint8]
-    existence: F64
-    visible: F64
-    detectable: F64
-    born_hidden: F64
-    age_s: F64
-    unseen_s: F64
+    ids: NDArray[np.int64]  # (N,) int64, the sender's own, the same for one object over time
+    states: F64  # (N, 4) x, y in meters and their velocities in m/s
+    covariances: F64  # (N, 4, 4) of the states
+    boxes: F64  # (N, 7) columns ``viewshed.detections.BOX_COLUMNS``; the centers are those of the states
+    box_variances: F64  # (N, 5) of z, length, width, height (square meters) and yaw (square radians)
+    kinds: NDArray[np.uint8]  # (N,) uint8 of :class:`viewshed.detections.ObjectKind`
+    existence: F64  # (N,) probability that there is such an object
+    visible: F64  # (N,) probability that the sender's view let it be seen
+    detectable: F64  # (N,) probability that the sender's detector finds it where the view lets it be seen
+    born_hidden: F64  # (N,) probability, at its first detection, that it could have come from where nothing was seen
+    age_s: F64  # (N,) seconds since the first detection
+    unseen_s: F64  # (N,) seconds since the last detection
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -185,38 +165,25 @@ _SAME_NAMES = [name for name in _TRACK_SHAPES if name not in ("age_s", "unseen_s
 class ViewMessage:
     """What one agent says of one sweep.
 
-    Attributes:
-        agent: who says it: 1 to 32 letters, digits, ``_``, ``.`` or ``-``.
-        sequence: number of the message, greater than that of each earlier one of this epoch.
-        t_ns: time of the sweep by the agent's clock, nanoseconds since 1970.
-        frame: name of the map that the pose is in.
-        world_from_level: pose of the ``level`` frame in that map.
-        pose_covariance: (6, 6) of x, y, z in meters and rotations about x, y, z in radians, in the map.
-        sensor: what saw it.
-        view: the estimate, or None; what comes back is quantized (``fov_code``).
-        inner: code of a polygon inside the visible cells, meters in ``level`` (``polygon_code``), or None.
-        detections: objects of this sweep in ``level``, or None.
-        tracks: objects over time in the map, or None.
-        report: of a monitor on the sweep, or None; reasons and suspect cells are not sent.
-        epoch: which start of the agent this is, greater at each: the milliseconds since 1970 when it started, or a
-            counter that it keeps in a file. Its numbers begin anew with each epoch.
-
     Raises:
         ValueError: a value is not as above.
     """
 
-    agent: str
-    sequence: int
-    t_ns: int
-    frame: str
-    world_from_level: Rigid
-    pose_covariance: F64
-    sensor: SensorFacts
-    view: FovEstimate | None = None
+    agent: str  # who says it: 1 to 32 letters, digits, ``_``, ``.`` or ``-``
+    sequence: int  # number of the message, greater than that of each earlier one of this epoch
+    t_ns: int  # time of the sweep by the agent's clock, nanoseconds since 1970
+    frame: str  # name of the map that the pose is in
+    world_from_level: Rigid  # pose of the ``level`` frame in that map
+    pose_covariance: F64  # (6, 6) of x, y, z in meters and rotations about x, y, z in radians, in the map
+    sensor: SensorFacts  # what saw it
+    view: FovEstimate | None = None  # the estimate, or None; what comes back is quantized (``fov_code``)
+    # code of a polygon inside the visible cells, meters in ``level`` (``polygon_code``), or None
     inner: bytes | None = None
-    detections: Detections | None = None
-    tracks: SharedTracks | None = None
-    report: IntegrityReport | None = None
+    detections: Detections | None = None  # objects of this sweep in ``level``, or None
+    tracks: SharedTracks | None = None  # objects over time in the map, or None
+    report: IntegrityReport | None = None  # of a monitor on the sweep, or None; reasons and suspect cells are not sent
+    # which start of the agent this is, greater at each: the milliseconds since 1970 when it started, or a counter that
+    # it keeps in a file. Its numbers begin anew with each epoch.
     epoch: int = 0
 
     def __post_init__(self) -> None:

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 GridName = Annotated[
     str,
     typer.Option(
-        "--grid",
-        help="Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m.",
+        "--grid", help="Cells around the sensor: road, indoor, paper, paper_indoor, or 256x64: 256 a side, out to 64 m."
     ),
 ]
 

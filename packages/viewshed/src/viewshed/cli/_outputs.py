@@ -338,23 +338,14 @@ def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What is said of one sweep.
+    """What is said of one sweep."""
 
-    Attributes:
-        name: of its results.
-        estimate: what it could see.
-        elapsed_ms: of leveling and estimate; None where they were not timed.
-        places: of its results.
-        remarks: what a reader should know of it before the rest, each in a few words.
-        verdicts: what a monitor says; empty without one.
-    """
-
-    name: str
+    name: str  # of its results
     estimate: FovEstimate
-    elapsed_ms: float | None
-    places: tuple[Path, ...]
-    remarks: tuple[str, ...] = ()
-    verdicts: str = ""
+    elapsed_ms: float | None  # of leveling and estimate; None where they were not timed
+    places: tuple[Path, ...]  # of its results
+    remarks: tuple[str, ...] = ()  # what a reader should know of it first, each in a few words
+    verdicts: str = ""  # what a monitor says; empty without one
 
     @property
     def line(self) -> str:

@@ -25,23 +25,14 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class PipelineSettings:
-    """What a pipeline is run with.
+    """What a pipeline is run with."""
 
-    Attributes:
-        method: name of the estimator; None for the usual one.
-        grid: name of the grid.
-        history: earlier sweeps that help.
-        monitor: whether the stream is watched.
-        rules: how caution rises and falls.
-        rate_hz: sweeps of an agent that are estimated in a second of the recording; 0 for all.
-    """
-
-    method: str | None
-    grid: str
-    history: int
-    monitor: bool
-    rules: ReactionRules
-    rate_hz: float
+    method: str | None  # name of the estimator; None for the usual one
+    grid: str  # name of the grid
+    history: int  # earlier sweeps that help
+    monitor: bool  # whether the stream is watched
+    rules: ReactionRules  # how caution rises and falls
+    rate_hz: float  # sweeps of an agent that are estimated in a second of the recording; 0 for all
 
     def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
         """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""

@@ -25,21 +25,13 @@ _ERASED = "\r\x1b[K"
 
 @dataclass(slots=True)
 class _Line:
-    """The line, and when something else was last printed.
+    """The line, and when something else was last printed."""
 
-    Attributes:
-        terminal: where it is shown.
-        text: what it says.
-        begun_s: when the command began.
-        printed_s: when something was last printed.
-        is_shown: whether it stands on the terminal.
-    """
-
-    terminal: TextIO
-    text: str
-    begun_s: float = field(default_factory=time.monotonic)
-    printed_s: float = field(default_factory=time.monotonic)
-    is_shown: bool = False
+    terminal: TextIO  # where it is shown
+    text: str  # what it says
+    begun_s: float = field(default_factory=time.monotonic)  # when the command began
+    printed_s: float = field(default_factory=time.monotonic)  # when something was last printed
+    is_shown: bool = False  # whether it stands on the terminal
 
     def erase(self) -> None:
         """Make room for what is printed now."""

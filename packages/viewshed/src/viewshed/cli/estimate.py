@@ -42,8 +42,7 @@ Files = Annotated[
 ]
 
 Method = Annotated[
-    str | None,
-    typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …"),
+    str | None, typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …")
 ]
 
 Threshold = Annotated[

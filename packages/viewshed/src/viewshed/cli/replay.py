@@ -38,15 +38,10 @@ LONGEST_PERIOD_S = 2.0
 
 @dataclass(slots=True)
 class Pacer:
-    """Hands sweeps on when they are due.
+    """Hands sweeps on when they are due."""
 
-    Attributes:
-        rate: speed as a multiple of that of the measurement; 0 waits for none.
-        time_s: of the last sweep that was handed on, since the first.
-    """
-
-    rate: float
-    time_s: float = 0.0
+    rate: float  # speed as a multiple of that of the measurement; 0 waits for none
+    time_s: float = 0.0  # of the last sweep that was handed on, since the first
 
     def kept(self, sweeps: Iterable[Named]) -> Iterator[Named]:
         """Yield each sweep when it is due, at once if that is past."""

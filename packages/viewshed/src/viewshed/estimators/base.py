@@ -80,14 +80,8 @@ class Estimator(FovEstimator, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BatchSteps:
-    """The steps of an estimate: ``prepare`` and ``finish`` run in many threads, ``infer`` once for a batch.
+    """The steps of an estimate: ``prepare`` and ``finish`` run in many threads, ``infer`` once for a batch."""
 
-    Attributes:
-        prepare: from a sweep to what ``infer`` takes.
-        infer: from a list of those to a list of results.
-        finish: from what was prepared and its result to the estimate.
-    """
-
-    prepare: Callable[[Sweep], Any]
-    infer: Callable[[list[Any]], list[Any]]
-    finish: Callable[[Any, Any], FovEstimate]
+    prepare: Callable[[Sweep], Any]  # from a sweep to what ``infer`` takes
+    infer: Callable[[list[Any]], list[Any]]  # from a list of those to a list of results
+    finish: Callable[[Any, Any], FovEstimate]  # from what was prepared and its result to the estimate

@@ -28,14 +28,6 @@ class ConcaveHull(ClassicalEstimator):
     than that, so shadows of cars are called visible; one far point pulls a spike of hull behind it; the result may
     change by slivers if the points are turned.
 
-    Attributes:
-        grid: where the cells are.
-        target: passed on; this estimator does not depend on it.
-        concavity: 1 follows the points closely, larger values approach the convex hull.
-        length_threshold_m: edges shorter than this are not bent inward.
-        crop: which returns count at all.
-        name: goes into the estimate's ``method``.
-
     >>> import numpy as np
     >>> import viewshed
     >>> corners = np.array([[6.0, -6.0, -1.7], [6.0, 6.0, -1.7], [-6.0, 0.0, -1.7]])
@@ -44,12 +36,12 @@ class ConcaveHull(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid
-    target: Target = CAR
-    concavity: float = 1.0
-    length_threshold_m: float = 4.0
-    crop: Crop = ALL_RETURNS
-    name: str = "concave_hull"
+    grid: BevGrid  # where the cells are
+    target: Target = CAR  # passed on; this estimator does not depend on it
+    concavity: float = 1.0  # 1 follows the points closely, larger values approach the convex hull
+    length_threshold_m: float = 4.0  # edges shorter than this are not bent inward
+    crop: Crop = ALL_RETURNS  # which returns count at all
+    name: str = "concave_hull"  # goes into the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("concavity", self.concavity, 0.1, 1e6)

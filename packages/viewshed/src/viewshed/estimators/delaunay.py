@@ -29,13 +29,6 @@ class Delaunay(ClassicalEstimator):
     ``max_edge_m`` from some 20 m on, so the polygon breaks into islands there, while a larger value fills shadows
     that are narrower than it.
 
-    Attributes:
-        grid: where the cells are.
-        target: passed on; this estimator does not depend on it.
-        max_edge_m: longest edge of a triangle that is kept.
-        crop: which returns count at all.
-        name: goes into the estimate's ``method``.
-
     >>> import viewshed
     >>> corners = np.array([[3.0, -2.0, -1.7], [3.0, 2.0, -1.7], [6.0, 0.0, -1.7], [-9.0, 0.0, -1.7]])
     >>> estimate = Delaunay(BevGrid(32, 16.0)).estimate(viewshed.Sweep(corners, sensor_height_m=1.7))
@@ -43,11 +36,11 @@ class Delaunay(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid
-    target: Target = CAR
-    max_edge_m: float = 4.0
-    crop: Crop = ALL_RETURNS
-    name: str = "delaunay"
+    grid: BevGrid  # where the cells are
+    target: Target = CAR  # passed on; this estimator does not depend on it
+    max_edge_m: float = 4.0  # longest edge of a triangle that is kept
+    crop: Crop = ALL_RETURNS  # which returns count at all
+    name: str = "delaunay"  # goes into the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("max_edge_m", self.max_edge_m, 0.01, 1e6)

@@ -31,16 +31,6 @@ class FirstBlocker(ClassicalEstimator):
     Returns above ``obstacle_height_m[1]`` (canopies, bridges) do not block. Without ``limit_farthest`` a removed
     return opens its bin.
 
-    Attributes:
-        grid: where the cells are.
-        target: passed on; this estimator does not depend on it.
-        rank: which obstacle return blocks, 1 the nearest.
-        median_bins: number of azimuth bins (odd) over which the median of the limits is taken, or 0 for none.
-        limit_farthest: visible no farther than the farthest return of the bin.
-        obstacle_height_m: heights above local ground between which a return is an obstacle.
-        azimuth_bins: number of bins; None takes them from the measured azimuth step.
-        name: goes into the estimate's ``method``.
-
     >>> import numpy as np
     >>> from viewshed import Sweep
     >>> sweep = Sweep(np.array([[5.0, 0.5, -0.7], [9.0, 0.9, -1.7]]), sensor_height_m=1.7)
@@ -48,14 +38,15 @@ class FirstBlocker(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid
-    target: Target = CAR
-    rank: int = 1
-    median_bins: int = 0
-    limit_farthest: bool = True
+    grid: BevGrid  # where the cells are
+    target: Target = CAR  # passed on; this estimator does not depend on it
+    rank: int = 1  # which obstacle return blocks, 1 the nearest
+    median_bins: int = 0  # number of azimuth bins (odd) over which the median of the limits is taken, or 0 for none
+    limit_farthest: bool = True  # visible no farther than the farthest return of the bin
+    # heights above local ground between which a return is an obstacle
     obstacle_height_m: tuple[float, float] = OBSTACLE_HEIGHTS_M
-    azimuth_bins: int | None = None
-    name: str = "first_blocker"
+    azimuth_bins: int | None = None  # number of bins; None takes them from the measured azimuth step
+    name: str = "first_blocker"  # goes into the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("rank", self.rank, 1, 1000)

@@ -46,16 +46,6 @@ class QuantizedRayTrace(ClassicalEstimator):
     Limits: holes behind low cars and poles are called visible (later returns of the bin pass over them); one spoofed
     far point opens a whole bin; with ``about_centroid`` (the paper's labels) rays start where no sensor stands.
 
-    Attributes:
-        grid: where the cells are.
-        target: passed on; this estimator does not depend on it.
-        azimuth_bins: number of bins; None takes them from the measured azimuth step.
-        range_bins: number of range bins up to ``max_range_m``; None compares ranges themselves.
-        max_range_m: farther returns count as returns at this range.
-        crop: which returns count at all.
-        about_centroid: rays start at the centroid of the points, not at the sensor.
-        name: goes into the estimate's ``method``.
-
     >>> import numpy as np
     >>> from viewshed import Sweep
     >>> sweep = Sweep(np.array([[9.0, 0.5, -1.7]]), sensor_height_m=1.7)
@@ -63,14 +53,14 @@ class QuantizedRayTrace(ClassicalEstimator):
     [1.0, 0.0]
     """
 
-    grid: BevGrid
-    target: Target = CAR
-    azimuth_bins: int | None = None
-    range_bins: int | None = None
-    max_range_m: float = np.inf
-    crop: Crop = ALL_RETURNS
-    about_centroid: bool = False
-    name: str = "quantized"
+    grid: BevGrid  # where the cells are
+    target: Target = CAR  # passed on; this estimator does not depend on it
+    azimuth_bins: int | None = None  # number of bins; None takes them from the measured azimuth step
+    range_bins: int | None = None  # number of range bins up to ``max_range_m``; None compares ranges themselves
+    max_range_m: float = np.inf  # farther returns count as returns at this range
+    crop: Crop = ALL_RETURNS  # which returns count at all
+    about_centroid: bool = False  # rays start at the centroid of the points, not at the sensor
+    name: str = "quantized"  # goes into the estimate's ``method``
 
     def __post_init__(self) -> None:
         require_bins(self.azimuth_bins)
@@ -121,26 +111,18 @@ class ContinuousRayTrace(ClassicalEstimator):
 
     Limits: as the quantized ray trace, and smeared by the window: each far return opens 2 · ``window`` of azimuth.
 
-    Attributes:
-        grid: where the cells are.
-        target: passed on; this estimator does not depend on it.
-        window: half width in radians (the paper's is 0.05).
-        margin_m: how far beyond the return a cell's center may lie; None is one cell.
-        crop: which returns count at all.
-        name: goes into the estimate's ``method``.
-
     >>> ContinuousRayTrace(BevGrid(8, 4.0), window=4.0)
     Traceback (most recent call last):
     ...
     ValueError: window must lie in [0.004, 1.5], got 4.0
     """
 
-    grid: BevGrid
-    target: Target = CAR
-    window: float = 0.01
-    margin_m: float | None = None
-    crop: Crop = ALL_RETURNS
-    name: str = "continuous"
+    grid: BevGrid  # where the cells are
+    target: Target = CAR  # passed on; this estimator does not depend on it
+    window: float = 0.01  # half width in radians (the paper's is 0.05)
+    margin_m: float | None = None  # how far beyond the return a cell's center may lie; None is one cell
+    crop: Crop = ALL_RETURNS  # which returns count at all
+    name: str = "continuous"  # goes into the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("window", self.window, 0.004, 1.5)
@@ -168,23 +150,17 @@ class TrimmedRayTrace(ClassicalEstimator):
     Limits: more than ``trim`` spoofed points in a bin open it as before; sensors with few beams lose their outer
     rings (16 beams leave 12); holes behind low cars are called visible, as by every farthest-return method.
 
-    Attributes:
-        grid: where the cells are.
-        target: passed on; this estimator does not depend on it.
-        trim: farthest returns to drop in each bin.
-        azimuth_bins: number of bins; None takes them from the measured azimuth step, but at most 360, so that
-            a bin holds enough returns to drop some.
-        name: goes into the estimate's ``method``.
-
     >>> TrimmedRayTrace(BevGrid(8, 4.0), trim=4).name
     'trimmed'
     """
 
-    grid: BevGrid
-    target: Target = CAR
-    trim: int = 4
+    grid: BevGrid  # where the cells are
+    target: Target = CAR  # passed on; this estimator does not depend on it
+    trim: int = 4  # farthest returns to drop in each bin
+    # number of bins; None takes them from the measured azimuth step, but at most 360, so that a bin holds enough
+    # returns to drop some
     azimuth_bins: int | None = None
-    name: str = "trimmed"
+    name: str = "trimmed"  # goes into the estimate's ``method``
 
     def __post_init__(self) -> None:
         require("trim", self.trim, 0, 1000)

@@ -28,18 +28,13 @@ class SweepBuffer:
     """The last sweeps of each agent of a stream, as many and as far apart as a :class:`History` is made of.
 
     The times of all agents are those of one clock.
-
-    Attributes:
-        sweeps: how many are kept of an agent.
-        every_s: least time in seconds between two of them.
-        forget_s: those from longer before are not used any more; agents not seen for this time are dropped.
-        agents: how many agents are kept; of more the one that was seen longest ago is dropped.
     """
 
-    sweeps: int = HISTORY_SWEEPS
-    every_s: float = 1.0
+    sweeps: int = HISTORY_SWEEPS  # how many are kept of an agent
+    every_s: float = 1.0  # least time in seconds between two of them
+    # those from longer before are not used any more; agents not seen for this time are dropped
     forget_s: float = FORGET_S
-    agents: int = AGENTS
+    agents: int = AGENTS  # how many agents are kept; of more the one that was seen longest ago is dropped
     _kept: dict[str, deque[LeveledSweep]] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
@@ -97,18 +92,14 @@ class TemporalEstimator:
 
     Sweeps without a pose or a time are estimated by themselves.
 
-    Attributes:
-        inner: what estimates; one that uses history.
-        buffer: the earlier sweeps that it is given.
-        require_confirmation: claim only what an earlier sweep would have seen as well, see :func:`where_confirmed`;
-            without earlier sweeps that is nothing.
-
     Raises:
         ValueError: the estimator uses no history.
     """
 
-    inner: Estimator
-    buffer: SweepBuffer = field(default_factory=SweepBuffer)
+    inner: Estimator  # what estimates; one that uses history
+    buffer: SweepBuffer = field(default_factory=SweepBuffer)  # the earlier sweeps that it is given
+    # claim only what an earlier sweep would have seen as well, see :func:`where_confirmed`; without earlier sweeps that
+    # is nothing
     require_confirmation: bool = False
 
     def __post_init__(self) -> None:

@@ -49,15 +49,11 @@ class NetworkOutput(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkInput:
-    """One sweep, prepared for the network.
+    """One sweep, prepared for the network."""
 
-    Attributes:
-        context: what its features were computed from.
-        features: the network's input, of the shape that the card says; None where no return counts, so that the
-            network need not run.
-    """
-
-    context: FeatureContext
+    context: FeatureContext  # what its features were computed from
+    # the network's input, of the shape that the card says; None where no return counts, so that the network need not
+    # run
     features: NDArray[Any] | None
 
 

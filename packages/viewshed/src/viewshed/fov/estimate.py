@@ -53,25 +53,18 @@ class CellState(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """What an estimate rests on, by which a reader can judge it.
+    """What an estimate rests on, by which a reader can judge it."""
 
-    Attributes:
-        sensor_height_m: height of the sensor above the ground below it.
-        height_source: ``given`` with the sweep, ``estimated`` from its returns, ``held`` (carried over from earlier
-            sweeps of the stream), or ``assumed`` where no ground was seen.
-        ground_support: share in [0, 1] of the near ground that lies on the plane that carries the sensor.
-        unsure_ground_share: share in [0, 1] of the FREE and SURFACE cells on ground whose height has a standard
-            deviation above :data:`UNSURE_M`.
-        inferred_share: share in [0, 1] of these cells that measured beams alone would not support.
-        reach_m: how far the sensor sees a dark target; nothing is claimed beyond.
-    """
-
-    sensor_height_m: float
+    sensor_height_m: float  # height of the sensor above the ground below it
+    # ``given`` with the sweep, ``estimated`` from its returns, ``held`` (carried over from earlier sweeps of the
+    # stream), or ``assumed`` where no ground was seen
     height_source: HeightSource
-    ground_support: float
+    ground_support: float  # share in [0, 1] of the near ground that lies on the plane that carries the sensor
+    # share in [0, 1] of the FREE and SURFACE cells on ground whose height has a standard deviation above
+    # :data:`UNSURE_M`
     unsure_ground_share: float
-    inferred_share: float
-    reach_m: float
+    inferred_share: float  # share in [0, 1] of these cells that measured beams alone would not support
+    reach_m: float  # how far the sensor sees a dark target; nothing is claimed beyond
 
     def __post_init__(self) -> None:
         if self.height_source not in _HEIGHT_SOURCES:

@@ -41,22 +41,16 @@ def positions_of_cells(grid: BevGrid, half_extent_m: float, nodes: int) -> Latti
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMap:
-    """Ground height z (meters, ``level`` frame) on a square lattice about the sensor, bilinear in between.
+    """Ground height z (meters, ``level`` frame) on a square lattice about the sensor, bilinear in between."""
 
-    Attributes:
-        heights_m: (n, n) float32 z of the ground at the middle of each node's cell, indexed like a BevGrid.
-        half_extent_m: the lattice spans ±half_extent_m in x and y; beyond it the edge holds.
-        seen: (n, n) bool, True where the height rests on returns and not on its neighbors.
-        plane: (a, b, c) of the plane z = a x + b y + c through the near ground.
-        support: share of the near nodes that lie on that plane, in [0, 1].
-        std_m: (n, n) float32 standard deviation of the heights; 0 where none is given.
-    """
-
+    # (n, n) float32 z of the ground at the middle of each node's cell, indexed like a BevGrid
     heights_m: NDArray[np.float32]
-    half_extent_m: float
-    seen: NDArray[np.bool_]
+    half_extent_m: float  # the lattice spans ±half_extent_m in x and y; beyond it the edge holds
+    seen: NDArray[np.bool_]  # (n, n) bool, True where the height rests on returns and not on its neighbors
+    # (a, b, c) of the plane z = a x + b y + c through the near ground
     plane: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    support: float = 0.0
+    support: float = 0.0  # share of the near nodes that lie on that plane, in [0, 1]
+    # (n, n) float32 standard deviation of the heights; 0 where none is given
     std_m: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     def __post_init__(self) -> None:

@@ -274,21 +274,13 @@ def blind_spot(mask: Mask, grid: BevGrid) -> Mask | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sectors:
-    """Sectors of rings about one point: K angles and ranges. They may lie upon one another; what counts is their union.
+    """Sectors of rings about one point: K angles and ranges. They may overlap; what counts is their union."""
 
-    Attributes:
-        apex_m: (x, y) of the point in ``level``, in meters.
-        start: (K,) radians in [0, 2π), counter-clockwise from x, ascending.
-        end: (K,) radians, larger than ``start``.
-        range_m: (K,) outer range in meters.
-        inner_m: inner range of all sectors in meters; 0 where they reach the point.
-    """
-
-    apex_m: tuple[float, float]
-    start: NDArray[np.float64]
-    end: NDArray[np.float64]
-    range_m: NDArray[np.float64]
-    inner_m: float = 0.0
+    apex_m: tuple[float, float]  # (x, y) of the point in ``level``, in meters
+    start: NDArray[np.float64]  # (K,) radians in [0, 2π), counter-clockwise from x, ascending
+    end: NDArray[np.float64]  # (K,) radians, larger than ``start``
+    range_m: NDArray[np.float64]  # (K,) outer range in meters
+    inner_m: float = 0.0  # inner range of all sectors in meters; 0 where they reach the point
 
     @property
     def area_m2(self) -> float:

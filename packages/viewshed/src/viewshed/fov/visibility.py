@@ -59,17 +59,11 @@ TARGETS: dict[str, Target] = {target.name: target for target in (CAR, PEDESTRIAN
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """Straight beams from the sensor, in the ``level`` frame: what the definition of visible counts.
+    """Straight beams from the sensor, in the ``level`` frame: what the definition of visible counts."""
 
-    Attributes:
-        azimuth: (B,) float32 radians in [-π, π).
-        slope: (B,) float32 rise over horizontal range.
-        depth_m: (B,) float32 horizontal range at which the beam ended; +inf where nothing stopped it.
-    """
-
-    azimuth: NDArray[np.float32]
-    slope: NDArray[np.float32]
-    depth_m: NDArray[np.float32]
+    azimuth: NDArray[np.float32]  # (B,) float32 radians in [-π, π)
+    slope: NDArray[np.float32]  # (B,) float32 rise over horizontal range
+    depth_m: NDArray[np.float32]  # (B,) float32 horizontal range at which the beam ended; +inf where nothing stopped it
 
     def __post_init__(self) -> None:
         if not (self.azimuth.shape == self.slope.shape == self.depth_m.shape) or self.azimuth.ndim != 1:

@@ -32,21 +32,13 @@ _GZIP_MEMBERS_MAX = 50_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InputFile:
-    """One input: where it is, what it holds.
+    """One input: where it is, what it holds."""
 
-    Attributes:
-        path: the file as the caller named it.
-        name: lower-case file name without ``.gz``.
-        file: binary stream at its start.
-        size: bytes in the stream, measured, not claimed.
-        head: the first 64 bytes.
-    """
-
-    path: str
-    name: str
-    file: BinaryIO
-    size: int
-    head: bytes
+    path: str  # the file as the caller named it
+    name: str  # lower-case file name without ``.gz``
+    file: BinaryIO  # binary stream at its start
+    size: int  # bytes in the stream, measured, not claimed
+    head: bytes  # the first 64 bytes
 
     def content(self, limit_bytes: int | None = None) -> bytes:
         """Return every byte of the stream.

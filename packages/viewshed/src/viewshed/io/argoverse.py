@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ _BATCHES_MAX = 10_000
 
 def read_argoverse2(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
     """Yield the one sweep of an Argoverse 2 feather file, by default moved from the car's frame to ``up_lidar``."""
-    table = _table(source.content())
+    table = read_feather(source.content(), WANTED)
     if frame is None and "laser_number" not in table:
         raise ValueError("is no Argoverse 2 sweep (it has no laser_number); name the frame of its points")
     columns = columns_of_table(table, frame or FILE_FRAMES["argoverse2"], ours=False)
@@ -34,8 +34,15 @@ def read_argoverse2(source: InputFile, frame: Rigid | None) -> Iterator[Columns]
     yield columns
 
 
-def _table(content: bytes) -> dict[str, NDArray[Any]]:
-    """Return the wanted columns of the messages in an Arrow file; its footer is not used."""
+def read_feather(content: bytes, wanted: Collection[str], words: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """Return the wanted columns, by their names in lower case, of the messages in an Arrow file.
+
+    Its footer is not used. Of ``wanted`` those that are there are returned, as numbers; ``words`` are text, and must be
+    there.
+
+    Raises:
+        ValueError: the content is damaged, claims more bytes than it may, or a column is of another type.
+    """
     with needed_for("reading Argoverse 2"):
         import pyarrow as pa
 
@@ -44,9 +51,10 @@ def _table(content: bytes) -> dict[str, NDArray[Any]]:
         _check_messages(pa, stream, unpack_limit(len(content)))
         arrow = pa.ipc.open_stream(stream).read_all()
         if arrow.num_rows > MAX_POINTS:
-            raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {arrow.num_rows}")
-        names = [name for name in arrow.column_names if name.lower() in WANTED]
-        return {name.lower(): _numbers(pa, name, arrow.column(name)) for name in names}
+            raise ValueError(f"a file must have at most {MAX_POINTS} rows, got {arrow.num_rows}")
+        names = [name for name in arrow.column_names if name.lower() in wanted]
+        columns = {name.lower(): _numbers(pa, name, arrow.column(name)) for name in names}
+        return columns | {name: np.array(arrow.column(name).to_pylist(), np.str_) for name in words}
     except pa.ArrowException as error:
         raise ValueError(f"feather content is damaged or cut off: {error}") from error
     except (KeyError, TypeError, OSError, UnicodeError, MemoryError) as error:

@@ -74,33 +74,19 @@ PROFILES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OusterMetadata:
-    """What the sensor's metadata say of its packets and beams; the highest beam first.
+    """What the sensor's metadata say of its packets and beams; the highest beam first."""
 
-    Attributes:
-        profile: layout of the packets.
-        columns: of a revolution.
-        columns_per_packet: of a packet.
-        window: first and last column that is measured; the first may be behind the last.
-        altitude: (rows,) float64 radians above the sensor's horizon.
-        azimuth: (rows,) float64 radians by which a beam is turned from its column, counter-clockwise.
-        origin_mm: where a beam starts in the plane of its column: distance from the axis, and height.
-        sensor_from_lidar: (4, 4) float64, millimeters.
-        product: name of the product line.
-        start: number of the sensor's start, 0 where it is not given.
-        serial: serial number, 0 where it is not given.
-    """
-
-    profile: PacketLayout
-    columns: int
-    columns_per_packet: int
-    window: tuple[int, int]
-    altitude: NDArray[np.float64]
-    azimuth: NDArray[np.float64]
-    origin_mm: tuple[float, float]
-    sensor_from_lidar: NDArray[np.float64]
-    product: str
-    start: int
-    serial: int
+    profile: PacketLayout  # layout of the packets
+    columns: int  # of a revolution
+    columns_per_packet: int  # of a packet
+    window: tuple[int, int]  # first and last column that is measured; the first may be behind the last
+    altitude: NDArray[np.float64]  # (rows,) float64 radians above the sensor's horizon
+    azimuth: NDArray[np.float64]  # (rows,) float64 radians by which a beam is turned from its column, counter-clockwise
+    origin_mm: tuple[float, float]  # where a beam starts in the plane of its column: distance from the axis, and height
+    sensor_from_lidar: NDArray[np.float64]  # (4, 4) float64, millimeters
+    product: str  # name of the product line
+    start: int  # number of the sensor's start, 0 where it is not given
+    serial: int  # serial number, 0 where it is not given
 
     @classmethod
     def parse(cls, text: str) -> OusterMetadata:

@@ -12,22 +12,16 @@ from numpy.typing import NDArray
 class UNetShape:
     """Shape of the U-Net of arXiv 2503.07375 : ``width · 2^i`` channels after i poolings.
 
-    Attributes:
-        width: channels of the first stage, 1 to 256.
-        depth: poolings, 1 to 8.
-        dropout: share of channels that a mask sets to zero, in [0, 1).
-        channels: channels of the input.
-        fold: cells a side of blocks that are folded into the channels of one cell before the first stage, and unfolded
-            after the last (space to depth, Shi et al. 2016); 1 folds nothing, as published.
-
     >>> UNetShape().parameters, sum(UNetShape().masked_channels)
     (486409, 352)
     """
 
-    width: int = 8
-    depth: int = 4
-    dropout: float = 0.1
-    channels: int = 1
+    width: int = 8  # channels of the first stage, 1 to 256
+    depth: int = 4  # poolings, 1 to 8
+    dropout: float = 0.1  # share of channels that a mask sets to zero, in [0, 1)
+    channels: int = 1  # channels of the input
+    # cells a side of blocks that are folded into the channels of one cell before the first stage, and unfolded after
+    # the last (space to depth, Shi et al. 2016); 1 folds nothing, as published.
     fold: int = 1
 
     def __post_init__(self) -> None:

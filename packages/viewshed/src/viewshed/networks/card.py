@@ -41,38 +41,25 @@ _RENAMED_FEATURES = {"confirmed": "measured", "unexplained": "unresolved", "supp
 class NetworkCard:
     """What must be known to use a network's weights; travels inside the file.
 
-    Attributes:
-        name: name of the weights.
-        shape: of the network.
-        grid: on which it was trained; its cells must divide by ``2^depth``.
-        target: name of what would have to be seen.
-        truth: what it was taught, one of ``TRUTHS``.
-        max_range_m: horizontal range up to which returns count; nothing is claimed beyond.
-        heights_m: lowest and highest z from the SENSOR, in its level attitude, between which returns count.
-        clip: returns of a cell above which counting stops.
-        divisor: counts are divided by it, where they are shown ``linear``.
-        counts: how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip).
-        threshold: probability from which a cell counts as visible.
-        inputs: names of ``FEATURES``, what the network is shown; as many as the shape's channels.
-        trained: facts of the training, by name.
-
     Raises:
         ValueError: a value lies outside its range; the message says which.
     """
 
-    name: str
-    shape: UNetShape = field(default_factory=UNetShape)
-    grid: BevGrid = field(default_factory=BevGrid)
-    target: str = "car"
-    truth: str = "probe"
-    max_range_m: float = 100.0
+    name: str  # name of the weights
+    shape: UNetShape = field(default_factory=UNetShape)  # of the network
+    grid: BevGrid = field(default_factory=BevGrid)  # on which it was trained; its cells must divide by ``2^depth``
+    target: str = "car"  # name of what would have to be seen
+    truth: str = "probe"  # what it was taught, one of ``TRUTHS``
+    max_range_m: float = 100.0  # horizontal range up to which returns count; nothing is claimed beyond
+    # lowest and highest z from the SENSOR, in its level attitude, between which returns count
     heights_m: tuple[float, float] = (-3.0, 3.0)
-    clip: int = 255
-    divisor: float = 1000.0
-    counts: str = "linear"
-    threshold: float = 0.5
+    clip: int = 255  # returns of a cell above which counting stops
+    divisor: float = 1000.0  # counts are divided by it, where they are shown ``linear``
+    counts: str = "linear"  # how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip)
+    threshold: float = 0.5  # probability from which a cell counts as visible
+    # names of ``FEATURES``, what the network is shown; as many as the shape's channels
     inputs: tuple[str, ...] = ("counts",)
-    trained: Mapping[str, str] = field(default_factory=dict)
+    trained: Mapping[str, str] = field(default_factory=dict)  # facts of the training, by name
 
     def __post_init__(self) -> None:
         self._check_shape()

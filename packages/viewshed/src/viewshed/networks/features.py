@@ -37,22 +37,14 @@ in range, ``range`` of the cells, ``deviation`` of the ground's standard deviati
 
 @dataclass(frozen=True, eq=False)
 class FeatureContext:
-    """What the features of one sweep are computed from; each part is computed when it is first read.
+    """What the features of one sweep are computed from; each part is computed when it is first read."""
 
-    Attributes:
-        leveled: the sweep.
-        grid: of the maps.
-        target: what would have to be seen.
-        counts: (cells, cells) uint8, returns of each cell as the network's card counts them; None where no network is
-            shown them.
-        history: what earlier sweeps saw, or None where there are none.
-    """
-
-    leveled: LeveledSweep
-    grid: BevGrid
-    target: Target
+    leveled: LeveledSweep  # the sweep
+    grid: BevGrid  # of the maps
+    target: Target  # what would have to be seen
+    # (cells, cells) uint8, returns of each cell as the network's card counts them; None where no network is shown them
     counts: Bytes | None
-    history: History | None = None
+    history: History | None = None  # what earlier sweeps saw, or None where there are none
 
     @cached_property
     def ranges_m(self) -> tuple[F32, F32]:

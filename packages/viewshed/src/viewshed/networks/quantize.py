@@ -34,16 +34,11 @@ class ChannelsLastGraph:
     The order of the last axis is (channel, row in the block, column in the block), as :meth:`NetworkCard.shown` gives
     it to a network of bytes. Transposed convolutions 2 × 2 are convolutions 1 × 1 whose channels become cells by moving
     whole rows.
-
-    Attributes:
-        card: of the network.
-        nodes: in an order in which they can run.
-        constants: by name.
     """
 
-    card: NetworkCard
-    nodes: list[onnx.NodeProto] = field(default_factory=list)
-    constants: dict[str, NDArray[Any]] = field(default_factory=dict)
+    card: NetworkCard  # of the network
+    nodes: list[onnx.NodeProto] = field(default_factory=list)  # in an order in which they can run
+    constants: dict[str, NDArray[Any]] = field(default_factory=dict)  # by name
 
     @property
     def side(self) -> int:
@@ -257,23 +252,15 @@ def _model(
 
 @dataclass(slots=True, eq=False)
 class _QdqGraph:
-    """A graph in QDQ format, built node by node.
+    """A graph in QDQ format, built node by node."""
 
-    Attributes:
-        graph: in float32.
-        ranges: smallest and largest value of its activations.
-        nodes: so far.
-        constants: so far.
-        scales: of the tensors that are quantized, by the name that they have in ``graph``.
-        names: the dequantized tensor that stands for each of them.
-    """
-
-    graph: ChannelsLastGraph
-    ranges: Mapping[str, Range]
-    nodes: list[onnx.NodeProto] = field(default_factory=list)
-    constants: dict[str, NDArray[np.generic]] = field(default_factory=dict)
+    graph: ChannelsLastGraph  # in float32
+    ranges: Mapping[str, Range]  # smallest and largest value of its activations
+    nodes: list[onnx.NodeProto] = field(default_factory=list)  # so far
+    constants: dict[str, NDArray[np.generic]] = field(default_factory=dict)  # so far
+    # of the tensors that are quantized, by the name that they have in ``graph``
     scales: dict[str, _QuantParams] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)  # the dequantized tensor that stands for each of them
 
     def __post_init__(self) -> None:
         self.scales["inputs"] = _QuantParams(1.0 / 255.0)

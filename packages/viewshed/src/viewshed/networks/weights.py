@@ -62,24 +62,15 @@ _MANIFEST = "manifest.json"
 
 @dataclass(frozen=True, slots=True)
 class ShippedWeights:
-    """One line of the manifest.
+    """One line of the manifest."""
 
-    Attributes:
-        name: what to ask for.
-        file: its file in the folder.
-        sha256: checksum of the whole file.
-        cells: of the grid.
-        half_extent_m: of the grid.
-        target: what would have to be seen.
-        methods: estimators that take it if no weights are named: ``unet``, ``mc_dropout``, ``viewnet``; perhaps none.
-    """
-
-    name: str
-    file: str
-    sha256: str
-    cells: int
-    half_extent_m: float
-    target: str
+    name: str  # what to ask for
+    file: str  # its file in the folder
+    sha256: str  # checksum of the whole file
+    cells: int  # of the grid
+    half_extent_m: float  # of the grid
+    target: str  # what would have to be seen
+    # estimators that take it if no weights are named: ``unet``, ``mc_dropout``, ``viewnet``; perhaps none
     methods: tuple[str, ...]
 
 

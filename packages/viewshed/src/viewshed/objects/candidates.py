@@ -24,24 +24,16 @@ SHAPES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """C candidates, a forest: each is a part of its parent, which stands before it.
+    """C candidates, a forest: each is a part of its parent, which stands before it."""
 
-    Attributes:
-        rows: (P,) int32 rows of the leveled sweep's points, each candidate a range of them.
-        first: (C,) int32 where in ``rows`` each begins.
-        last: (C,) int32 where in ``rows`` each ends, exclusive.
-        parent: (C,) int32 the smallest candidate that holds it and more, -1 for none.
-        sides: (C, 6) float32 heading of the long side in radians, least and greatest coordinate along it and across
-            it (from the sensor, meters), and 1 or 2 where something nearer hides only its left or only its right end.
-        shapes: (C, 32) float32, columns ``SHAPES``.
-    """
-
-    rows: NDArray[np.int32]
-    first: NDArray[np.int32]
-    last: NDArray[np.int32]
-    parent: NDArray[np.int32]
+    rows: NDArray[np.int32]  # (P,) int32 rows of the leveled sweep's points, each candidate a range of them
+    first: NDArray[np.int32]  # (C,) int32 where in ``rows`` each begins
+    last: NDArray[np.int32]  # (C,) int32 where in ``rows`` each ends, exclusive
+    parent: NDArray[np.int32]  # (C,) int32 the smallest candidate that holds it and more, -1 for none
+    # (C, 6) float32 heading of the long side in radians, least and greatest coordinate along it and across it (from the
+    # sensor, meters), and 1 or 2 where something nearer hides only its left or only its right end
     sides: NDArray[np.float32]
-    shapes: NDArray[np.float32]
+    shapes: NDArray[np.float32]  # (C, 32) float32, columns ``SHAPES``
 
     def __len__(self) -> int:
         """Return the number of candidates."""

@@ -38,42 +38,25 @@ _NEAR_FIRST_PER_M2 = 0.12
 
 
 class BoxCells(NamedTuple):
-    """What the cells in and about K boxes are, (K,) each; shares lie in [0, 1].
+    """What the cells in and about K boxes are, (K,) each; shares lie in [0, 1]."""
 
-    Attributes:
-        surface: share of the footprint in cells with an obstacle return.
-        free: share in cells that beams pass.
-        hidden: share in cells that something nearer blocks; what is left is unknown or outside the grid.
-        ring: share of the meter around the box with an obstacle return.
-        ring_free: share of that meter that beams pass.
-        near_free: share of the side toward the sensor that beams pass.
-        first_m: meters from the side toward the sensor to the first surface in the box, 10 for none.
-        range_m: meters from the sensor.
-    """
-
-    surface: F64
-    free: F64
-    hidden: F64
-    ring: F64
-    ring_free: F64
-    near_free: F64
-    first_m: F64
-    range_m: F64
+    surface: F64  # share of the footprint in cells with an obstacle return
+    free: F64  # share in cells that beams pass
+    hidden: F64  # share in cells that something nearer blocks; what is left is unknown or outside the grid
+    ring: F64  # share of the meter around the box with an obstacle return
+    ring_free: F64  # share of that meter that beams pass
+    near_free: F64  # share of the side toward the sensor that beams pass
+    first_m: F64  # meters from the side toward the sensor to the first surface in the box, 10 for none
+    range_m: F64  # meters from the sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenCells:
-    """The states of a field of view, looked up in the frame of the tracks.
+    """The states of a field of view, looked up in the frame of the tracks."""
 
-    Attributes:
-        grid: where the cells are.
-        state: (cells, cells) uint8 of ``CellState``.
-        frame_from_level: pose of the ``level`` frame of the sweep in the tracks' frame.
-    """
-
-    grid: BevGrid
-    state: NDArray[np.uint8]
-    frame_from_level: Rigid
+    grid: BevGrid  # where the cells are
+    state: NDArray[np.uint8]  # (cells, cells) uint8 of ``CellState``
+    frame_from_level: Rigid  # pose of the ``level`` frame of the sweep in the tracks' frame
 
     @classmethod
     def of(cls, estimate: FovEstimate) -> SeenCells:

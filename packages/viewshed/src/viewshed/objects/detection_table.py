@@ -51,26 +51,17 @@ _LEAST_STD_M = 0.05
 class DetectionTable:
     """Counts of a detector in worlds with exact truth; K = 5 kinds, R classes of returns, D of range, B of blocking.
 
-    Attributes:
-        found: (K, R, D, B) objects that were detected: their center within 2 m (or a quarter of their length).
-        total: (K, R, D, B) all objects.
-        errors_m2: (K, D, 2) sum of the squared errors of their centers, along the line of sight and across it.
-        matched: (K, D) how many of them there are.
-        false: (K, D) detections that are no object, by the kind that they were called.
-        sweeps: how many were looked at.
-        about: how it was made, for people.
-
     Raises:
         ValueError: the shapes are not these, or counts contradict each other.
     """
 
-    found: Counts
-    total: Counts
-    errors_m2: F64
-    matched: Counts
-    false: Counts
-    sweeps: int
-    about: Mapping[str, Any]
+    found: Counts  # (K, R, D, B) objects that were detected: their center within 2 m (or a quarter of their length)
+    total: Counts  # (K, R, D, B) all objects
+    errors_m2: F64  # (K, D, 2) sum of the squared errors of their centers, along the line of sight and across it
+    matched: Counts  # (K, D) how many of them there are
+    false: Counts  # (K, D) detections that are no object, by the kind that they were called
+    sweeps: int  # how many were looked at
+    about: Mapping[str, Any]  # how it was made, for people
 
     def __post_init__(self) -> None:
         kinds, ranges = len(ObjectKind), len(RANGE_M) - 1

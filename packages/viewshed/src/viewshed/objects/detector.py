@@ -38,16 +38,12 @@ _BESIDE_M = 0.2
 class Detector:
     """Finds objects in single sweeps.
 
-    Attributes:
-        least_prob: probability of its kind from which a candidate is an object.
-        classifier: says what a candidate is by its shape.
-
     Raises:
         ValueError: the probability does not lie in (0, 1].
     """
 
-    least_prob: float = LEAST_PROB
-    classifier: ShapeClassifier = field(default_factory=shipped_classifier)
+    least_prob: float = LEAST_PROB  # probability of its kind from which a candidate is an object
+    classifier: ShapeClassifier = field(default_factory=shipped_classifier)  # says what a candidate is by its shape
 
     def __post_init__(self) -> None:
         if not 0 < self.least_prob <= 1:

@@ -77,15 +77,10 @@ BLIND = -1
 
 @dataclass(frozen=True, slots=True)
 class EvidenceTable:
-    """Counts of one kind of evidence by bins (B,), on honest tracks and on tracks that are not.
+    """Counts of one kind of evidence by bins (B,), on honest tracks and on tracks that are not."""
 
-    Attributes:
-        honest: counts on benign drives.
-        forged: counts of the same tracks put elsewhere.
-    """
-
-    honest: tuple[float, ...]
-    forged: tuple[float, ...]
+    honest: tuple[float, ...]  # counts on benign drives
+    forged: tuple[float, ...]  # counts of the same tracks put elsewhere
 
     def ratios(self) -> F64:
         """Return forged : honest of each bin (B,), each bin counted once more, within :data:`CAP`."""
@@ -206,35 +201,21 @@ def mean_after(log_mean: F64, ratios: F64, dt_s: float, age_s: F64, window_s: fl
 
 @dataclass(frozen=True, slots=True)
 class EvidenceModel:
-    """What evidence is worth, and from which e-value on a track is accused.
+    """What evidence is worth, and from which e-value on a track is accused."""
 
-    Attributes:
-        weights: log ratios of what the cells of a box are, by the bins of ``BOX_FEATURES``, last the bias.
-        view: of how well it could be seen.
-        birth: of how free the place was where its surface came from.
-        jump: of how suddenly it moved.
-        limits: e-values from which a track is accused to be fabricated, removed or moved.
-        accused: share of honest tracks that the limits accuse at most, all three together.
-        tracks: number of honest tracks that the limits are from.
-        gone: probability that a track that is no longer detected is no longer there.
-        still_found: probability that the detector misses what it can find, at least.
-        jump_share: probability that a moved object jumps in a sweep.
-        window_s: of the mean of what a box holds.
-        block_s: of misses and of jumps, seconds that count as one.
-    """
-
+    # log ratios of what the cells of a box are, by the bins of ``BOX_FEATURES``, last the bias
     weights: tuple[float, ...]
-    view: EvidenceTable
-    birth: EvidenceTable
-    jump: EvidenceTable
-    limits: tuple[float, float, float]
-    accused: float = 0.03
-    tracks: int = 0
-    gone: float = 0.2
-    still_found: float = 0.02
-    jump_share: float = 0.3
-    window_s: float = 1.0
-    block_s: tuple[float, float] = (1.0, 0.3)
+    view: EvidenceTable  # of how well it could be seen
+    birth: EvidenceTable  # of how free the place was where its surface came from
+    jump: EvidenceTable  # of how suddenly it moved
+    limits: tuple[float, float, float]  # e-values from which a track is accused to be fabricated, removed or moved
+    accused: float = 0.03  # share of honest tracks that the limits accuse at most, all three together
+    tracks: int = 0  # number of honest tracks that the limits are from
+    gone: float = 0.2  # probability that a track that is no longer detected is no longer there
+    still_found: float = 0.02  # probability that the detector misses what it can find, at least
+    jump_share: float = 0.3  # probability that a moved object jumps in a sweep
+    window_s: float = 1.0  # of the mean of what a box holds
+    block_s: tuple[float, float] = (1.0, 0.3)  # of misses and of jumps, seconds that count as one
 
     def save(self, path: Path) -> None:
         """Write it as JSON, at once or not at all."""

@@ -34,12 +34,7 @@ def found_probability(levels: F64, shares: F64) -> F64:
 
 
 def after_detection(
-    existence: F64,
-    persistent: F64,
-    found: F64,
-    density: F64,
-    clutter_per_m2: float | F64,
-    recurrence: float,
+    existence: F64, persistent: F64, found: F64, density: F64, clutter_per_m2: float | F64, recurrence: float
 ) -> tuple[F64, F64]:
     """Return existence and the probability of a persistent false source, (M,) each, of tracks that were matched.
 

@@ -58,31 +58,18 @@ FABRICATED, REMOVED, MOVED = range(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExplainedTracks:
-    """Tracks with what speaks for and against each.
+    """Tracks with what speaks for and against each."""
 
-    Attributes:
-        tracks: those of the tracker, then those that it gave up and that are still remembered.
-        explanations: (N,) uint8 of :class:`Explanation`.
-        e_values: (N,) how much speaks against *honest*, the mean of the three suspicions.
-        wealth: (N, 3) the e-value of each suspicion: ``FABRICATED``, ``REMOVED``, ``MOVED``.
-        suspicions: (N,) uint8, the one that is nearest to its limit or farthest above.
-        accused: (N,) bool, one of them has reached its limit.
-        moved_m: (N, 2) by which a moved track jumped; 0 for all others.
-        held: (N,) bool, the tracker has given it up: carried over from earlier sweeps.
-        reasons: (N,) a sentence each.
-        notes: what could not be checked in this sweep, and why, in sentences.
-    """
-
-    tracks: Tracks
-    explanations: NDArray[np.uint8]
-    e_values: F64
-    wealth: F64
-    suspicions: NDArray[np.uint8]
-    accused: Mask
-    moved_m: F64
-    held: Mask
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    tracks: Tracks  # those of the tracker, then those that it gave up and that are still remembered
+    explanations: NDArray[np.uint8]  # (N,) uint8 of :class:`Explanation`
+    e_values: F64  # (N,) how much speaks against *honest*, the mean of the three suspicions
+    wealth: F64  # (N, 3) the e-value of each suspicion: ``FABRICATED``, ``REMOVED``, ``MOVED``
+    suspicions: NDArray[np.uint8]  # (N,) uint8, the one that is nearest to its limit or farthest above
+    accused: Mask  # (N,) bool, one of them has reached its limit
+    moved_m: F64  # (N, 2) by which a moved track jumped; 0 for all others
+    held: Mask  # (N,) bool, the tracker has given it up: carried over from earlier sweeps
+    reasons: tuple[str, ...]  # (N,) a sentence each
+    notes: tuple[str, ...] = ()  # what could not be checked in this sweep, and why, in sentences
 
     def __len__(self) -> int:
         """Return the number of tracks."""

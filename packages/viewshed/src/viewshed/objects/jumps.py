@@ -28,15 +28,10 @@ PARKED_MPS = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """Times and places of the last detections of N tracks, the latest last; NaN where there were fewer.
+    """Times and places of the last detections of N tracks, the latest last; NaN where there were fewer."""
 
-    Attributes:
-        times: (N, T) seconds.
-        places: (N, T, 2) centers in meters.
-    """
-
-    times: F64
-    places: F64
+    times: F64  # (N, T) seconds
+    places: F64  # (N, T, 2) centers in meters
 
     @classmethod
     def none(cls, count: int) -> Self:

@@ -16,35 +16,24 @@ from viewshed.arrays import F64
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How objects move, how well a detector measures them, and what is known of a new one.
+    """How objects move, how well a detector measures them, and what is known of a new one."""
 
-    Attributes:
-        acceleration_density: of white acceleration along x and y, m²/s³.
-        state_drift: further standard deviation of x, y and the velocities, per second.
-        velocity_std_mps: of a new track, whose velocity is taken to be 0.
-        position_std_m: of a new track; None takes that of its detection.
-        center_std_m: of a detection's center along x and y, where the detector gives no covariance.
-        box_drift: standard deviation of z, length, width, height (meters) and yaw (radians) per root of a second.
-        box_std: of the same numbers of a detection.
-        new_box_std: of the same numbers of a new track; None takes those of its detection.
-        heading_from_mps: from this speed on the box's heading is the quarter turn nearest to its velocity.
-        standing_share: part of all objects that stand, which a track that is missed is judged by; 0 judges none.
-        outlier_share: part of the detections whose box was completed wrongly; 0 knows none of them.
-        outlier_std_m: of their centers, beside what is known of the others.
-    """
-
-    acceleration_density: float = 1.0
+    acceleration_density: float = 1.0  # of white acceleration along x and y, m²/s³
+    # further standard deviation of x, y and the velocities, per second
     state_drift: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    velocity_std_mps: float = 8.0
-    position_std_m: float | None = None
-    center_std_m: float = 0.6
+    velocity_std_mps: float = 8.0  # of a new track, whose velocity is taken to be 0
+    position_std_m: float | None = None  # of a new track; None takes that of its detection
+    center_std_m: float = 0.6  # of a detection's center along x and y, where the detector gives no covariance
+    # standard deviation of z, length, width, height (meters) and yaw (radians) per root of a second
     box_drift: tuple[float, float, float, float, float] = (0.2, 0.1, 0.1, 0.05, 0.3)
-    box_std: tuple[float, float, float, float, float] = (0.2, 0.5, 0.3, 0.2, 0.2)
+    box_std: tuple[float, float, float, float, float] = (0.2, 0.5, 0.3, 0.2, 0.2)  # of the same numbers of a detection
+    # of the same numbers of a new track; None takes those of its detection
     new_box_std: tuple[float, float, float, float, float] | None = None
-    heading_from_mps: float = 2.0
+    heading_from_mps: float = 2.0  # from this speed on the box's heading is the quarter turn nearest to its velocity
+    # part of all objects that stand, which a track that is missed is judged by; 0 judges none
     standing_share: float = 0.0
-    outlier_share: float = 0.0
-    outlier_std_m: float = 1.2
+    outlier_share: float = 0.0  # part of the detections whose box was completed wrongly; 0 knows none of them
+    outlier_std_m: float = 1.2  # of their centers, beside what is known of the others
 
     def __post_init__(self) -> None:
         for name in ("acceleration_density", "velocity_std_mps", "center_std_m", "heading_from_mps"):

@@ -17,31 +17,18 @@ Rows = NDArray[np.intp]
 
 @dataclass(slots=True, eq=False)
 class Memory:
-    """What is kept of N tracks.
+    """What is kept of N tracks."""
 
-    Attributes:
-        wealth: (N, 3) e-values against each.
-        birth: (N,) ratio of where its surface came from.
-        log_mean: (N,) log of the mean ratio of what its boxes held.
-        looked_s: (N,) for how long they were looked at.
-        offset: (N, 2) meters by which it jumped, if it is believed to be moved.
-        bare_s: (N,) for how long no surface has been where it should be.
-        hits: (N,) sweeps with a detection.
-        looks: (N,) sweeps with a view of it.
-        looks_at_hit: (N,) sweeps with a view of it until its last detection.
-        sightings: its last detections.
-    """
-
-    wealth: F64
-    birth: F64
-    log_mean: F64
-    looked_s: F64
-    offset: F64
-    bare_s: F64
-    hits: F64
-    looks: F64
-    looks_at_hit: F64
-    sightings: Sightings
+    wealth: F64  # (N, 3) e-values against each
+    birth: F64  # (N,) ratio of where its surface came from
+    log_mean: F64  # (N,) log of the mean ratio of what its boxes held
+    looked_s: F64  # (N,) for how long they were looked at
+    offset: F64  # (N, 2) meters by which it jumped, if it is believed to be moved
+    bare_s: F64  # (N,) for how long no surface has been where it should be
+    hits: F64  # (N,) sweeps with a detection
+    looks: F64  # (N,) sweeps with a view of it
+    looks_at_hit: F64  # (N,) sweeps with a view of it until its last detection
+    sightings: Sightings  # its last detections
 
     @classmethod
     def begun(cls, count: int) -> Self:

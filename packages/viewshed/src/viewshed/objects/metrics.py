@@ -24,20 +24,14 @@ class Gospa:
 
     Its parts are costs: meters to the power p, so that the distance is the p-th root of their sum.
 
-    Attributes:
-        localization: of the pairs that are nearer than the cutoff.
-        missed: of objects without a track, half the cutoff to the power p each.
-        false: of tracks without an object, as much each.
-        order: p.
-
     >>> Gospa(localization=1.0, missed=8.0, false=0.0, order=2.0).distance_m
     3.0
     """
 
-    localization: float
-    missed: float
-    false: float
-    order: float
+    localization: float  # of the pairs that are nearer than the cutoff
+    missed: float  # of objects without a track, half the cutoff to the power p each
+    false: float  # of tracks without an object, as much each
+    order: float  # p
 
     @property
     def distance_m(self) -> float:
@@ -101,17 +95,11 @@ def published_ospa(tracks: Points, truths: Points) -> float:
 
 @dataclass(frozen=True, slots=True)
 class MatchedObjects:
-    """Tracks and truths of one time, matched within a distance so that their sum is least.
+    """Tracks and truths of one time, matched within a distance so that their sum is least."""
 
-    Attributes:
-        track_ids: (N,) int64 of all tracks.
-        truth_ids: (M,) int64 of all truths.
-        truth_of_track: (N,) int number of each track's truth, -1 for none.
-    """
-
-    track_ids: NDArray[np.int64]
-    truth_ids: NDArray[np.int64]
-    truth_of_track: NDArray[np.int64]
+    track_ids: NDArray[np.int64]  # (N,) int64 of all tracks
+    truth_ids: NDArray[np.int64]  # (M,) int64 of all truths
+    truth_of_track: NDArray[np.int64]  # (N,) int number of each track's truth, -1 for none
 
 
 def match_objects(
@@ -132,12 +120,9 @@ class IdSwitches:
     """Counts how often an object had another track than the last one it had, over the times of a recording in order.
 
     An object that is lost and found again by a new track counts: that is the switch that a lost car causes.
-
-    Attributes:
-        count: of them so far.
     """
 
-    count: int = 0
+    count: int = 0  # of them so far
     _last: dict[int, int] = field(default_factory=dict, repr=False)
 
     def add(self, *times: MatchedObjects) -> int:

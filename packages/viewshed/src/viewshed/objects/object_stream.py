@@ -36,19 +36,13 @@ Tamper = Callable[[LeveledSweep, Detections], Detections]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenObjects:
-    """The objects of one agent after one of its sweeps.
+    """The objects of one agent after one of its sweeps."""
 
-    Attributes:
-        detections: of this sweep, in its ``level`` frame.
-        explained: all tracks, each with why it is detected or not; in the world, or in ``level`` without poses.
-        tracks_from_level: pose of the sweep's ``level`` frame in the frame of the tracks.
-        seconds: that detecting, tracking and explaining took.
-    """
-
-    detections: Detections
+    detections: Detections  # of this sweep, in its ``level`` frame
+    # all tracks, each with why it is detected or not; in the world, or in ``level`` without poses
     explained: ExplainedTracks
-    tracks_from_level: Rigid
-    seconds: float = 0.0
+    tracks_from_level: Rigid  # pose of the sweep's ``level`` frame in the frame of the tracks
+    seconds: float = 0.0  # that detecting, tracking and explaining took
 
     @property
     def shown(self) -> NDArray[np.bool_]:

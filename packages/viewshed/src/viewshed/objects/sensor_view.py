@@ -24,23 +24,15 @@ MOST_TRACKS = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorView:
-    """What one sensor's field of view says at the time of one sweep.
+    """What one sensor's field of view says at the time of one sweep."""
 
-    Attributes:
-        sensor: its name.
-        view: what could be seen.
-        place: (2,) x and y of the sensor in the tracks' frame.
-        cells: states of the cells, or None where the field of view has none (a polygon, or no field of view).
-        report: of the monitor of this sweep, or None.
-        yaw: heading of the sensor's ``level`` frame in the tracks' frame, radians.
-    """
-
-    sensor: str
-    view: View
-    place: F64
+    sensor: str  # its name
+    view: View  # what could be seen
+    place: F64  # (2,) x and y of the sensor in the tracks' frame
+    # states of the cells, or None where the field of view has none (a polygon, or no field of view)
     cells: SeenCells | None = None
-    report: IntegrityReport | None = None
-    yaw: float = 0.0
+    report: IntegrityReport | None = None  # of the monitor of this sweep, or None
+    yaw: float = 0.0  # heading of the sensor's ``level`` frame in the tracks' frame, radians
 
     def alarmed(self, boxes: F64) -> Mask:
         """Return which boxes (K,) lie in sectors under alarm; all of them where an alarm names no sector."""

@@ -53,20 +53,14 @@ class ShapeClassifier:
 
     Shapes more than six deviations from the mean count as six.
 
-    Attributes:
-        mean: (S,) of each shape.
-        scale: (S,) what a shape's distance from the mean is multiplied with.
-        weights: matrices (S, H), (H, G) and (G, 8).
-        biases: (H,), (G,) and (8,).
-
     Raises:
         ValueError: the arrays do not fit each other, or a number is not finite.
     """
 
-    mean: F32
-    scale: F32
-    weights: tuple[F32, ...]
-    biases: tuple[F32, ...]
+    mean: F32  # (S,) of each shape
+    scale: F32  # (S,) what a shape's distance from the mean is multiplied with
+    weights: tuple[F32, ...]  # matrices (S, H), (H, G) and (G, 8)
+    biases: tuple[F32, ...]  # (H,), (G,) and (8,)
 
     def __post_init__(self) -> None:
         sizes = [len(SHAPES), *(bias.size for bias in self.biases)]

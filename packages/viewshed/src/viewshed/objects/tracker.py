@@ -62,16 +62,7 @@ _SPEEDS_MPS = {
 
 @dataclass(slots=True)
 class TrackTable:
-    """What a tracker holds of N tracks; the first arrays are those of :class:`Tracks`.
-
-    Attributes:
-        votes: (N, kinds) of the detections for each kind.
-        levels: (N, LEVELS) what is known of the number that decides what can be found; see ``existence``.
-        updates: (N,) int32 detections so far.
-        misses: (N,) int32 sweeps without a detection since the last one, of those that count.
-        lasting: (N,) probability that it is something persistent that only looks like an object.
-        standing: (N,) probability that it has stood since its last detection, 0 while it is detected.
-    """
+    """What a tracker holds of N tracks; the first arrays are those of :class:`Tracks`."""
 
     ids: NDArray[np.int64]
     states: F64
@@ -86,12 +77,12 @@ class TrackTable:
     born_s: F64
     seen_s: F64
     born_hidden: F64
-    votes: F64
-    levels: F64
-    updates: Numbers
-    misses: Numbers
-    lasting: F64
-    standing: F64
+    votes: F64  # (N, kinds) of the detections for each kind
+    levels: F64  # (N, LEVELS) what is known of the number that decides what can be found; see ``existence``
+    updates: Numbers  # (N,) int32 detections so far
+    misses: Numbers  # (N,) int32 sweeps without a detection since the last one, of those that count
+    lasting: F64  # (N,) probability that it is something persistent that only looks like an object
+    standing: F64  # (N,) probability that it has stood since its last detection, 0 while it is detected
 
     @classmethod
     def begun(cls, t_s: float, boxes: F64, kinds: NDArray[np.uint8], noise: F64, motion: Motion) -> Self:
@@ -145,19 +136,12 @@ class TrackTable:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The K detections of one sweep, as rules see them.
+    """The K detections of one sweep, as rules see them."""
 
-    Attributes:
-        boxes: (K, 7).
-        kinds: (K,) uint8.
-        noise: (K, 2, 2) covariances of their centers, square meters.
-        false_odds: (K,) false detections like each, for one like it of an object.
-    """
-
-    boxes: F64
-    kinds: NDArray[np.uint8]
-    noise: F64
-    false_odds: F64
+    boxes: F64  # (K, 7)
+    kinds: NDArray[np.uint8]  # (K,) uint8
+    noise: F64  # (K, 2, 2) covariances of their centers, square meters
+    false_odds: F64  # (K,) false detections like each, for one like it of an object
 
     def __len__(self) -> int:
         """Return the number of detections."""
@@ -226,53 +210,32 @@ class Rules(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ExistenceRules:
-    """A track is kept by the probability that it exists; the field of view tells whether a missed one could be seen.
+    """A track is kept by the probability that it exists; the field of view tells whether a missed one could be seen."""
 
-    Attributes:
-        motion: how objects move and are measured.
-        gate: squared Mahalanobis distance beyond which no detection is of a track; 13.8 leaves out one in a thousand.
-        objects_per_m2: detected objects per square meter.
-        false_odds: false detections for one of an object, where nothing better is known of a detection.
-        lasting_share: false detections of something new that will come back where it is, for one that will not.
-        unseen_share: part of the detected objects that are not tracked yet, where they could not be seen.
-        seen_share: part of these where they would have been seen.
-        recurrence: how often something persistent is falsely detected, against how often an object is.
-        most_found: probability that a detector finds what it can find, at most.
-        doubt_s: seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence.
-        lifetime_s: mean time that an object exists.
-        surest: existence is never above this.
-        confirm_from: a track is confirmed when its existence reaches this.
-        drop_below: a track ends when its existence is lower.
-        vague_m: a track is not confirmed while the standard deviation of its place is larger.
-        lost_m: a track ends when the standard deviation of its place is larger.
-        spreads: ask the view at five places of a track's distribution where its mean is not enough.
-        most_tracks: the most tracks that are held; further detections begin none, and a note says so.
-        most_detections: more of them in one sweep are refused.
-        longest_m: longer boxes are left out, and a note says so.
-        late_s: detections late by up to this are left out; those from still longer ago begin a new recording.
-    """
-
-    motion: Motion = MOTION
+    motion: Motion = MOTION  # how objects move and are measured
+    # squared Mahalanobis distance beyond which no detection is of a track; 13.8 leaves out one in a thousand
     gate: float = 13.8
-    objects_per_m2: float = 1e-3
-    false_odds: float = 0.1
+    objects_per_m2: float = 1e-3  # detected objects per square meter
+    false_odds: float = 0.1  # false detections for one of an object, where nothing better is known of a detection
+    # false detections of something new that will come back where it is, for one that will not
     lasting_share: float = 0.6
-    unseen_share: float = 0.2
-    seen_share: float = 0.1
-    recurrence: float = 0.8
-    most_found: float = 0.98
+    unseen_share: float = 0.2  # part of the detected objects that are not tracked yet, where they could not be seen
+    seen_share: float = 0.1  # part of these where they would have been seen
+    recurrence: float = 0.8  # how often something persistent is falsely detected, against how often an object is
+    most_found: float = 0.98  # probability that a detector finds what it can find, at most
+    # seconds after which doubt about one track is a new doubt; 0 counts each sweep as new evidence
     doubt_s: float = 0.1
-    lifetime_s: float = 60.0
-    surest: float = 0.99
-    confirm_from: float = 0.75
-    drop_below: float = 0.05
-    vague_m: float = 2.5
-    lost_m: float = 6.0
-    spreads: bool = True
-    most_tracks: int = 500
-    most_detections: int = 1000
-    longest_m: float = 30.0
-    late_s: float = 0.5
+    lifetime_s: float = 60.0  # mean time that an object exists
+    surest: float = 0.99  # existence is never above this
+    confirm_from: float = 0.75  # a track is confirmed when its existence reaches this
+    drop_below: float = 0.05  # a track ends when its existence is lower
+    vague_m: float = 2.5  # a track is not confirmed while the standard deviation of its place is larger
+    lost_m: float = 6.0  # a track ends when the standard deviation of its place is larger
+    spreads: bool = True  # ask the view at five places of a track's distribution where its mean is not enough
+    most_tracks: int = 500  # the most tracks that are held; further detections begin none, and a note says so
+    most_detections: int = 1000  # more of them in one sweep are refused
+    longest_m: float = 30.0  # longer boxes are left out, and a note says so
+    late_s: float = 0.5  # detections late by up to this are left out; those from still longer ago begin a new recording
 
     def __post_init__(self) -> None:
         for name in ("unseen_share", "seen_share", "recurrence", "most_found", "surest", "confirm_from", "drop_below"):
@@ -401,12 +364,7 @@ class Tracker:
         self._table, self._last, self._view = _no_tracks(self.rules.motion), None, None
 
     def step(
-        self,
-        t_s: float,
-        detections: Detections,
-        view: View,
-        noise: F64 | None = None,
-        false_odds: F64 | None = None,
+        self, t_s: float, detections: Detections, view: View, noise: F64 | None = None, false_odds: F64 | None = None
     ) -> Tracks:
         """Return all tracks after the detections of one sweep.
 
@@ -595,10 +553,7 @@ def _densities(states: F64, covariances: F64, measured: Measured, motion: Motion
     """Return the densities (2, M) per square meter of each track's detection, as a usual one and as an outlier."""
     off, noise = measured.boxes[:, :2] - states[:, :2], measured.noise
     densities = []
-    for share, spread in (
-        (1.0 - motion.outlier_share, noise),
-        (motion.outlier_share, motion.outlier_noise(noise)),
-    ):
+    for share, spread in ((1.0 - motion.outlier_share, noise), (motion.outlier_share, motion.outlier_noise(noise))):
         inverses, determinants = inverse(covariances[:, :2, :2] + spread)
         squared = (off[:, None, :] @ inverses @ off[:, :, None])[:, 0, 0]
         densities.append(share * np.exp(center_log_density(squared, determinants)))

@@ -33,15 +33,10 @@ def require_bins(azimuth_bins: int | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Crop:
-    """Which returns an estimator uses; the default uses all.
+    """Which returns an estimator uses; the default uses all."""
 
-    Attributes:
-        max_range_m: horizontal range up to which returns count.
-        height_m: lowest and highest z from the sensor, in the level attitude.
-    """
-
-    max_range_m: float = np.inf
-    height_m: tuple[float, float] = (-np.inf, np.inf)
+    max_range_m: float = np.inf  # horizontal range up to which returns count
+    height_m: tuple[float, float] = (-np.inf, np.inf)  # lowest and highest z from the sensor, in the level attitude
 
     def __post_init__(self) -> None:
         if not self.max_range_m > 0:

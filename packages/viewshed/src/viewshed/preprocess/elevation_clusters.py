@@ -17,17 +17,11 @@ from viewshed.arrays import F32
 
 
 class ElevationClusters(NamedTuple):
-    """Beams that a cloud shows.
+    """Beams that a cloud shows."""
 
-    Attributes:
-        elevation: (K,) radians, ascending.
-        origin_m: (K,) height of each beam above the sensor's origin at range 0.
-        sharpness: share of the returns that lie at the beams, less what chance gives.
-    """
-
-    elevation: NDArray[np.float64]
-    origin_m: NDArray[np.float64]
-    sharpness: float
+    elevation: NDArray[np.float64]  # (K,) radians, ascending
+    origin_m: NDArray[np.float64]  # (K,) height of each beam above the sensor's origin at range 0
+    sharpness: float  # share of the returns that lie at the beams, less what chance gives
 
 
 def find_clusters(azimuth: F32, slope: F32, range_m: F32) -> ElevationClusters | None:

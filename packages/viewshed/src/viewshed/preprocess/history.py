@@ -29,17 +29,12 @@ HISTORY_SWEEPS = 5
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class History:
-    """What earlier sweeps saw, seen from the sensor now.
+    """What earlier sweeps saw, seen from the sensor now."""
 
-    Attributes:
-        now: the sweep now, with the ground, height and reach that earlier ones hold; what is to be estimated.
-        earlier: the sweeps, any number of them, each with what those before it hold.
-        now_from_earlier: pose of the ``level`` frame of each in that of the sweep now.
-    """
-
+    # the sweep now, with the ground, height and reach that earlier ones hold; what is to be estimated
     now: LeveledSweep
-    earlier: tuple[LeveledSweep, ...]
-    now_from_earlier: tuple[Rigid, ...]
+    earlier: tuple[LeveledSweep, ...]  # the sweeps, any number of them, each with what those before it hold
+    now_from_earlier: tuple[Rigid, ...]  # pose of the ``level`` frame of each in that of the sweep now
     _confirmations: dict[tuple[BevGrid, Target], NDArray[np.int32]] = field(default_factory=dict, repr=False)
 
     @classmethod

@@ -54,50 +54,33 @@ _OBSTACLE_M = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What a sweep takes from earlier ones of its stream beside their ground; numbers alone, no sweep.
+    """What a sweep takes from earlier ones of its stream beside their ground; numbers alone, no sweep."""
 
-    Attributes:
-        heights_m: the sensor's heights above the ground that the last sweeps estimated, this one's last.
-        reach_m: the greatest reach that a sweep of the stream showed.
-        is_height_held: whether this sweep's own height was set aside for the median of ``heights_m``.
-    """
-
+    # the sensor's heights above the ground that the last sweeps estimated, this one's last
     heights_m: tuple[float, ...]
-    reach_m: float
-    is_height_held: bool = False
+    reach_m: float  # the greatest reach that a sweep of the stream showed
+    is_height_held: bool = False  # whether this sweep's own height was set aside for the median of ``heights_m``
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class LeveledSweep:
-    """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows, in the sweep's order.
+    """A sweep in its ``level`` frame, without ego returns, null returns and clutter; M ≤ N rows in their order."""
 
-    Attributes:
-        sweep: the sweep that it came from.
-        points: (M, 3) float32 meters in ``level`` (the sensor is at (0, 0, sensor_height_m)).
-        range_m: (M,) float32 horizontal range from the sensor.
-        azimuth: (M,) float32 radians in [-π, π), counter-clockwise from forward.
-        height_m: (M,) float32 height above local ground.
-        rows: (M,) int32 row of each point in the sweep.
-        level_from_sensor: the transform used.
-        ground: the local ground.
-        sensor_id: the rings and the sensor, the sweep's own or identified by its points.
-        range_image: the sweep's N returns on its range image, or None where the rings are not known.
-        held: what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a
-            sweep by itself.
-        derived: what was computed of it once and is needed again; the first item of a key names who computes it.
-    """
-
-    sweep: Sweep
-    points: NDArray[np.float32]
-    range_m: NDArray[np.float32]
-    azimuth: NDArray[np.float32]
-    height_m: NDArray[np.float32]
-    rows: NDArray[np.int32]
-    level_from_sensor: Rigid
-    ground: HeightMap
-    sensor_id: SensorId = UNIDENTIFIED
+    sweep: Sweep  # the sweep that it came from
+    points: NDArray[np.float32]  # (M, 3) float32 meters in ``level`` (the sensor is at (0, 0, sensor_height_m))
+    range_m: NDArray[np.float32]  # (M,) float32 horizontal range from the sensor
+    azimuth: NDArray[np.float32]  # (M,) float32 radians in [-π, π), counter-clockwise from forward
+    height_m: NDArray[np.float32]  # (M,) float32 height above local ground
+    rows: NDArray[np.int32]  # (M,) int32 row of each point in the sweep
+    level_from_sensor: Rigid  # the transform used
+    ground: HeightMap  # the local ground
+    sensor_id: SensorId = UNIDENTIFIED  # the rings and the sensor, the sweep's own or identified by its points
+    # the sweep's N returns on its range image, or None where the rings are not known
     range_image: RangeImage | None = None
+    # what it takes from earlier sweeps beside their ground (:mod:`viewshed.preprocess.held_ground`); None for a sweep
+    # by itself
     held: Held | None = None
+    # what was computed of it once and is needed again; the first item of a key names who computes it
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property

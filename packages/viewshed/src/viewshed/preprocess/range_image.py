@@ -29,34 +29,24 @@ DEFAULT_COLUMNS = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeImage:
-    """The N returns of a sweep on an image of rings × columns; made once for a sweep, read-only.
+    """The N returns of a sweep on an image of rings × columns; made once for a sweep, read-only."""
 
-    Attributes:
-        ring: (N,) int16 row of each return; -1 where no beam explains it.
-        column: (N,) int32 column of each return; -1 where it has no row, or is clutter.
-        counts: (rings, columns) uint8 returns of each pixel, up to 255.
-        squared_range_m2: (rings, columns) float32 squared distance from the sensor to the nearest return of each pixel
-            within the sweep's limits of range; +inf for none.
-        phase: (rings,) float32 in [0, 1): where in its columns a ring fires.
-        elevation: (rings,) float64 radians of each ring's beams above the horizon; NaN where the sensor is not known.
-        origin_m: (rings,) float64 height of each ring's beams above the sensor's origin at range 0.
-        pixels_are_beams: whether each pixel stands for one beam: elevations are known, and the rings are about as full
-            as the columns are many. Else a pixel without a return says nothing.
-        isolated: (N,) bool, returns with no return around at a similar range; and clutter.
-        behind: (N,) bool, isolated returns behind another one of their own pixel: the beam had ended before.
-        clutter: (N,) bool, returns that too few around confirm, of a sweep with many isolated ones; None for any other.
-    """
-
-    ring: NDArray[np.int16]
-    column: NDArray[np.int32]
-    counts: NDArray[np.uint8]
+    ring: NDArray[np.int16]  # (N,) int16 row of each return; -1 where no beam explains it
+    column: NDArray[np.int32]  # (N,) int32 column of each return; -1 where it has no row, or is clutter
+    counts: NDArray[np.uint8]  # (rings, columns) uint8 returns of each pixel, up to 255
+    # (rings, columns) float32 squared distance from the sensor to the nearest return of each pixel within the sweep's
+    # limits of range; +inf for none
     squared_range_m2: F32
-    phase: F32
+    phase: F32  # (rings,) float32 in [0, 1): where in its columns a ring fires
+    # (rings,) float64 radians of each ring's beams above the horizon; NaN where the sensor is not known
     elevation: NDArray[np.float64]
-    origin_m: NDArray[np.float64]
+    origin_m: NDArray[np.float64]  # (rings,) float64 height of each ring's beams above the sensor's origin at range 0
+    # whether each pixel stands for one beam: elevations are known, and the rings are about as full as the columns are
+    # many. Else a pixel without a return says nothing.
     pixels_are_beams: bool
-    isolated: Mask
-    behind: Mask
+    isolated: Mask  # (N,) bool, returns with no return around at a similar range; and clutter
+    behind: Mask  # (N,) bool, isolated returns behind another one of their own pixel: the beam had ended before
+    # (N,) bool, returns that too few around confirm, of a sweep with many isolated ones; None for any other
     clutter: Mask | None
 
     @property

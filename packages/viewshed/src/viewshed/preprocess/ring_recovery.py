@@ -29,26 +29,17 @@ _NO_BEAMS = np.zeros(0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingAssignment:
-    """The beam and the column of each return.
+    """The beam and the column of each return."""
 
-    Attributes:
-        ring: (N,) int16 beam of each return, 0 the lowest; -1 where no beam explains the return.
-        column: (N,) int32 azimuth column of each return, in [0, columns).
-        columns: azimuth columns in a revolution.
-        elevation: (rings,) float64 radians: median direction of the beam's returns seen from the sensor's origin; the
-            model's, or interpolated, for beams without a return.
-        placed_share: share of the returns that have a beam.
-        alone_share: share of the placed returns that are alone in their pixel (ring, column).
-        source: how the rings were found.
-    """
-
-    ring: NDArray[np.int16]
-    column: NDArray[np.int32]
-    columns: int
+    ring: NDArray[np.int16]  # (N,) int16 beam of each return, 0 the lowest; -1 where no beam explains the return
+    column: NDArray[np.int32]  # (N,) int32 azimuth column of each return, in [0, columns)
+    columns: int  # azimuth columns in a revolution
+    # (rings,) float64 radians: median direction of the beam's returns seen from the sensor's origin; the model's, or
+    # interpolated, for beams without a return
     elevation: NDArray[np.float64]
-    placed_share: float
-    alone_share: float
-    source: Source
+    placed_share: float  # share of the returns that have a beam
+    alone_share: float  # share of the placed returns that are alone in their pixel (ring, column)
+    source: Source  # how the rings were found
 
     @property
     def rings(self) -> int:

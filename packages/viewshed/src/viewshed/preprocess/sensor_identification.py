@@ -17,15 +17,11 @@ from viewshed.sweep import Sweep
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorId:
-    """What is known of a sweep's beams.
+    """What is known of a sweep's beams."""
 
-    Attributes:
-        ring: (N,) int16 beam of each return, 0 the lowest, -1 where no beam explains it; None where nothing shows it.
-        model: the sensor, or None where it is not known.
-    """
-
+    # (N,) int16 beam of each return, 0 the lowest, -1 where no beam explains it; None where nothing shows it
     ring: NDArray[np.int16] | None
-    model: LidarModel | None
+    model: LidarModel | None  # the sensor, or None where it is not known
 
 
 UNIDENTIFIED = SensorId(None, None)

@@ -18,17 +18,12 @@ from viewshed.arrays import F32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorMotion:
-    """An even motion during one revolution.
+    """An even motion during one revolution."""
 
-    Attributes:
-        way_m: (3,) float64 meters from the beginning to the end, counter-clockwise, in the frame of the points.
-        seam: azimuth in radians at which the revolution begins and ends.
-        reference: part of the turn from there, counter-clockwise, at which the sensor was at the origin.
-    """
-
+    # (3,) float64 meters from the beginning to the end, counter-clockwise, in the frame of the points
     way_m: NDArray[np.float64]
-    seam: float
-    reference: float
+    seam: float  # azimuth in radians at which the revolution begins and ends
+    reference: float  # part of the turn from there, counter-clockwise, at which the sensor was at the origin
 
     def undo(self, points: F32) -> F32:
         """Return points (N, 3) as the sensor measured them, each in its frame at that time."""

@@ -47,15 +47,10 @@ def data_sets(place: str | Path) -> DataSets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """The sweeps of a recording, read anew each time that it is iterated over, scene by scene and in time order.
+    """The sweeps of a recording, read anew each time that it is iterated over, scene by scene and in time order."""
 
-    Attributes:
-        path: where it is.
-        sweeps: begins to read.
-    """
-
-    path: Path
-    sweeps: Callable[[], Iterator[Sweep]]
+    path: Path  # where it is
+    sweeps: Callable[[], Iterator[Sweep]]  # begins to read
 
     def __iter__(self) -> Iterator[Sweep]:
         """Yield the sweeps; each is in memory only while it is used.

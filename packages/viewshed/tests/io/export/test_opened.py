@@ -164,11 +164,7 @@ def test_geojson_in_a_reference_system_keeps_to_rfc_7946() -> None:
     ("crs", "pose", "message"),
     [
         ("EPSG:25832", None, "must have a pose in it, got none; give --poses"),
-        (
-            "EPSG:4326",
-            HAMBURG,
-            "crs must be a projected reference system in meters such as EPSG:25832, got",
-        ),
+        ("EPSG:4326", HAMBURG, "crs must be a projected reference system in meters such as EPSG:25832, got"),
         ("EPSG:2263", HAMBURG, "crs must be a projected reference system in meters"),
         ("EPSG:99999", HAMBURG, "crs must be a known reference system such as EPSG:25832, got 'EPSG:99999'"),
         ("Hamburg", HAMBURG, "crs must be a known reference system"),

@@ -90,7 +90,7 @@ def test_a_place_that_is_not_there_and_a_kind_that_is_not_known_are_told(tmp_pat
 
 NOTHING = {
     "nuscenes": "must hold one version of nuScenes", "carla": "must hold folders AGENT/000123",
-    "opv2v": "must hold folders SCENARIO/AGENT/",
+    "opv2v": "must hold folders SCENARIO/AGENT/", "argoverse2": "must hold Argoverse 2's LOG/sensors/lidar/",
     **dict.fromkeys(("kitti_raw", "kitti_odometry", "kitti_object"), "must hold KITTI's "),
 }  # fmt: skip
 

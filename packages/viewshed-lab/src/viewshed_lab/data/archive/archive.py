@@ -285,15 +285,10 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class ArchiveFrames:
-    """An archive as a map-style data set: ``len(frames)`` and ``frames[i]``, in any number of processes.
+    """An archive as a map-style data set: ``len(frames)`` and ``frames[i]``, in any number of processes."""
 
-    Attributes:
-        archive: the archive, or one of its splits.
-        target: whose visibility is wanted.
-    """
-
-    archive: Archive
-    target: Target = CAR
+    archive: Archive  # the archive, or one of its splits
+    target: Target = CAR  # whose visibility is wanted
 
     def __len__(self) -> int:
         return len(self.archive)

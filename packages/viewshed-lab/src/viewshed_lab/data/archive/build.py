@@ -37,15 +37,11 @@ _SAVE_SHARE = 0.05  # of the time, at most: a manifest of many shards is long
 
 @dataclass(frozen=True, slots=True)
 class ShardJob:
-    """What a worker must know to build one shard.
+    """What a worker must know to build one shard."""
 
-    Attributes:
-        name: of its file.
-        samples: yields its samples, all of one scene, and adds to the list that it is given one line for each sample
-            that had to be left out; a function of a module with its arguments (``functools.partial``).
-    """
-
-    name: str
+    name: str  # of its file
+    # yields its samples, all of one scene, and adds to the list that it is given one line for each sample that had to
+    # be left out; a function of a module with its arguments (``functools.partial``)
     samples: Callable[[list[str]], Iterator[Sample]]
 
 

@@ -75,17 +75,11 @@ def reading(where: str) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What all frames of an archive have in common.
+    """What all frames of an archive have in common."""
 
-    Attributes:
-        grid: where the cells are.
-        targets: names of the truth's targets, in the order in which they are stored.
-        definitions: names of the truth's other definitions, in that order.
-    """
-
-    grid: BevGrid
-    targets: tuple[str, ...]
-    definitions: tuple[str, ...]
+    grid: BevGrid  # where the cells are
+    targets: tuple[str, ...]  # names of the truth's targets, in the order in which they are stored
+    definitions: tuple[str, ...]  # names of the truth's other definitions, in that order
 
     @classmethod
     def of(cls, truth: Truth) -> Layout:
@@ -169,19 +163,12 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """What the footer of a shard says, besides Parquet's own.
+    """What the footer of a shard says, besides Parquet's own."""
 
-    Attributes:
-        scene: all frames are from it.
-        split: that the scene belongs to.
-        layout: of all its frames.
-        sensors: beam tables that its frames name by number.
-    """
-
-    scene: str
-    split: str
-    layout: Layout
-    sensors: Sensors
+    scene: str  # all frames are from it
+    split: str  # that the scene belongs to
+    layout: Layout  # of all its frames
+    sensors: Sensors  # beam tables that its frames name by number
 
     def to_text(self) -> str:
         """Return the footer as JSON."""
@@ -200,23 +187,14 @@ class Footer:
 
 @dataclass(frozen=True, slots=True)
 class ShardFacts:
-    """What a manifest says about one shard.
+    """What a manifest says about one shard."""
 
-    Attributes:
-        name: of the file, in the archive's place.
-        scene: all frames are from it.
-        split: that the scene belongs to.
-        frames: number of frames, at least 1.
-        bytes: length of the file.
-        sha256: of the file.
-    """
-
-    name: str
-    scene: str
-    split: str
-    frames: int
-    bytes: int
-    sha256: str
+    name: str  # of the file, in the archive's place
+    scene: str  # all frames are from it
+    split: str  # that the scene belongs to
+    frames: int  # number of frames, at least 1
+    bytes: int  # length of the file
+    sha256: str  # of the file
 
     @classmethod
     def from_json(cls, table: Any) -> ShardFacts:
@@ -258,21 +236,13 @@ def _commit(checkout: Path) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What an archive holds and how it was made. It names no machine and no time.
+    """What an archive holds and how it was made. It names no machine and no time."""
 
-    Attributes:
-        recipe: how the frames were made, as plain values: the command, preset, configuration and seeds.
-        layout: what all frames have in common.
-        shards: in the order of the archive.
-        complete: False while shards are still being written.
-        code: version and commits of the code that wrote it.
-    """
-
-    recipe: Mapping[str, Any]
-    layout: Layout
-    shards: tuple[ShardFacts, ...] = ()
-    complete: bool = True
-    code: Mapping[str, Any] = field(default_factory=code_version)
+    recipe: Mapping[str, Any]  # how the frames were made, as plain values: the command, preset, configuration and seeds
+    layout: Layout  # what all frames have in common
+    shards: tuple[ShardFacts, ...] = ()  # in the order of the archive
+    complete: bool = True  # False while shards are still being written
+    code: Mapping[str, Any] = field(default_factory=code_version)  # version and commits of the code that wrote it
 
     @property
     def frames(self) -> int:

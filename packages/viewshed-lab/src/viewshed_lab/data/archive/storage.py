@@ -53,12 +53,9 @@ class Storage:
     """Files by name below one place; small enough to travel to other processes and machines.
 
     What cannot be listed, read, written or removed is an OSError of one line that names it and, if known, the repair.
-
-    Attributes:
-        uri: the place with its options, which may hold secrets; show :attr:`place` instead.
     """
 
-    uri: str = field(repr=False)
+    uri: str = field(repr=False)  # the place with its options, which may hold secrets; show :attr:`place` instead
 
     @classmethod
     def of(cls, place: str | os.PathLike[str]) -> Storage:

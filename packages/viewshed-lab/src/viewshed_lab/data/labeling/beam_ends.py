@@ -66,55 +66,34 @@ class GroundFrame(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the beams of a revolution, C columns and R rings, and their surroundings say.
+    """What the beams of a revolution, C columns and R rings, and their surroundings say."""
 
-    Attributes:
-        depth: (C, R) float32 meters to the return, 0 where there is none.
-        to_ground: (C, R) float32 meters to the ground, up to the maximum range.
-        thing: (C, R) bool, whether it returned from something above the ground.
-        lost: (C,) bool, columns without a return that are not next to one with any.
-        ground_share: (bands,) float32, how often ground at a range returns.
-        ring_share: (R,) float32, how often a ring returns.
-    """
-
-    depth: F32
-    to_ground: F32
-    thing: NDArray[np.bool_]
-    lost: NDArray[np.bool_]
-    ground_share: F32
-    ring_share: F32
+    depth: F32  # (C, R) float32 meters to the return, 0 where there is none
+    to_ground: F32  # (C, R) float32 meters to the ground, up to the maximum range
+    thing: NDArray[np.bool_]  # (C, R) bool, whether it returned from something above the ground
+    lost: NDArray[np.bool_]  # (C,) bool, columns without a return that are not next to one with any
+    ground_share: F32  # (bands,) float32, how often ground at a range returns
+    ring_share: F32  # (R,) float32, how often a ring returns
 
 
 class Limits(NamedTuple):
-    """What decides about missing beams, in float32 meters.
+    """What decides about missing beams, in float32 meters."""
 
-    Attributes:
-        reach: maximum range.
-        nearest: minimum range.
-        band: width of a band of ranges.
-    """
-
-    reach: np.float32
-    nearest: np.float32
-    band: np.float32
+    reach: np.float32  # maximum range
+    nearest: np.float32  # minimum range
+    band: np.float32  # width of a band of ranges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamEnds:
-    """Where each beam ended, and why.
+    """Where each beam ended, and why."""
 
-    Attributes:
-        best_m: (C, R) float32 meters from its start to the likeliest end.
-        least_m: (C, R) it went at least so far.
-        most_m: (C, R) it went at most so far.
-        thing: (C, R) bool, whether it returned from something that stands 0.3 m or more above the ground.
-        kind: (C, R) uint8, what became of a missing beam (``OPEN``, ``SURFACE``, ``SWALLOWED``); 0 where it returned.
-    """
-
-    best_m: NDArray[np.float32]
-    least_m: NDArray[np.float32]
-    most_m: NDArray[np.float32]
+    best_m: NDArray[np.float32]  # (C, R) float32 meters from its start to the likeliest end
+    least_m: NDArray[np.float32]  # (C, R) it went at least so far
+    most_m: NDArray[np.float32]  # (C, R) it went at most so far
+    # (C, R) bool, whether it returned from something that stands 0.3 m or more above the ground
     thing: NDArray[np.bool_]
+    # (C, R) uint8, what became of a missing beam (``OPEN``, ``SURFACE``, ``SWALLOWED``); 0 where it returned
     kind: NDArray[np.uint8]
 
 

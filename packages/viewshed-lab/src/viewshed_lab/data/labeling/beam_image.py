@@ -29,23 +29,14 @@ _ALMOST = 0.98
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamImage:
-    """The beams of one revolution. C columns by azimuth, R rings from the lowest up, in the axes of ``level``.
+    """The beams of one revolution. C columns by azimuth, R rings from the lowest up, in the axes of ``level``."""
 
-    Attributes:
-        origin_m: (C, R, 3) float32 start of each beam from the sensor's reference position.
-        direction: (C, R, 3) float32 unit vectors.
-        depth_m: (C, R) float32 meters from start to return, 0 where there was none.
-        pixels: (C, R) int32 row of the return in the sweep, -1 where there was none.
-        max_range_m: how far the sensor sees.
-        model: the sensor's beams, or None where they were estimated from the returns.
-    """
-
-    origin_m: F32
-    direction: F32
-    depth_m: F32
-    pixels: NDArray[np.int32]
-    max_range_m: float
-    model: LidarModel | None
+    origin_m: F32  # (C, R, 3) float32 start of each beam from the sensor's reference position
+    direction: F32  # (C, R, 3) float32 unit vectors
+    depth_m: F32  # (C, R) float32 meters from start to return, 0 where there was none
+    pixels: NDArray[np.int32]  # (C, R) int32 row of the return in the sweep, -1 where there was none
+    max_range_m: float  # how far the sensor sees
+    model: LidarModel | None  # the sensor's beams, or None where they were estimated from the returns
 
     @property
     def returned(self) -> NDArray[np.bool_]:

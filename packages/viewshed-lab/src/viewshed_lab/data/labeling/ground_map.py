@@ -28,32 +28,20 @@ REACH = 1.42
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lows:
-    """The two lowest returns of a sweep in each node of the world's lattice that has any.
+    """The two lowest returns of a sweep in each node of the world's lattice that has any."""
 
-    Attributes:
-        node: (K, 2) int32 node along x and y.
-        points: (K, 2, 3) float64 world coordinates, the lowest first; NaN where there is no second.
-        top_m: (K,) float64 z of the highest return, NaN where there is only one.
-    """
-
-    node: NDArray[np.int32]
-    points: NDArray[np.float64]
-    top_m: NDArray[np.float64]
+    node: NDArray[np.int32]  # (K, 2) int32 node along x and y
+    points: NDArray[np.float64]  # (K, 2, 3) float64 world coordinates, the lowest first; NaN where there is no second
+    top_m: NDArray[np.float64]  # (K,) float64 z of the highest return, NaN where there is only one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """Ground about a sensor on a lattice with the axes of the world.
+    """Ground about a sensor on a lattice with the axes of the world."""
 
-    Attributes:
-        ground: z from the sensor, over x and y from ``center_m``.
-        center_m: (2,) middle of the patch from the sensor, meters in world axes.
-        yaw: heading of the sensor in the world.
-    """
-
-    ground: HeightMap
-    center_m: NDArray[np.float64]
-    yaw: float
+    ground: HeightMap  # z from the sensor, over x and y from ``center_m``
+    center_m: NDArray[np.float64]  # (2,) middle of the patch from the sensor, meters in world axes
+    yaw: float  # heading of the sensor in the world
 
     def at(self, xy: NDArray[Any]) -> NDArray[np.float32]:
         """Return ground z from the sensor (N,) below points (N, 2) in the axes of ``level``."""

@@ -216,21 +216,14 @@ READ_AHEAD = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabeledDrive(Generic[R]):
-    """Sweeps of one sensor, looked through once.
+    """Sweeps of one sensor, looked through once."""
 
-    Attributes:
-        sweep_of: reads one.
-        refs: in time order.
-        rules: how they are labeled.
-        poses: where and when each was measured; None where it was not looked at or could not be read.
-        lows: of those that help, by their place.
-    """
-
-    sweep_of: Callable[[R], Sweep]
-    refs: Sequence[R]
-    rules: LabelRules
+    sweep_of: Callable[[R], Sweep]  # reads one
+    refs: Sequence[R]  # in time order
+    rules: LabelRules  # how they are labeled
+    # where and when each was measured; None where it was not looked at or could not be read
     poses: Sequence[StampedPose | None]
-    lows: dict[int, Lows]
+    lows: dict[int, Lows]  # of those that help, by their place
 
     @classmethod
     def of(

@@ -25,28 +25,18 @@ _SHORT_S = 0.15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """How a sensor moves about its reference pose, in the axes of its ``level`` frame.
+    """How a sensor moves about its reference pose, in the axes of its ``level`` frame."""
 
-    Attributes:
-        velocity_mps: (3,) float64.
-        yaw_rate: radians a second, counter-clockwise from above.
-    """
-
-    velocity_mps: NDArray[np.float64]
-    yaw_rate: float
+    velocity_mps: NDArray[np.float64]  # (3,) float64
+    yaw_rate: float  # radians a second, counter-clockwise from above
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StampedPose:
-    """Where a sensor was, and when.
+    """Where a sensor was, and when."""
 
-    Attributes:
-        world_from_sensor: its pose, or None.
-        t_ns: its time, or None.
-    """
-
-    world_from_sensor: Rigid | None
-    t_ns: int | None
+    world_from_sensor: Rigid | None  # its pose, or None
+    t_ns: int | None  # its time, or None
 
     def seconds_to(self, other: StampedPose) -> float:
         """Return the seconds from this time to another's; 0 where a time is not known."""

@@ -30,19 +30,13 @@ SPLIT = "all"
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """A recording that is labeled; small enough to travel to other processes.
+    """A recording that is labeled; small enough to travel to other processes."""
 
-    Attributes:
-        place: folder, file or URI.
-        kind: a name in ``SOURCES``, "archive", "index", or "auto" to know it by its layout.
-        sensor: a beam table's name for sweeps that do not name theirs, "auto" to know it by the returns, or "none".
-        every: whether sweeps that the recording does not mark as keyframes are labeled as well.
-    """
-
-    place: str
-    kind: str = "auto"
+    place: str  # folder, file or URI
+    kind: str = "auto"  # a name in ``SOURCES``, "archive", "index", or "auto" to know it by its layout
+    # a beam table's name for sweeps that do not name theirs, "auto" to know it by the returns, or "none"
     sensor: str = "auto"
-    every: bool = False
+    every: bool = False  # whether sweeps that the recording does not mark as keyframes are labeled as well
 
     def open(self) -> SweepSource:
         """Return the recording.

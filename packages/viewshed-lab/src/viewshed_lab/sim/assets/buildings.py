@@ -17,23 +17,14 @@ _PANE_M = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Front:
-    """Measures of a facade.
+    """Measures of a facade."""
 
-    Attributes:
-        length_m: along the street.
-        depth_m: of the building.
-        height_m: to the roof.
-        material: of the walls.
-        storey_m: height of one storey.
-        ground_m: height of the first floor above the street.
-    """
-
-    length_m: float
-    depth_m: float
-    height_m: float
-    material: str
-    storey_m: float = 3.1
-    ground_m: float = 3.6
+    length_m: float  # along the street
+    depth_m: float  # of the building
+    height_m: float  # to the roof
+    material: str  # of the walls
+    storey_m: float = 3.1  # height of one storey
+    ground_m: float = 3.6  # height of the first floor above the street
 
 
 def town_house(rng: np.random.Generator, length_m: float, depth_m: float, plain: bool = False) -> Thing:

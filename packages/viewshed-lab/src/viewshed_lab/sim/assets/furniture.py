@@ -85,12 +85,7 @@ def table(rng: np.random.Generator) -> Group:
     """Return a table on four legs."""
     length, width = rng.uniform(0.7, 0.9), rng.uniform(1.1, 1.7)
     top = slab(length, width, 0.70, 0.74)
-    return (
-        Thing(
-            "table",
-            (top, *legs(length - 0.1, width - 0.1, 0.70)),
-        ),
-    )
+    return (Thing("table", (top, *legs(length - 0.1, width - 0.1, 0.70))),)
 
 
 def low_table(rng: np.random.Generator) -> Group:

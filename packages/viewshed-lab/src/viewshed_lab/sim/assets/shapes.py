@@ -14,21 +14,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """A surface or a volume.
+    """A surface or a volume."""
 
-    Attributes:
-        name: what it is.
-        reflectivity: share of the light that comes back at normal incidence, 0 for none (absorbers, mirrors); above 1
-            for retroreflectors.
-        per_m: stops per meter of path: infinite for opaque things; finite for volumes that a beam may pass (leaves,
-            wire mesh, panes), where the free path is exponential (Beer's law).
-        gloss: what it sends back as a mirror does, at normal incidence and beside it within :data:`GLINT`.
-    """
-
-    name: str
+    name: str  # what it is
+    # share of the light that comes back at normal incidence, 0 for none (absorbers, mirrors); above 1 for
+    # retroreflectors
     reflectivity: float
+    # stops per meter of path: infinite for opaque things; finite for volumes that a beam may pass (leaves, wire mesh,
+    # panes), where the free path is exponential (Beer's law)
     per_m: float = float("inf")
-    gloss: float = 0.0
+    gloss: float = 0.0  # what it sends back as a mirror does, at normal incidence and beside it within :data:`GLINT`
 
     def __post_init__(self) -> None:
         if not 0 <= self.reflectivity <= 10 or not self.per_m > 0 or not 0 <= self.gloss <= 10:
@@ -91,27 +86,16 @@ def material_index(name: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """An upright box.
+    """An upright box."""
 
-    Attributes:
-        x_m: center, forward.
-        y_m: center, left.
-        length_m: side along ``yaw``.
-        width_m: side across ``yaw``.
-        top_m: top above the ground.
-        bottom_m: bottom above the ground; negative is sunk into it.
-        yaw: radians from x, counter-clockwise from above.
-        material: a name of ``MATERIALS``.
-    """
-
-    x_m: float
-    y_m: float
-    length_m: float
-    width_m: float
-    top_m: float
-    bottom_m: float = -1.0
-    yaw: float = 0.0
-    material: str = "paint"
+    x_m: float  # center, forward
+    y_m: float  # center, left
+    length_m: float  # side along ``yaw``
+    width_m: float  # side across ``yaw``
+    top_m: float  # top above the ground
+    bottom_m: float = -1.0  # bottom above the ground; negative is sunk into it
+    yaw: float = 0.0  # radians from x, counter-clockwise from above
+    material: str = "paint"  # a name of ``MATERIALS``
 
     def __post_init__(self) -> None:
         _check(self.length_m, self.width_m, self.top_m - self.bottom_m)

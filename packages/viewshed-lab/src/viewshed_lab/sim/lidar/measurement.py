@@ -77,49 +77,28 @@ class Surfaces(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What the loop looks up.
+    """What the loop looks up."""
 
-    Attributes:
-        reflectivity: by material.
-        gloss: by material, of what it sends back as a mirror does.
-        facing: factors of the cosine and of the squared sine of incidence.
-        threshold: signal that is just detected, by luck.
-        air: share of light that returns through the air, by range.
-        particle: range of the nearest particle in meters, by luck.
-    """
-
-    reflectivity: F32
-    gloss: F32
-    facing: tuple[np.float32, np.float32]
-    threshold: F32
-    air: F32
-    particle: F32
+    reflectivity: F32  # by material
+    gloss: F32  # by material, of what it sends back as a mirror does
+    facing: tuple[np.float32, np.float32]  # factors of the cosine and of the squared sine of incidence
+    threshold: F32  # signal that is just detected, by luck
+    air: F32  # share of light that returns through the air, by range
+    particle: F32  # range of the nearest particle in meters, by luck
 
 
 class Numbers(NamedTuple):
-    """Sensor and conditions as float32.
+    """Sensor and conditions as float32."""
 
-    Attributes:
-        reach2: squared range at which a surface of reflectivity 1 gives a signal of 1.
-        sigma: range noise of a strong return, meters.
-        per_step: steps a meter.
-        wet: reflectivity of the ground as a share of that when dry.
-        missing: beams of 65536 that return nothing for no visible reason.
-        mixed: beams of 65536 that return from between two surfaces, where there are two.
-        near: minimum range in meters.
-        far: maximum range in meters.
-        particle2: squared range at which a particle of mean size is just detected; 0 without particles.
-    """
-
-    reach2: np.float32
-    sigma: np.float32
-    per_step: np.float32
-    wet: np.float32
-    missing: np.float32
-    mixed: np.float32
-    near: np.float32
-    far: np.float32
-    particle2: np.float32
+    reach2: np.float32  # squared range at which a surface of reflectivity 1 gives a signal of 1
+    sigma: np.float32  # range noise of a strong return, meters
+    per_step: np.float32  # steps a meter
+    wet: np.float32  # reflectivity of the ground as a share of that when dry
+    missing: np.float32  # beams of 65536 that return nothing for no visible reason
+    mixed: np.float32  # beams of 65536 that return from between two surfaces, where there are two
+    near: np.float32  # minimum range in meters
+    far: np.float32  # maximum range in meters
+    particle2: np.float32  # squared range at which a particle of mean size is just detected; 0 without particles
 
 
 def measure(

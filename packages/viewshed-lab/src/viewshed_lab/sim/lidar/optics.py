@@ -15,19 +15,16 @@ _REACH_SHARE = 0.6
 class Optics:
     """How well a sensor measures ranges and how weak a return it still detects.
 
-    Attributes:
-        sigma_m: standard deviation of the range of a strong return, in meters; an offset that a beam keeps is none.
-        reach_m: range at which a target of 10 % reflectivity that faces the sensor is detected every second time;
-            infinite for a sensor that detects everything.
-        missing_share: beams that return nothing for no visible reason, of all.
-
     Raises:
         ValueError: a number is out of range.
     """
 
+    # standard deviation of the range of a strong return, in meters; an offset that a beam keeps is none
     sigma_m: float = 0.01
+    # range at which a target of 10 % reflectivity that faces the sensor is detected every second time; infinite for a
+    # sensor that detects everything
     reach_m: float = 70.0
-    missing_share: float = 0.01
+    missing_share: float = 0.01  # beams that return nothing for no visible reason, of all
 
     def __post_init__(self) -> None:
         if not (0 <= self.sigma_m < 1 and self.reach_m > 0 and 0 <= self.missing_share < 1):

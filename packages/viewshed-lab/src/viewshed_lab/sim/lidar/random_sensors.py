@@ -41,42 +41,27 @@ Span = tuple[float, float]
 class SensorFamily:
     """Bounds within which sensors are drawn, uniformly; two equal bounds are one value.
 
-    Attributes:
-        name: of the family.
-        pattern: of ``PATTERNS``.
-        rings: number of rings; not used by patterns without rings.
-        columns: firings in one revolution; of a pattern without rings a sixteenth of its shots in one sweep.
-        lowest_deg: elevation of the lowest beam. Patterns without rings: that of the field's lower edge.
-        highest_deg: elevation of the highest beam, or of the upper edge.
-        unevenness: 0 for even steps from ring to ring; at 1 steps differ as exponential numbers do.
-        azimuth_offset_deg: standard deviation of the azimuths of the rings from that of their column.
-        calibration_deg: standard deviation of each ring's elevation and azimuth from the table that is handed out.
-        range_offset_m: standard deviation of the error that all ranges of a ring have.
-        field_deg: width of the field about the forward axis; 360 is a whole revolution.
-        max_range_m: farthest return.
-        min_range_m: nearest return.
-        order: of ``ORDERS``, in which its points arrive.
-        leaves_out: of ``COLUMNS``, those that its sweeps never have.
-
     Raises:
         ValueError: a name is unknown or a number is out of range.
     """
 
-    name: str
-    pattern: str
-    rings: tuple[int, int]
+    name: str  # of the family
+    pattern: str  # of ``PATTERNS``
+    rings: tuple[int, int]  # number of rings; not used by patterns without rings
+    # firings in one revolution; of a pattern without rings a sixteenth of its shots in one sweep
     columns: tuple[int, int]
+    # elevation of the lowest beam. Patterns without rings: that of the field's lower edge.
     lowest_deg: tuple[float, float]
-    highest_deg: tuple[float, float]
-    unevenness: tuple[float, float]
-    azimuth_offset_deg: float
-    calibration_deg: float
-    range_offset_m: float
-    field_deg: tuple[float, float]
-    max_range_m: tuple[float, float]
-    min_range_m: float
-    order: str
-    leaves_out: tuple[str, ...]
+    highest_deg: tuple[float, float]  # elevation of the highest beam, or of the upper edge
+    unevenness: tuple[float, float]  # 0 for even steps from ring to ring; at 1 steps differ as exponential numbers do
+    azimuth_offset_deg: float  # standard deviation of the azimuths of the rings from that of their column
+    calibration_deg: float  # standard deviation of each ring's elevation and azimuth from the table that is handed out
+    range_offset_m: float  # standard deviation of the error that all ranges of a ring have
+    field_deg: tuple[float, float]  # width of the field about the forward axis; 360 is a whole revolution
+    max_range_m: tuple[float, float]  # farthest return
+    min_range_m: float  # nearest return
+    order: str  # of ``ORDERS``, in which its points arrive
+    leaves_out: tuple[str, ...]  # of ``COLUMNS``, those that its sweeps never have
 
     def __post_init__(self) -> None:
         for key, value, table in (("pattern", self.pattern, PATTERNS), ("order", self.order, ORDERS)):
@@ -105,23 +90,15 @@ class SensorFamily:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnSensor:
-    """A sensor as it was built, and what its maker says of it.
+    """A sensor as it was built, and what its maker says of it."""
 
-    Attributes:
-        name: of its family, or of its beam table.
-        model: its beams as they are; of a pattern without rings those of one sweep.
-        table: the beam table that is handed out with it, without its own calibration; None for a pattern without rings.
-        range_offset_m: (rings,) float64 error of all ranges of each ring.
-        order: of ``ORDERS``.
-        leaves_out: of ``COLUMNS``.
-    """
-
-    name: str
-    model: LidarModel
+    name: str  # of its family, or of its beam table
+    model: LidarModel  # its beams as they are; of a pattern without rings those of one sweep
+    # the beam table that is handed out with it, without its own calibration; None for a pattern without rings
     table: LidarModel | None
-    range_offset_m: NDArray[np.float64]
-    order: str = "fired"
-    leaves_out: tuple[str, ...] = ()
+    range_offset_m: NDArray[np.float64]  # (rings,) float64 error of all ranges of each ring
+    order: str = "fired"  # of ``ORDERS``
+    leaves_out: tuple[str, ...] = ()  # of ``COLUMNS``
 
     @classmethod
     def of_table(cls, name: str) -> DrawnSensor:

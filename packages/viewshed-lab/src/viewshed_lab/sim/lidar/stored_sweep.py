@@ -18,29 +18,17 @@ from viewshed_lab.sim.raycast.scan import STILL, Motion
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredSweep:
-    """One measured revolution. C columns in firing order, R rings from the lowest up.
+    """One measured revolution. C columns in firing order, R rings from the lowest up."""
 
-    Attributes:
-        model: the sensor.
-        steps: (C, R) uint16 range from the start of the beam in ``step_m``; 0 is no return.
-        intensity: (C, R) uint8, 0 where there is no return.
-        step_m: meters a step, 2 mm unless the sensor sees farther than 131 m.
-        world_from_sensor: reference pose, of the middle of the revolution.
-        motion: how the sensor moved about it.
-        sensor_height_m: above the ground below.
-        t_ns: time of the reference pose.
-        agent: who measured it.
-    """
-
-    model: LidarModel
-    steps: NDArray[np.uint16]
-    intensity: NDArray[np.uint8]
-    step_m: float
-    world_from_sensor: Rigid
-    motion: Motion = STILL
-    sensor_height_m: float | None = None
-    t_ns: int | None = None
-    agent: str = "ego"
+    model: LidarModel  # the sensor
+    steps: NDArray[np.uint16]  # (C, R) uint16 range from the start of the beam in ``step_m``; 0 is no return
+    intensity: NDArray[np.uint8]  # (C, R) uint8, 0 where there is no return
+    step_m: float  # meters a step, 2 mm unless the sensor sees farther than 131 m
+    world_from_sensor: Rigid  # reference pose, of the middle of the revolution
+    motion: Motion = STILL  # how the sensor moved about it
+    sensor_height_m: float | None = None  # above the ground below
+    t_ns: int | None = None  # time of the reference pose
+    agent: str = "ego"  # who measured it
 
     def __post_init__(self) -> None:
         shape = (self.model.azimuth_columns, self.model.rings)

@@ -16,35 +16,24 @@ _SHARES = ("missing_share", "dead_ring_share", "dead_sector_share", "lost_block_
 class Conditions:
     """What air, surfaces and faults do to a measurement; the default is a clear day and a healthy sensor.
 
-    Attributes:
-        extinction_per_m: share of the light lost a meter of air, one way (Beer's law); 3 / visibility in fog.
-        particles_per_m: drops or flakes a meter of beam that are strong enough to be detected close to the sensor.
-        particle_reach: range at which a particle of mean size is only just detected, as a share of the range at which
-            the sensor detects a 10 % target.
-        wet: reflectivity of the ground as a share of that when dry; water mirrors the light away.
-        noise: multiplies the sensor's range noise.
-        missing_share: beams that return nothing, beyond the sensor's own share.
-        mixed_share: share of the beams at an edge that return from between the two surfaces.
-        lost_block_share: share of the blocks of 12 columns (a packet) that are lost.
-        dead_ring_share: share of the rings that are dead.
-        dead_sector_share: chance that one sector of the revolution is lost.
-        dead_sector_deg: width of that sector, in degrees.
-
     Raises:
         ValueError: a number is out of range.
     """
 
-    extinction_per_m: float = 0.0
+    extinction_per_m: float = 0.0  # share of the light lost a meter of air, one way (Beer's law); 3 / visibility in fog
+    # drops or flakes a meter of beam that are strong enough to be detected close to the sensor
     particles_per_m: float = 0.0
+    # range at which a particle of mean size is only just detected, as a share of the range at which the sensor detects
+    # a 10 % target
     particle_reach: float = 0.1
-    wet: float = 1.0
-    noise: float = 1.0
-    missing_share: float = 0.0
-    mixed_share: float = 0.2
-    lost_block_share: float = 0.0
-    dead_ring_share: float = 0.0
-    dead_sector_share: float = 0.0
-    dead_sector_deg: float = 30.0
+    wet: float = 1.0  # reflectivity of the ground as a share of that when dry; water mirrors the light away
+    noise: float = 1.0  # multiplies the sensor's range noise
+    missing_share: float = 0.0  # beams that return nothing, beyond the sensor's own share
+    mixed_share: float = 0.2  # share of the beams at an edge that return from between the two surfaces
+    lost_block_share: float = 0.0  # share of the blocks of 12 columns (a packet) that are lost
+    dead_ring_share: float = 0.0  # share of the rings that are dead
+    dead_sector_share: float = 0.0  # chance that one sector of the revolution is lost
+    dead_sector_deg: float = 30.0  # width of that sector, in degrees
 
     def __post_init__(self) -> None:
         for name in _SHARES:

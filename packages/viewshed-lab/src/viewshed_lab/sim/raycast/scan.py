@@ -13,17 +13,11 @@ from viewshed.sensors import LidarModel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """How a sensor moves within a revolution, in world axes about its reference pose.
+    """How a sensor moves within a revolution, in world axes about its reference pose."""
 
-    Attributes:
-        velocity_mps: (vx, vy, vz).
-        yaw_rate: radians a second about the world's z.
-        period_s: duration of the revolution; 0 means that all beams fire at once (no rolling shutter).
-    """
-
-    velocity_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    yaw_rate: float = 0.0
-    period_s: float = 0.0
+    velocity_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (vx, vy, vz)
+    yaw_rate: float = 0.0  # radians a second about the world's z
+    period_s: float = 0.0  # duration of the revolution; 0 means that all beams fire at once (no rolling shutter)
 
 
 STILL = Motion()
@@ -32,28 +26,16 @@ STILL = Motion()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExactScan:
-    """What every beam met. C columns in firing order, R rings from the lowest up; directions are in world axes.
+    """What every beam met. C columns in firing order, R rings from the lowest up; directions are in world axes."""
 
-    Attributes:
-        model: the sensor.
-        world_from_sensor: reference pose: that of the middle of the revolution.
-        motion: how the sensor moved about it.
-        time_s: (C,) float32 seconds from the reference; all 0 without rolling shutter.
-        origin_m: (C, R, 3) float32 start of each beam from the reference position of the sensor.
-        direction: (C, R, 3) float32 unit vectors.
-        depth_m: (C, R) float32 meters from start to first stop; +inf where there is none within the maximum range.
-        thing: (C, R) int32 index of the thing met; ``GROUND``, or ``NOTHING``.
-        material: (C, R) uint8 rows of ``MATERIALS`` (0 where nothing).
-        cos_incidence: (C, R) float32 in [0, 1] between beam and normal; 1 for volumes.
-    """
-
-    model: LidarModel
-    world_from_sensor: Rigid
-    motion: Motion
-    time_s: NDArray[np.float32]
-    origin_m: NDArray[np.float32]
-    direction: NDArray[np.float32]
+    model: LidarModel  # the sensor
+    world_from_sensor: Rigid  # reference pose: that of the middle of the revolution
+    motion: Motion  # how the sensor moved about it
+    time_s: NDArray[np.float32]  # (C,) float32 seconds from the reference; all 0 without rolling shutter
+    origin_m: NDArray[np.float32]  # (C, R, 3) float32 start of each beam from the reference position of the sensor
+    direction: NDArray[np.float32]  # (C, R, 3) float32 unit vectors
+    # (C, R) float32 meters from start to first stop; +inf where there is none within the maximum range
     depth_m: NDArray[np.float32]
-    thing: NDArray[np.int32]
-    material: NDArray[np.uint8]
-    cos_incidence: NDArray[np.float32]
+    thing: NDArray[np.int32]  # (C, R) int32 index of the thing met; ``GROUND``, or ``NOTHING``
+    material: NDArray[np.uint8]  # (C, R) uint8 rows of ``MATERIALS`` (0 where nothing)
+    cos_incidence: NDArray[np.float32]  # (C, R) float32 in [0, 1] between beam and normal; 1 for volumes

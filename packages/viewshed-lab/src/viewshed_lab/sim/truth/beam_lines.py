@@ -27,41 +27,26 @@ _PI = np.float32(np.pi)
 
 
 class SortedBeams(NamedTuple):
-    """The lines of a revolution, ring by ring in bins of azimuth, as many as there are columns.
+    """The lines of a revolution, ring by ring in bins of azimuth, as many as there are columns."""
 
-    Attributes:
-        tiles: (R, T, 7, LANES) float32 of ascending bins, filled up with beams that meet nothing (NaN); the last row
-            says how far the stops of a tile's beams lie from the sensor at most, in its first lane.
-        starts: (bins + 1, R) int32 where the beams of each bin begin.
-        bounds: (2, SECTORS, R) float32 slopes, see :func:`slope_bounds`.
-    """
-
+    # (R, T, 7, LANES) float32 of ascending bins, filled up with beams that meet nothing (NaN); the last row says how
+    # far the stops of a tile's beams lie from the sensor at most, in its first lane
     tiles: F32
-    starts: NDArray[np.int32]
-    bounds: F32
+    starts: NDArray[np.int32]  # (bins + 1, R) int32 where the beams of each bin begin
+    bounds: F32  # (2, SECTORS, R) float32 slopes, see :func:`slope_bounds`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamLines:
-    """The beams of one revolution as lines that end, ready to be counted.
+    """The beams of one revolution as lines that end, ready to be counted."""
 
-    Attributes:
-        lines: (6, C·R) float32, rows ``BEND`` to ``STOP``.
-        azimuth: (C·R,) float32 of the beams.
-        sorted: the same by azimuth.
-        offset_m: largest horizontal distance of a beam's start from the reference position.
-        lowest_m: least height of a beam's start.
-        highest_m: largest height of a beam's start.
-        max_range_m: how far the sensor sees.
-    """
-
-    lines: F32
-    azimuth: F32
-    sorted: SortedBeams
-    offset_m: np.float32
-    lowest_m: np.float32
-    highest_m: np.float32
-    max_range_m: np.float32
+    lines: F32  # (6, C·R) float32, rows ``BEND`` to ``STOP``
+    azimuth: F32  # (C·R,) float32 of the beams
+    sorted: SortedBeams  # the same by azimuth
+    offset_m: np.float32  # largest horizontal distance of a beam's start from the reference position
+    lowest_m: np.float32  # least height of a beam's start
+    highest_m: np.float32  # largest height of a beam's start
+    max_range_m: np.float32  # how far the sensor sees
 
     @classmethod
     def of(cls, origin_m: F32, direction: F32, depth_m: F32, max_range_m: float, yaw: float = 0.0) -> BeamLines:

@@ -54,17 +54,11 @@ ByTarget = dict[str, NDArray[np.uint8]]
 
 
 class Patches(NamedTuple):
-    """The cells of a grid in P patches of 4 x 4; at its edge cells are repeated.
+    """The cells of a grid in P patches of 4 x 4; at its edge cells are repeated."""
 
-    Attributes:
-        lanes: (P, 3, LANES) float32 unit vector towards each cell's center, and its range.
-        cells: (P, LANES) int32 the cells.
-        middles: (P, 4) float32 azimuth of the middle, largest angle of a cell from it, nearest and farthest range.
-    """
-
-    lanes: F32
-    cells: NDArray[np.int32]
-    middles: F32
+    lanes: F32  # (P, 3, LANES) float32 unit vector towards each cell's center, and its range
+    cells: NDArray[np.int32]  # (P, LANES) int32 the cells
+    middles: F32  # (P, 4) float32 azimuth of the middle, largest angle of a cell from it, nearest and farthest range
 
 
 class Plates(NamedTuple):
@@ -79,23 +73,14 @@ class Plates(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What counts, in float32 meters.
+    """What counts, in float32 meters."""
 
-    Attributes:
-        cell: side of a cell: a beam reaches a plate if it stops no more than this before it.
-        below: how far below the ground of its cell a plate may be met.
-        aside: largest horizontal offset of a beam's start.
-        lowest: least height of a beam's start.
-        highest: largest height of a beam's start.
-        max_range: from which nothing is counted.
-    """
-
-    cell: np.float32
-    below: np.float32
-    aside: np.float32
-    lowest: np.float32
-    highest: np.float32
-    max_range: np.float32
+    cell: np.float32  # side of a cell: a beam reaches a plate if it stops no more than this before it
+    below: np.float32  # how far below the ground of its cell a plate may be met
+    aside: np.float32  # largest horizontal offset of a beam's start
+    lowest: np.float32  # least height of a beam's start
+    highest: np.float32  # largest height of a beam's start
+    max_range: np.float32  # from which nothing is counted
 
 
 @lru_cache(maxsize=2)

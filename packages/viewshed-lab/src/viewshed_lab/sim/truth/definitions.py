@@ -37,17 +37,11 @@ _PI = np.float32(np.pi)
 
 
 class Batches(NamedTuple):
-    """The cells of each azimuth bin by ascending range, LANES at a time; the last ones of a bin are repeated.
+    """The cells of each azimuth bin by ascending range, LANES at a time; the last ones of a bin are repeated."""
 
-    Attributes:
-        cells: (B, LANES) int32.
-        ranges: (B, LANES) float32 of their centers.
-        bins: (B,) int32.
-    """
-
-    cells: NDArray[np.int32]
-    ranges: NDArray[np.float32]
-    bins: NDArray[np.int32]
+    cells: NDArray[np.int32]  # (B, LANES) int32
+    ranges: NDArray[np.float32]  # (B, LANES) float32 of their centers
+    bins: NDArray[np.int32]  # (B,) int32
 
 
 @lru_cache(maxsize=2)

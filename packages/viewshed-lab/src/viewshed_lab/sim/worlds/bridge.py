@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
-from viewshed_lab.sim.assets.street import (
-    bush,
-    concrete_barrier,
-    guard_rail,
-    lamp_post,
-    pick,
-    place_at,
-    sign,
-    tree,
-)
+from viewshed_lab.sim.assets.street import bush, concrete_barrier, guard_rail, lamp_post, pick, place_at, sign, tree
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import DECK, AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, mast, spots
@@ -37,31 +28,18 @@ _LEAST_CLEAR_M = 4.4
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """Two roads, one along x on the upper level, one along y on the lower; heights from the lower road.
+    """Two roads, one along x on the upper level, one along y on the lower; heights from the lower road."""
 
-    Attributes:
-        high_m: of the upper road where it crosses.
-        grade: by which the upper road falls away from the crossing (negative: it rises).
-        land_m: height of the land between the roads.
-        gap_m: between the abutments.
-        at_m: x of the middle of the gap.
-        deck_m: half the width of the deck.
-        low_m: half the width of the lower road, to where the land may rise.
-        cut: meters that the land rises for each meter beyond that.
-        lane_m: width of a lane.
-        lie: of the land.
-    """
-
-    high_m: float
-    grade: float
-    land_m: float
-    gap_m: float
-    at_m: float
-    deck_m: float
-    low_m: float
-    cut: float
-    lane_m: float
-    lie: Relief
+    high_m: float  # of the upper road where it crosses
+    grade: float  # by which the upper road falls away from the crossing (negative: it rises)
+    land_m: float  # height of the land between the roads
+    gap_m: float  # between the abutments
+    at_m: float  # x of the middle of the gap
+    deck_m: float  # half the width of the deck
+    low_m: float  # half the width of the lower road, to where the land may rise
+    cut: float  # meters that the land rises for each meter beyond that
+    lane_m: float  # width of a lane
+    lie: Relief  # of the land
 
     def road(self, x: F64) -> F64:
         """Return z of the upper road: level over the gap and 8 m to either side, then on a grade."""

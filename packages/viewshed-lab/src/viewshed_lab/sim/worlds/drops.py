@@ -26,19 +26,12 @@ FACE_M = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """A part of the ground that lies lower, with upright faces.
+    """A part of the ground that lies lower, with upright faces."""
 
-    Attributes:
-        rect: where.
-        deep_m: below the road beside its middle, level.
-        floor: what it is made of; ``absorber`` is water.
-        ramp: a part of ``rect`` whose end at the lowest x is on the ground's level and whose other end on the floor's,
-            or None.
-    """
-
-    rect: Rect
-    deep_m: float
-    floor: str
+    rect: Rect  # where
+    deep_m: float  # below the road beside its middle, level
+    floor: str  # what it is made of; ``absorber`` is water
+    # a part of ``rect`` whose end at the lowest x is on the ground's level and whose other end on the floor's, or None
     ramp: Rect | None = None
 
     def lines(self) -> tuple[list[float], list[float]]:

@@ -41,27 +41,16 @@ PARKING_M = 2.2
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side of a street, in a frame of its own: u along the street, v outward from its axis.
+    """One side of a street, in a frame of its own: u along the street, v outward from its axis."""
 
-    Attributes:
-        yaw: of u in the world; v is to the left of it.
-        road: the street.
-        setback_m: from the sidewalk to the fronts.
-        depth_m: of the buildings, at most.
-        parked: share of the parking strip that is taken, 0 if there is none.
-        green: how many of the spots on the sidewalk are trees.
-        furniture_gap_m: smallest and largest gap between two spots.
-        detail_m: buildings farther along than this have plain walls.
-    """
-
-    yaw: float
-    road: Road
-    setback_m: float
-    depth_m: float
-    parked: float
-    green: float
-    furniture_gap_m: Span
-    detail_m: float = 72.0
+    yaw: float  # of u in the world; v is to the left of it
+    road: Road  # the street
+    setback_m: float  # from the sidewalk to the fronts
+    depth_m: float  # of the buildings, at most
+    parked: float  # share of the parking strip that is taken, 0 if there is none
+    green: float  # how many of the spots on the sidewalk are trees
+    furniture_gap_m: Span  # smallest and largest gap between two spots
+    detail_m: float = 72.0  # buildings farther along than this have plain walls
 
     def put(self, thing: Thing, u_m: float, v_m: float, turn: float = 0.0) -> Thing:
         """Return the thing at (u, v) of this side, turned by ``turn`` from its direction."""

@@ -27,29 +27,18 @@ _FACE_M = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Storey:
-    """One storey of a garage: its floor is level at 0.
+    """One storey of a garage: its floor is level at 0."""
 
-    Attributes:
-        half_x_m: from its middle to the outer walls.
-        aisles_m: y of the middles of the aisles.
-        low_y_m: least y, where the strip of ramps begins.
-        high_y_m: largest y.
-        rise_m: from floor to floor.
-        slab_m: thickness of the ceiling.
-        ramps: where the floor rises (up) or falls (down) along x, from which end; height at the far end.
-        outside_m: height of the ground around; above the ceiling for a basement.
-        free_m: height up to which nothing hangs from the ceiling, over the sensors of those who drive.
-    """
-
-    half_x_m: float
-    aisles_m: tuple[float, ...]
-    low_y_m: float
-    high_y_m: float
-    rise_m: float
-    slab_m: float
+    half_x_m: float  # from its middle to the outer walls
+    aisles_m: tuple[float, ...]  # y of the middles of the aisles
+    low_y_m: float  # least y, where the strip of ramps begins
+    high_y_m: float  # largest y
+    rise_m: float  # from floor to floor
+    slab_m: float  # thickness of the ceiling
+    # where the floor rises (up) or falls (down) along x, from which end; height at the far end
     ramps: tuple[tuple[Rect, float], ...]
-    outside_m: float
-    free_m: float
+    outside_m: float  # height of the ground around; above the ceiling for a basement
+    free_m: float  # height up to which nothing hangs from the ceiling, over the sensors of those who drive
 
     @property
     def top_m(self) -> float:

@@ -41,21 +41,13 @@ _LATTICE = 34
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Axis and cross-section of the highway.
+    """Axis and cross-section of the highway."""
 
-    Attributes:
-        bend: the axis.
-        median_m: from the axis to the innermost lane.
-        lanes: each way.
-        bank_m: how far the land beside the road lies below (or, negative, above) the shoulder.
-        slope_m: how wide the embankment is.
-    """
-
-    bend: Bend
-    median_m: float
-    lanes: int
-    bank_m: float
-    slope_m: float
+    bend: Bend  # the axis
+    median_m: float  # from the axis to the innermost lane
+    lanes: int  # each way
+    bank_m: float  # how far the land beside the road lies below (or, negative, above) the shoulder
+    slope_m: float  # how wide the embankment is
 
     @property
     def edge_m(self) -> float:

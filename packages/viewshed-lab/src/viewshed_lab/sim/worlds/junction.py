@@ -24,21 +24,13 @@ _TURN_CLEARANCE_M, _BEHIND_TURN_M = 1.4, 12.0
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """One of the two streets.
+    """One of the two streets."""
 
-    Attributes:
-        road: its cross-section.
-        lanes: each way.
-        wide_m: width of a lane.
-        yaw: of its axis: 0 along x, π/2 along y.
-        free: whether it has way.
-    """
-
-    road: Road
-    lanes: int
-    wide_m: float
-    yaw: float
-    free: bool
+    road: Road  # its cross-section
+    lanes: int  # each way
+    wide_m: float  # width of a lane
+    yaw: float  # of its axis: 0 along x, π/2 along y
+    free: bool  # whether it has way
 
     def lane(self, direction: int, number: int) -> Lane:
         """Return lane ``number`` from the axis, one way (0) or the other (1); meter 0 is on the other street's axis."""

@@ -64,15 +64,10 @@ _THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Heights of several octaves, each interpolated between random values on a lattice of its own.
+    """Heights of several octaves, each interpolated between random values on a lattice of its own."""
 
-    Attributes:
-        lengths_m: side of a lattice's cells.
-        values_m: (n, n) heights at its nodes.
-    """
-
-    lengths_m: tuple[float, ...]
-    values_m: tuple[F64, ...]
+    lengths_m: tuple[float, ...]  # side of a lattice's cells
+    values_m: tuple[F64, ...]  # (n, n) heights at its nodes
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Noise:
@@ -99,23 +94,14 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Ridge:
-    """A ditch or a berm along a line that bends.
+    """A ditch or a berm along a line that bends."""
 
-    Attributes:
-        bend: the line.
-        turned: whether it runs along y, and not along x.
-        beside_m: how far from the axis of the bend it runs.
-        rise_m: of its middle; negative for a ditch.
-        flat_m: half the width of its level middle.
-        slope_m: over which it falls to the land.
-    """
-
-    bend: Bend
-    turned: bool
-    beside_m: float
-    rise_m: float
-    flat_m: float
-    slope_m: float
+    bend: Bend  # the line
+    turned: bool  # whether it runs along y, and not along x
+    beside_m: float  # how far from the axis of the bend it runs
+    rise_m: float  # of its middle; negative for a ditch
+    flat_m: float  # half the width of its level middle
+    slope_m: float  # over which it falls to the land
 
     def at(self, x: F64, y: F64) -> F64:
         """Return its heights above the land at places of any one shape."""
@@ -126,31 +112,18 @@ class Ridge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Land:
-    """Heights and materials of a land.
+    """Heights and materials of a land."""
 
-    Attributes:
-        noise: the lie of the land.
-        terrace_m: height of its steps; 0 for none.
-        bend: the axis of the road.
-        half_m: half the width of the road.
-        rise_m: of the road above the land around it; negative where it is sunken.
-        bank_m: width of its banks.
-        ridges: ditches and berms.
-        drops: platforms and pits with upright faces, each at a depth below the land at its middle.
-        water_m: level of the water, as deep as which the land is filled; -inf for none.
-        materials: of road, land, banks.
-    """
-
-    noise: Noise
-    terrace_m: float
-    bend: Bend
-    half_m: float
-    rise_m: float
-    bank_m: float
-    ridges: tuple[Ridge, ...]
-    drops: tuple[Drop, ...]
-    water_m: float
-    materials: tuple[str, str, str]
+    noise: Noise  # the lie of the land
+    terrace_m: float  # height of its steps; 0 for none
+    bend: Bend  # the axis of the road
+    half_m: float  # half the width of the road
+    rise_m: float  # of the road above the land around it; negative where it is sunken
+    bank_m: float  # width of its banks
+    ridges: tuple[Ridge, ...]  # ditches and berms
+    drops: tuple[Drop, ...]  # platforms and pits with upright faces, each at a depth below the land at its middle
+    water_m: float  # level of the water, as deep as which the land is filled; -inf for none
+    materials: tuple[str, str, str]  # of road, land, banks
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Land:

@@ -51,23 +51,14 @@ def plots(rng: np.random.Generator, span_m: Span, length_m: Span, gap_m: float, 
 
 @dataclass(frozen=True, slots=True)
 class Mast:
-    """A roadside sensor.
+    """A roadside sensor."""
 
-    Attributes:
-        x_m: where the sensor is.
-        y_m: see ``x_m``.
-        height_m: above the ground.
-        yaw: toward the scene.
-        pitch: downward, radians.
-        roll: radians.
-    """
-
-    x_m: float
-    y_m: float
-    height_m: float
-    yaw: float
-    pitch: float
-    roll: float
+    x_m: float  # where the sensor is
+    y_m: float  # see ``x_m``
+    height_m: float  # above the ground
+    yaw: float  # toward the scene
+    pitch: float  # downward, radians
+    roll: float  # radians
 
     @property
     def pole(self) -> Thing:
@@ -127,17 +118,12 @@ def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contents:
-    """What is put into a world.
+    """What is put into a world."""
 
-    Attributes:
-        still: things that rest.
-        moving: things with tracks, and for agents how far ahead of the middle the sensor sits.
-        masts: roadside sensors.
-    """
-
-    still: Sequence[Thing]
+    still: Sequence[Thing]  # things that rest
+    # things with tracks, and for agents how far ahead of the middle the sensor sits
     moving: Sequence[tuple[Thing, float | None]]
-    masts: Sequence[Mast] = ()
+    masts: Sequence[Mast] = ()  # roadside sensors
 
 
 def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents, upper: Terrain | None = None) -> World:

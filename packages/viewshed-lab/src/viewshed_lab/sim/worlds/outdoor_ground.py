@@ -23,19 +23,12 @@ _BUMP_HALF_M = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Relief:
-    """A slope with long waves on it.
+    """A slope with long waves on it."""
 
-    Attributes:
-        slope: meters of rise for each meter of x and of y.
-        wave_m: height of the waves along x and y.
-        length_m: length of the waves along x and y.
-        phase: of the waves, radians.
-    """
-
-    slope: tuple[float, float]
-    wave_m: tuple[float, float]
-    length_m: tuple[float, float]
-    phase: tuple[float, float]
+    slope: tuple[float, float]  # meters of rise for each meter of x and of y
+    wave_m: tuple[float, float]  # height of the waves along x and y
+    length_m: tuple[float, float]  # length of the waves along x and y
+    phase: tuple[float, float]  # of the waves, radians
 
     def at(self, x: F64, y: F64) -> F64:
         """Return heights in meters at x and y of any one shape."""
@@ -56,17 +49,11 @@ def relief(rng: np.random.Generator, steepest: float = 0.06, wave_m: float = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Road:
-    """The cross-section of a straight road with curbs.
+    """The cross-section of a straight road with curbs."""
 
-    Attributes:
-        half_m: from its axis to the curb.
-        walk_m: width of the sidewalk beyond the curb.
-        curb_m: height of the curb.
-    """
-
-    half_m: float
-    walk_m: float
-    curb_m: float
+    half_m: float  # from its axis to the curb
+    walk_m: float  # width of the sidewalk beyond the curb
+    curb_m: float  # height of the curb
 
     @property
     def edge_m(self) -> float:
@@ -81,25 +68,15 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class Ground:
-    """Roads along x and y through the origin, sidewalks along them, and lots between.
+    """Roads along x and y through the origin, sidewalks along them, and lots between."""
 
-    Attributes:
-        relief: the lie of the land.
-        along: the road along x, or None.
-        across: the road along y, or None.
-        lot_m: how far the lots lie above the sidewalk.
-        lot_material: what covers them.
-        bumps_m: where, along x, speed bumps lie across the road.
-        bump_m: their height.
-    """
-
-    relief: Relief
-    along: Road | None = None
-    across: Road | None = None
-    lot_m: float = 0.0
-    lot_material: str = "grass"
-    bumps_m: tuple[float, ...] = ()
-    bump_m: float = 0.09
+    relief: Relief  # the lie of the land
+    along: Road | None = None  # the road along x, or None
+    across: Road | None = None  # the road along y, or None
+    lot_m: float = 0.0  # how far the lots lie above the sidewalk
+    lot_material: str = "grass"  # what covers them
+    bumps_m: tuple[float, ...] = ()  # where, along x, speed bumps lie across the road
+    bump_m: float = 0.09  # their height
 
     def terrain(self, half_x_m: float, half_y_m: float, step_m: float = 9.0) -> Terrain:
         """Return the terrain over ±half_x and ±half_y meters, its plain lines about ``step_m`` apart."""

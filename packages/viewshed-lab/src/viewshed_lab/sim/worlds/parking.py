@@ -39,23 +39,14 @@ _HALF_M, _BAY_M, _DEEP_M, _ROAD_M = 112.0, 2.6, 5.1, 7.0
 
 @dataclass(frozen=True, slots=True)
 class Lot:
-    """Measures of a parking lot.
+    """Measures of a parking lot."""
 
-    Attributes:
-        half_x_m: half the length of the rows.
-        rows_m: y of the middles of the double rows, from the south.
-        island_m: width of the strip between the two halves of a row.
-        aisle_m: width of an aisle.
-        taken: share of the bays that are taken.
-        curb_m: height of the islands.
-    """
-
-    half_x_m: float
-    rows_m: tuple[float, ...]
-    island_m: float
-    aisle_m: float
-    taken: float
-    curb_m: float
+    half_x_m: float  # half the length of the rows
+    rows_m: tuple[float, ...]  # y of the middles of the double rows, from the south
+    island_m: float  # width of the strip between the two halves of a row
+    aisle_m: float  # width of an aisle
+    taken: float  # share of the bays that are taken
+    curb_m: float  # height of the islands
 
     @property
     def pitch_m(self) -> float:

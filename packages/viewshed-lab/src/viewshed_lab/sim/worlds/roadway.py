@@ -17,8 +17,8 @@ from viewshed_lab.sim.worlds.layout import Mast, Span, mast
 from viewshed_lab.sim.worlds.outdoor_ground import Relief
 from viewshed_lab.sim.worlds.traffic import Lane, line_lane
 
-HALF_M, ROAM_M = 112.0, 50.0
-"""Half the side of a world, and how far agents go from its middle."""
+HALF_M = 112.0
+"""Half the side of a world."""
 
 _CROWN, _MOST_LINES = 0.02, 46
 
@@ -28,17 +28,11 @@ _ROUGH_FROM_M, _ROUGH_OVER_M = 6.0, 20.0
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """The axis of a road: a sine along x through the origin.
+    """The axis of a road: a sine along x through the origin."""
 
-    Attributes:
-        swing_m: how far it swings to either side.
-        wave_m: length over which it swings.
-        phase: of the swing.
-    """
-
-    swing_m: float
-    wave_m: float
-    phase: float
+    swing_m: float  # how far it swings to either side
+    wave_m: float  # length over which it swings
+    phase: float  # of the swing
 
     def axis(self, x: F64) -> F64:
         """Return y of the axis in meters."""
@@ -90,15 +84,10 @@ def random_bend(rng: np.random.Generator, steepest: float, waves_m: Span = (150.
 
 @dataclass(frozen=True, slots=True)
 class Bank:
-    """The ground beside a road, from the edge of its shoulder outward.
+    """The ground beside a road, from the edge of its shoulder outward."""
 
-    Attributes:
-        beyond_m: ascending distances from the edge, the first 0.
-        rise_m: heights there above the edge; the last one goes on.
-    """
-
-    beyond_m: tuple[float, ...]
-    rise_m: tuple[float, ...]
+    beyond_m: tuple[float, ...]  # ascending distances from the edge, the first 0
+    rise_m: tuple[float, ...]  # heights there above the edge; the last one goes on
 
     def at(self, beyond: F64) -> F64:
         """Return heights above the edge at distances (…,) beyond it, in meters."""
@@ -133,31 +122,18 @@ EVEN = Relief((0.0, 0.0), (0.0, 0.0), (100.0, 100.0), (0.0, 0.0))
 
 @dataclass(frozen=True, slots=True)
 class Roadway:
-    """A road of one to three lanes each way on a bend, with a bank at either side.
+    """A road of one to three lanes each way on a bend, with a bank at either side."""
 
-    Attributes:
-        bend: its axis.
-        grade: heights along it; only its part along x counts.
-        lanes: each way.
-        lane_m: width of a lane.
-        shoulder_m: from the outermost lane to where the banks begin.
-        banks: on the left and on the right.
-        swell: how the banks' heights change along the road.
-        rough: the lie of the land away from it.
-        soil: what the banks are made of.
-        paved: what the road is made of.
-    """
-
-    bend: Bend
-    grade: Relief
-    lanes: int
-    lane_m: float
-    shoulder_m: float
-    banks: tuple[Bank, Bank]
-    swell: Swell = AS_HIGH
-    rough: Relief = EVEN
-    soil: str = "grass"
-    paved: str = "asphalt"
+    bend: Bend  # its axis
+    grade: Relief  # heights along it; only its part along x counts
+    lanes: int  # each way
+    lane_m: float  # width of a lane
+    shoulder_m: float  # from the outermost lane to where the banks begin
+    banks: tuple[Bank, Bank]  # on the left and on the right
+    swell: Swell = AS_HIGH  # how the banks' heights change along the road
+    rough: Relief = EVEN  # the lie of the land away from it
+    soil: str = "grass"  # what the banks are made of
+    paved: str = "asphalt"  # what the road is made of
 
     @property
     def edge_m(self) -> float:

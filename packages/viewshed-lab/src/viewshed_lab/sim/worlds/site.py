@@ -44,15 +44,10 @@ _LOOSE: tuple[tuple[Callable[[np.random.Generator], Thing], float], ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """A haul road over uneven ground.
+    """A haul road over uneven ground."""
 
-    Attributes:
-        road: the haul road.
-        mounds: (k, 4) x, y, height (negative: a hollow) and radius in meters.
-    """
-
-    road: Roadway
-    mounds: F64
+    road: Roadway  # the haul road
+    mounds: F64  # (k, 4) x, y, height (negative: a hollow) and radius in meters
 
     def terrain(self) -> Terrain:
         """Return the ground, its lines 4.8 m apart."""

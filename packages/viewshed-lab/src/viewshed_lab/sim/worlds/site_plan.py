@@ -21,13 +21,9 @@ _ROOM = 8192
 
 @dataclass(slots=True)
 class SitePlan:
-    """Things, and the areas that the next thing must not touch.
+    """Things, and the areas that the next thing must not touch."""
 
-    Attributes:
-        things: what stands in the world.
-    """
-
-    things: list[Thing] = field(default_factory=list)
+    things: list[Thing] = field(default_factory=list)  # what stands in the world
     _taken: list[shapely.Polygon] = field(default_factory=list)
     _bounds: F64 = field(default_factory=lambda: np.empty((_ROOM, 4)))
     _open: list[shapely.Polygon] = field(default_factory=list)

@@ -29,17 +29,11 @@ _REACTION_S = _DELAY_STEPS * _STEP_S
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """A line that vehicles follow.
+    """A line that vehicles follow."""
 
-    Attributes:
-        xy_m: (k, 2) corners in meters of the world.
-        arc_m: (k,) where they lie along the line.
-        yaw: (k,) heading at the corners, continuous, radians.
-    """
-
-    xy_m: F64
-    arc_m: F64
-    yaw: F64
+    xy_m: F64  # (k, 2) corners in meters of the world
+    arc_m: F64  # (k,) where they lie along the line
+    yaw: F64  # (k,) heading at the corners, continuous, radians
 
     def at(self, s_m: F64) -> tuple[F64, F64]:
         """Return places (n, 2) and headings (n,) at ``s_m`` meters along the line."""
@@ -84,23 +78,14 @@ def right_turn(lane: Lane, corner_m: float, radius_m: float) -> Lane:
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """A vehicle in a lane.
+    """A vehicle in a lane."""
 
-    Attributes:
-        thing: the vehicle, at the origin.
-        start_m: where along the lane its middle is at time 0.
-        speed_mps: how fast it drives where it may.
-        hold_m: where it stops for good; infinite if it leaves.
-        lane: its own line if it is not that of the others (it turns off).
-        sensor_ahead_m: how far ahead of its middle it carries a sensor, or None if it is no agent.
-    """
-
-    thing: Thing
-    start_m: float
-    speed_mps: float
-    hold_m: float = float("inf")
-    lane: Lane | None = None
-    sensor_ahead_m: float | None = None
+    thing: Thing  # the vehicle, at the origin
+    start_m: float  # where along the lane its middle is at time 0
+    speed_mps: float  # how fast it drives where it may
+    hold_m: float = float("inf")  # where it stops for good; infinite if it leaves
+    lane: Lane | None = None  # its own line if it is not that of the others (it turns off)
+    sensor_ahead_m: float | None = None  # how far ahead of its middle it carries a sensor, or None if it is no agent
 
 
 def clock(duration_s: float) -> F64:
@@ -139,25 +124,15 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """How a lane is filled.
+    """How a lane is filled."""
 
-    Attributes:
-        reach_m: vehicles are put from minus to plus this far along the lane.
-        roam_m: its agents stay within minus and plus this.
-        speed_mps: of all its vehicles.
-        gap_m: smallest and largest gap between two vehicles.
-        stop_m: stop line at which those before it wait for good, or None.
-        clear_m: none is put between the stop line and this.
-        upstream_m: how far before the reach vehicles are put that arrive later.
-    """
-
-    reach_m: float
-    roam_m: float
-    speed_mps: float
-    gap_m: tuple[float, float]
-    stop_m: float | None = None
-    clear_m: float = 0.0
-    upstream_m: float = 60.0
+    reach_m: float  # vehicles are put from minus to plus this far along the lane
+    roam_m: float  # its agents stay within minus and plus this
+    speed_mps: float  # of all its vehicles
+    gap_m: tuple[float, float]  # smallest and largest gap between two vehicles
+    stop_m: float | None = None  # stop line at which those before it wait for good, or None
+    clear_m: float = 0.0  # none is put between the stop line and this
+    upstream_m: float = 60.0  # how far before the reach vehicles are put that arrive later
 
 
 Maker = Callable[[np.random.Generator], Thing]
@@ -188,20 +163,14 @@ def filled(
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How the lanes of a road are driven.
+    """How the lanes of a road are driven."""
 
-    Attributes:
-        reach_m: vehicles are put from minus to plus this far along each lane.
-        roam_m: agents stay within minus and plus this.
-        speed_mps: slowest and fastest speed.
-        gap_m: smallest gap between two vehicles, and the least and the most that the largest may be.
-        share: least and most of their part of the road that agents drive within the plan's duration.
-    """
-
-    reach_m: float
-    roam_m: float
-    speed_mps: tuple[float, float]
+    reach_m: float  # vehicles are put from minus to plus this far along each lane
+    roam_m: float  # agents stay within minus and plus this
+    speed_mps: tuple[float, float]  # slowest and fastest speed
+    # smallest gap between two vehicles, and the least and the most that the largest may be
     gap_m: tuple[float, float, float]
+    # least and most of their part of the road that agents drive within the plan's duration
     share: tuple[float, float] = (0.8, 1.5)
 
 

@@ -38,36 +38,22 @@ OVERLAPS = ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, np.inf))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredRun:
-    """A run with a score for each of A agents; larger is more suspicious.
+    """A run with a score for each of A agents; larger is more suspicious."""
 
-    Attributes:
-        scene: number of the scene.
-        run: what it came to.
-        score: (A,) how suspicious it is by reports and view (``viewshed.agents.suspicion``), the most over time.
-        by_time: (T, A) the same at each time.
-        views: (A,) doubt of the view alone, the largest over time.
-        evidence: (A,) evidence of the reports alone, the largest over time.
-    """
-
-    scene: int
-    run: Run
-    score: F64
-    by_time: F64
-    views: F64
-    evidence: F64
+    scene: int  # number of the scene
+    run: Run  # what it came to
+    score: F64  # (A,) how suspicious it is by reports and view (``viewshed.agents.suspicion``), the most over time
+    by_time: F64  # (T, A) the same at each time
+    views: F64  # (A,) doubt of the view alone, the largest over time
+    evidence: F64  # (A,) evidence of the reports alone, the largest over time
 
 
 @dataclass(frozen=True, eq=False)
 class AgentsResults:
-    """Runs of a study, and what follows from them.
+    """Runs of a study, and what follows from them."""
 
-    Attributes:
-        plan: of the study.
-        results: of its runs.
-    """
-
-    plan: AgentsPlan
-    results: Results[AgentsPlan]
+    plan: AgentsPlan  # of the study
+    results: Results[AgentsPlan]  # of its runs
 
     def runs(self, split: str) -> Iterator[tuple[int, Run]]:
         """Yield the runs of a split with the numbers of their scenes."""

@@ -228,9 +228,7 @@ def evaluate_crossview(
 
 
 def crossview_truth(
-    sequences: Sequence[Sequence[Sweep]],
-    rules: CrossViewRules | None = None,
-    on_step: OnStep = lambda _: None,
+    sequences: Sequence[Sequence[Sweep]], rules: CrossViewRules | None = None, on_step: OnStep = lambda _: None
 ) -> list[tuple[Sweep, SeenColumns]]:
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, SeenColumns]] = []

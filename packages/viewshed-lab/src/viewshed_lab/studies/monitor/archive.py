@@ -29,35 +29,20 @@ Floats = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveEvidence:
-    """All evidence of the sweeps of a drive, ten if it was simulated, and of the last five or all in several cases.
+    """All evidence of the sweeps of a drive, ten if it was simulated, and of the last five or all in several cases."""
 
-    Attributes:
-        domain: preset that it is of.
-        split: train, calibration or test.
-        number: of the drive.
-        sensor: that measured.
-        conditions: what the drive suffered from its first frame on.
-        names: (E,) of the evidence.
-        benign: (F, E, SECTORS) of the sweeps as they were measured.
-        unposed: (E, SECTORS) of the last sweep, where none of them has a pose.
-        cases: what was done to the last G of them.
-        evidence: (C, G, E, SECTORS) in these cases.
-        touched: (C, G, SECTORS) bool, sectors with a return that an attacker added or removed.
-        refused: cases that could not be made of this drive.
-    """
-
-    domain: str
-    split: str
-    number: int
-    sensor: str
-    conditions: Case
-    names: tuple[str, ...]
-    benign: Floats
-    unposed: Floats
-    cases: tuple[Case, ...]
-    evidence: Floats
-    touched: NDArray[np.bool_]
-    refused: tuple[Case, ...]
+    domain: str  # preset that it is of
+    split: str  # train, calibration or test
+    number: int  # of the drive
+    sensor: str  # that measured
+    conditions: Case  # what the drive suffered from its first frame on
+    names: tuple[str, ...]  # (E,) of the evidence
+    benign: Floats  # (F, E, SECTORS) of the sweeps as they were measured
+    unposed: Floats  # (E, SECTORS) of the last sweep, where none of them has a pose
+    cases: tuple[Case, ...]  # what was done to the last G of them
+    evidence: Floats  # (C, G, E, SECTORS) in these cases
+    touched: NDArray[np.bool_]  # (C, G, SECTORS) bool, sectors with a return that an attacker added or removed
+    refused: tuple[Case, ...]  # cases that could not be made of this drive
 
     @property
     def scene(self) -> str:
@@ -134,30 +119,19 @@ def _halved(values: Floats) -> NDArray[np.float16]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepTable:
-    """Many sweeps of many drives, one row each.
+    """Many sweeps of many drives, one row each."""
 
-    Attributes:
-        names: (E,) of the evidence.
-        evidence: (N, E, SECTORS) float16, over time as :func:`viewshed.monitor.score.held` carries it over.
-        touched: (N, SECTORS) bool.
-        drive: (N,) which of ``drives`` it is of.
-        case: (N,) which of ``cases`` it is in; 0 is the drive as it was measured.
-        frame: (N,) number in the drive.
-        drives: without their arrays.
-        unposed: (D, E, SECTORS) float16 of the last benign sweep of each drive, without poses.
-        cases: all that occur, ``BENIGN`` first.
-        statistics: (N, F) of the evidence, what scores judge whole sweeps by; None until :meth:`with_statistics`.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # (E,) of the evidence
+    # (N, E, SECTORS) float16, over time as :func:`viewshed.monitor.score.held` carries it over
     evidence: NDArray[np.float16]
-    touched: NDArray[np.bool_]
-    drive: NDArray[np.int32]
-    case: NDArray[np.int32]
-    frame: NDArray[np.int32]
-    drives: tuple[DriveAbout, ...]
-    cases: tuple[Case, ...]
-    unposed: NDArray[np.float16]
+    touched: NDArray[np.bool_]  # (N, SECTORS) bool
+    drive: NDArray[np.int32]  # (N,) which of ``drives`` it is of
+    case: NDArray[np.int32]  # (N,) which of ``cases`` it is in; 0 is the drive as it was measured
+    frame: NDArray[np.int32]  # (N,) number in the drive
+    drives: tuple[DriveAbout, ...]  # without their arrays
+    cases: tuple[Case, ...]  # all that occur, ``BENIGN`` first
+    unposed: NDArray[np.float16]  # (D, E, SECTORS) float16 of the last benign sweep of each drive, without poses
+    # (N, F) of the evidence, what scores judge whole sweeps by; None until :meth:`with_statistics`
     statistics: NDArray[np.float32] | None = None
 
     @classmethod

@@ -48,21 +48,13 @@ HONEST = ("benign", "corruption", "null")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """Ten sweeps of one sensor, and what was measured before.
+    """Ten sweeps of one sensor, and what was measured before."""
 
-    Attributes:
-        plan: of the study.
-        key: domain, split and number: the seed of all that is done to it.
-        scene: that it is of.
-        conditions: what it suffers from its first frame on, ``BENIGN`` for nothing.
-        sweeps: (FRAMES,) as the sensor measured them under these conditions.
-    """
-
-    plan: MonitorPlan
-    key: tuple[str, str, int]
-    scene: ScenePlan
-    conditions: Case
-    sweeps: tuple[Sweep, ...]
+    plan: MonitorPlan  # of the study
+    key: tuple[str, str, int]  # domain, split and number: the seed of all that is done to it
+    scene: ScenePlan  # that it is of
+    conditions: Case  # what it suffers from its first frame on, ``BENIGN`` for nothing
+    sweeps: tuple[Sweep, ...]  # (FRAMES,) as the sensor measured them under these conditions
 
     @classmethod
     def simulate(cls, plan: MonitorPlan, domain: str, split: str, number: int) -> Drive:

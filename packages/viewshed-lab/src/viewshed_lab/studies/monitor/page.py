@@ -75,17 +75,11 @@ MEASURED = "measured spoofer"
 
 @dataclass(frozen=True, eq=False)
 class MonitorResults:
-    """Drives and scores of a study, and what follows from them.
+    """Drives and scores of a study, and what follows from them."""
 
-    Attributes:
-        plan: of the study.
-        folder: of the study.
-        published: scores of the published detector by its jobs.
-    """
-
-    plan: MonitorPlan
-    folder: Path
-    published: Mapping[JobKey, Mapping[str, float]]
+    plan: MonitorPlan  # of the study
+    folder: Path  # of the study
+    published: Mapping[JobKey, Mapping[str, float]]  # scores of the published detector by its jobs
 
     @cached_property
     def calibration(self) -> SweepTable:

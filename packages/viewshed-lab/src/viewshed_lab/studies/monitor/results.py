@@ -42,15 +42,10 @@ NOTHING = (float("nan"), float("nan"))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scored:
-    """Sweeps of a table with the scores of one model.
+    """Sweeps of a table with the scores of one model."""
 
-    Attributes:
-        table: of the sweeps.
-        scores: (N, 2) what is inconsistent and what is degraded.
-    """
-
-    table: SweepTable
-    scores: NDArray[np.float32]
+    table: SweepTable  # of the sweeps
+    scores: NDArray[np.float32]  # (N, 2) what is inconsistent and what is degraded
 
     @classmethod
     def of(cls, score: EvidenceScore, table: SweepTable, silent: Mask | None = None) -> Scored:
@@ -101,17 +96,11 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Limits:
-    """Limits of alarms by sensor, from one benign sweep of each scene.
+    """Limits of alarms by sensor, from one benign sweep of each scene."""
 
-    Attributes:
-        by_sensor: limit of each sensor with enough scenes for the rate.
-        others: limit of all others, from all scenes together; NaN where even these are too few.
-        scenes: number of scenes of each sensor.
-    """
-
-    by_sensor: Mapping[str, float]
-    others: float
-    scenes: Mapping[str, int]
+    by_sensor: Mapping[str, float]  # limit of each sensor with enough scenes for the rate
+    others: float  # limit of all others, from all scenes together; NaN where even these are too few
+    scenes: Mapping[str, int]  # number of scenes of each sensor
 
     @classmethod
     def of(cls, benign: Scored, verdict: int, rate: float) -> Limits:
@@ -135,19 +124,12 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A share of sweeps, and its 95 % interval over scenes.
+    """A share of sweeps, and its 95 % interval over scenes."""
 
-    Attributes:
-        value: the share; NaN of none.
-        interval: its bounds.
-        scenes: number of scenes.
-        sweeps: number of sweeps.
-    """
-
-    value: float
-    interval: tuple[float, float] = NOTHING
-    scenes: int = 0
-    sweeps: int = 0
+    value: float  # the share; NaN of none
+    interval: tuple[float, float] = NOTHING  # its bounds
+    scenes: int = 0  # number of scenes
+    sweeps: int = 0  # number of sweeps
 
     @classmethod
     def of(cls, values: NDArray[np.floating[Any]], scenes: NDArray[np.integer[Any]]) -> Rate:
@@ -182,21 +164,13 @@ def placements(benign: Scored, attacked: Scored, verdict: int) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One model, calibrated and tried on the test drives.
+    """One model, calibrated and tried on the test drives."""
 
-    Attributes:
-        model: the score.
-        calibration: benign sweeps that limits are from.
-        test: sweeps that it is reported on.
-        silent: (E,) evidence that is made to abstain, or None.
-        seed: draws one sweep of each calibration scene.
-    """
-
-    model: EvidenceScore
-    calibration: SweepTable
-    test: SweepTable
-    silent: Mask | None = None
-    seed: int = 0
+    model: EvidenceScore  # the score
+    calibration: SweepTable  # benign sweeps that limits are from
+    test: SweepTable  # sweeps that it is reported on
+    silent: Mask | None = None  # (E,) evidence that is made to abstain, or None
+    seed: int = 0  # draws one sweep of each calibration scene
 
     @cached_property
     def benign_calibration(self) -> Scored:
@@ -286,21 +260,13 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScores:
-    """Measured sweeps by their p-values among simulated ones.
+    """Measured sweeps by their p-values among simulated ones."""
 
-    Attributes:
-        table: of the sweeps.
-        scores: (N,) what is inconsistent.
-        groups: (N,) sensor and history of each sweep.
-        calibration: of simulated scenes.
-        p: (N,) p-values among these.
-    """
-
-    table: SweepTable
-    scores: F64
-    groups: tuple[Group, ...]
-    calibration: Calibration
-    p: F64
+    table: SweepTable  # of the sweeps
+    scores: F64  # (N,) what is inconsistent
+    groups: tuple[Group, ...]  # (N,) sensor and history of each sweep
+    calibration: Calibration  # of simulated scenes
+    p: F64  # (N,) p-values among these
 
     @classmethod
     def of(cls, table: SweepTable, alone: Evaluation) -> RecordedScores:
@@ -342,31 +308,18 @@ class RecordedScores:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """How well one attack is found.
+    """How well one attack is found."""
 
-    Attributes:
-        area: under the ROC curve of single sweeps.
-        area_alone: the same of sweeps before which nothing was measured.
-        area_five: of the mean over five sweeps.
-        caught: share of the single sweeps above the limit for 1 %.
-        caught_five: of five sweeps together.
-        caught_low: as ``caught`` at .1 %.
-        caught_low_five: as ``caught_five`` at .1 %.
-        degraded: share of the sweeps that are called degraded.
-        delay: median number of sweeps from the onset to the first alarm for .1 %, 6 for more than five.
-        idle: share of the sweeps on which the attack touched nothing; not among the others.
-    """
-
-    area: Rate
-    area_alone: Rate
-    area_five: Rate
-    caught: Rate
-    caught_five: Rate
-    caught_low: Rate
-    caught_low_five: Rate
-    degraded: Rate
-    delay: float
-    idle: float
+    area: Rate  # under the ROC curve of single sweeps
+    area_alone: Rate  # the same of sweeps before which nothing was measured
+    area_five: Rate  # of the mean over five sweeps
+    caught: Rate  # share of the single sweeps above the limit for 1 %
+    caught_five: Rate  # of five sweeps together
+    caught_low: Rate  # as ``caught`` at .1 %
+    caught_low_five: Rate  # as ``caught_five`` at .1 %
+    degraded: Rate  # share of the sweeps that are called degraded
+    delay: float  # median number of sweeps from the onset to the first alarm for .1 %, 6 for more than five
+    idle: float  # share of the sweeps on which the attack touched nothing; not among the others
 
 
 def detect(chosen: Evaluation, alone: Evaluation, mask: Mask) -> Detection:
@@ -411,33 +364,19 @@ def _delay(attacked: Scored, alarms: F64) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttackedSweeps:
-    """Attacked sweeps, each by a score that was trained without its family.
+    """Attacked sweeps, each by a score that was trained without its family."""
 
-    Attributes:
-        attack: (N,) name of the attack.
-        domain: (N,) of the drive.
-        sensor: (N,) of the drive.
-        number: (N,) of the drive.
-        frame: (N,) in the drive.
-        area: (N,) share of the benign sweeps of the same sensor that score below.
-        caught: (N,) 1 above the limit for 1 %.
-        caught_low: (N,) 1 above that for .1 %.
-        p: (N,) p-value among the calibration scenes of the sensor.
-        tail_p: (N,) the same, going on beyond them.
-        run_limits: (N, K) of its score's detectors, see :meth:`Evaluation.detectors`; NaN for none.
-    """
-
-    attack: NDArray[np.str_]
-    domain: NDArray[np.str_]
-    sensor: NDArray[np.str_]
-    number: NDArray[np.int64]
-    frame: NDArray[np.int64]
-    area: F64
-    caught: F64
-    caught_low: F64
-    p: F64
-    tail_p: F64
-    run_limits: F64
+    attack: NDArray[np.str_]  # (N,) name of the attack
+    domain: NDArray[np.str_]  # (N,) of the drive
+    sensor: NDArray[np.str_]  # (N,) of the drive
+    number: NDArray[np.int64]  # (N,) of the drive
+    frame: NDArray[np.int64]  # (N,) in the drive
+    area: F64  # (N,) share of the benign sweeps of the same sensor that score below
+    caught: F64  # (N,) 1 above the limit for 1 %
+    caught_low: F64  # (N,) 1 above that for .1 %
+    p: F64  # (N,) p-value among the calibration scenes of the sensor
+    tail_p: F64  # (N,) the same, going on beyond them
+    run_limits: F64  # (N, K) of its score's detectors, see :meth:`Evaluation.detectors`; NaN for none
 
     @classmethod
     def of(cls, chosen: Evaluation, mask: Mask, hz: float) -> AttackedSweeps:

@@ -62,50 +62,29 @@ KINDS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectsTruth:
-    """What stands in the world at the time of a sweep.
+    """What stands in the world at the time of a sweep."""
 
-    Attributes:
-        numbers: (N,) int32, the same for one object over time.
-        boxes: (N, 7) in the world.
-        kinds: (N,) uint8 of ``ObjectKind``.
-        returns: (N,) int32 that each gave.
-    """
-
-    numbers: NDArray[np.int32]
-    boxes: F64
-    kinds: NDArray[np.uint8]
-    returns: NDArray[np.int32]
+    numbers: NDArray[np.int32]  # (N,) int32, the same for one object over time
+    boxes: F64  # (N, 7) in the world
+    kinds: NDArray[np.uint8]  # (N,) uint8 of ``ObjectKind``
+    returns: NDArray[np.int32]  # (N,) int32 that each gave
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """One sweep of a drive.
+    """One sweep of a drive."""
 
-    Attributes:
-        t_s: its time.
-        ground: (3,) place on the ground below the sensor, in the world.
-        truth: all objects but the vehicle that carries the sensor.
-        detections: honest ones, in the world.
-        of_object: (K,) int32 number of the object that each is of, -1 for false ones.
-        visible: (N,) probability that the default field of view gives for each object of the truth.
-        views: by name of ``FOVS``.
-        false_odds: (K,) how many false detections there are like each for one of an object.
-        ghost: (K,) bool, detections of an object that an attack on the LiDAR made.
-        gone: numbers of the objects that an attack on the LiDAR took from the sweep.
-        report: of the monitor of the sensor, where one watches.
-    """
-
-    t_s: float
-    ground: F64
-    truth: ObjectsTruth
-    detections: Detections
-    of_object: NDArray[np.int32]
-    visible: F64
-    views: dict[str, SensorView]
-    false_odds: F64
-    ghost: NDArray[np.bool_]
-    gone: frozenset[int] = frozenset()
-    report: IntegrityReport | None = None
+    t_s: float  # its time
+    ground: F64  # (3,) place on the ground below the sensor, in the world
+    truth: ObjectsTruth  # all objects but the vehicle that carries the sensor
+    detections: Detections  # honest ones, in the world
+    of_object: NDArray[np.int32]  # (K,) int32 number of the object that each is of, -1 for false ones
+    visible: F64  # (N,) probability that the default field of view gives for each object of the truth
+    views: dict[str, SensorView]  # by name of ``FOVS``
+    false_odds: F64  # (K,) how many false detections there are like each for one of an object
+    ghost: NDArray[np.bool_]  # (K,) bool, detections of an object that an attack on the LiDAR made
+    gone: frozenset[int] = frozenset()  # numbers of the objects that an attack on the LiDAR took from the sweep
+    report: IntegrityReport | None = None  # of the monitor of the sensor, where one watches
 
 
 SEEN_FROM = 5
@@ -169,12 +148,9 @@ class SimulatedDetector:
     """A detector by tables: finds objects by their returns, errs a little, and now and then finds one that is none.
 
     Its luck with an object lasts about a second, as that of detectors does.
-
-    Attributes:
-        rng: draws all that is random.
     """
 
-    rng: np.random.Generator
+    rng: np.random.Generator  # draws all that is random
     _luck: dict[int, float] = field(default_factory=dict, repr=False)
     _false: list[tuple[float, F64]] = field(default_factory=list, repr=False)
     _last_s: float = field(default=0.0, repr=False)

@@ -49,30 +49,19 @@ NEAR_M = 2.0
 
 @dataclass(slots=True)
 class Forgery:
-    """What became of one forged object.
+    """What became of one forged object."""
 
-    Attributes:
-        first_s: when it was first forged.
-        last_s: when it was last forged.
-        sweeps: in how many sweeps it was.
-        visible: probabilities with which it was visible in these sweeps.
-        shifts_m: by how much it was moved.
-        found_s: when it was first accused; infinite if never.
-        known: it was a confirmed track: one that was removed or moved for :data:`KNOWN_HITS` detections before that, a
-            fabricated one at any time.
-        highest: the most that spoke against it, as a part of the limit.
-        alarmed: a monitor of the LiDAR suspected the sector in which it is.
-    """
-
-    first_s: float
-    last_s: float
-    sweeps: int = 0
-    visible: list[float] = field(default_factory=list)
-    shifts_m: list[float] = field(default_factory=list)
-    found_s: float = np.inf
+    first_s: float  # when it was first forged
+    last_s: float  # when it was last forged
+    sweeps: int = 0  # in how many sweeps it was
+    visible: list[float] = field(default_factory=list)  # probabilities with which it was visible in these sweeps
+    shifts_m: list[float] = field(default_factory=list)  # by how much it was moved
+    found_s: float = np.inf  # when it was first accused; infinite if never
+    # it was a confirmed track: one that was removed or moved for :data:`KNOWN_HITS` detections before that, a
+    # fabricated one at any time
     known: bool = False
-    highest: float = 0.0
-    alarmed: bool = False
+    highest: float = 0.0  # the most that spoke against it, as a part of the limit
+    alarmed: bool = False  # a monitor of the LiDAR suspected the sector in which it is
 
     def row(self) -> list[float]:
         """Return seconds until accused (-1 for never), visibility, shift, and the rest, as plain numbers."""
@@ -213,13 +202,9 @@ def tracking_gospa_m(tracked: Iterable[TrackedMoment]) -> float:
 
 @dataclass(slots=True)
 class _Follower:
-    """Follows objects, whatever their tracks are.
+    """Follows objects, whatever their tracks are."""
 
-    Attributes:
-        hits: sweeps in which a confirmed track was matched with each object.
-    """
-
-    hits: dict[int, int] = field(default_factory=dict)
+    hits: dict[int, int] = field(default_factory=dict)  # sweeps in which a confirmed track was matched with each object
     _track: dict[int, int] = field(default_factory=dict)
     _seen_s: dict[int, float] = field(default_factory=dict)
     _was_hidden: set[int] = field(default_factory=set)

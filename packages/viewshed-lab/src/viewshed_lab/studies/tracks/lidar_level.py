@@ -43,16 +43,12 @@ one vanishes into nothing; one into open street."""
 class SweepForger:
     """Forges the sweeps of one drive: one ghost that drives along, or one object that is followed.
 
-    Attributes:
-        name: of ``LIDAR_ATTACKS``.
-        rng: draws all that is random.
-
     Raises:
         ValueError: there is no such attack.
     """
 
-    name: str
-    rng: np.random.Generator
+    name: str  # of ``LIDAR_ATTACKS``
+    rng: np.random.Generator  # draws all that is random
     _victim: int = field(default=-1, repr=False)
     _ghost: GhostCar | None = field(default=None, repr=False)
 

@@ -36,17 +36,11 @@ Place = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class TracksResults:
-    """Test drives of a study.
+    """Test drives of a study."""
 
-    Attributes:
-        plan: of the study.
-        drives: by job what became of the drive with each field of view in each case.
-        sweeps: the same of the drives whose sweeps were attacked.
-    """
-
-    plan: TracksPlan
-    drives: Mapping[JobKey, Mapping[str, Any]]
-    sweeps: Mapping[JobKey, Mapping[str, Any]]
+    plan: TracksPlan  # of the study
+    drives: Mapping[JobKey, Mapping[str, Any]]  # by job what became of the drive with each field of view in each case
+    sweeps: Mapping[JobKey, Mapping[str, Any]]  # the same of the drives whose sweeps were attacked
 
     def outcomes(self, detector: str, fov: str, case: str, place: Place | None = None) -> Outcomes:
         """Return what became of all drives in a case, or of those of one sensor and weather."""

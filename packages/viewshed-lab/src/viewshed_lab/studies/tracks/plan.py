@@ -31,23 +31,6 @@ BENIGN_CASE = "benign"
 class TracksPlan(Plan):
     """The study of tracks and of trust in them.
 
-    Attributes:
-        preset: of simulated data whose mounting the sensors have.
-        worlds: kinds of world, in turn.
-        sensors: beam tables.
-        conditions: weather.
-        detectors: of ``DETECTORS``.
-        fovs: fields of view, of ``FOVS``.
-        attacks: names of ``OBJECT_ATTACKS``.
-        lidar_attacks: names of ``LIDAR_ATTACKS``; they need the detector of the package.
-        objects: that are forged at a time.
-        seconds: of a drive; attacks begin after two.
-        count: drives that evidence is counted on.
-        limit: drives that limits are from.
-        test: drives that are attacked, of each sensor and weather.
-        accused: share of honest tracks that are accused.
-        seed: of all that is random.
-
     Raises:
         ValueError: a name is not known or a number is out of range.
     """
@@ -61,21 +44,21 @@ class TracksPlan(Plan):
 
     name: str
     about: str
-    preset: str
-    worlds: tuple[str, ...]
-    sensors: tuple[str, ...]
-    conditions: tuple[str, ...]
-    detectors: tuple[str, ...]
-    fovs: tuple[str, ...]
-    attacks: tuple[str, ...]
-    lidar_attacks: tuple[str, ...]
-    objects: int
-    seconds: float
-    count: int
-    limit: int
-    test: int
-    accused: float
-    seed: int
+    preset: str  # of simulated data whose mounting the sensors have
+    worlds: tuple[str, ...]  # kinds of world, in turn
+    sensors: tuple[str, ...]  # beam tables
+    conditions: tuple[str, ...]  # weather
+    detectors: tuple[str, ...]  # of ``DETECTORS``
+    fovs: tuple[str, ...]  # fields of view, of ``FOVS``
+    attacks: tuple[str, ...]  # names of ``OBJECT_ATTACKS``
+    lidar_attacks: tuple[str, ...]  # names of ``LIDAR_ATTACKS``; they need the detector of the package
+    objects: int  # that are forged at a time
+    seconds: float  # of a drive; attacks begin after two
+    count: int  # drives that evidence is counted on
+    limit: int  # drives that limits are from
+    test: int  # drives that are attacked, of each sensor and weather
+    accused: float  # share of honest tracks that are accused
+    seed: int  # of all that is random
 
     def __post_init__(self) -> None:
         check_names("preset", (self.preset,), preset_names())

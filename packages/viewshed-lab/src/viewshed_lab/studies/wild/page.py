@@ -9,13 +9,7 @@ import numpy as np
 from viewshed.metrics import ConfusionCounts
 from viewshed_lab._page import facts
 from viewshed_lab.data.wild import TOLD
-from viewshed_lab.studies.formatting import (
-    commits,
-    format_interval,
-    format_number,
-    format_rate,
-    format_rates,
-)
+from viewshed_lab.studies.formatting import commits, format_interval, format_number, format_rate, format_rates
 from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.records import cells_of
 from viewshed_lab.studies.statistics import f1

@@ -31,20 +31,14 @@ _REFINES = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Expectation(Checked):
-    """What an attacker averages over, so that a plan survives what cannot be known (Athalye et al. 2018).
+    """What an attacker averages over, so that a plan survives what cannot be known (Athalye et al. 2018)."""
 
-    Attributes:
-        samples: draws for each gradient.
-        noise_m: standard deviation of the ranges of the attacker's own returns.
-        lost_share: of the attacker's own beams, which then report what they would have.
-        yaw: standard deviation of a turn of the whole cloud, radians.
-        shift_m: standard deviation of a shift of the whole cloud, along each level axis.
-    """
-
-    samples: Annotated[int, Between(1, 10_000)] = 8
+    samples: Annotated[int, Between(1, 10_000)] = 8  # draws for each gradient
+    # standard deviation of the ranges of the attacker's own returns
     noise_m: Annotated[float, Between(0.0, 10.0)] = 0.10
-    lost_share: Share = 0.015
-    yaw: Annotated[float, Between(0.0, np.pi)] = 0.0
+    lost_share: Share = 0.015  # of the attacker's own beams, which then report what they would have
+    yaw: Annotated[float, Between(0.0, np.pi)] = 0.0  # standard deviation of a turn of the whole cloud, radians
+    # standard deviation of a shift of the whole cloud, along each level axis
     shift_m: Annotated[float, Between(0.0, 100.0)] = 0.0
 
 
@@ -59,30 +53,21 @@ class WhiteBox(Checked):
     First all beams of the wedge move; what each gained is the integral of its slope along its way, by trapezoids. Those
     that gained most, as many as the budget allows, are kept, the rest go back, and the kept ones are refined. Steps are
     of one size for all beams (Goodfellow et al. 2015; Madry et al. 2018) and shrink to nothing in each half.
-
-    Attributes:
-        objective: value and gradient of the points; rows are those of the sweep.
-        budget: most beams; None for all of the wedge.
-        steps: half before, half after the choice of beams; the gradient is computed once more in each half.
-        step_m: first step, meters; a beam goes no farther than ``step_m * steps / 4`` before the choice.
-        sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.
-        aim_m: obstacles nearer than this are aimed at.
-        placement: how that is aimed, see :class:`WedgeAttack`.
-        expectation: what is averaged over.
-        spoofer: how well the beams are won.
     """
 
-    objective: ValueAndGradient
-    budget: Budget = 150
+    objective: ValueAndGradient  # value and gradient of the points; rows are those of the sweep
+    budget: Budget = 150  # most beams; None for all of the wedge
+    # half before, half after the choice of beams; the gradient is computed once more in each half
     steps: Annotated[int, Between(2, 100_000)] = 80
+    # first step, meters; a beam goes no farther than ``step_m * steps / 4`` before the choice
     step_m: Annotated[float, Between(1e-6, 1000.0)] = 2.0
-    sector_deg: Sector = 30.0
+    sector_deg: Sector = 30.0  # width of the wedge
+    # middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed
     azimuth: Azimuth = None
-    aim_m: Range = 25.0
-    placement: Placement = "random"
-    expectation: Expectation = NO_EXPECTATION
-    spoofer: Spoofer = MEASURED_SPOOFER
+    aim_m: Range = 25.0  # obstacles nearer than this are aimed at
+    placement: Placement = "random"  # how that is aimed, see :class:`WedgeAttack`
+    expectation: Expectation = NO_EXPECTATION  # what is averaged over
+    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""

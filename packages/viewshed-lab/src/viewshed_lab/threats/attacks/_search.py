@@ -137,26 +137,17 @@ class BeamSearchSpace:
 
     A candidate is: weights of the features for the priority, for the depth and for removal; which elevation to prefer
     and how much; whether depths are an empty street's and how far its wall is; then residuals of priority and depth.
-
-    Attributes:
-        sweep: that is attacked.
-        wedge: that the attacker reaches.
-        budget: most beams, None for all.
-        spoofer: what the attacker achieves.
-        rays: (K,) beams of the wedge.
-        features: (K, F) of the beams: constant, azimuth and its distance from the middle, elevation, obstacle, depth,
-            numbers that spread evenly over columns and over rings, how crowded with obstacles the
-            column is, and obstacles that are near.
-        obstacle: (K,) bool, beams that returned from above the ground.
     """
 
-    sweep: Sweep
-    wedge: Wedge
-    budget: int | None
-    spoofer: Spoofer
-    rays: Rays
+    sweep: Sweep  # that is attacked
+    wedge: Wedge  # that the attacker reaches
+    budget: int | None  # most beams, None for all
+    spoofer: Spoofer  # what the attacker achieves
+    rays: Rays  # (K,) beams of the wedge
+    # (K, F) of the beams: constant, azimuth and its distance from the middle, elevation, obstacle, depth, numbers that
+    # spread evenly over columns and over rings, how crowded with obstacles the column is, and obstacles that are near
     features: F64
-    obstacle: NDArray[np.bool_]
+    obstacle: NDArray[np.bool_]  # (K,) bool, beams that returned from above the ground
 
     @classmethod
     def of(cls, sweep: Sweep, wedge: Wedge, budget: int | None, spoofer: Spoofer) -> BeamSearchSpace:
@@ -226,17 +217,11 @@ class BeamSearchSpace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointSearchSpace:
-    """Plans of free points in a wedge: azimuth, range and height of each, from a few numbers and residuals.
+    """Plans of free points in a wedge: azimuth, range and height of each, from a few numbers and residuals."""
 
-    Attributes:
-        sweep: that is attacked.
-        wedge: that the attacker reaches.
-        budget: number of points.
-    """
-
-    sweep: Sweep
-    wedge: Wedge
-    budget: int
+    sweep: Sweep  # that is attacked
+    wedge: Wedge  # that the attacker reaches
+    budget: int  # number of points
 
     def draw(self, number: int, rng: np.random.Generator) -> F64:
         """Return a random plan; the first is an even fan of far points."""

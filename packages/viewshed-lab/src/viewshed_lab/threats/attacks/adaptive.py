@@ -43,14 +43,10 @@ class OverClaim:
     """Area in the wedge, in m², that the victim claims under attack and did not claim before.
 
     The attacker has no truth: the victim's own clean estimate stands for it.
-
-    Attributes:
-        estimator: what the victim runs.
-        threshold: probability from which a cell is claimed.
     """
 
-    estimator: FovEstimator
-    threshold: float = THRESHOLD
+    estimator: FovEstimator  # what the victim runs
+    threshold: float = THRESHOLD  # probability from which a cell is claimed
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
         """Return the objective; the victim is queried once."""
@@ -82,13 +78,9 @@ def _changed_area(aim: OverClaim, clean: Sweep, wedge: Wedge, claimed: bool) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trip:
-    """A monitor's or a defense's score: the attacker wants a false alarm.
+    """A monitor's or a defense's score: the attacker wants a false alarm."""
 
-    Attributes:
-        score: from a sweep to the doubt of a monitor, or 1 for an alarm and 0 for none.
-    """
-
-    score: Value
+    score: Value  # from a sweep to the doubt of a monitor, or 1 for an alarm and 0 for none
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
         """Return the score itself."""
@@ -97,18 +89,12 @@ class Trip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evade(Checked):
-    """Another objective, worth nothing like as much where a monitor's score is above a limit.
+    """Another objective, worth nothing like as much where a monitor's score is above a limit."""
 
-    Attributes:
-        aim: what the attacker wants.
-        score: from a sweep to the doubt of a monitor, or 1 for an alarm and 0 for none.
-        limit: the highest score that goes unnoticed.
-        penalty: what one unit of score above the limit costs, in units of the aim.
-    """
-
-    aim: Objective
-    score: Value
-    limit: float = 0.0
+    aim: Objective  # what the attacker wants
+    score: Value  # from a sweep to the doubt of a monitor, or 1 for an alarm and 0 for none
+    limit: float = 0.0  # the highest score that goes unnoticed
+    # what one unit of score above the limit costs, in units of the aim
     penalty: Annotated[float, Between(0.0, 1e12)] = 1e6
 
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
@@ -129,19 +115,12 @@ Method = Literal["evolution", "random"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchResult:
-    """What an attacker found.
+    """What an attacker found."""
 
-    Attributes:
-        tampered: the attacked sweep, with noise that the attacker could not know, and what was done to it.
-        value: what the plan was worth to the attacker while planning.
-        history: (P,) what each plan that was tried was worth, the first is doing nothing.
-        queries: how often the victim was queried.
-    """
-
-    tampered: Tampered
-    value: float
-    history: NDArray[np.float64]
-    queries: int
+    tampered: Tampered  # the attacked sweep, with noise that the attacker could not know, and what was done to it
+    value: float  # what the plan was worth to the attacker while planning
+    history: NDArray[np.float64]  # (P,) what each plan that was tried was worth, the first is doing nothing
+    queries: int  # how often the victim was queried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,32 +129,21 @@ class BlackBox(Checked):
 
     Plans are tried with range noise and lost beams as the spoofer has them, drawn once; the attack itself meets other
     noise. A plan that is worth no more than doing nothing is not carried out.
-
-    Attributes:
-        objective: what the attacker wants.
-        budget: most returns; None for every beam of the wedge.
-        queries: most questions to the victim.
-        sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed.
-        aim_m: obstacles nearer than this are aimed at.
-        placement: how that is aimed, see :class:`WedgeAttack`.
-        mode: ``beam_constrained`` or ``free_form``.
-        method: ``evolution`` or ``random``.
-        samples: draws of the noise over which a plan's worth is averaged; each is a question.
-        spoofer: how well the beams are won.
     """
 
-    objective: Objective
-    budget: Budget = 150
-    queries: Annotated[int, Between(1, 10_000_000)] = 200
-    sector_deg: Sector = 30.0
+    objective: Objective  # what the attacker wants
+    budget: Budget = 150  # most returns; None for every beam of the wedge
+    queries: Annotated[int, Between(1, 10_000_000)] = 200  # most questions to the victim
+    sector_deg: Sector = 30.0  # width of the wedge
+    # middle of the wedge in the sensor's frame; None aims at an obstacle as a far wall is aimed
     azimuth: Azimuth = None
-    aim_m: Range = 25.0
-    placement: Placement = "random"
-    mode: Mode = "beam_constrained"
-    method: Method = "evolution"
+    aim_m: Range = 25.0  # obstacles nearer than this are aimed at
+    placement: Placement = "random"  # how that is aimed, see :class:`WedgeAttack`
+    mode: Mode = "beam_constrained"  # ``beam_constrained`` or ``free_form``
+    method: Method = "evolution"  # ``evolution`` or ``random``
+    # draws of the noise over which a plan's worth is averaged; each is a question
     samples: Annotated[int, Between(1, 1000)] = 1
-    spoofer: Spoofer = MEASURED_SPOOFER
+    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)

@@ -19,19 +19,12 @@ COLUMNS = ("points", "intensity", "ring", "azimuth", "time_s")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forged:
-    """A returns that an attacker makes.
+    """A returns that an attacker makes."""
 
-    Attributes:
-        points: (A, 3) float32 meters, sensor frame.
-        ring: (A,) beam, -1 where it is not known.
-        column: (A,) azimuth column, -1 where it is not known.
-        row: (A,) row of the return that each replaces, -1 where it replaces none.
-    """
-
-    points: NDArray[np.float32]
-    ring: NDArray[Any]
-    column: NDArray[Any]
-    row: NDArray[np.intp]
+    points: NDArray[np.float32]  # (A, 3) float32 meters, sensor frame
+    ring: NDArray[Any]  # (A,) beam, -1 where it is not known
+    column: NDArray[Any]  # (A,) azimuth column, -1 where it is not known
+    row: NDArray[np.intp]  # (A,) row of the return that each replaces, -1 where it replaces none
 
 
 def untouched(sweep: Sweep, wedge: Wedge | None = None) -> Tampered:

@@ -17,15 +17,10 @@ ROAD_EXTENT_M = 64.0
 
 @dataclass(frozen=True, slots=True)
 class Wedge:
-    """The azimuths that an attacker reaches, in the sensor's frame.
+    """The azimuths that an attacker reaches, in the sensor's frame."""
 
-    Attributes:
-        azimuth: middle, radians counter-clockwise from forward.
-        width: whole opening in radians, up to 2π.
-    """
-
-    azimuth: float
-    width: float
+    azimuth: float  # middle, radians counter-clockwise from forward
+    width: float  # whole opening in radians, up to 2π
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.azimuth) and 0.0 < self.width <= 2 * np.pi):
@@ -55,20 +50,14 @@ class Wedge:
 class Tampered:
     """A sweep after an attack, with what the attacker did to it. A moved return is one removed and one added.
 
-    Attributes:
-        sweep: what the sensor reports under attack.
-        added: (N,) bool, rows of ``sweep`` that the attacker made.
-        removed: (M,) bool, rows of the clean sweep that are gone.
-        wedge: where the attacker works, or None if anywhere.
-
     Raises:
         ValueError: the masks do not fit: rows of ``sweep`` that are not added must be those left of the clean one.
     """
 
-    sweep: Sweep
-    added: NDArray[np.bool_]
-    removed: NDArray[np.bool_]
-    wedge: Wedge | None = None
+    sweep: Sweep  # what the sensor reports under attack
+    added: NDArray[np.bool_]  # (N,) bool, rows of ``sweep`` that the attacker made
+    removed: NDArray[np.bool_]  # (M,) bool, rows of the clean sweep that are gone
+    wedge: Wedge | None = None  # where the attacker works, or None if anywhere
 
     def __post_init__(self) -> None:
         for name in ("added", "removed"):
@@ -91,20 +80,15 @@ class Attack(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """What an attacker has beside the sweep that is attacked.
+    """What an attacker has beside the sweep that is attacked."""
 
-    Attributes:
-        earlier: sweeps of the same sensor before this one, the oldest first; the first is where phantoms appear, the
-            last is what is replayed.
-        estimator: what the victim runs, for attackers that adapt to it.
-        half_extent_m: half the side of the victim's grid; ranges are in proportion to it, 64 m on roads.
-        again: the same instant measured once more, with other noise; null attacks need it.
-    """
-
+    # sweeps of the same sensor before this one, the oldest first; the first is where phantoms appear, the last is what
+    # is replayed
     earlier: tuple[Sweep, ...] = ()
-    estimator: FovEstimator | None = None
+    estimator: FovEstimator | None = None  # what the victim runs, for attackers that adapt to it
+    # half the side of the victim's grid; ranges are in proportion to it, 64 m on roads
     half_extent_m: float = ROAD_EXTENT_M
-    again: Sweep | None = None
+    again: Sweep | None = None  # the same instant measured once more, with other noise; null attacks need it
 
     @property
     def scale(self) -> float:

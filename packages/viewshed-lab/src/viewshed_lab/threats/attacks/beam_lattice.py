@@ -31,33 +31,19 @@ _EDGE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamLattice:
-    """The beams of one sweep, R rings by C columns.
+    """The beams of one sweep, R rings by C columns."""
 
-    Attributes:
-        ring: (N,) int16 beam of each return, -1 where none explains it.
-        elevation: (R,) float64 radians.
-        azimuth_offset: (R,) float64 radians against the firing azimuth.
-        origin_m: (R,) float64 height of the start of each beam.
-        firing: when and from where each column was fired.
-        rows: (R, C) int32 row of the first return of each pixel, -1 where there is none.
-        empty: (R, C) bool, beams that were fired and did not return.
-        step_m: the sensor's step of range, 0 where it is not known.
-        by_column: the sweep is stored column by column, not ring by ring.
-        sense: +1 where ring (or column) ascends within a column (or ring) as it is stored, else -1.
-        seam: where the sweep is stored ring by ring, the lowest column that lies at an end of the stored rings.
-    """
-
-    ring: NDArray[np.int16]
-    elevation: F64
-    azimuth_offset: F64
-    origin_m: F64
-    firing: Firing
-    rows: NDArray[np.int32]
-    empty: NDArray[np.bool_]
-    step_m: float
-    by_column: bool
-    sense: int
-    seam: int
+    ring: NDArray[np.int16]  # (N,) int16 beam of each return, -1 where none explains it
+    elevation: F64  # (R,) float64 radians
+    azimuth_offset: F64  # (R,) float64 radians against the firing azimuth
+    origin_m: F64  # (R,) float64 height of the start of each beam
+    firing: Firing  # when and from where each column was fired
+    rows: NDArray[np.int32]  # (R, C) int32 row of the first return of each pixel, -1 where there is none
+    empty: NDArray[np.bool_]  # (R, C) bool, beams that were fired and did not return
+    step_m: float  # the sensor's step of range, 0 where it is not known
+    by_column: bool  # the sweep is stored column by column, not ring by ring
+    sense: int  # +1 where ring (or column) ascends within a column (or ring) as it is stored, else -1
+    seam: int  # where the sweep is stored ring by ring, the lowest column that lies at an end of the stored rings
 
     def of_returns(self, points: NDArray[np.float32], row: NDArray[np.intp]) -> tuple[F64, F64, F64]:
         """Return starts (K, 3) in meters, directions (K, 3) and depths (K,) in meters of the beams of some returns.
@@ -178,23 +164,14 @@ def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """K beams, in the sensor's frame: first those that returned, in the order of the sweep, then those that did not.
+    """K beams, in the sensor's frame: first those that returned, in the order of the sweep, then those that did not."""
 
-    Attributes:
-        row: (K,) row of the return in the sweep, -1 where there is none.
-        ring: (K,) beam, -1 where it is not known.
-        column: (K,) azimuth column, -1 where it is not known.
-        start_m: (K, 3) float64 meters.
-        direction: (K, 3) float64 unit vectors.
-        depth_m: (K,) float64 meters from the start to the return, +inf where there is none.
-    """
-
-    row: NDArray[np.intp]
-    ring: NDArray[np.intp]
-    column: NDArray[np.intp]
-    start_m: F64
-    direction: F64
-    depth_m: F64
+    row: NDArray[np.intp]  # (K,) row of the return in the sweep, -1 where there is none
+    ring: NDArray[np.intp]  # (K,) beam, -1 where it is not known
+    column: NDArray[np.intp]  # (K,) azimuth column, -1 where it is not known
+    start_m: F64  # (K, 3) float64 meters
+    direction: F64  # (K, 3) float64 unit vectors
+    depth_m: F64  # (K,) float64 meters from the start to the return, +inf where there is none
 
     def __len__(self) -> int:
         return len(self.row)

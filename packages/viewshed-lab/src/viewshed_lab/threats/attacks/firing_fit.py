@@ -34,21 +34,13 @@ _LIMITS_M = (3.0, 0.05, 0.05)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Firing:
-    """When and from where each of C columns was fired, in the sensor's reference frame.
+    """When and from where each of C columns was fired, in the sensor's reference frame."""
 
-    Attributes:
-        column: (N,) int32 column of each return.
-        azimuth: (C,) float64 firing azimuth in radians, by the sensor's heading at that time.
-        turn: (C, 3, 3) float64 rotations of the sensor against its reference.
-        shift_m: (C, 3) float64 positions of the sensor.
-        time_s: (C,) float32 seconds, or None where the sweep has none.
-    """
-
-    column: Ints
-    azimuth: F64
-    turn: F64
-    shift_m: F64
-    time_s: NDArray[np.float32] | None = None
+    column: Ints  # (N,) int32 column of each return
+    azimuth: F64  # (C,) float64 firing azimuth in radians, by the sensor's heading at that time
+    turn: F64  # (C, 3, 3) float64 rotations of the sensor against its reference
+    shift_m: F64  # (C, 3) float64 positions of the sensor
+    time_s: NDArray[np.float32] | None = None  # (C,) float32 seconds, or None where the sweep has none
 
 
 def at_rest(columns: int) -> tuple[F64, F64]:

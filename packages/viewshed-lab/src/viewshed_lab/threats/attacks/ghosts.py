@@ -55,14 +55,10 @@ class FarWall(WedgeAttack):
     """Beams that hit a near obstacle report what an empty street would: the ground behind it, or a far wall.
 
     Opens a false corridor.
-
-    Attributes:
-        near_m: obstacles nearer than this disappear, and are aimed at.
-        far_m: range of the wall; at most 2 m less than the sensor's maximum.
     """
 
-    near_m: Range = 25.0
-    far_m: Range = 50.0
+    near_m: Range = 25.0  # obstacles nearer than this disappear, and are aimed at
+    far_m: Range = 50.0  # range of the wall; at most 2 m less than the sensor's maximum
 
     @property
     def aim_m(self) -> float:
@@ -86,11 +82,9 @@ class RemovalAndFarWall(WedgeAttack):
     """Every obstacle in the wedge is removed, then its beams and the empty ones report an empty street to a far wall.
 
     The strongest over-claim. A beam is won twice: one won by the removal and lost by the injection does not return.
-
-    Attributes:
-        far_m: range of the wall; at most 2 m less than the sensor's maximum. Obstacles nearer than this are aimed at.
     """
 
+    # range of the wall; at most 2 m less than the sensor's maximum. Obstacles nearer than this are aimed at.
     far_m: Range = 50.0
 
     @property
@@ -123,22 +117,14 @@ class GhostCar(Checked):
     """A car that is not there: one return for each beam that would meet it, and so a shadow behind it.
 
     What stands nearer than the ghost hides it as it would hide a car.
-
-    Attributes:
-        budget: most beams, those nearest to its middle; None for all that would meet it.
-        range_m: horizontal range of its middle.
-        azimuth: of its middle in the sensor's frame; None draws one where the view is open.
-        heading: yaw against the line of sight; 0 shows its rear.
-        size_m: length, width, height.
-        spoofer: how well the beams are won.
     """
 
-    budget: Budget = None
-    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0
-    azimuth: Azimuth = None
-    heading: Angle = 0.0
-    size_m: Annotated[tuple[float, float, float], Between(0.05, 100.0)] = CAR_M
-    spoofer: Spoofer = MEASURED_SPOOFER
+    budget: Budget = None  # most beams, those nearest to its middle; None for all that would meet it
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0  # horizontal range of its middle
+    azimuth: Azimuth = None  # of its middle in the sensor's frame; None draws one where the view is open
+    heading: Angle = 0.0  # yaw against the line of sight; 0 shows its rear
+    size_m: Annotated[tuple[float, float, float], Between(0.05, 100.0)] = CAR_M  # length, width, height
+    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -151,23 +137,14 @@ class GhostCar(Checked):
 
 @dataclass(frozen=True, slots=True)
 class GhostWall(Checked):
-    """A wall that is not there, across a sector: blinds what lies behind it.
+    """A wall that is not there, across a sector: blinds what lies behind it."""
 
-    Attributes:
-        budget: most beams, those nearest to its middle; None for all that would meet it.
-        sector_deg: width of the sector.
-        range_m: horizontal range of the wall in the middle of the sector.
-        azimuth: of its middle in the sensor's frame; None draws one where the view is open.
-        height_m: of the wall.
-        spoofer: how well the beams are won.
-    """
-
-    budget: Budget = None
-    sector_deg: Annotated[float, Between(0.01, 150.0)] = 30.0
-    range_m: Annotated[float, Between(0.2, 1000.0)] = 15.0
-    azimuth: Azimuth = None
-    height_m: Annotated[float, Between(0.05, 100.0)] = _WALL_M[1]
-    spoofer: Spoofer = MEASURED_SPOOFER
+    budget: Budget = None  # most beams, those nearest to its middle; None for all that would meet it
+    sector_deg: Annotated[float, Between(0.01, 150.0)] = 30.0  # width of the sector
+    range_m: Annotated[float, Between(0.2, 1000.0)] = 15.0  # horizontal range of the wall in the middle of the sector
+    azimuth: Azimuth = None  # of its middle in the sensor's frame; None draws one where the view is open
+    height_m: Annotated[float, Between(0.05, 100.0)] = _WALL_M[1]  # of the wall
+    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""

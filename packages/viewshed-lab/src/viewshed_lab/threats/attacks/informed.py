@@ -80,21 +80,13 @@ _GROUND_M = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RayImage:
-    """All beams of a sweep, R rings by C columns.
+    """All beams of a sweep, R rings by C columns."""
 
-    Attributes:
-        rays: (K,) of the sweep.
-        number: (R, C) of the ray of each pixel, -1 where none was fired.
-        depth_m: (R, C) +inf where there is no return.
-        objects: (R, C) number of the object that each pixel belongs to, -1 for none.
-        count: how many objects there are.
-    """
-
-    rays: Rays
-    number: Ints
-    depth_m: F64
-    objects: Ints
-    count: int
+    rays: Rays  # (K,) of the sweep
+    number: Ints  # (R, C) of the ray of each pixel, -1 where none was fired
+    depth_m: F64  # (R, C) +inf where there is no return
+    objects: Ints  # (R, C) number of the object that each pixel belongs to, -1 for none
+    count: int  # how many objects there are
 
     @property
     def obstacle(self) -> Mask:
@@ -138,19 +130,12 @@ def _objects(depth_m: F64, obstacle: Mask) -> tuple[Ints, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Object:
-    """The pixels of one object, its low parts included.
+    """The pixels of one object, its low parts included."""
 
-    Attributes:
-        ring: (P,) of its pixels.
-        column: (P,) from ``first`` on, without the turn at the end of the circle.
-        first: its first column.
-        columns: how many columns it has.
-    """
-
-    ring: Ints
-    column: Ints
-    first: int
-    columns: int
+    ring: Ints  # (P,) of its pixels
+    column: Ints  # (P,) from ``first`` on, without the turn at the end of the circle
+    first: int  # its first column
+    columns: int  # how many columns it has
 
 
 @lru_cache(maxsize=2)
@@ -280,19 +265,12 @@ def _wedge_of(image: _RayImage, number: Ints) -> Wedge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Side:
-    """What the beams of a ring show beside a gap.
+    """What the beams of a ring show beside a gap."""
 
-    Attributes:
-        depth_m: their median depth, +inf where most did not return.
-        height_m: their median height in the level frame where they show ground, else NaN.
-        residual_m: (S,) how far each return is behind a straight line through them.
-        lost_share: of the beams, those that did not return.
-    """
-
-    depth_m: float
-    height_m: float
-    residual_m: F64
-    lost_share: float
+    depth_m: float  # their median depth, +inf where most did not return
+    height_m: float  # their median height in the level frame where they show ground, else NaN
+    residual_m: F64  # (S,) how far each return is behind a straight line through them
+    lost_share: float  # of the beams, those that did not return
 
 
 _NOTHING_SEEN = _Side(np.inf, np.nan, np.zeros(1), 0.0)

@@ -29,17 +29,12 @@ class MonitorScore:
     The search stands for the attacker who knows all: it is given the exact score of every plan. The score has a
     gradient in the evidence, but the evidence has none in the points: counts, quantiles and thresholds are flat almost
     everywhere and jump where one more return passes one, so that a slope by small random moves is 0 or their noise.
-
-    Attributes:
-        score: from what the monitor is handed to the number that it alarms on.
-        grid: of the victim.
-        earlier: sweeps of the sensor before this one, the oldest first.
-        estimators: of the estimates that the monitor is handed, by method.
     """
 
-    score: Callable[[MonitoredSweep], float]
-    grid: BevGrid
-    earlier: tuple[Sweep, ...] = ()
+    score: Callable[[MonitoredSweep], float]  # from what the monitor is handed to the number that it alarms on
+    grid: BevGrid  # of the victim
+    earlier: tuple[Sweep, ...] = ()  # sweeps of the sensor before this one, the oldest first
+    # of the estimates that the monitor is handed, by method
     estimators: Mapping[str, FovEstimator] = field(default_factory=dict)
 
     def __call__(self, sweep: Sweep) -> float:

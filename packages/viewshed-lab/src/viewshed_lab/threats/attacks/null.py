@@ -24,12 +24,9 @@ class NullSpoofer(Spoofer):
 
     Sensor and surface make their noise, so it is that of a benign return in level and steps. Beams that did not return,
     in one of the two sweeps, stay as they are: number and order of the rows are those of the clean sweep.
-
-    Attributes:
-        again: the same instant of the same sensor, with other noise.
     """
 
-    again: Sweep = field(kw_only=True)
+    again: Sweep = field(kw_only=True)  # the same instant of the same sensor, with other noise
 
     def reported_m(
         self, sweep: Sweep, rays: Rays, wanted_m: NDArray[np.float64], rng: np.random.Generator

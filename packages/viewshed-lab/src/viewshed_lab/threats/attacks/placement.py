@@ -37,18 +37,13 @@ _MUCH = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenGround:
-    """What near obstacles hide, by bins of azimuth in the sensor's frame, the first from -π on.
+    """What near obstacles hide, by bins of azimuth in the sensor's frame, the first from -π on."""
 
-    Attributes:
-        area_m2: (BINS,) float64 ground behind them at which beams aim and which none reaches.
-        nearest_m: (BINS,) float64 horizontal range of the nearest one, infinite where they hide little: less than half
-            of what they hide in the bin where they hide most. A post is no place to hide behind.
-        beams: (BINS,) int64 returns from them, which an attacker must move to open it.
-    """
-
-    area_m2: F64
+    area_m2: F64  # (BINS,) float64 ground behind them at which beams aim and which none reaches
+    # (BINS,) float64 horizontal range of the nearest one, infinite where they hide little: less than half of what they
+    # hide in the bin where they hide most. A post is no place to hide behind.
     nearest_m: F64
-    beams: NDArray[np.int64]
+    beams: NDArray[np.int64]  # (BINS,) int64 returns from them, which an attacker must move to open it
 
     def opened_m2(self, sector_deg: float, budget: int | None = None) -> F64:
         """Return the hidden area (BINS,) in m² that a wedge about the middle of each bin opens.

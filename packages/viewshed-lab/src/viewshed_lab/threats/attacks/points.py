@@ -57,18 +57,12 @@ class Uniform(Checked):
 
     Free-form, x and y are uniform over the square. On beams, those to hit are drawn at random and their ranges so that
     places are uniform over the disc.
-
-    Attributes:
-        budget: most points.
-        half_extent_m: half the side of the square, and radius of the disc.
-        mode: ``free_form`` or ``beam_constrained``.
-        spoofer: of the mode on beams.
     """
 
-    budget: Points = 150
-    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 64.0
-    mode: Mode = "free_form"
-    spoofer: Spoofer = MEASURED_SPOOFER
+    budget: Points = 150  # most points
+    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 64.0  # half the side of the square, and radius of the disc
+    mode: Mode = "free_form"  # ``free_form`` or ``beam_constrained``
+    spoofer: Spoofer = MEASURED_SPOOFER  # of the mode on beams
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
@@ -90,23 +84,16 @@ class Uniform(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Cluster(Checked):
-    """Points in one cluster: the paper's, an object where there is none.
+    """Points in one cluster: the paper's, an object where there is none."""
 
-    Attributes:
-        budget: most points.
-        spread_m: they lie within this of the cluster's middle, in x and in y.
-        range_m: nearest and farthest range of its middle.
-        mode: ``free_form`` or ``beam_constrained``.
-        azimuth: of its middle in the sensor's frame; None draws one.
-        spoofer: of the mode on beams.
-    """
-
-    budget: Points = 150
+    budget: Points = 150  # most points
+    # they lie within this of the cluster's middle, in x and in y
     spread_m: Annotated[float, Between(0.01, 100.0)] = 3.0
+    # nearest and farthest range of its middle
     range_m: Annotated[tuple[float, float], Ascending(0.1, 1000.0)] = (10.0, 70.0)
-    mode: Mode = "free_form"
-    azimuth: Azimuth = None
-    spoofer: Spoofer = MEASURED_SPOOFER
+    mode: Mode = "free_form"  # ``free_form`` or ``beam_constrained``
+    azimuth: Azimuth = None  # of its middle in the sensor's frame; None draws one
+    spoofer: Spoofer = MEASURED_SPOOFER  # of the mode on beams
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
@@ -132,23 +119,14 @@ class Cluster(Checked):
 
 @dataclass(frozen=True, slots=True)
 class WedgeCluster(Checked):
-    """Points within a few degrees at one range: the classic spoof of an object.
+    """Points within a few degrees at one range: the classic spoof of an object."""
 
-    Attributes:
-        budget: most points.
-        sector_deg: width of the wedge.
-        range_m: where the object is to be.
-        mode: ``beam_constrained`` or ``free_form``.
-        azimuth: middle of the wedge in the sensor's frame; None draws one where the view is open.
-        spoofer: of the mode on beams.
-    """
-
-    budget: Points = 100
-    sector_deg: Annotated[float, Between(0.01, 180.0)] = 8.0
-    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0
-    mode: Mode = "beam_constrained"
-    azimuth: Azimuth = None
-    spoofer: Spoofer = MEASURED_SPOOFER
+    budget: Points = 100  # most points
+    sector_deg: Annotated[float, Between(0.01, 180.0)] = 8.0  # width of the wedge
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 10.0  # where the object is to be
+    mode: Mode = "beam_constrained"  # ``beam_constrained`` or ``free_form``
+    azimuth: Azimuth = None  # middle of the wedge in the sensor's frame; None draws one where the view is open
+    spoofer: Spoofer = MEASURED_SPOOFER  # of the mode on beams
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)
@@ -195,24 +173,17 @@ class Frustum(Checked):
     """Points behind or before a real object, on beams that meet it: consistent with what a camera sees.
 
     The object is the obstacle around a return drawn at random. Without any obstacle in range nothing is done.
-
-    Attributes:
-        budget: most points; None for all beams of the object.
-        side: ``behind`` or ``before`` the object.
-        apart_m: how far behind or before; never nearer than 1 m to the sensor, never below the ground.
-        range_m: nearest and farthest object.
-        radius_m: returns within this of the drawn one belong to the object.
-        mode: ``beam_constrained`` moves the object's returns, ``free_form`` adds points and leaves them.
-        spoofer: of the mode on beams.
     """
 
-    budget: Budget = 200
-    side: Side = "behind"
+    budget: Budget = 200  # most points; None for all beams of the object
+    side: Side = "behind"  # ``behind`` or ``before`` the object
+    # how far behind or before; never nearer than 1 m to the sensor, never below the ground
     apart_m: Annotated[float, Between(0.1, 200.0)] = 8.0
-    range_m: Annotated[tuple[float, float], Ascending(0.1)] = (4.0, 40.0)
-    radius_m: Annotated[float, Between(0.1, 50.0)] = 2.5
+    range_m: Annotated[tuple[float, float], Ascending(0.1)] = (4.0, 40.0)  # nearest and farthest object
+    radius_m: Annotated[float, Between(0.1, 50.0)] = 2.5  # returns within this of the drawn one belong to the object
+    # ``beam_constrained`` moves the object's returns, ``free_form`` adds points and leaves them
     mode: Mode = "beam_constrained"
-    spoofer: Spoofer = MEASURED_SPOOFER
+    spoofer: Spoofer = MEASURED_SPOOFER  # of the mode on beams
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
@@ -256,24 +227,16 @@ class PaperAttack(Checked):
 
     The paper adds its points to the projection; here they are returns at the sensor's own height in the level frame,
     which its profile projects to the same place.
-
-    Attributes:
-        uniform_share: probability of points over the extent.
-        cluster_share: probability of a cluster.
-        half_extent_m: half the side of the extent.
-        uniform_points: fewest and most points over the extent.
-        cluster_points: fewest and most points of a cluster.
-        cluster_m: nearest and farthest middle of a cluster, along each axis.
-        spread_m: points lie within this of the middle, along each axis.
     """
 
-    uniform_share: Share = 0.6
-    cluster_share: float = 0.2
-    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 80.0
-    uniform_points: Annotated[tuple[int, int], Ascending(0)] = (80, 119)
-    cluster_points: Annotated[tuple[int, int], Ascending(0)] = (10, 159)
+    uniform_share: Share = 0.6  # probability of points over the extent
+    cluster_share: float = 0.2  # probability of a cluster
+    half_extent_m: Annotated[float, Between(1.0, 1000.0)] = 80.0  # half the side of the extent
+    uniform_points: Annotated[tuple[int, int], Ascending(0)] = (80, 119)  # fewest and most points over the extent
+    cluster_points: Annotated[tuple[int, int], Ascending(0)] = (10, 159)  # fewest and most points of a cluster
+    # nearest and farthest middle of a cluster, along each axis
     cluster_m: Annotated[tuple[float, float], Ascending(0.0)] = (40.0, 70.0)
-    spread_m: Annotated[float, Between(0.0, 100.0)] = 3.0
+    spread_m: Annotated[float, Between(0.0, 100.0)] = 3.0  # points lie within this of the middle, along each axis
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)

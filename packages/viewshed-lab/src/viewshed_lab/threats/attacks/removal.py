@@ -22,15 +22,11 @@ Plan = tuple[NDArray[np.bool_], NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True)
 class Relay(WedgeAttack):
-    """A sector of the scan with a constant offset in range: its objects stand elsewhere.
+    """A sector of the scan with a constant offset in range: its objects stand elsewhere."""
 
-    Attributes:
-        offset_m: added to each range; returns that would be nearer than the minimum range are dropped.
-        aim_m: obstacles nearer than this are aimed at.
-    """
-
+    # added to each range; returns that would be nearer than the minimum range are dropped
     offset_m: Annotated[float, Between(-1000.0, 1000.0)] = 5.0
-    aim_m: Range = 30.0
+    aim_m: Range = 30.0  # obstacles nearer than this are aimed at
 
     def plan(self, sweep: Sweep, rays: Rays, rng: np.random.Generator) -> Plan:
         """Return every beam, with its range and the offset."""
@@ -39,13 +35,9 @@ class Relay(WedgeAttack):
 
 @dataclass(frozen=True, slots=True)
 class PhysicalRemoval(WedgeAttack):
-    """The returns of a sector are pushed inside the sensor's minimum range, which drops them: hides what is there.
+    """The returns of a sector are pushed inside the sensor's minimum range, which drops them: hides what is there."""
 
-    Attributes:
-        aim_m: obstacles nearer than this are aimed at.
-    """
-
-    aim_m: Range = 30.0
+    aim_m: Range = 30.0  # obstacles nearer than this are aimed at
 
     def plan(self, sweep: Sweep, rays: Rays, rng: np.random.Generator) -> Plan:
         """Return every beam, without a return."""
@@ -54,18 +46,12 @@ class PhysicalRemoval(WedgeAttack):
 
 @dataclass(frozen=True, slots=True)
 class HighFrequencyRemoval(WedgeAttack):
-    """Pulses at a high rate drown a sector: some of its beams return at random ranges, the others not at all.
-
-    Attributes:
-        noise_rate: share of the beams won that return noise.
-        noise_m: noise ranges are uniform from 0 to this; those below the minimum range are dropped.
-        aim_m: obstacles nearer than this are aimed at.
-    """
+    """Pulses at a high rate drown a sector: some of its beams return at random ranges, the others not at all."""
 
     sector_deg: Sector = 13.0
-    noise_rate: Share = 0.3
-    noise_m: Range = 50.0
-    aim_m: Range = 30.0
+    noise_rate: Share = 0.3  # share of the beams won that return noise
+    noise_m: Range = 50.0  # noise ranges are uniform from 0 to this; those below the minimum range are dropped
+    aim_m: Range = 30.0  # obstacles nearer than this are aimed at
     spoofer: Spoofer = NOISELESS_SPOOFER
 
     takes_empty = True
@@ -82,15 +68,11 @@ class Jamming(WedgeAttack):
     """A light that saturates the sensor: beams of the whole scan return at random ranges, or not at all.
 
     A budget is spent on beams drawn at random; the sector is drawn where no azimuth is given.
-
-    Attributes:
-        share: of the beams that are jammed.
-        blind_share: of those, beams that do not return at all.
     """
 
     sector_deg: Sector = 360.0
-    share: Share = 0.3
-    blind_share: Share = 0.0
+    share: Share = 0.3  # of the beams that are jammed
+    blind_share: Share = 0.0  # of those, beams that do not return at all
     spoofer: Spoofer = NOISELESS_SPOOFER
 
     takes_empty = True

@@ -30,16 +30,11 @@ class PoseSpoof(Checked):
 
     The turn is about the vertical through the sensor, the shift is level, the tilt is about a level axis. Returns are
     not touched.
-
-    Attributes:
-        yaw_deg: turn.
-        shift_m: shift.
-        tilt_deg: tilt, of the attitude as well.
     """
 
-    yaw_deg: Annotated[float, Between(0.0, 180.0)] = 2.0
-    shift_m: Annotated[float, Between(0.0, 10_000.0)] = 1.0
-    tilt_deg: Annotated[float, Between(0.0, 90.0)] = 0.0
+    yaw_deg: Annotated[float, Between(0.0, 180.0)] = 2.0  # turn
+    shift_m: Annotated[float, Between(0.0, 10_000.0)] = 1.0  # shift
+    tilt_deg: Annotated[float, Between(0.0, 90.0)] = 0.0  # tilt, of the attitude as well
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it.
@@ -74,22 +69,14 @@ class Replay(Checked):
 
     On beams, each beam of the sector reports the range that it had in the earlier sweep, or nothing where it had none.
     Free-form, the earlier returns take the place of all; time and pose stay those of this sweep.
-
-    Attributes:
-        earlier: the sweep that is played.
-        budget: most beams, those nearest to the middle of the sector; None for all. Not for the free form.
-        sector_deg: width of the sector.
-        azimuth: middle of the sector in the sensor's frame.
-        mode: ``beam_constrained`` or ``free_form``.
-        spoofer: of the mode on beams.
     """
 
-    earlier: Sweep
-    budget: Budget = None
-    sector_deg: Sector = 360.0
-    azimuth: Angle = 0.0
-    mode: Mode = "beam_constrained"
-    spoofer: Spoofer = NOISELESS_SPOOFER
+    earlier: Sweep  # the sweep that is played
+    budget: Budget = None  # most beams, those nearest to the middle of the sector; None for all. Not for the free form.
+    sector_deg: Sector = 360.0  # width of the sector
+    azimuth: Angle = 0.0  # middle of the sector in the sensor's frame
+    mode: Mode = "beam_constrained"  # ``beam_constrained`` or ``free_form``
+    spoofer: Spoofer = NOISELESS_SPOOFER  # of the mode on beams
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it.
@@ -145,30 +132,19 @@ class CoherentPhantom(Checked):
 
     A check over time finds nothing wrong: the ghost is where a real thing would be. Its place is that at ``azimuth``
     and ``range_m`` from the pose ``first``. Out of range it is not there.
-
-    Attributes:
-        first: pose at which the ghost appeared; None for one that keeps its place before the sensor.
-        first_ns: time of that pose.
-        budget: most beams, those nearest to its middle; None for all that would meet it.
-        range_m: its range from the first pose.
-        azimuth: its azimuth from the first pose, in the sensor's frame.
-        anchor: ``world`` or ``sensor``.
-        velocity_mps: (vx, vy) of the ghost in the world, for the anchor ``world``.
-        reach_m: nearest and farthest range at which it is shown.
-        size_m: length, width, height.
-        spoofer: how well the beams are won.
     """
 
-    first: Rigid | None = None
-    first_ns: int | None = None
-    budget: Budget = None
-    range_m: Annotated[float, Between(0.1, 1000.0)] = 12.0
-    azimuth: Angle = 0.3
-    anchor: Anchor = "world"
-    velocity_mps: tuple[float, float] = (0.0, 0.0)
+    first: Rigid | None = None  # pose at which the ghost appeared; None for one that keeps its place before the sensor
+    first_ns: int | None = None  # time of that pose
+    budget: Budget = None  # most beams, those nearest to its middle; None for all that would meet it
+    range_m: Annotated[float, Between(0.1, 1000.0)] = 12.0  # its range from the first pose
+    azimuth: Angle = 0.3  # its azimuth from the first pose, in the sensor's frame
+    anchor: Anchor = "world"  # ``world`` or ``sensor``
+    velocity_mps: tuple[float, float] = (0.0, 0.0)  # (vx, vy) of the ghost in the world, for the anchor ``world``
+    # nearest and farthest range at which it is shown
     reach_m: Annotated[tuple[float, float], Ascending(0.0)] = (3.0, 50.0)
-    size_m: tuple[float, float, float] = CAR_M
-    spoofer: Spoofer = MEASURED_SPOOFER
+    size_m: tuple[float, float, float] = CAR_M  # length, width, height
+    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)

@@ -48,19 +48,12 @@ _ROUNDS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundBox:
-    """A box on the ground, in the level frame.
+    """A box on the ground, in the level frame."""
 
-    Attributes:
-        center: (x, y) of its middle, meters.
-        heading: yaw of its length, radians.
-        size_m: length, width, height.
-        ground_m: z of its lower side.
-    """
-
-    center: tuple[float, float]
-    heading: float
-    size_m: tuple[float, float, float]
-    ground_m: float
+    center: tuple[float, float]  # (x, y) of its middle, meters
+    heading: float  # yaw of its length, radians
+    size_m: tuple[float, float, float]  # length, width, height
+    ground_m: float  # z of its lower side
 
 
 @lru_cache(maxsize=2)
@@ -166,17 +159,13 @@ def chord_m(start: F64, direction: F64, box: GroundBox) -> tuple[F64, F64]:
 
 @dataclass(frozen=True, slots=True)
 class Spoofer(Checked):
-    """A spoofer: one return for each beam that it wins.
+    """A spoofer: one return for each beam that it wins."""
 
-    Attributes:
-        reliability: share of the aimed beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name.
-        point_sigma_m: noise of each range along its ray; None is the sensor's own, as of a strong return.
-        frame_sigma_m: noise that all ranges of a sweep share.
-    """
-
+    # share of the aimed beams that it wins; None takes it from ``RELIABILITY`` by the sensor's name
     reliability: Annotated[float | None, Between(0.0, 1.0)] = None
+    # noise of each range along its ray; None is the sensor's own, as of a strong return
     point_sigma_m: Annotated[float | None, Between(0.0, 10.0)] = 0.10
-    frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35
+    frame_sigma_m: Annotated[float, Between(0.0, 10.0)] = 0.35  # noise that all ranges of a sweep share
 
     def wins(self, sweep: Sweep, count: int, rng: np.random.Generator) -> Mask:
         """Return which of ``count`` beams are won."""

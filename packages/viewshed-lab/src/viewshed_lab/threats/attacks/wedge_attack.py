@@ -21,22 +21,16 @@ class WedgeAttack(Checked):
     """The beams of a wedge report something else: of the beams that a plan names, those nearest to the wedge's middle.
 
     A member says in :meth:`plan` which beams it attacks and what they are to report.
-
-    Attributes:
-        budget: most beams, those nearest to the middle of the wedge; None for all.
-        sector_deg: width of the wedge.
-        azimuth: middle of the wedge in the sensor's frame; None aims as ``placement`` says.
-        placement: ``random`` aims at a near obstacle drawn at random; ``behind_nearest_obstacle`` where the nearest
-            obstacle hides the most ground; ``largest_hidden_area`` where the wedge opens most of what obstacles hide.
-            A sweep without hidden ground leaves it to chance.
-        spoofer: how well the beams are won.
     """
 
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
+    budget: Budget = None  # most beams, those nearest to the middle of the wedge; None for all
+    sector_deg: Sector = 30.0  # width of the wedge
+    azimuth: Azimuth = None  # middle of the wedge in the sensor's frame; None aims as ``placement`` says
+    # ``random`` aims at a near obstacle drawn at random; ``behind_nearest_obstacle`` where the nearest obstacle hides
+    # the most ground; ``largest_hidden_area`` where the wedge opens most of what obstacles hide. A sweep without hidden
+    # ground leaves it to chance.
     placement: Placement = "random"
-    spoofer: Spoofer = MEASURED_SPOOFER
+    spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     takes_empty: ClassVar[bool] = False
     """Whether the plan also covers beams without a return."""

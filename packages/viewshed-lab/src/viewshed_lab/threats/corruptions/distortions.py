@@ -19,13 +19,9 @@ PERIOD_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class RangeNoise(Checked):
-    """Normal noise along the ray, beyond the sensor's own.
+    """Normal noise along the ray, beyond the sensor's own."""
 
-    Attributes:
-        sigma_m: its standard deviation.
-    """
-
-    sigma_m: Annotated[float, Between(0, 10)]
+    sigma_m: Annotated[float, Between(0, 10)]  # its standard deviation
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with noisy ranges."""
@@ -38,14 +34,10 @@ class MotionDistortion(Checked):
 
     The sensor drives forward and turns to a random side at constant rates; the middle of the revolution is the
     reference. Times are the sweep's own, else by azimuth: from -π to π in :data:`PERIOD_S`.
-
-    Attributes:
-        speed_mps: forward.
-        yaw_rate_degps: how fast it turns.
     """
 
-    speed_mps: Annotated[float, Between(0, 100)]
-    yaw_rate_degps: Annotated[float, Between(0, 360)]
+    speed_mps: Annotated[float, Between(0, 100)]  # forward
+    yaw_rate_degps: Annotated[float, Between(0, 360)]  # how fast it turns
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared by the motion; firing azimuths and times are as before."""
@@ -67,13 +59,9 @@ def _from_middle_s(sweep: Sweep) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Miscalibration(Checked):
-    """Roll and pitch are wrong by a tilt about a random horizontal axis; a sweep without an attitude gets this one.
+    """Roll and pitch are wrong by a tilt about a random horizontal axis; a sweep without an attitude gets this one."""
 
-    Attributes:
-        tilt_deg: angle between the vertical that is claimed and the true one.
-    """
-
-    tilt_deg: Annotated[float, Between(0, 45)]
+    tilt_deg: Annotated[float, Between(0, 45)]  # angle between the vertical that is claimed and the true one
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` with a wrong attitude, and a wrong rotation of its pose; the points are as measured."""
@@ -96,15 +84,10 @@ def _tilt(heading: float, angle: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Slope(Checked):
-    """The world bends upward: beyond a line to a random side, everything is raised in proportion to its distance.
+    """The world bends upward: beyond a line to a random side, everything is raised in proportion to its distance."""
 
-    Attributes:
-        grade: rise over run.
-        start_m: where the slope begins.
-    """
-
-    grade: Annotated[float, Between(-1, 1)]
-    start_m: Annotated[float, Between(0, 1000)]
+    grade: Annotated[float, Between(-1, 1)]  # rise over run
+    start_m: Annotated[float, Between(0, 1000)]  # where the slope begins
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` sheared along the sensor's z; x, y and the rings stay."""

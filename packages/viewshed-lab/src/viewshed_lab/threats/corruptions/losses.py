@@ -15,13 +15,9 @@ from viewshed_lab.threats.parameters import Between, Checked, Share
 
 @dataclass(frozen=True, slots=True)
 class DroppedBeams(Checked):
-    """Beams chosen at random return nothing.
+    """Beams chosen at random return nothing."""
 
-    Attributes:
-        share: of the returns, rounded to whole ones.
-    """
-
-    share: Share
+    share: Share  # of the returns, rounded to whole ones
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the share."""
@@ -32,15 +28,10 @@ class DroppedBeams(Checked):
 
 @dataclass(frozen=True, slots=True)
 class DroppedSectors(Checked):
-    """Sectors of the revolution are lost: packets that did not arrive, dirt on the window.
+    """Sectors of the revolution are lost: packets that did not arrive, dirt on the window."""
 
-    Attributes:
-        sectors: how many; they may overlap.
-        width_deg: of each.
-    """
-
-    sectors: Annotated[int, Between(0, 360)]
-    width_deg: Annotated[float, Between(0, 360)]
+    sectors: Annotated[int, Between(0, 360)]  # how many; they may overlap
+    width_deg: Annotated[float, Between(0, 360)]  # of each
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without returns in the sectors, by the azimuths of its points."""
@@ -54,13 +45,9 @@ class DroppedSectors(Checked):
 
 @dataclass(frozen=True, slots=True)
 class DeadRings(Checked):
-    """Some of the lasers are dead. Needs rings.
+    """Some of the lasers are dead. Needs rings."""
 
-    Attributes:
-        share: of the sensor's rings, rounded to whole ones, at least one.
-    """
-
-    share: Share
+    share: Share  # of the sensor's rings, rounded to whole ones, at least one
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the rings, drawn from all that the sensor has.
@@ -77,15 +64,10 @@ class DeadRings(Checked):
 
 @dataclass(frozen=True, slots=True)
 class FewerBeams(Checked):
-    """A sensor with fewer rings: of each ``of`` neighbors the lowest ``kept`` remain, with their numbers. Needs rings.
+    """A sensor with fewer rings: of each ``of`` neighbors the lowest ``kept`` keep their numbers. Needs rings."""
 
-    Attributes:
-        kept: rings that remain of each group.
-        of: rings in a group.
-    """
-
-    kept: int
-    of: Annotated[int, Between(1, 4096)]
+    kept: int  # rings that remain of each group
+    of: Annotated[int, Between(1, 4096)]  # rings in a group
 
     def __post_init__(self) -> None:
         Checked.__post_init__(self)

@@ -25,15 +25,10 @@ BEFORE_SURFACE = (0.3, 0.9)
 
 @dataclass(frozen=True, slots=True)
 class GlassPatches(Checked):
-    """Glass, mirrors and absorbers: contiguous patches of surfaces return nothing.
+    """Glass, mirrors and absorbers: contiguous patches of surfaces return nothing."""
 
-    Attributes:
-        patches: how many.
-        radius_m: returns within this distance of the middle of a patch are gone.
-    """
-
-    patches: Annotated[int, Between(0, 1000)]
-    radius_m: Annotated[float, Between(0, 100)]
+    patches: Annotated[int, Between(0, 1000)]  # how many
+    radius_m: Annotated[float, Between(0, 100)]  # returns within this distance of the middle of a patch are gone
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` without the patches."""
@@ -58,16 +53,11 @@ class GlassPatches(Checked):
 
 @dataclass(frozen=True, slots=True)
 class Vegetation(Checked):
-    """Bushes before surfaces: balls of leaves in which a beam stops after a random path (Beer's law), or passes.
+    """Bushes before surfaces: balls of leaves in which a beam stops after a random path (Beer's law), or passes."""
 
-    Attributes:
-        bushes: how many.
-        radius_m: of each.
-        per_m: stops per meter of path; the simulator's leaves by default.
-    """
-
-    bushes: Annotated[int, Between(0, 1000)]
-    radius_m: Annotated[float, Between(0, BUSH_RANGES_M[0] - 0.5)]
+    bushes: Annotated[int, Between(0, 1000)]  # how many
+    radius_m: Annotated[float, Between(0, BUSH_RANGES_M[0] - 0.5)]  # of each
+    # stops per meter of path; the simulator's leaves by default
     per_m: Annotated[float, Between(0, 1e6)] = float(PER_M[material_index("leaves")])
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:

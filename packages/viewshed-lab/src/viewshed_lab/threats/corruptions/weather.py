@@ -38,12 +38,9 @@ class Weather:
     exp(-2 α r), and it survives with probability F(s') / F(s). Particles in the air replace a return where theirs is
     the stronger signal. Range noise grows by what s' adds to √(1 + 3 / s). All as in ``sim.lidar.measurement``;
     s = 0.2 / 0.1 · (reach / r)², as the surface's own reflectivity is not known.
-
-    Attributes:
-        conditions: of the simulator; shares of missing beams, dead rings and sectors are not used here.
     """
 
-    conditions: Conditions
+    conditions: Conditions  # of the simulator; shares of missing beams, dead rings and sectors are not used here
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
         """Return ``sweep`` as it would have been in this weather; beams without a return stay without one."""

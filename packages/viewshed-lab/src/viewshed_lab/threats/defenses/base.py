@@ -15,19 +15,14 @@ from viewshed.sweep import Sweep
 class Defended:
     """A sweep after a defense.
 
-    Attributes:
-        sweep: the returns that are kept, in their order, with their columns.
-        dropped: (N,) bool, rows of the sweep that was handed in that are gone.
-        alarm: whether the defense says that something is wrong, or None where it only drops returns.
-        score: the defense's doubt in [0, 1]: the share of the returns that it dropped, or what its alarm is raised on.
-
     Raises:
         ValueError: the mask does not fit the sweep.
     """
 
-    sweep: Sweep
-    dropped: NDArray[np.bool_]
-    alarm: bool | None
+    sweep: Sweep  # the returns that are kept, in their order, with their columns
+    dropped: NDArray[np.bool_]  # (N,) bool, rows of the sweep that was handed in that are gone
+    alarm: bool | None  # whether the defense says that something is wrong, or None where it only drops returns
+    # the defense's doubt in [0, 1]: the share of the returns that it dropped, or what its alarm is raised on
     score: float
 
     def __post_init__(self) -> None:

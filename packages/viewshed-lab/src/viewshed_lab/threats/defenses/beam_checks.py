@@ -44,12 +44,9 @@ class OneReturnPerBeam:
     Two returns share a beam if they share a ring and their firing azimuths (those of the points where the sweep has
     none) lie within ``tolerance`` of a firing step. Which one is real is not known; the nearest one is kept because a
     claim to see through a surface is the dangerous one. Returns nearer than 1 m, and those of no ring, are left alone.
-
-    Attributes:
-        tolerance: share of the azimuth step between two firings.
     """
 
-    tolerance: float = 0.25
+    tolerance: float = 0.25  # share of the azimuth step between two firings
 
     def __post_init__(self) -> None:
         if not 0 <= self.tolerance < 1:
@@ -102,14 +99,10 @@ class EmptySectorCheck:
 
     A bin of one degree is empty with fewer returns than ``share`` of the median bin (of those with any). The score is
     the widest run of empty bins as a share of the revolution.
-
-    Attributes:
-        width_deg: a run at least this wide raises the alarm.
-        share: of the median bin.
     """
 
-    width_deg: float = 5.0
-    share: float = 0.1
+    width_deg: float = 5.0  # a run at least this wide raises the alarm
+    share: float = 0.1  # of the median bin
 
     def __post_init__(self) -> None:
         if not (0 < self.width_deg <= 360 and 0 < self.share <= 1):

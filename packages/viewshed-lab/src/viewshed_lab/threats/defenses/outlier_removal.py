@@ -21,14 +21,10 @@ class StatisticalOutlierRemoval:
 
     Rusu et al. 2008 ("Towards 3D point cloud based object maps for household environments"), as PCL's
     ``StatisticalOutlierRemoval`` with the parameters of its tutorial.
-
-    Attributes:
-        neighbors: nearest others of each return; all others where there are fewer.
-        deviations: multiples of the standard deviation (of N - 1).
     """
 
-    neighbors: int = 50
-    deviations: float = 1.0
+    neighbors: int = 50  # nearest others of each return; all others where there are fewer
+    deviations: float = 1.0  # multiples of the standard deviation (of N - 1)
 
     def __post_init__(self) -> None:
         if not (1 <= self.neighbors <= 1000 and np.isfinite(self.deviations)):
@@ -52,14 +48,10 @@ class RadiusOutlierRemoval:
     """Drops returns with fewer than ``neighbors`` others within ``radius_m``.
 
     As PCL's ``RadiusOutlierRemoval`` with the parameters of its tutorial.
-
-    Attributes:
-        radius_m: the distance itself counts as within.
-        neighbors: others that a return needs.
     """
 
-    radius_m: float = 0.8
-    neighbors: int = 2
+    radius_m: float = 0.8  # the distance itself counts as within
+    neighbors: int = 2  # others that a return needs
 
     def __post_init__(self) -> None:
         if not (0 < self.radius_m < 1e3 and self.neighbors >= 1):
@@ -77,14 +69,10 @@ class ClusteringOutlierRemoval:
 
     Ester et al. 1996 with scikit-learn's parameters: a core has ``fewest`` returns within the radius, itself included.
     The clusters themselves are not needed to know what belongs to none.
-
-    Attributes:
-        radius_m: the distance itself counts as within (``eps``).
-        fewest: returns about a core (``min_samples``).
     """
 
-    radius_m: float = 0.5
-    fewest: int = 5
+    radius_m: float = 0.5  # the distance itself counts as within (``eps``)
+    fewest: int = 5  # returns about a core (``min_samples``)
 
     def __post_init__(self) -> None:
         if not (0 < self.radius_m < 1e3 and self.fewest >= 2):

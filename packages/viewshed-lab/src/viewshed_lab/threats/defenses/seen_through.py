@@ -25,18 +25,14 @@ class TemporalConsistency:
     rings are more than ``gap_m`` apart something may stand between them, and nothing is concluded. What has moved there
     since is dropped, too: that is the cost.
 
-    Attributes:
-        earlier: sweeps with poses and rings in the same map; none make a defense that drops nothing.
-        margin_m: how much farther than the return an earlier one must lie.
-        gap_m: greatest distance of two rings at the return.
-
     Raises:
         ValueError: an earlier sweep has no pose or no rings, or a distance is not positive.
     """
 
+    # sweeps with poses and rings in the same map; none make a defense that drops nothing
     earlier: tuple[Sweep, ...] = ()
-    margin_m: float = 1.0
-    gap_m: float = 1.0
+    margin_m: float = 1.0  # how much farther than the return an earlier one must lie
+    gap_m: float = 1.0  # greatest distance of two rings at the return
     _views: tuple[_View, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from viewshed.io._input import errors_named
-from viewshed.recordings.read import bag_files, carla, kitti, nuscenes, opv2v, rosbag
+from viewshed.recordings.read import argoverse2, bag_files, carla, kitti, nuscenes, opv2v, rosbag
 from viewshed.recordings.read.source import RecordingSource, SourceKind, SweepSource
 
 SOURCES: dict[str, SourceKind] = {
@@ -14,6 +14,7 @@ SOURCES: dict[str, SourceKind] = {
     "kitti_raw": SourceKind("KITTI's drives with velodyne_points/data/", kitti.drives_in, kitti.KittiRaw),
     "kitti_odometry": SourceKind("KITTI's sequences/*/velodyne/", kitti.sequences_in, kitti.KittiOdometry),
     "kitti_object": SourceKind("KITTI's training/velodyne/ or testing/velodyne/", kitti.parts_in, kitti.KittiObject),
+    "argoverse2": SourceKind("Argoverse 2's LOG/sensors/lidar/", argoverse2.logs_in, argoverse2.Argoverse2),
     "carla": SourceKind(
         "folders AGENT/000123.ply (or .npy) with AGENT/poses.csv (or .jsonl)",
         carla.recordings_in, carla.CarlaRecording.open,

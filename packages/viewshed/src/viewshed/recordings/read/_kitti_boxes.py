@@ -68,36 +68,23 @@ def _box(line: str, where: str, velodyne_from_camera: Rigid) -> ObjectBox:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
-    """One object over time.
+    """One object over time."""
 
-    Attributes:
-        name: its number in the file.
-        category: what it is.
-        size_m: length, width, height.
-        first: frame of its first pose.
-        poses: (F, 4) float64: middle of its bottom in the LiDAR's frame, meters, and heading; NaN where damaged.
-    """
-
-    name: str
-    category: str
-    size_m: tuple[float, float, float]
-    first: int
+    name: str  # its number in the file
+    category: str  # what it is
+    size_m: tuple[float, float, float]  # length, width, height
+    first: int  # frame of its first pose
+    # (F, 4) float64: middle of its bottom in the LiDAR's frame, meters, and heading; NaN where damaged
     poses: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracklets:
-    """The objects of one drive, from :meth:`read`.
+    """The objects of one drive, from :meth:`read`."""
 
-    Attributes:
-        place: the file.
-        tracks: its objects.
-        damage: one line for each object that had to be left out, or that has fewer poses than it says.
-    """
-
-    place: Path
-    tracks: tuple[_Track, ...]
-    damage: tuple[str, ...]
+    place: Path  # the file
+    tracks: tuple[_Track, ...]  # its objects
+    damage: tuple[str, ...]  # one line for each object that had to be left out, or that has fewer poses than it says
 
     @classmethod
     def read(cls, place: Path) -> Tracklets:

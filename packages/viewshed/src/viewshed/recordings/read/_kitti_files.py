@@ -122,17 +122,11 @@ class PoseTrack(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraTrack:
-    """Poses of one sequence of KITTI odometry, in the LiDAR's frame at the first sweep.
+    """Poses of one sequence of KITTI odometry, in the LiDAR's frame at the first sweep."""
 
-    Attributes:
-        place: the file of poses.
-        lines: its lines, each the pose of the left camera in the camera's frame at the first sweep.
-        camera_from_velodyne: calibration.
-    """
-
-    place: Path
-    lines: Sequence[str]
-    camera_from_velodyne: Rigid
+    place: Path  # the file of poses
+    lines: Sequence[str]  # its lines, each the pose of the left camera in the camera's frame at the first sweep
+    camera_from_velodyne: Rigid  # calibration
 
     @classmethod
     def read(cls, root: Path, place: Path, calibration: Path) -> CameraTrack:
@@ -148,19 +142,12 @@ class CameraTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialTrack:
-    """Poses of one drive of KITTI raw.
+    """Poses of one drive of KITTI raw."""
 
-    Attributes:
-        root: the recording.
-        folder: the records, named by the numbers of the sweeps.
-        first: the record (6,) where the world has its origin: the first that can be read.
-        imu_from_velodyne: calibration.
-    """
-
-    root: Path
-    folder: Path
-    first: NDArray[np.float64]
-    imu_from_velodyne: Rigid
+    root: Path  # the recording
+    folder: Path  # the records, named by the numbers of the sweeps
+    first: NDArray[np.float64]  # the record (6,) where the world has its origin: the first that can be read
+    imu_from_velodyne: Rigid  # calibration
 
     @classmethod
     def read(cls, root: Path, drive: Path) -> InertialTrack:

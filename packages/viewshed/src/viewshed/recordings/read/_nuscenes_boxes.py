@@ -19,22 +19,15 @@ from viewshed.recordings.read.tf_tree import slerp
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Annotations:
-    """The rows of ``sample_annotation``, grouped by sample.
+    """The rows of ``sample_annotation``, grouped by sample."""
 
-    Attributes:
-        place: the table's file.
-        rows: token of the sample → rows of ``values`` and ``instances``.
-        values: (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; not finite where
-            the row is damaged.
-        instances: token of the object, by row.
-        categories: token of the object → name of its category.
-    """
-
-    place: Path
-    rows: dict[str, array[int]]
+    place: Path  # the table's file
+    rows: dict[str, array[int]]  # token of the sample → rows of ``values`` and ``instances``
+    # (N, 10) float64: quaternion (w, x, y, z), center and width, length, height in meters; not finite where the row is
+    # damaged
     values: NDArray[np.float64]
-    instances: list[str]
-    categories: dict[str, str]
+    instances: list[str]  # token of the object, by row
+    categories: dict[str, str]  # token of the object → name of its category
 
     @classmethod
     def read(cls, folder: Path) -> Annotations:

@@ -43,16 +43,11 @@ class Tokens(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PoseTable:
-    """A table of poses.
+    """A table of poses."""
 
-    Attributes:
-        place: its file.
-        rows: token → row of ``values``.
-        values: (N, 7) float64: quaternion (w, x, y, z), translation in meters; not finite where the row is damaged.
-    """
-
-    place: Path
-    rows: dict[str, int]
+    place: Path  # its file
+    rows: dict[str, int]  # token → row of ``values``
+    # (N, 7) float64: quaternion (w, x, y, z), translation in meters; not finite where the row is damaged
     values: NDArray[np.float64]
 
     @classmethod
@@ -79,19 +74,13 @@ class PoseTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuscenesTables:
-    """What the tables of one version say about the LiDAR.
+    """What the tables of one version say about the LiDAR."""
 
-    Attributes:
-        scenes: name of the scene → its sweeps in time order, keyframes among them; their key is the row's token.
-        tokens: the sweep's token → what its row refers to.
-        calibrations: ego from LiDAR.
-        poses: global from ego.
-    """
-
+    # name of the scene → its sweeps in time order, keyframes among them; their key is the row's token
     scenes: dict[str, list[SweepRef]]
-    tokens: dict[str, Tokens]
-    calibrations: PoseTable
-    poses: PoseTable
+    tokens: dict[str, Tokens]  # the sweep's token → what its row refers to
+    calibrations: PoseTable  # ego from LiDAR
+    poses: PoseTable  # global from ego
 
     @classmethod
     def read(cls, folder: Path, damage: list[str]) -> NuscenesTables:

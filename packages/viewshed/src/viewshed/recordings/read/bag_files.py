@@ -15,7 +15,7 @@ import contextlib
 import io
 import sqlite3
 import struct
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -38,23 +38,14 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message as it is stored.
+    """One message as it is stored."""
 
-    Attributes:
-        topic: what it belongs to.
-        kind: its type, as ROS 2 writes it.
-        encoding: ``cdr`` or ``ros1``.
-        t_ns: when it was recorded, nanoseconds.
-        where: how :meth:`BagFile.message` finds it again.
-        raw: its bytes.
-    """
-
-    topic: str
-    kind: str
-    encoding: str
-    t_ns: int
-    where: str
-    raw: bytes
+    topic: str  # what it belongs to
+    kind: str  # its type, as ROS 2 writes it
+    encoding: str  # ``cdr`` or ``ros1``
+    t_ns: int  # when it was recorded, nanoseconds
+    where: str  # how :meth:`BagFile.message` finds it again
+    raw: bytes  # its bytes
 
 
 class BagFile(Protocol):
@@ -151,10 +142,6 @@ class _UnpackBudget:
         self.spent += count
         if self.spent > self.limit:
             raise ValueError(f"is damaged: it unpacks to more than {self.limit} bytes in all; refused")
-
-
-Read = Callable[[int, int], bytes]
-"""(first byte, number of bytes) → what is there, of a file or of a chunk that was unpacked."""
 
 
 class _ChunkedBag:

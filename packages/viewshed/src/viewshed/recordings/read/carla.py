@@ -129,15 +129,10 @@ _POSE_NUMBERS = POSE_COLUMNS[2:]
 
 @dataclass(frozen=True, slots=True)
 class AgentPose:
-    """Where a sensor was when it measured a frame.
+    """Where a sensor was when it measured a frame."""
 
-    Attributes:
-        t_ns: time in nanoseconds.
-        numbers: x, y, z in meters, roll, pitch, yaw in degrees, in CARLA's left-handed world.
-    """
-
-    t_ns: int
-    numbers: tuple[float, ...]
+    t_ns: int  # time in nanoseconds
+    numbers: tuple[float, ...]  # x, y, z in meters, roll, pitch, yaw in degrees, in CARLA's left-handed world
 
     @property
     def world_from_sensor(self) -> Rigid:
@@ -147,15 +142,10 @@ class AgentPose:
 
 @dataclass(frozen=True, slots=True)
 class Actors:
-    """Where the actors of each tick stand in a file.
+    """Where the actors of each tick stand in a file."""
 
-    Attributes:
-        path: the file, JSON, one line a tick.
-        places: frame → (first byte, number of bytes).
-    """
-
-    path: Path
-    places: Mapping[int, tuple[int, int]]
+    path: Path  # the file, JSON, one line a tick
+    places: Mapping[int, tuple[int, int]]  # frame → (first byte, number of bytes)
 
     def boxes(self, frame: int, agent: str) -> tuple[ObjectBox, ...] | None:
         """Return the boxes of a tick in the world, without the actor that carries ``agent``; None without a tick."""

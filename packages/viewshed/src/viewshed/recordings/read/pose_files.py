@@ -35,21 +35,14 @@ _UNIT_NS = {10: 1_000_000_000, 13: 1_000_000, 16: 1000, 19: 1}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFile:
-    """The poses ``world_from_sensor`` in a file.
+    """The poses ``world_from_sensor`` in a file."""
 
-    Attributes:
-        place: the file.
-        poses: in its order.
-        times_ns: (N,) int64 time of each, ascending; None where neither the file nor a ``times.txt`` beside it has any.
-        by_time: whether sweeps are found by their time (TUM), else by number.
-        notes: what was assumed, a line each.
-    """
-
-    place: Path
-    poses: tuple[Rigid, ...]
+    place: Path  # the file
+    poses: tuple[Rigid, ...]  # in its order
+    # (N,) int64 time of each, ascending; None where neither the file nor a ``times.txt`` beside it has any
     times_ns: NDArray[np.int64] | None
-    by_time: bool
-    notes: tuple[str, ...] = ()
+    by_time: bool  # whether sweeps are found by their time (TUM), else by number
+    notes: tuple[str, ...] = ()  # what was assumed, a line each
 
     @classmethod
     def read(cls, place: str | os.PathLike[str]) -> PoseFile:

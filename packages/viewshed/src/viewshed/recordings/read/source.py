@@ -22,48 +22,32 @@ _R = TypeVar("_R")
 
 @dataclass(frozen=True, slots=True)
 class SweepRef:
-    """Where one sweep of a recording is: light, hashable, and fit to travel to other processes.
+    """Where one sweep of a recording is: light, hashable, and fit to travel to other processes."""
 
-    Attributes:
-        scene: name of the scene that it belongs to.
-        index: its place among the refs of the scene, from 0.
-        file: the file that holds it, as a path.
-        t_ns: time of the sweep in nanoseconds, or None where the recording has none.
-        agent: who measured it.
-        sensor: the recording's own name of the sensor.
-        keyframe: whether the recording marks it as one to annotate; True where it marks none.
-        key: how the source finds it again: a token, a number, a topic.
-    """
-
-    scene: str
-    index: int
-    file: str
-    t_ns: int | None = None
-    agent: str = "ego"
-    sensor: str = "lidar"
-    keyframe: bool = True
-    key: str = ""
+    scene: str  # name of the scene that it belongs to
+    index: int  # its place among the refs of the scene, from 0
+    file: str  # the file that holds it, as a path
+    t_ns: int | None = None  # time of the sweep in nanoseconds, or None where the recording has none
+    agent: str = "ego"  # who measured it
+    sensor: str = "lidar"  # the recording's own name of the sensor
+    keyframe: bool = True  # whether the recording marks it as one to annotate; True where it marks none
+    key: str = ""  # how the source finds it again: a token, a number, a topic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectBox:
     """One annotated object.
 
-    Attributes:
-        world_from_box: pose of the box's frame: origin at its center, x along its heading, y left, z up. Where the
-            sweep has no pose, its sensor's frame stands for the world.
-        size_m: its length (x), width (y) and height (z), meters.
-        category: what it is, in the recording's own words.
-        track: the same for one object over time, or None.
-
     Raises:
         ValueError: a size is not finite and positive.
     """
 
+    # pose of the box's frame: origin at its center, x along its heading, y left, z up. Where the sweep has no pose, its
+    # sensor's frame stands for the world.
     world_from_box: Rigid
-    size_m: tuple[float, float, float]
-    category: str
-    track: str | None = None
+    size_m: tuple[float, float, float]  # its length (x), width (y) and height (z), meters
+    category: str  # what it is, in the recording's own words
+    track: str | None = None  # the same for one object over time, or None
 
     def __post_init__(self) -> None:
         size = np.asarray(self.size_m, np.float64)
@@ -153,17 +137,12 @@ class SweepReader(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SourceKind:
-    """One layout that can be opened.
+    """One layout that can be opened."""
 
-    Attributes:
-        layout: what is looked for, in a few words, for messages.
-        find: yields the parts of a place (itself, or what lies in it) that have this layout, from names alone.
-        open: opens a place; whatever it raises says why it cannot.
-    """
-
-    layout: str
+    layout: str  # what is looked for, in a few words, for messages
+    # yields the parts of a place (itself, or what lies in it) that have this layout, from names alone
     find: Callable[[Path], Iterable[object]]
-    open: Callable[[Path], SweepReader]
+    open: Callable[[Path], SweepReader]  # opens a place; whatever it raises says why it cannot
 
     def fits(self, place: Path) -> bool:
         """Return whether a folder (or file) has this layout, from names alone."""
@@ -172,15 +151,10 @@ class SourceKind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingSource:
-    """An opened recording as a :class:`SweepSource`: whatever its reader raises is one line that names a file.
+    """An opened recording as a :class:`SweepSource`: whatever its reader raises is one line that names a file."""
 
-    Attributes:
-        place: where it lies.
-        reader: what its layout says of it.
-    """
-
-    place: Path
-    reader: SweepReader
+    place: Path  # where it lies
+    reader: SweepReader  # what its layout says of it
 
     def scenes(self) -> tuple[str, ...]:
         """Return the names of the scenes, in the recording's order."""
@@ -221,9 +195,7 @@ class RecordingSource:
 
 
 def each_sweep(
-    source: SweepSource,
-    scenes: Iterable[str] | None = None,
-    on_damage: Callable[[str, str], None] | None = None,
+    source: SweepSource, scenes: Iterable[str] | None = None, on_damage: Callable[[str, str], None] | None = None
 ) -> Iterator[tuple[SweepRef, Sweep]]:
     """Yield the sweeps of a recording with their refs, scene by scene, in time order.
 

@@ -19,19 +19,12 @@ from viewshed._files import draft_folder, require_parent
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """Type of a topic's messages.
+    """Type of a topic's messages."""
 
-    Attributes:
-        name: of the type.
-        encoding: how ``definition`` is written: ``ros2msg`` or ``protobuf``.
-        message_encoding: how messages are written: ``cdr``, ``ros1`` or ``protobuf``.
-        definition: the type's definition.
-    """
-
-    name: str
-    encoding: str
-    message_encoding: str
-    definition: bytes
+    name: str  # of the type
+    encoding: str  # how ``definition`` is written: ``ros2msg`` or ``protobuf``
+    message_encoding: str  # how messages are written: ``cdr``, ``ros1`` or ``protobuf``
+    definition: bytes  # the type's definition
 
 
 class BagWriter(Protocol):

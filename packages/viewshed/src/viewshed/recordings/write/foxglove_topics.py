@@ -56,10 +56,7 @@ def foxglove_messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes]]:
     """Yield topic, schema and bytes of all that a moment tells."""
     fox = foxglove_types()
     agent, stamp = moment.agent, _stamp(moment.t_ns)
-    made: list[tuple[str, Any]] = [
-        ("/tf", _transforms(moment)),
-        (f"/{agent}/lidar/data", _cloud(moment)),
-    ]
+    made: list[tuple[str, Any]] = [("/tf", _transforms(moment)), (f"/{agent}/lidar/data", _cloud(moment))]
     if moment.answer.estimate is not None:
         made.append((f"/{agent}/lidar/fov", _grid(moment.answer.estimate, stamp, moment.level_frame)))
     made.append((f"/{agent}/lidar/scene", fox.SceneUpdate(entities=_entities(moment))))

@@ -33,42 +33,26 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectTruth:
-    """One object of a simulated world.
+    """One object of a simulated world."""
 
-    Attributes:
-        number: the same for one object over time.
-        category: what it is.
-        world_from_box: pose of its box: origin at the center, x along its heading.
-        size_m: length, width and height.
-    """
-
-    number: int
-    category: str
-    world_from_box: Rigid
-    size_m: tuple[float, float, float]
+    number: int  # the same for one object over time
+    category: str  # what it is
+    world_from_box: Rigid  # pose of its box: origin at the center, x along its heading
+    size_m: tuple[float, float, float]  # length, width and height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveTruth:
-    """What a simulated drive tells beside the sweep of an agent.
+    """What a simulated drive tells beside the sweep of an agent."""
 
-    Attributes:
-        mounts: how the sensor of each agent of the drive is mounted, ``carrier_from_sensor``; None on a mast.
-        objects: all objects at the time of the sweep.
-        returns: (K,) int32 how many returns each of ``objects`` gave the agent's sensor.
-        seen: those of ``objects`` that gave it at least five, without its own carrier.
-        carrier: number of the object that carries the sensor; None for a mast.
-        world_from_carrier: pose of the vehicle that carries the sensor; of a sensor on a mast its own.
-        velocity_mps: (3,) of the carrier, in its own frame.
-    """
-
+    # how the sensor of each agent of the drive is mounted, ``carrier_from_sensor``; None on a mast
     mounts: Mapping[str, Rigid | None]
-    objects: tuple[ObjectTruth, ...]
-    returns: NDArray[np.int32]
-    seen: tuple[ObjectTruth, ...]
-    carrier: int | None
-    world_from_carrier: Rigid
-    velocity_mps: NDArray[np.float64]
+    objects: tuple[ObjectTruth, ...]  # all objects at the time of the sweep
+    returns: NDArray[np.int32]  # (K,) int32 how many returns each of ``objects`` gave the agent's sensor
+    seen: tuple[ObjectTruth, ...]  # those of ``objects`` that gave it at least five, without its own carrier
+    carrier: int | None  # number of the object that carries the sensor; None for a mast
+    world_from_carrier: Rigid  # pose of the vehicle that carries the sensor; of a sensor on a mast its own
+    velocity_mps: NDArray[np.float64]  # (3,) of the carrier, in its own frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,31 +66,19 @@ class Transform:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """One agent at one of its sweeps.
+    """One agent at one of its sweeps."""
 
-    Attributes:
-        agent: whose sweep it is.
-        t_ns: time of the sweep in the recording, nanoseconds; rises from moment to moment of an agent.
-        sweep: as it was read.
-        answer: what the pipeline made of it.
-        truth: of a simulated drive.
-        is_live: whether the latency is written; a recording made as fast as possible has no clock in it.
-        metrics: of its tracks against the truth, by name; empty where there are none.
-        attacked: agents that somebody forges.
-        round: what a center made of all agents, where this sweep ended a round.
-        trust: of the center in this agent after the last round; None without one.
-    """
-
-    agent: str
-    t_ns: int
-    sweep: Sweep
-    answer: Answer
-    truth: DriveTruth | None = None
-    is_live: bool = False
+    agent: str  # whose sweep it is
+    t_ns: int  # time of the sweep in the recording, nanoseconds; rises from moment to moment of an agent
+    sweep: Sweep  # as it was read
+    answer: Answer  # what the pipeline made of it
+    truth: DriveTruth | None = None  # of a simulated drive
+    is_live: bool = False  # whether the latency is written; a recording made as fast as possible has no clock in it
+    # of its tracks against the truth, by name; empty where there are none
     metrics: Mapping[str, float] = field(default_factory=dict)
-    attacked: tuple[str, ...] = ()
-    round: Round | None = None
-    trust: float | None = None
+    attacked: tuple[str, ...] = ()  # agents that somebody forges
+    round: Round | None = None  # what a center made of all agents, where this sweep ended a round
+    trust: float | None = None  # of the center in this agent after the last round; None without one
 
     @property
     def sensor_frame(self) -> str:

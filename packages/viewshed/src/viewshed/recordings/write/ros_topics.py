@@ -65,15 +65,10 @@ _CODES = {"f4": 7, "u2": 4}
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """A message that is bytes already.
+    """A message that is bytes already."""
 
-    Attributes:
-        __msgtype__: its type, as rosbags' messages name it.
-        raw: its bytes.
-    """
-
-    __msgtype__: str
-    raw: bytes
+    __msgtype__: str  # its type, as rosbags' messages name it
+    raw: bytes  # its bytes
 
 
 class RosMessages:
@@ -295,19 +290,12 @@ class RosMessages:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic of a bag.
+    """One topic of a bag."""
 
-    Attributes:
-        name: with ``{agent}`` where each agent has its own.
-        make: the message of a moment, or None where it has none.
-        latched: written once; subscribers that join later receive it as well.
-        per_time: written once for all agents of a time.
-    """
-
-    name: str
-    make: Callable[[RosMessages, Moment], Any]
-    latched: bool = False
-    per_time: bool = False
+    name: str  # with ``{agent}`` where each agent has its own
+    make: Callable[[RosMessages, Moment], Any]  # the message of a moment, or None where it has none
+    latched: bool = False  # written once; subscribers that join later receive it as well
+    per_time: bool = False  # written once for all agents of a time
 
 
 def _layer(name: str) -> Callable[[RosMessages, Moment], Any]:

@@ -27,21 +27,13 @@ _LEAD_S, _SENSOR_M = 12.0, (0.3, 1.85)
 
 @dataclass(frozen=True, slots=True)
 class Building:
-    """What the inhabitants must know of a building.
+    """What the inhabitants must know of a building."""
 
-    Attributes:
-        name: kind of world.
-        inside: the floor that may be driven on, in meters.
-        ceiling_m: height of the ceiling.
-        walkers: how many people walk about.
-        haunts: where robots go, in meters; anywhere if empty.
-    """
-
-    name: str
-    inside: Rect
-    ceiling_m: float
-    walkers: int
-    haunts: tuple[Rect, ...] = ()
+    name: str  # kind of world
+    inside: Rect  # the floor that may be driven on, in meters
+    ceiling_m: float  # height of the ceiling
+    walkers: int  # how many people walk about
+    haunts: tuple[Rect, ...] = ()  # where robots go, in meters; anywhere if empty
 
 
 def inhabited(floor_plan: FloorPlan, terrain: Terrain, building: Building, plan: AgentPlan) -> World:

@@ -26,15 +26,10 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Office:
-    """A room in a block.
+    """A room in a block."""
 
-    Attributes:
-        rect: outer faces of its walls, in meters.
-        free: sides that face a corridor: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y.
-    """
-
-    rect: Rect
-    free: tuple[int, ...]
+    rect: Rect  # outer faces of its walls, in meters
+    free: tuple[int, ...]  # sides that face a corridor: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y
 
     @property
     def inner(self) -> Rect:

@@ -21,19 +21,12 @@ Heights = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float6
 
 @dataclass(frozen=True, slots=True)
 class Rise:
-    """A raised part of the floor.
+    """A raised part of the floor."""
 
-    Attributes:
-        rect: where, in meters.
-        height_m: above the floor around it.
-        ramp: where the floor rises from 0 at one end to ``height_m`` at the other, within ``rect``.
-        side: end at which the ramp begins: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y; a side of ``rect``.
-    """
-
-    rect: Rect
-    height_m: float
-    ramp: Rect
-    side: int
+    rect: Rect  # where, in meters
+    height_m: float  # above the floor around it
+    ramp: Rect  # where the floor rises from 0 at one end to ``height_m`` at the other, within ``rect``
+    side: int  # end at which the ramp begins: 0 lowest x, 1 lowest y, 2 highest x, 3 highest y; a side of ``rect``
 
     def steps(self) -> list[Rect]:
         """Return the edges that are too high for wheels: around it except where the ramp begins, and along the ramp."""

@@ -31,21 +31,13 @@ class Doorway:
 
 @dataclass(slots=True)
 class FloorPlan:
-    """A building that grows: things, and the rectangles that the next thing must not touch.
+    """A building that grows: things, and the rectangles that the next thing must not touch."""
 
-    Attributes:
-        rng: all chance in this building.
-        things: what stands, hangs or walks in it.
-        doorways: openings that one can walk through.
-        steps: edges of the floor that a robot cannot cross.
-        spots: points that a robot should be able to reach.
-    """
-
-    rng: np.random.Generator
-    things: list[Thing] = field(default_factory=list)
-    doorways: list[Doorway] = field(default_factory=list)
-    steps: list[Rect] = field(default_factory=list)
-    spots: list[tuple[float, float]] = field(default_factory=list)
+    rng: np.random.Generator  # all chance in this building
+    things: list[Thing] = field(default_factory=list)  # what stands, hangs or walks in it
+    doorways: list[Doorway] = field(default_factory=list)  # openings that one can walk through
+    steps: list[Rect] = field(default_factory=list)  # edges of the floor that a robot cannot cross
+    spots: list[tuple[float, float]] = field(default_factory=list)  # points that a robot should be able to reach
     _taken: NDArray[np.float64] = field(default_factory=lambda: np.empty((_ROOM, 4)))
     _count: int = 0
 

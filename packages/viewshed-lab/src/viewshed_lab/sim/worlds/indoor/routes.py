@@ -18,15 +18,10 @@ _CELL_M, _BIN_M, _REACH_M = 0.1, 1.8, 3.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeFloor:
-    """Where the middle of a robot may be.
+    """Where the middle of a robot may be."""
 
-    Attributes:
-        low_m: (2,) lowest x and y of the lattice.
-        free: (nx, ny) whether a cell of 0.1 m is far enough from everything.
-    """
-
-    low_m: F64
-    free: NDArray[np.bool_]
+    low_m: F64  # (2,) lowest x and y of the lattice
+    free: NDArray[np.bool_]  # (nx, ny) whether a cell of 0.1 m is far enough from everything
 
     def at(self, xy_m: F64) -> NDArray[np.bool_]:
         """Return for points (..., 2) within the lattice whether they are free."""
@@ -61,17 +56,11 @@ def open_floor(rect: Rect) -> FreeFloor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadMap:
-    """F64 on the free floor and the straight lines between them.
+    """F64 on the free floor and the straight lines between them."""
 
-    Attributes:
-        floor: what is free.
-        nodes_m: (n, 2).
-        edges: (k, 2) int rows of ``nodes_m``.
-    """
-
-    floor: FreeFloor
-    nodes_m: F64
-    edges: NDArray[np.intp]
+    floor: FreeFloor  # what is free
+    nodes_m: F64  # (n, 2)
+    edges: NDArray[np.intp]  # (k, 2) int rows of ``nodes_m``
 
     @classmethod
     def over(cls, floor: FreeFloor, rng: np.random.Generator, wanted_m: F64) -> RoadMap:

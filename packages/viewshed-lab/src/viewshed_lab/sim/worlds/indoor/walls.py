@@ -24,45 +24,28 @@ _PANE_M = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A gap in a wall.
+    """A gap in a wall."""
 
-    Attributes:
-        middle_m: where along the wall, in the world's x or y.
-        width_m: between the ends of the wall on both sides.
-        kind: one of ``DOORS``, ``window``, ``pane`` for glass from the floor up, ``gate`` for a wide gap, or
-            ``roller`` for one that is shut.
-        top_m: its upper edge, but for doors.
-        swing: side to which a door opens: 1 the higher x or y, -1 the lower, 0 either.
-    """
-
-    middle_m: float
-    width_m: float
+    middle_m: float  # where along the wall, in the world's x or y
+    width_m: float  # between the ends of the wall on both sides
+    # one of ``DOORS``, ``window``, ``pane`` for glass from the floor up, ``gate`` for a wide gap, or ``roller`` for one
+    # that is shut
     kind: str = "open"
-    top_m: float = 2.4
-    swing: int = 0
+    top_m: float = 2.4  # its upper edge, but for doors
+    swing: int = 0  # side to which a door opens: 1 the higher x or y, -1 the lower, 0 either
 
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A straight wall along x or y.
+    """A straight wall along x or y."""
 
-    Attributes:
-        along_x: whether it runs along x.
-        at_m: y of its middle if it runs along x, else x.
-        start_m: lower end along itself.
-        stop_m: upper end.
-        thick_m: thickness.
-        material: a name of ``MATERIALS``.
-        openings: gaps that do not overlap.
-    """
-
-    along_x: bool
-    at_m: float
-    start_m: float
-    stop_m: float
-    thick_m: float = 0.12
-    material: str = "plaster"
-    openings: tuple[Opening, ...] = ()
+    along_x: bool  # whether it runs along x
+    at_m: float  # y of its middle if it runs along x, else x
+    start_m: float  # lower end along itself
+    stop_m: float  # upper end
+    thick_m: float = 0.12  # thickness
+    material: str = "plaster"  # a name of ``MATERIALS``
+    openings: tuple[Opening, ...] = ()  # gaps that do not overlap
 
     def box(self, start_m: float, stop_m: float, z_m: tuple[float, float], material: str, thick_m: float) -> Box:
         """Return the box that fills a stretch of the wall from ``z_m[0]`` to ``z_m[1]``, all in meters."""

@@ -1,1 +1,0 @@
-"""What each part of the network is worth, and the shipped network against the estimators."""

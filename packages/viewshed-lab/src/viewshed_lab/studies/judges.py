@@ -1,0 +1,332 @@
+"""Estimators against truth that nobody here made: a city's surveyed ground, and boxes that people drew.
+
+A claim needs ground to stand on: where the surveyed ground lies elsewhere, the claim is of another place. A box of
+which the sensor has enough returns was visible; one without a return was not. The bottom of a box lies on the ground.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+from viewshed.fov.estimate import THRESHOLD, FovEstimator
+from viewshed.fov.visibility import Target
+from viewshed.geometry import Rigid
+from viewshed.grid import GRIDS, BevGrid
+from viewshed.io._input import open_input
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.recordings.read.source import ObjectBox, SweepRef, SweepSource
+from viewshed.sweep import Sweep
+from viewshed_lab._page import facts
+from viewshed_lab.studies.formatting import format_number, format_rate, lines, pivot
+from viewshed_lab.studies.pages import Table, fill_template
+
+OFF_M = 0.3
+"""A claim on ground that lies farther than this from the surveyed one is of another place."""
+
+BANDS_M = ((0.0, 16.0), (16.0, 32.0), (32.0, 48.0), (48.0, 64.0))
+
+VEHICLE_M = (3.0, 1.4, 1.2)
+"""A box at least as long, wide and high as this counts as a vehicle, whatever its data set calls it."""
+
+_INSIDE_M = 0.3
+"""A box is looked up this far behind the point of it that is nearest to the sensor."""
+
+_CATCH_M = 0.1
+"""Returns this far outside of a box are still of it: boxes are drawn to a few centimeters."""
+
+_MOST_BYTES = 200_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurveyedGround:
+    """Ground of a city on a raster, NaN where it was not surveyed.
+
+    Attributes:
+        z_m: (rows, columns) float64 height in the city's frame.
+        shift_m: is added to x and y in the city, ...
+        per_m: ... and the sum is multiplied by this: column and row.
+    """
+
+    z_m: F64
+    shift_m: F64
+    per_m: float
+
+    @classmethod
+    def read(cls, log: Path) -> Self:
+        """Return the ground of an Argoverse 2 log, which its folder ``map`` holds.
+
+        Raises:
+            ValueError: it is not there, or damaged.
+        """
+        rasters, places = (
+            sorted((log / "map").glob(name)) for name in ("*_ground_height_surface_*.npy", "*_Sim2_city.json")
+        )
+        if len(rasters) != 1 or len(places) != 1:
+            raise ValueError(
+                f"{log}: must hold map/*_ground_height_surface_*.npy and map/*_Sim2_city.json once each,"
+                f" got {len(rasters)} and {len(places)}"
+            )
+        with open_input(places[0]) as source:
+            place = json.loads(source.content(_MOST_BYTES))
+            if not isinstance(place, dict) or [float(r) for r in place["R"]] != [1.0, 0.0, 0.0, 1.0]:
+                raise ValueError("R must be the identity; a turned raster is not read")
+            shift_m, per_m = np.array(place["t"], np.float64), float(place["s"])
+        with open_input(rasters[0]) as source:
+            if source.size > _MOST_BYTES:
+                raise ValueError(f"must be at most {_MOST_BYTES} bytes, got {source.size}")
+            z_m = np.load(source.file, allow_pickle=False).astype(np.float64)
+        if z_m.ndim != 2 or shift_m.shape != (2,):
+            raise ValueError(f"{rasters[0]}: must have rows and columns, got shape {z_m.shape}")
+        return cls(z_m, shift_m, per_m)
+
+    def at(self, xyz: F64) -> F64:
+        """Return the height (…,) below or above points (…, 3) of the city; NaN where it was not surveyed."""
+        column, row = np.moveaxis(np.floor((xyz[..., :2] + self.shift_m) * self.per_m).astype(np.int64), -1, 0)
+        rows, columns = self.z_m.shape
+        is_on = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        return np.where(is_on, self.z_m[np.where(is_on, row, 0), np.where(is_on, column, 0)], np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class GroundErrors:
+    """Errors of ground heights, estimated minus true, where the truth is known.
+
+    Attributes:
+        error_m: (N,) float64.
+        std_m: (N,) float64 standard deviation that the estimate states.
+        seen: (N,) bool: the estimate rests on returns there.
+        range_m: (N,) float64 from the sensor.
+    """
+
+    error_m: F64
+    std_m: F64
+    seen: NDArray[np.bool_]
+    range_m: F64
+
+    @classmethod
+    def joined(cls, parts: Iterable[Self]) -> Self:
+        """Return the errors of several sweeps."""
+        columns = zip(*((part.error_m, part.std_m, part.seen, part.range_m) for part in parts), strict=True)
+        error_m, std_m, seen, range_m = (np.concatenate(column) for column in columns)
+        return cls(error_m, std_m, seen, range_m)
+
+    def rows(self) -> Table:
+        """Return a table of seen and unseen ground by range."""
+        parts = {
+            f"{word}, {low:g} to {high:g} m": self._part(
+                (self.seen == seen) & (self.range_m >= low) & (self.range_m < high)
+            )
+            for word, seen in (("seen", True), ("unseen", False))
+            for low, high in BANDS_M
+        }
+        figures: dict[str, Callable[[tuple[F64, F64]], str]] = {
+            "heights": lambda part: f"{len(part[0])}",
+            "median of the absolute error, m": lambda part: _quantile(part[0], 0.5),
+            "90 %, m": lambda part: _quantile(part[0], 0.9),
+            "within one standard deviation": lambda part: format_rate(_share(part[0] <= part[1])),
+            "90 % where the estimate states at most .1 m": lambda part: _quantile(part[0][part[1] <= 0.1], 0.9),
+        }
+        return lines("ground", parts, figures)
+
+    def _part(self, chosen: NDArray[np.bool_]) -> tuple[F64, F64]:
+        return np.abs(self.error_m[chosen]), self.std_m[chosen]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Claims:
+    """One method's claims on surveyed ground, summed over sweeps; (bands,) each.
+
+    Attributes:
+        cells: claimed cells.
+        surveyed: of these on surveyed ground.
+        off: of these on ground that lies elsewhere.
+    """
+
+    cells: F64
+    surveyed: F64
+    off: F64
+
+
+def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEstimator], target: Target) -> str:
+    """Return the page of an Argoverse 2 log: claims on its surveyed ground, and its boxes.
+
+    Raises:
+        ValueError: the log has no surveyed ground, no sweep or no pose; the message names the file.
+    """
+    survey, grid = SurveyedGround.read(log), GRIDS["road"]
+    errors: list[GroundErrors] = []
+    claims = {name: [np.zeros(len(BANDS_M)) for _ in range(3)] for name in estimators}
+    sweeps = list(annotated(source, None))
+    range_m = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
+    for _, sweep, _ in sweeps:
+        leveled = level(sweep, grid)
+        if leveled.world_from_level is None:
+            raise ValueError(
+                f"{log}: every sweep must have a pose, got one without; look at city_SE3_egovehicle.feather"
+            )
+        ground_m = leveled.ground.at(grid.centers).astype(np.float64)
+        there = leveled.world_from_level @ np.dstack([grid.centers, ground_m])
+        # An upright frame: a height in the level frame differs from one in the city by the sensor's place alone.
+        error_m = there[..., 2] - survey.at(there)
+        known = np.isfinite(error_m)
+        errors.append(ground_errors(leveled, grid.centers[known], error_m[known]))
+        for name, estimator in estimators.items():
+            claimed = np.nan_to_num(estimator.estimate(sweep).at(grid.centers)) >= THRESHOLD
+            for total, mask in zip(
+                claims[name], (claimed, claimed & known, claimed & known & (np.abs(error_m) > OFF_M)), strict=True
+            ):
+                total += [np.count_nonzero(mask & (range_m >= low) & (range_m < high)) for low, high in BANDS_M]
+    found = {name: Claims(*totals) for name, totals in claims.items()}
+    page = fill_template(
+        "judges.md", title="Judged by others: surveyed ground and boxes", sweeps=len(sweeps),
+        scenes=len(source.scenes()), off_m=OFF_M, target=target, off=_off_table(found), unknown=_unknown_share(found),
+        ground=GroundErrors.joined(errors).rows(), **_box_tables(sweeps, estimators, target),
+    )  # fmt: skip
+    return page.markdown(facts(log=log.name, target=target.name))
+
+
+def boxes_page(
+    place: Path, source: SweepSource, estimators: Mapping[str, FovEstimator], target: Target, limit: int
+) -> str:
+    """Return the page of a recording with boxes that people drew.
+
+    Raises:
+        ValueError: nobody drew boxes in it.
+    """
+    sweeps = list(annotated(source, limit))
+    if not any(boxes for _, _, boxes in sweeps):
+        raise ValueError(f"{place}: must hold annotated boxes, got {len(sweeps)} sweeps without one")
+    page = fill_template(
+        "judges.md", title="Judged by boxes that people drew", sweeps=len(sweeps), scenes=len(source.scenes()),
+        off_m=OFF_M, target=target, off=None, unknown="", ground=None, **_box_tables(sweeps, estimators, target),
+    )  # fmt: skip
+    return page.markdown(facts(recording=place.name, target=target.name))
+
+
+def annotated(source: SweepSource, limit: int | None) -> Iterable[tuple[SweepRef, Sweep, Sequence[ObjectBox]]]:
+    """Yield sweeps of a recording with their boxes: keyframes, at most ``limit``, spread evenly."""
+    refs = [ref for scene in source.scenes() for ref in source.refs(scene) if ref.keyframe]
+    count = len(refs) if limit is None else min(limit, len(refs))
+    for ref in (refs[k * len(refs) // count] for k in range(count)):
+        yield ref, source.read(ref), source.boxes(ref) or ()
+
+
+def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> GroundErrors:
+    """Return errors (N,) of a sweep's ground at places (N, 2), level frame, with what the estimate states there."""
+    ground = leveled.ground
+    nodes = BevGrid(len(ground.heights_m), ground.half_extent_m)
+    row, column = np.clip(np.floor((xy + ground.half_extent_m) / nodes.cell_m), 0, nodes.cells - 1).astype(int).T
+    return GroundErrors(
+        error_m, ground.std_m[row, column].astype(np.float64), ground.seen[row, column], np.hypot(xy[:, 0], xy[:, 1])
+    )
+
+
+def _box_tables(
+    sweeps: Sequence[tuple[SweepRef, Sweep, Sequence[ObjectBox]]],
+    estimators: Mapping[str, FovEstimator],
+    target: Target,
+) -> dict[str, Any]:
+    """Return the tables of vehicles with enough returns, of those without one, and of the ground below all boxes."""
+    kinds = {"enough": target.min_returns, "none": 0}
+    counts = {(kind, name, band): [0, 0] for kind in kinds for name in estimators for band in BANDS_M}
+    errors: list[GroundErrors] = []
+    left_out = 0
+    for _, sweep, boxes in sweeps:
+        leveled = level(sweep, GRIDS["road"])
+        # Without a pose the boxes are in the sensor's frame.
+        level_from_world = leveled.level_from_sensor @ (sweep.world_from_sensor or Rigid.identity()).inverse()
+        within = [box for box in boxes if np.hypot(*(level_from_world @ box.center)[:2]) < BANDS_M[-1][1]]
+        if within:
+            bottoms = np.stack(
+                [level_from_world @ (box.world_from_box @ np.array([0.0, 0.0, -box.size_m[2] / 2])) for box in within]
+            )
+            errors.append(
+                ground_errors(leveled, bottoms[:, :2], leveled.ground.at(bottoms).astype(np.float64) - bottoms[:, 2])
+            )
+        vehicles = [
+            box for box in within if all(size >= least for size, least in zip(box.size_m, VEHICLE_M, strict=True))
+        ]
+        returns = [returns_in(box, sweep) for box in vehicles]
+        left_out += sum(0 < count < target.min_returns for count in returns)
+        near = [near_point(level_from_world, box) for box in vehicles]
+        for name, estimator in estimators.items() if vehicles else ():
+            claimed = np.nan_to_num(estimator.estimate(sweep).at(np.stack(near))) >= THRESHOLD
+            for point, count, is_claimed in zip(near, returns, claimed, strict=True):
+                kind = "enough" if count >= target.min_returns else "none" if count == 0 else None
+                band = next((b for b in BANDS_M if b[0] <= np.hypot(*point) < b[1]), None)
+                if kind is not None and band is not None:
+                    counts[kind, name, band][0] += int(is_claimed)
+                    counts[kind, name, band][1] += 1
+    heads = {f"{low:g} to {high:g} m": (low, high) for low, high in BANDS_M}
+    cell = partial(_claimed_of, counts)
+    rows = {name: name for name in estimators}
+    return {
+        "seen": pivot("", rows, heads, lambda name, band: cell("enough", name, band)),
+        "without": pivot("", rows, heads, lambda name, band: cell("none", name, band)),
+        "bottoms": GroundErrors.joined(errors).rows() if errors else None,
+        "left_out": left_out,
+    }  # fmt: skip
+
+
+def returns_in(box: ObjectBox, sweep: Sweep) -> int:
+    """Return how many returns of a sweep lie in a box, or within a few centimeters of it."""
+    sensor_from_world = (sweep.world_from_sensor or Rigid.identity()).inverse()
+    inside = (sensor_from_world @ box.world_from_box).inverse() @ sweep.points.astype(np.float64)
+    return int((np.abs(inside) <= np.array(box.size_m) / 2 + _CATCH_M).all(axis=1).sum())
+
+
+def near_point(level_from_world: Rigid, box: ObjectBox) -> F64:
+    """Return the point (2,) of the level frame at which a box is looked up: just behind its side nearest to the sensor.
+
+    A vehicle hides its own middle.
+    """
+    level_from_box = level_from_world @ box.world_from_box
+    half = np.array(box.size_m) / 2
+    sensor = level_from_box.inverse() @ np.zeros(3)
+    nearest = np.clip(sensor, -half, half)
+    nearest[2] = 0.0
+    point, center = (level_from_box @ nearest)[:2], level_from_box.translation[:2]
+    inward = center - point
+    length = float(np.hypot(*inward))
+    return np.asarray(point + inward * min(_INSIDE_M / max(length, 1e-9), 1.0))
+
+
+def _claimed_of(counts: Mapping[Any, Sequence[int]], kind: str, name: str, band: tuple[float, float]) -> str:
+    claimed, boxes = counts[kind, name, band]
+    return f"{format_rate(claimed / boxes)} of {boxes}" if boxes else "–"
+
+
+def _off_table(found: Mapping[str, Claims]) -> Table:
+    """Return the share of the claims on surveyed ground that are off, by band."""
+    heads = {f"{low:g} to {high:g} m": k for k, (low, high) in enumerate(BANDS_M)}
+
+    def share(claims: Claims, band: int) -> str:
+        of = claims.surveyed[band]
+        return f"{format_rate(claims.off[band] / of)} of {of:.0f}" if of else "–"
+
+    return pivot("", found, heads, share)
+
+
+def _unknown_share(found: Mapping[str, Claims]) -> str:
+    """Return which share of all claims stands on ground that nobody surveyed, as words."""
+    cells, surveyed = (
+        sum(float(getattr(claims, name).sum()) for claims in found.values()) for name in ("cells", "surveyed")
+    )
+    return format_rate(1.0 - surveyed / cells, 2) if cells else "–"
+
+
+def _quantile(values: F64, share: float) -> str:
+    return format_number(float(np.quantile(values, share)) if len(values) else float("nan"), 2)
+
+
+def _share(are: NDArray[np.bool_]) -> float:
+    return float(are.mean()) if len(are) else float("nan")

@@ -1,0 +1,165 @@
+"""A log made by hand: flat ground, half of which the survey has a meter lower; cars in sight and behind a wall."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from viewshed.cli import main
+from viewshed.geometry import Rigid
+from viewshed.io import read_sweep
+from viewshed.recordings.read import open_source
+from viewshed.recordings.read.source import ObjectBox
+from viewshed.sensors import lidar_model
+from viewshed.sweep import Sweep
+from viewshed_lab.sim.assets.shapes import Box
+from viewshed_lab.sim.raycast.caster import cast_world
+from viewshed_lab.sim.terrain import Terrain
+from viewshed_lab.sim.world import Thing, World
+from viewshed_lab.studies.judges import BANDS_M, SurveyedGround, near_point, returns_in
+
+made: Any = import_module("recording_files")
+TIME_NS = 315966265259836000
+CITY_M = np.array([5224.0, 2384.0, 69.0])  # of the car, whose axes are those of the city
+SENSOR_M = np.array([1.35018, 0.0, 1.64042])  # of the sensor on the car
+SEEN, HIDDEN = (10.0, -6.0), (-16.0, 9.0)  # of two cars, from the sensor
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a log: the sensor, 1.64 m above flat ground, sees one car; another stands behind a wall."""
+    car = Box(0.0, 0.0, 4.2, 1.8, 1.5)
+    things = (Thing("seen", (car,), *SEEN), Thing("hidden", (car,), *HIDDEN),
+              Thing("wall", (Box(0.0, 0.0, 0.4, 14.0, 4.0),), -11.0, 7.0))  # fmt: skip
+    world = World("flat", Terrain.plane(90.0), things)
+    model = lidar_model("hdl32e")
+    scan = cast_world(world.snapshot(0.0), model, Rigid(np.eye(3), np.array([0.0, 0.0, SENSOR_M[2]])))
+    column, ring = np.nonzero(np.isfinite(scan.depth_m))
+    points = scan.direction[column, ring] * scan.depth_m[column, ring, None] + SENSOR_M
+    sweep = dict(zip("xyz", points.astype(np.float32).T, strict=True)) | {
+        "intensity": np.zeros(len(points), np.uint8), "laser_number": ring.astype(np.uint8),
+        "offset_ns": np.zeros(len(points), np.int32),
+    }  # fmt: skip
+    still = {"qw": [1.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]}
+    centers = [(x + SENSOR_M[0], y, 0.75) for x, y in (SEEN, HIDDEN)]
+    boxes = {name: [row[k] for row in centers] for k, name in enumerate(("tx_m", "ty_m", "tz_m"))}
+    boxes |= {
+        name: [value] * 2 for name, value in zip(("length_m", "width_m", "height_m"), (4.2, 1.8, 1.5), strict=True)
+    }
+    boxes |= {name: value * 2 for name, value in still.items()}
+    place = dict(zip(("tx_m", "ty_m", "tz_m"), ([value] for value in CITY_M), strict=True))
+    # Two nodes a meter; the ground of the city is at 69 m, west of the sensor it is surveyed a meter lower.
+    survey = np.full((400, 400), 69.0, np.float16)
+    survey[:, :200] = 68.0
+    survey[:40] = np.nan  # nobody surveyed the south
+    x, y = CITY_M[:2] + SENSOR_M[:2]
+    numpy = import_module("sweep_files").npy(survey)
+    return Path(made.write(tmp_path_factory.mktemp("log"), {
+        f"sensors/lidar/{TIME_NS}.feather": made.feather(**sweep),
+        "city_SE3_egovehicle.feather": made.feather(timestamp_ns=[TIME_NS], **still, **place),
+        "annotations.feather": made.feather(
+            timestamp_ns=[TIME_NS] * 2, category=["CAR"] * 2, track_uuid=["a", "b"], **boxes
+        ),
+        "map/log_ground_height_surface____PIT.npy": numpy,
+        "map/log___img_Sim2_city.json": f'{{"R": [1, 0, 0, 1], "t": [{100 - x}, {100 - y}], "s": 2.0}}'.encode(),
+    }))  # fmt: skip
+
+
+def _run(*words: str) -> str:
+    with pytest.raises(SystemExit) as done:
+        main(["evaluate", *words])
+    assert done.value.code in (0, None)
+    return Path(words[-1]).read_text(encoding="utf-8")
+
+
+def _rows(page: str, heading: str) -> dict[str, list[str]]:
+    lines = page.partition(f"## {heading}\n")[2].partition("\n## ")[0].splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    return {row[0]: row[1:] for row in cells[2:]}
+
+
+def test_claims_over_ground_that_is_surveyed_elsewhere_are_counted(log: Path, tmp_path: Path) -> None:
+    page = _run("survey", str(log), "--methods", "shadow_map,continuous", "--out", str(tmp_path / "page.md"))
+    off = _rows(page, "Claims on ground that lies elsewhere")
+    for name in ("shadow_map", "continuous"):
+        for cell in off[name]:
+            # The western half of the view, less what the wall hides there.
+            assert 0.25 < float(cell.partition(" ")[0]) < 0.55, off
+    enough, none = _rows(page, "Vehicles with returns"), _rows(page, "Vehicles without a return")
+    assert enough["shadow_map"][0] == "1.000 of 1"
+    assert none["shadow_map"][1] == ".000 of 1"
+    # The bottoms of the boxes lie on the true ground, which the survey of the west does not.
+    bottoms = _rows(page, "Ground below boxes")
+    assert float(bottoms["seen, 0 to 16 m"][1]) < 0.05 or float(bottoms["unseen, 0 to 16 m"][1]) < 0.05
+
+
+def test_boxes_alone_are_judged_of_any_annotated_recording(log: Path, tmp_path: Path) -> None:
+    page = _run("boxes", str(log), "--methods", "shadow_map", "--out", str(tmp_path / "page.md"))
+    assert _rows(page, "Vehicles with returns")["shadow_map"] == ["1.000 of 1", "–", "–", "–"]
+    assert "surveyed" not in page.partition("## What this cannot show")[0]
+    with pytest.raises(SystemExit) as refused:
+        main(["evaluate", "boxes", str(made.write(tmp_path / "odometry", made.kitti_odometry()))])
+    assert refused.value.code == 2
+
+
+def test_a_raster_is_read_where_it_lies_and_unknown_beyond() -> None:
+    survey = SurveyedGround(np.array([[1.0, 2.0], [3.0, np.nan]]), np.array([10.0, 20.0]), 0.5)
+    xyz = np.array(
+        [[-10.0, -20.0, 0.0], [-7.9, -20.0, 0.0], [-10.0, -17.0, 0.0], [-7.0, -17.0, 0.0], [-10.1, -20.0, 0.0]]
+    )
+    np.testing.assert_equal(survey.at(xyz), [1.0, 2.0, 3.0, np.nan, np.nan])
+
+
+def test_returns_in_a_turned_box_and_the_point_where_it_is_looked_up() -> None:
+    box = ObjectBox(Rigid.from_yaw(np.pi / 2, (10.0, 0.0, 0.0)), (4.0, 2.0, 1.5), "car")
+    inside = [[9.1, 1.9, 0.0], [10.9, -1.9, 0.7], [8.95, 0.0, 0.0]]  # the last one within the margin
+    sweep = Sweep(np.array([*inside, [11.9, 0.0, 0.0], [10.0, 0.0, 0.9], [8.8, 0.0, 0.0]]))
+    assert returns_in(box, sweep) == len(inside)
+    np.testing.assert_allclose(near_point(Rigid.identity(), box), [9.3, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        ("map/log___img_Sim2_city.json", b'{"R": [0, 1, 1, 0], "t": [0, 0], "s": 2}', "R must be the identity"),
+        ("map/log___img_Sim2_city.json", b"[1]", "R must be the identity"),
+        ("map/log___img_Sim2_city.json", b'{"R": [1, 0, 0, 1]}', "'t'"),
+        ("map/log_ground_height_surface____PIT.npy", b"\x93NUMPY", "PIT.npy"),
+    ],
+)
+def test_a_damaged_survey_is_one_line(
+    log: Path, name: str, content: bytes, complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {str(file.relative_to(log)): file.read_bytes() for file in log.rglob("*") if file.is_file()}
+    made.write(tmp_path, files | {name: content})
+    with pytest.raises(SystemExit) as refused:
+        main(["evaluate", "survey", str(tmp_path), "--methods", "shadow_map"])
+    assert refused.value.code == 2
+    said = capsys.readouterr().err
+    assert complaint in said
+    assert said.count("\n") == 1
+    assert len(open_source(tmp_path).scenes()) == 1
+    assert read_sweep(next(tmp_path.glob("sensors/lidar/*"))).t_ns == TIME_NS
+
+
+def test_surveyed_ground_agrees_with_the_real_log(real_data: Path, tmp_path: Path) -> None:
+    survey = real_data.parent / "judges" / "survey"
+    if not survey.is_dir():
+        pytest.skip("no surveyed ground: ../shared/judges is not there")
+    [source] = [folder for folder in survey.iterdir() if folder.is_dir()]
+    files = {str(file.relative_to(source)): file.read_bytes() for file in source.rglob("*") if file.is_file()}
+    for file in (real_data / "argoverse2").glob("*.feather"):
+        files[f"sensors/lidar/{file.stem.rpartition('_')[2]}.feather"] = file.read_bytes()
+    page = _run(
+        "survey",
+        str(made.write(tmp_path / "log", files)),
+        "--methods",
+        "shadow_map",
+        "--out",
+        str(tmp_path / "page.md"),
+    )
+    ground = _rows(page, "Ground below the cells")
+    for low, high in BANDS_M[:3]:
+        assert float(ground[f"seen, {low:g} to {high:g} m"][1]) < 0.1

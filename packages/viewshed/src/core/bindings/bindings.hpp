@@ -1,0 +1,71 @@
+// What the bindings share: numpy arrays as the stages see them, and buffers that become numpy arrays without a copy.
+// Arrays are checked in the bindings, whatever hands them in.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <initializer_list>
+#include <utility>
+
+#include "arrays.hpp"
+
+namespace viewshed {
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+// What numpy hands in: contiguous, on the processor, of exactly this type (bindings say .noconvert()).
+template <typename T>
+using In1 = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+template <typename T>
+using In2 = nb::ndarray<const T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+template <typename T>
+using In3 = nb::ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+// Points (N, 3) in meters.
+using Points = nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+// Arrays that are written in place.
+template <typename T>
+using InOut1 = nb::ndarray<T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+template <typename T>
+using InOut2 = nb::ndarray<T, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+// What is handed back.
+template <typename T>
+using Out = nb::ndarray<T, nb::numpy, nb::c_contig>;
+
+template <typename T>
+View1<const T> view(const In1<T>& a) {
+    return {a.data(), a.shape(0)};
+}
+template <typename T>
+View2<const T> view(const In2<T>& a) {
+    return {a.data(), a.shape(0), a.shape(1)};
+}
+template <typename T>
+View3<const T> view(const In3<T>& a) {
+    return {a.data(), a.shape(0), a.shape(1), a.shape(2)};
+}
+inline View2<const float> view(const Points& a) { return {a.data(), a.shape(0), 3}; }
+template <typename T>
+View1<T> view(const InOut1<T>& a) {
+    return {a.data(), a.shape(0)};
+}
+template <typename T>
+View2<T> view(const InOut2<T>& a) {
+    return {a.data(), a.shape(0), a.shape(1)};
+}
+
+// Give the memory of a buffer to a numpy array of a shape that holds at most as many values. Needs the interpreter's lock.
+template <typename T>
+Out<T> array(Buffer<T>&& buffer, std::initializer_list<std::size_t> shape) {
+    T* data = std::move(buffer).release();
+    nb::capsule owner(data, [](void* p) noexcept { give_memory(p); });
+    return Out<T>(data, shape, owner);
+}
+template <typename T>
+Out<T> array(Buffer<T>&& buffer) {
+    const std::size_t size = buffer.size();
+    return array(std::move(buffer), {size});
+}
+
+}  // namespace viewshed

@@ -1,0 +1,170 @@
+#include "evidence.hpp"
+
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+#include <utility>
+
+#include "bindings.hpp"
+
+namespace viewshed {
+namespace {
+
+// The beams of one kind as Python hands them in: azimuth, slope, depth_m.
+using BeamArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
+
+Beams beams_of(const BeamArrays& arrays) {
+    const auto& [azimuth, slope, depth_m] = arrays;
+    require(azimuth.shape(0) == slope.shape(0) && azimuth.shape(0) == depth_m.shape(0),
+            "azimuth, slope and depth_m must have one shape (B,)");
+    require(azimuth.shape(0) < (1u << 30), "beams must be fewer than 2^30");
+    return {view(azimuth), view(slope), view(depth_m)};
+}
+
+const std::uint8_t* bytes_of(const In2<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); }
+
+TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, float half_extent_m, float sensor_height_m) {
+    const std::size_t nodes = heights_m.shape(0);
+    require(nodes >= 2 && nodes <= 16384 && heights_m.shape(1) == nodes,
+            "heights_m must have shape (nodes, nodes), 2 to 16384 of them");
+    require(std_m.shape(0) == nodes && std_m.shape(1) == nodes, "std_m must have the shape of heights_m");
+    require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
+    return {view(heights_m), view(std_m), half_extent_m, sensor_height_m};
+}
+
+View1<const float> table_of(const In1<float>& table) {
+    require(table.shape(0) > 0, "table must have at least one probability");
+    return view(table);
+}
+
+}  // namespace
+
+void bind_evidence(nb::module_& m) {
+    m.def(
+        "poisson_table",
+        [](int min_returns) {
+            require(min_returns >= 1 && min_returns <= 10000, "min_returns must lie in [1, 10000]");
+            return array(poisson_table(min_returns));
+        },
+        "min_returns"_a, "P(N >= min_returns), N Poisson, at means 0, 1/32, 2/32 and so on, until it is 1.");
+    m.def(
+        "probability_of_visible",
+        [](In1<float> counts, In1<float> table) {
+            Buffer<float> prob(counts.shape(0));
+            look_up(table_of(table), view(counts), prob);
+            return array(std::move(prob));
+        },
+        "counts"_a.noconvert(), "table"_a.noconvert(), "Probability (N,) at mean counts (N,), from a poisson_table.");
+    m.def(
+        "returns_by_kind",
+        [](const CellWindows& windows, const std::vector<BeamArrays>& kinds, In2<float> heights_m, float half_extent_m,
+           float sensor_height_m, float target_height_m) {
+            require(kinds.size() >= 1 && kinds.size() <= 3, "kinds must be one to three sets of beams");
+            std::array<Beams, 3> beams{};
+            std::transform(kinds.begin(), kinds.end(), beams.begin(), beams_of);
+            const TargetGround ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
+            const std::size_t cells = windows.cells();
+            Buffer<float> returns(kinds.size() * cells), aimed(cells);
+            {
+                nb::gil_scoped_release unlocked;
+                const CellCounts counts = count_beams(windows, beams, ground, target_height_m, nullptr);
+                float lanes[LANES][CellCounts::BLOCK];
+                for (std::size_t first = 0; first < cells; first += CellCounts::BLOCK) {
+                    const std::size_t size = std::min(CellCounts::BLOCK, cells - first);
+                    counts.read(first, size, lanes);
+                    for (std::size_t kind = 0; kind < kinds.size(); ++kind) {
+                        float* const out = &returns[kind * cells + first];
+                        for (std::size_t n = 0; n < size; ++n) out[n] = std::max(lanes[kind][n], 0.0f);
+                    }
+                    std::copy_n(lanes[AIMED], size, &aimed[first]);
+                }
+            }
+            return nb::make_tuple(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
+                                  array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
+        },
+        "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "half_extent_m"_a, "sensor_height_m"_a,
+        "target_height_m"_a,
+        "Expected returns (kinds, cells, cells) of a target in each cell, and the beams (cells, cells) of the first two kinds "
+        "that aim.");
+    m.def(
+        "beam_evidence",
+        [](const CellWindows& windows, const std::array<BeamArrays, 3>& kinds, In2<float> heights_m, In2<float> std_m,
+           float half_extent_m, float sensor_height_m, float target_height_m,
+           const std::array<std::pair<float, float>, 2>& ground_steps, In1<float> table, float threshold, float reach_m) {
+            const std::array<Beams, 3> beams{beams_of(kinds[0]), beams_of(kinds[1]), beams_of(kinds[2])};
+            const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
+            const View1<const float> probabilities = table_of(table);
+            const std::array<float, 2> deviations{ground_steps[0].first, ground_steps[1].first};
+            const float lower = ground_steps[0].second, higher = ground_steps[1].second;
+            const Rule rule{1.0f - lower - higher, lower, higher, threshold, std::nextafter(threshold, 0.0f), reach_m};
+            const std::size_t cells = windows.cells();
+            Buffer<float> measured(cells), inferred(cells), unresolved(cells), aimed(cells), visible_prob(cells);
+            Buffer<bool> within_reach(cells);
+            {
+                nb::gil_scoped_release unlocked;
+                measure_evidence(windows, beams, ground, target_height_m, deviations, probabilities, rule,
+                                 {measured.data(), inferred.data(), unresolved.data(), aimed.data(), visible_prob.data(),
+                                  within_reach.data()});
+            }
+            const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
+            return nb::make_tuple(shaped(measured), shaped(inferred), shaped(unresolved), shaped(aimed),
+                                  shaped(visible_prob), shaped(within_reach));
+        },
+        "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
+        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "ground_steps"_a, "table"_a.noconvert(),
+        "threshold"_a, "reach_m"_a,
+        "Measured, inferred, unresolved, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from "
+        "beams of three kinds.");
+    m.def(
+        "states",
+        [](In2<float> measured, In2<float> inferred, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
+           In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table, float threshold, float sure_aim) {
+            const auto has_shape = [&](const auto& array) {
+                return array.shape(0) == measured.shape(0) && array.shape(1) == measured.shape(1);
+            };
+            require(has_shape(inferred) && has_shape(aimed) && has_shape(visible_prob) && has_shape(within_reach) &&
+                        has_shape(visible) && has_shape(denied) && has_shape(obstacle),
+                    "all arrays must have one shape (cells, cells)");
+            const std::size_t cells = measured.size();
+            const SupportedCells support{measured.data(), inferred.data(), aimed.data(), visible_prob.data(),
+                                         bytes_of(within_reach)};
+            Buffer<std::uint8_t> state(cells);
+            {
+                nb::gil_scoped_release unlocked;
+                write_states(support, view(table), threshold, sure_aim,
+                             {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)}, state);
+            }
+            return array(std::move(state), {measured.shape(0), measured.shape(1)});
+        },
+        "measured"_a.noconvert(), "inferred"_a.noconvert(), "aimed"_a.noconvert(), "visible_prob"_a.noconvert(),
+        "within_reach"_a.noconvert(), "visible"_a.noconvert(), "denied"_a.noconvert(), "obstacle"_a.noconvert(),
+        nb::kw_only(), "table"_a.noconvert(), "threshold"_a, "sure_aim"_a,
+        "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
+    m.def(
+        "claims",
+        [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table,
+           float threshold, float unsure_m) {
+            const auto has_shape = [&](const auto& array) {
+                return array.shape(0) == state.shape(0) && array.shape(1) == state.shape(1);
+            };
+            require(has_shape(measured) && has_shape(node), "state, measured and node must have one shape (cells, cells)");
+            require(table.shape(0) > 0, "table must have at least one probability");
+            require(state.size() < (1u << 31), "cells must be fewer than 2^31");
+            const Buffer<std::int32_t> nodes =
+                indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
+            const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(), unsure_m,
+                                               view(table), threshold);
+            return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
+        },
+        "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
+        "table"_a.noconvert(), "threshold"_a, "unsure_m"_a,
+        "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
+        "unsure; and how many measured returns alone would not support.");
+}
+
+}  // namespace viewshed

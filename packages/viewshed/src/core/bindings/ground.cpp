@@ -1,0 +1,132 @@
+#include "ground.hpp"
+
+#include <nanobind/stl/array.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+#include "bindings.hpp"
+#include "ground_fill.hpp"
+
+namespace viewshed {
+
+namespace {
+
+// Heights, standard deviations, seen nodes, plane and support as numpy arrays; and the z of level ground, NaN where it is seen.
+nb::tuple as_tuple(Ground& ground, std::size_t n) {
+    const auto& [a, b, c] = ground.carrier.plane;
+    return nb::make_tuple(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
+                          array(std::move(ground.seen), {n, n}), nb::make_tuple(a, b, c), ground.carrier.support,
+                          ground.level_m);
+}
+
+Plane plane_of(const In1<float>& plane) {
+    require(plane.shape(0) == 3, "plane must be (a, b, c)");
+    require_bounded(view(plane), "plane must be finite");
+    return {plane.data()[0], plane.data()[1], plane.data()[2]};
+}
+
+// Low points (n, n, 3) of an array, and the rise of their nodes (n, n).
+Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) {
+    const std::size_t n = points.shape(0);
+    require(points.shape(1) == n && points.shape(2) == 3, "lows_m must be (n, n, 3)");
+    require(rise_m.shape(0) == n && rise_m.shape(1) == n, "rise_m must be (n, n) as lows_m");
+    require_lattice(n, half_m);
+    Lows lows(n);
+    const double reach_m = half_m * (1.0 + 0.5 / double(n));  // rounding may lead out of the outermost nodes
+    for (std::size_t at = 0; at < n * n; ++at) {
+        const float* p = points.data() + 3 * at;
+        lows.z_m[at] = std::isfinite(p[2]) ? p[2] : std::numeric_limits<float>::infinity();
+        lows.rise_m[at] = rise_m.data()[at];
+        lows.x_m[at] = lows.y_m[at] = 0.0f;
+        if (!std::isfinite(p[2])) continue;
+        require(std::fabs(double(p[0])) <= reach_m && std::fabs(double(p[1])) <= reach_m && std::fabs(p[2]) <= MOST_M,
+                "lows_m must lie on the lattice");
+        lows.x_m[at] = p[0];
+        lows.y_m[at] = p[1];
+        lows.some.push_back(std::int32_t(at));
+    }
+    return lows;
+}
+
+}  // namespace
+
+// What Python calls: arrays are checked here, whatever hands them in.
+void bind_ground(nb::module_& m) {
+    m.def(
+        "ground",
+        [](Points points, In1<bool> isolated, In2<float> rotation, float near_m, float far_m,
+           double heading, double half_m, std::size_t nodes, double height_m) {
+            require(isolated.shape(0) == points.shape(0), "isolated must have one row for each point");
+            require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
+            require(rotation.shape(0) == 3 && rotation.shape(1) == 3, "rotation must be (3, 3)");
+            require_bounded(view(rotation).flat(), "rotation must be finite");
+            require(far_m <= MOST_M, "far_m must be at most 1e6 m");
+            require_lattice(nodes, half_m);
+            std::optional<Ground> found;
+            {
+                nb::gil_scoped_release unlocked;
+                const auto lattice = lattice_of(nodes, half_m);
+                const Lows lows = lowest_returns(view(points), view(isolated), view(rotation), near_m, far_m, heading,
+                                                 float(half_m), nodes);
+                found = estimate_ground(*lattice, lows, height_m);
+            }
+            return as_tuple(*found, nodes);
+        },
+        "points"_a.noconvert(), "isolated"_a.noconvert(), "rotation"_a.noconvert(), "near_m"_a, "far_m"_a, "heading"_a,
+        "half_m"_a, "nodes"_a, "height_m"_a,
+        "Heights, deviations, seen nodes (nodes, nodes), plane, support, and level (or NaN) of the ground below points "
+        "(N, 3), isolated (N,) ones left out, after rotation (3, 3); the sensor's height may be NaN.");
+    m.def(
+        "ground_of_lows",
+        [](In3<float> lows_m, In2<float> rise_m, double half_m, double height_m) {
+            const Lows lows = lows_of(lows_m, rise_m, half_m);
+            std::optional<Ground> found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = estimate_ground(*lattice_of(lows.nodes, half_m), lows, height_m);
+            }
+            return as_tuple(*found, lows.nodes);
+        },
+        "lows_m"_a.noconvert(), "rise_m"_a.noconvert(), "half_m"_a, "height_m"_a,
+        "As `ground`, by low points (n, n, 3) and the rise (n, n) from each to the highest return of its node.");
+    m.def(
+        "fill_ground",
+        [](In2<float> walked_m, In2<bool> accepted, In1<float> plane, double half_m) {
+            const std::size_t n = walked_m.shape(0);
+            require(walked_m.shape(1) == n && accepted.shape(0) == n && accepted.shape(1) == n,
+                    "walked_m and accepted must be (n, n)");
+            require_lattice(n, half_m);
+            const Plane carrier = plane_of(plane);
+            for (std::size_t at = 0; at < n * n; ++at) {
+                require(!accepted.data()[at] || std::fabs(walked_m.data()[at]) <= MOST_M, "walked_m must be finite");
+            }
+            Buffer<float> heights_m(n * n), std_m(n * n);
+            {
+                nb::gil_scoped_release unlocked;
+                fill_ground(*lattice_of(n, half_m), view(walked_m).flat(), view(accepted).flat(), carrier, heights_m,
+                            std_m);
+            }
+            return nb::make_tuple(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
+        },
+        "walked_m"_a.noconvert(), "accepted"_a.noconvert(), "plane"_a.noconvert(), "half_m"_a,
+        "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
+    m.def(
+        "free_plane",
+        [](Points points) {
+            FreePlane found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = free_plane(view(points));
+            }
+            Buffer<float> normal(3);
+            std::copy_n(found.normal.data(), 3, normal.data());
+            return nb::make_tuple(array(std::move(normal)), found.support);
+        },
+        "points"_a.noconvert(),
+        "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,59 @@
+#include "held_ground.hpp"
+
+#include <nanobind/stl/array.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "bindings.hpp"
+#include "ground_lattice.hpp"
+
+namespace viewshed {
+
+void bind_held_ground(nb::module_& m) {
+    m.def(
+        "held_ground",
+        [](In2<float> heights_m, In2<float> std_m, In2<bool> seen, double half_m, In2<float> before_heights_m,
+           In2<float> before_std_m, In2<bool> before_seen, double before_half_m, In2<float> before_from_now,
+           In1<float> now_from_before, float variance_m2, std::array<float, 3> plane, float height_m) -> nb::object {
+            const auto require_ground = [](const auto& heights, const auto& std, const auto& saw, double half) {
+                const std::size_t n = heights.shape(0);
+                require(heights.shape(1) == n, "heights_m must be (n, n)");
+                require_lattice(n, half);
+                require_bounded(view(heights).flat(), "heights_m must be finite");
+                require(std.shape(0) == n && std.shape(1) == n && saw.shape(0) == n && saw.shape(1) == n,
+                        "std_m and seen must be (n, n) as heights_m");
+            };
+            require_ground(heights_m, std_m, seen, half_m);
+            require_ground(before_heights_m, before_std_m, before_seen, before_half_m);
+            require(before_from_now.shape(0) == 2 && before_from_now.shape(1) == 4 && now_from_before.shape(0) == 4,
+                    "before_from_now must be (2, 4) and now_from_before (4,)");
+            require_bounded(view(before_from_now).flat(), "before_from_now must be finite");
+            require_bounded(view(now_from_before), "now_from_before must be finite");
+            require_bounded({plane.data(), 3}, "plane must be finite");
+            require(std::fabs(height_m) <= MOST_M, "height_m must be finite");
+            HeldPoses poses;
+            std::copy_n(before_from_now.data(), 8, &poses.before_from_now[0][0]);
+            std::copy_n(now_from_before.data(), 4, poses.now_from_before);
+            const std::size_t n = heights_m.shape(0);
+            Buffer<float> out_m(n * n), out_std_m(n * n);
+            Buffer<bool> out_seen(n * n);
+            bool taken = false;
+            {
+                nb::gil_scoped_release unlocked;
+                taken = hold_ground({view(heights_m), view(std_m), view(seen), half_m},
+                                    {view(before_heights_m), view(before_std_m), view(before_seen), before_half_m},
+                                    poses, variance_m2, plane, height_m, out_m, out_std_m, out_seen);
+            }
+            if (!taken) return nb::none();
+            return nb::make_tuple(array(std::move(out_m), {n, n}), array(std::move(out_std_m), {n, n}),
+                                  array(std::move(out_seen), {n, n}));
+        },
+        "heights_m"_a.noconvert(), "std_m"_a.noconvert(), "seen"_a.noconvert(), "half_m"_a,
+        "before_heights_m"_a.noconvert(), "before_std_m"_a.noconvert(), "before_seen"_a.noconvert(), "before_half_m"_a,
+        "before_from_now"_a.noconvert(), "now_from_before"_a.noconvert(), "variance_m2"_a, "plane"_a, "height_m"_a,
+        "Heights, deviations and seen nodes (n, n) of the present ground with what only an earlier sweep saw; None where "
+        "nothing is taken.");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,59 @@
+#include "range_image.hpp"
+
+#include "bindings.hpp"
+#include "isolated_returns.hpp"
+
+namespace viewshed {
+
+// What Python calls: arrays are checked here, whatever hands them in.
+void bind_range_image(nb::module_& m) {
+    m.def(
+        "range_image",
+        [](Points points, In1<std::int16_t> ring, std::size_t columns, std::size_t rings, float near_m, float far_m) {
+            require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
+            require_image(rings, columns);
+            const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
+            std::optional<RangeImage> made;
+            {
+                nb::gil_scoped_release unlocked;
+                made = range_image(view(points), own, columns, rings, near_m, far_m);
+            }
+            RangeImage& image = *made;
+            nb::object clutter = nb::none();
+            if (image.clutter) clutter = nb::cast(array(std::move(*image.clutter)));
+            return nb::make_tuple(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
+                                  array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
+                                  array(std::move(image.isolated)), array(std::move(image.behind)), clutter,
+                                  image.has_full_rings);
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert(), "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
+        "Column, counts, nearest_m2, phase, isolated, behind, clutter (or None) of points (N, 3) by ring (N,); and "
+        "whether rings are as full as columns are many.");
+    m.def(
+        "silent_columns",
+        [](In2<std::uint8_t> counts) {
+            Buffer<bool> silent(counts.shape(1));
+            find_silent_columns(view(counts), silent);
+            return array(std::move(silent));
+        },
+        "counts"_a.noconvert(),
+        "Columns (columns,) of counts (rings, columns) that hardly fired.");
+    m.def("least_confirmations", &least_confirmations, "mean"_a,
+          "Least number that a Poisson variable of a mean reaches with a chance of at most 1 %.");
+    m.def(
+        "pixels_without",
+        [](In1<std::int16_t> ring, In1<bool> left_out, In1<std::int32_t> column, In2<std::uint8_t> counts) {
+            const std::size_t count = ring.shape(0), rings = counts.shape(0), columns = counts.shape(1);
+            require_image(rings, columns);
+            require(left_out.shape(0) == count && column.shape(0) == count, "ring, left_out and column must be as long");
+            const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
+            auto kept = indices_of<std::int32_t>(view(column), -1, std::int32_t(columns - 1), "column");
+            Buffer<std::uint8_t> fewer = copy_of(view(counts).flat());
+            take_out(own, view(left_out), kept, fewer.view(rings, columns));
+            return nb::make_tuple(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
+        },
+        "ring"_a.noconvert(), "left_out"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(),
+        "Column (N,) and counts (rings, columns) without the returns left_out (N,).");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,243 @@
+#include "sensor_id.hpp"
+
+#include <nanobind/stl/optional.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "bindings.hpp"
+#include "elevation_clusters.hpp"
+#include "sensor_motion.hpp"
+
+namespace viewshed {
+namespace {
+
+using RingColumn = In1<std::int16_t>;
+
+// Bounds of what is asked: beams of a table, columns of a revolution, and elevations in radians.
+constexpr std::size_t MOST_RINGS = 4096;
+constexpr std::int64_t MOST_COLUMNS = 65'536;
+constexpr double HIGHEST = std::numbers::pi / 2;
+
+// A ring column as the stage sees it: checked, or none.
+std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn>& ring, std::size_t count) {
+    if (!ring) return std::nullopt;
+    require(ring->shape(0) == count, "ring must have one row for each point");
+    return indices_of<std::int16_t>(view(*ring), -1, MOST_RINGS - 1, "ring");
+}
+
+std::size_t checked_count(const Points& points) {
+    require(points.shape(0) < (1u << 28), "a sweep must have fewer than 2^28 points");
+    return points.shape(0);
+}
+
+template <typename T>
+nb::object array_or_none(std::optional<Buffer<T>>&& buffer) {
+    return buffer ? nb::cast(array(std::move(*buffer))) : nb::none();
+}
+
+template <typename T>
+Out<T> array_of(const std::vector<T>& values) {
+    Buffer<T> copy(values.size());
+    std::copy(values.begin(), values.end(), copy.data());
+    return array(std::move(copy));
+}
+
+// Azimuth, slope and range columns as the stage keeps them.
+Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, const In1<float>& range_m) {
+    require(azimuth.shape(0) == slope.shape(0) && range_m.shape(0) == slope.shape(0),
+            "azimuth, slope and range_m must be as long");
+    Directions seen(slope.shape(0));
+    std::copy_n(azimuth.data(), seen.size(), seen.azimuth.data());
+    std::copy_n(slope.data(), seen.size(), seen.slope.data());
+    std::copy_n(range_m.data(), seen.size(), seen.range_m.data());
+    return seen;
+}
+
+// The beams of a sensor, checked.
+BeamTable checked_table(View1<const double> given_elevation, View1<const double> given_origin_m, std::int64_t columns) {
+    require(given_elevation.size >= 1 && given_elevation.size <= MOST_RINGS, "a table must have 1 to 4096 beams");
+    require(given_origin_m.size == given_elevation.size, "origin_m must have one value for each beam");
+    std::vector<double> elevation(given_elevation.begin(), given_elevation.end());
+    std::vector<double> origin_m(given_origin_m.begin(), given_origin_m.end());
+    require(columns >= 1 && columns <= MOST_COLUMNS, "columns must lie in [1, 65536]");
+    const auto is_wrong = [](double value) { return !std::isfinite(value); };
+    require(std::none_of(elevation.begin(), elevation.end(), is_wrong) &&
+                std::none_of(origin_m.begin(), origin_m.end(), is_wrong),
+            "elevations and origins must be finite");
+    require(std::is_sorted(elevation.begin(), elevation.end()), "elevations must ascend");
+    require(std::abs(elevation.front()) <= HIGHEST && std::abs(elevation.back()) <= HIGHEST,
+            "elevations must lie within a quarter of a turn");
+    return BeamTable(std::move(elevation), std::move(origin_m), int(columns));
+}
+
+// The beams of several sensors, whose numbers are given, one after the other.
+BeamTables checked_tables(const In1<double>& elevation, const In1<double>& origin_m, const In1<std::int64_t>& rings,
+                          const In1<std::int64_t>& columns) {
+    require(rings.shape(0) == columns.shape(0), "rings and columns must have one value for each table");
+    BeamTables tables;
+    std::size_t start = 0;
+    for (std::size_t k = 0; k < rings.shape(0); ++k) {
+        const auto size = std::size_t(read_once(view(rings), k));  // huge where it is negative
+        require(size >= 1 && size <= elevation.shape(0) - start && origin_m.shape(0) == elevation.shape(0),
+                "elevation and origin_m must have one value for each beam of the tables");
+        tables.push_back(
+            checked_table({elevation.data() + start, size}, {origin_m.data() + start, size}, columns(k)));
+        start += size;
+    }
+    return tables;
+}
+
+void check_expected(int expected, const BeamTables& tables) {
+    require(expected >= NO_TABLE && expected < int(tables.size()), "expected must be the number of a table, or -1");
+}
+
+}  // namespace
+
+// What Python calls: arrays are checked here, whatever hands them in.
+void bind_sensor_id(nb::module_& m) {
+    m.def(
+        "identify_by_rings",
+        [](Points points, RingColumn ring, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
+           In1<std::int64_t> columns, int expected) {
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            check_expected(expected, tables);
+            const auto known = checked_rings(ring, checked_count(points));
+            SensorId found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = identify_by_rings(view(points), *known, tables, expected);
+            }
+            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(), "expected"_a,
+        "The ring of each point (N, 3) as the table's beams, or None where they are the known rings (N,), and the "
+        "number of the table that the rings agree with, -1 for none. Tables follow each other: elevation (K,) and "
+        "origin_m (K,) of the beams, rings (T,) and columns (T,) of each table.");
+    m.def(
+        "identify_by_points",
+        [](Points points, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
+           In1<std::int64_t> columns, int expected) {
+            checked_count(points);
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            check_expected(expected, tables);
+            SensorId found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = identify_by_points(view(points), tables, expected);
+            }
+            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+        },
+        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rings"_a.noconvert(),
+        "columns"_a.noconvert(), "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
+    m.def(
+        "rings_of_points",
+        [](Points points) {
+            checked_count(points);
+            std::optional<Buffer<std::int16_t>> ring;
+            {
+                nb::gil_scoped_release unlocked;
+                ring = rings_of_points(view(points));
+            }
+            return array_or_none(std::move(ring));
+        },
+        "points"_a.noconvert(), "The ring of each point (N, 3) by their order or their elevations, or None.");
+    m.def(
+        "beams_of_sensor",
+        [](Points points, In1<double> elevation, In1<double> origin_m) {
+            checked_count(points);
+            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
+            std::optional<Buffer<std::int16_t>> ring;
+            {
+                nb::gil_scoped_release unlocked;
+                ring = beams_of_sensor(view(points), table);
+            }
+            return array_or_none(std::move(ring));
+        },
+        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "The beam of each point (N, 3) of a sensor that is known, or None.");
+    m.def(
+        "infer_sensor",
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
+           In1<std::int64_t> rings, In1<std::int64_t> columns) {
+            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+            const auto known = checked_rings(ring, checked_count(points));
+            std::pair<int, double> found;
+            {
+                nb::gil_scoped_release unlocked;
+                found = infer_sensor(view(points), known, tables);
+            }
+            return nb::make_tuple(found.first, found.second);
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rings"_a.noconvert(), "columns"_a.noconvert(),
+        "The number of the table that explains points (N, 3) best, -1 for none, and its score.");
+    m.def(
+        "recover_rings",
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
+           std::int64_t columns) {
+            std::optional<BeamTable> table;
+            if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), columns);
+            const auto known = checked_rings(ring, checked_count(points));
+            std::optional<RingAssignment> made;
+            {
+                nb::gil_scoped_release unlocked;
+                made = recover_rings(view(points), known, table ? &*table : nullptr);
+            }
+            return nb::make_tuple(array(std::move(made->ring)), array(std::move(made->column)), made->columns,
+                                  array(std::move(made->elevation)), made->placed, made->alone, int(made->source));
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "columns"_a,
+        "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source. "
+        "A table of no beams is none.");
+    m.def(
+        "polar",
+        [](Points points) {
+            Directions seen = directions_of(view(points));
+            return nb::make_tuple(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
+                                  array(std::move(seen.range_m)));
+        },
+        "points"_a.noconvert(), "Azimuth, slope and horizontal range (N,) of points (N, 3).");
+    m.def(
+        "match_beams",
+        [](In1<float> slope, In1<float> range_m, In1<double> elevation, In1<double> origin_m) {
+            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
+            require(slope.shape(0) == range_m.shape(0), "slope and range_m must be as long");
+            BeamMatch match = match_beams(view(slope), view(range_m), table);
+            return nb::make_tuple(array(std::move(match.ring)), array_of(match.hits), match.excess);
+        },
+        "slope"_a.noconvert(), "range_m"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "The nearest beam of each return (N,), the returns close to each beam, and their share less chance.");
+    m.def(
+        "find_clusters",
+        [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> nb::object {
+            const auto found = find_clusters(directions_from(azimuth, slope, range_m));
+            if (!found) return nb::none();
+            return nb::make_tuple(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
+        },
+        "azimuth"_a.noconvert(), "slope"_a.noconvert(), "range_m"_a.noconvert(),
+        "Elevations at which returns (N,) gather, heights of their origin, and sharpness; or None.");
+    m.def(
+        "find_motion",
+        [](Points points) -> nb::object {
+            checked_count(points);
+            const auto motion = find_motion(view(points));
+            if (!motion) return nb::none();
+            return nb::make_tuple(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
+        },
+        "points"_a.noconvert(), "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
+    m.def(
+        "undo_motion",
+        [](Points points, double x_m, double y_m, double z_m, double seam, double reference) {
+            Buffer<float> measured(points.shape(0) * 3);
+            undo_motion(view(points), {{x_m, y_m, z_m}, seam, reference}, measured.view(points.shape(0), 3));
+            return array(std::move(measured), {points.shape(0), 3});
+        },
+        "points"_a.noconvert(), "x_m"_a, "y_m"_a, "z_m"_a, "seam"_a, "reference"_a,
+        "Points (N, 3) as a sensor in motion measured them.");
+}
+
+}  // namespace viewshed

@@ -1,0 +1,178 @@
+#include "temporal_evidence.hpp"
+
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "bindings.hpp"
+#include "parallel.hpp"
+
+namespace viewshed {
+namespace {
+
+Transform transform_of(const float* values) {
+    Transform transform;
+    for (std::size_t k = 0; k < 12; ++k) {
+        transform.m[k] = values[k];
+        require(std::isfinite(transform.m[k]), "transforms must be finite");
+    }
+    return transform;
+}
+
+Transform transform_of(const In2<float>& values) {
+    require(values.shape(0) == 3 && values.shape(1) == 4, "a transform must have shape (3, 4)");
+    return transform_of(values.data());
+}
+
+// The transforms (K, 3, 4) to the sensors' frames of other sweeps, one for each.
+std::vector<Transform> transforms_of(const std::vector<const SweepView*>& views, const In3<float>& transforms) {
+    require(transforms.shape(0) == views.size() && transforms.shape(1) == 3 && transforms.shape(2) == 4,
+            "transforms must have shape (K, 3, 4), one for each view");
+    std::vector<Transform> each;
+    for (std::size_t k = 0; k < views.size(); ++k) {
+        require(views[k] != nullptr, "views must be views");
+        each.push_back(transform_of(transforms.data() + 12 * k));
+    }
+    return each;
+}
+
+// Other sweeps, with the transforms to their sensors' frames (K, 3, 4), and the time in seconds from each to the one before.
+std::vector<Other> others_of(const std::vector<const SweepView*>& views, const In3<float>& transforms,
+                             const In1<float>& gaps_s) {
+    const std::vector<Transform> to_each = transforms_of(views, transforms);
+    require(gaps_s.shape(0) == views.size(), "gaps_s must have one value for each view");
+    std::vector<Other> others;
+    for (std::size_t k = 0; k < views.size(); ++k) {
+        const float gap_s = read_once(view(gaps_s), k);
+        require(std::isfinite(gap_s) && gap_s > 0.0f, "gaps_s must be positive");
+        others.push_back({views[k], to_each[k], gap_s});
+    }
+    return others;
+}
+
+}  // namespace
+
+void bind_temporal_evidence(nb::module_& m) {
+    nb::class_<SweepView>(m, "SweepView", "What a sweep saw, to be held against sweeps before and after it.")
+        .def(
+            "__init__",
+            [](SweepView* self, In2<float> squared_m2, In1<float> phase, In1<float> elevation, In1<float> origin_m,
+               Points points, In1<float> height_m, In1<float> range_m, In1<float> azimuth, In1<bool> isolated,
+               In2<float> sensor_from_level) {
+                const std::size_t rings = squared_m2.shape(0), count = points.shape(0);
+                require(rings >= 1 && rings <= 4096, "an image must have 1 to 4096 rings");
+                require(squared_m2.shape(1) >= 8 && squared_m2.shape(1) <= 65536,
+                        "an image must have 8 to 65536 columns");
+                require(phase.shape(0) == rings && elevation.shape(0) == rings && origin_m.shape(0) == rings,
+                        "phase, elevation and origin_m must have one value for each ring");
+                const Buffer<float> own_phase = copy_of(view(phase)), own_elevation = copy_of(view(elevation));
+                const Buffer<float> own_origin_m = copy_of(view(origin_m));
+                for (std::size_t r = 0; r < rings; ++r) {
+                    require(std::isfinite(own_elevation[r]) && std::isfinite(own_origin_m[r]),
+                            "elevation and origin_m must be finite");
+                    require(own_phase[r] >= 0.0f && own_phase[r] <= 1.0f, "phase must lie in [0, 1]");
+                }
+                require(height_m.shape(0) == count && range_m.shape(0) == count && azimuth.shape(0) == count &&
+                            isolated.shape(0) == count,
+                        "points, height_m, range_m, azimuth and isolated must be as long");
+                const Transform transform = transform_of(sensor_from_level);
+                nb::gil_scoped_release unlocked;
+                new (self) SweepView(view(squared_m2), own_phase, own_elevation, own_origin_m, view(points), view(height_m),
+                                     view(range_m), view(azimuth), view(isolated), transform);
+            },
+            "squared_m2"_a.noconvert(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+            "points"_a.noconvert(),
+            "height_m"_a.noconvert(), "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "isolated"_a.noconvert(),
+            "sensor_from_level"_a.noconvert())
+        .def_prop_ro("obstacles", [](const SweepView& self) { return self.obstacles().size(); })
+        .def(
+            "follow",
+            [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms,
+               In1<float> gaps_s, const SweepView& around, In2<float> around_from_self, std::size_t sectors) {
+                require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
+                const std::vector<Other> others = others_of(views, transforms, gaps_s);
+                const Transform placed = transform_of(around_from_self);
+                Buffer<float> speed_mps(sectors), area_m2(sectors), lost(sectors), pierced(sectors);
+                {
+                    nb::gil_scoped_release unlocked;
+                    follow_all(self, others, around, placed, speed_mps, area_m2, lost, pierced);
+                }
+                return nb::make_tuple(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)),
+                                      array(std::move(pierced)));
+            },
+            "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
+            "sectors"_a,
+            "Speed m/s that obstacles need to be found as these views found them, area m2 that the first of them saw "
+            "through, shares lost and pierced in it (sectors,), by azimuth about the sweep `around`.")
+        .def(
+            "jumps",
+            [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms,
+               In1<float> gaps_s, std::size_t sectors) {
+                require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
+                require(views.size() == 2, "two views are needed");
+                const std::vector<Other> others = others_of(views, transforms, gaps_s);
+                Buffer<float> jump_m(sectors);
+                {
+                    nb::gil_scoped_release unlocked;
+                    const float ratio = (others[0].gap_s + others[1].gap_s) / others[0].gap_s;
+                    jumps(self, others[0], others[1], ratio, jump_m);
+                }
+                return array(std::move(jump_m));
+            },
+            "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "sectors"_a,
+            "How far surfaces jump (sectors,) m against constant speeds, over the two views before.")
+        .def(
+            "repeats",
+            [](const SweepView& self, const std::vector<const SweepView*>& views, std::size_t sectors) {
+                require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
+                for (const SweepView* other : views) {
+                    require(other != nullptr && other->rings() == self.rings() && other->columns() == self.columns(),
+                            "views must have the same rings and columns");
+                }
+                Buffer<float> share(views.size() * sectors);
+                {
+                    nb::gil_scoped_release unlocked;
+                    for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
+                        for (std::size_t k = begin; k < end; ++k) {
+                            find_repeats(self, *views[k], {share.data() + k * sectors, sectors});
+                        }
+                    });
+                }
+                return array(std::move(share), {views.size(), sectors});
+            },
+            "views"_a, "sectors"_a,
+            "Share of the ranges that repeat those of other views, less what noise repeats (views, sectors); NaN where too "
+            "few beams returned in both.")
+        .def(
+            "register_on",
+            [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms) {
+                const std::vector<Transform> to_each = transforms_of(views, transforms);
+                std::vector<Registration> found(views.size());
+                {
+                    nb::gil_scoped_release unlocked;
+                    for_ranges(views.size(), views.size(), [&](std::size_t, std::size_t begin, std::size_t end) {
+                        for (std::size_t k = begin; k < end; ++k) found[k] = register_on(self, *views[k], to_each[k]);
+                    });
+                }
+                Buffer<double> step(3 * views.size()), information(9 * views.size()), sigma_m(views.size());
+                Buffer<std::int64_t> matches(views.size());
+                for (std::size_t k = 0; k < views.size(); ++k) {
+                    step[3 * k] = found[k].yaw;
+                    step[3 * k + 1] = found[k].x_m;
+                    step[3 * k + 2] = found[k].y_m;
+                    std::copy(found[k].information.begin(), found[k].information.end(), &information[9 * k]);
+                    sigma_m[k] = found[k].sigma_m;
+                    matches[k] = std::int64_t(found[k].matches);
+                }
+                return nb::make_tuple(array(std::move(step), {views.size(), 3}),
+                                      array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
+                                      array(std::move(matches)));
+            },
+            "views"_a, "transforms"_a.noconvert(),
+            "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
+            "them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).");
+}
+
+}  // namespace viewshed

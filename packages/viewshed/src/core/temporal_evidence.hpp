@@ -1,0 +1,45 @@
+// Evidence of a monitor that needs earlier sweeps: what appears or vanishes in plain view, surfaces that jump, ranges that
+// come again, and poses that do not fit.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "arrays.hpp"
+#include "sweep_views.hpp"
+
+namespace viewshed {
+
+// Another sweep, the transform to its sensor's frame, and the time to it.
+struct Other {
+    const SweepView* view;
+    Transform transform;
+    float gap_s;
+};
+
+// By sector: the speed that its fastest obstacles need, the shares that are lost and pierced.
+void follow_all(const SweepView& view, const std::vector<Other>& others, const SweepView& around,
+                const Transform& around_from_view, View1<float> speed_mps, View1<float> area_m2, View1<float> lost,
+                View1<float> pierced);
+
+// By sector: how far its surfaces jump, against what moves at a constant speed: the median of the second differences of range
+// over the sweep and two before it, whose times before it are in the ratio `ratio`.
+void jumps(const SweepView& view, const Other& last, const Other& second, float ratio, View1<float> jump_m);
+
+// By sector: the share of the ranges that repeat those of another sweep, less what noise repeats; NaN where too few beams
+// returned in both. Both have the same rings and columns.
+void find_repeats(const SweepView& view, const SweepView& other, View1<float> share);
+
+// A correction of a pose: turn and shift, the information (3, 3) about them, the deviation of a return from its surface, and
+// how many returns were used.
+struct Registration {
+    double yaw = 0, x_m = 0, y_m = 0;
+    std::array<double, 9> information{};
+    double sigma_m = 0;
+    std::size_t matches = 0;
+};
+
+// Turn and shift a sweep's obstacles until they lie on the surfaces of another.
+Registration register_on(const SweepView& view, const SweepView& other, const Transform& other_from_view);
+
+}  // namespace viewshed

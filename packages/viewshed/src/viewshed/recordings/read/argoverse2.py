@@ -1,0 +1,114 @@
+"""Argoverse 2: logs of the sensor data set, as they are unpacked.
+
+- ``LOG/sensors/lidar/315966265259836000.feather``: a sweep of the two stacked sensors, in the car's frame.
+- ``LOG/city_SE3_egovehicle.feather``: poses of the car in the city, by time.
+- ``LOG/annotations.feather``: boxes in the car's frame at the times of sweeps; a test log has none.
+
+Sweeps are given in the frame of ``up_lidar``, whose place on the car is the same in all logs to a few centimeters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.geometry import Rigid
+from viewshed.io import read_sweep
+from viewshed.io._columns import FILE_FRAMES
+from viewshed.io._input import inside, open_input
+from viewshed.io.argoverse import read_feather
+from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage
+from viewshed.sweep import Sweep
+
+SWEEPS, POSES, BOXES = "sensors/lidar", "city_SE3_egovehicle.feather", "annotations.feather"
+
+_POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_SIZE = ("length_m", "width_m", "height_m")
+_MOST_BYTES = 256_000_000
+
+
+class Argoverse2:
+    """One log, or a folder of logs; each is a scene, whose world is the city."""
+
+    def __init__(self, place: Path) -> None:
+        logs = logs_in(place)
+        self.root = place
+        self.problems: list[str] = []
+        self.notes = ()
+        self.scenes: dict[str, Sequence[SweepRef]] = {log.name: self._refs(log) for log in logs}
+        self._tables: dict[Path, dict[str, NDArray[Any]] | None] = {}
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep with its time, and with its pose where the log tells it."""
+        sweep = read_sweep(inside(self.root, ref.file), format="argoverse2")
+        city_from_car = self._pose(ref)
+        if city_from_car is None:
+            return sweep.replace(t_ns=ref.t_ns)
+        return sweep.replace(t_ns=ref.t_ns, world_from_sensor=city_from_car @ FILE_FRAMES["argoverse2"].inverse())
+
+    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
+        """Return the annotated objects at the time of a sweep; None where the log has no annotations."""
+        table = self._table(_log_of(ref) / BOXES, (*_POSE, *_SIZE, "timestamp_ns"), ("category", "track_uuid"))
+        if table is None:
+            return None
+        # Without a pose the sensor's frame stands for the world.
+        world_from_car = self._pose(ref) or FILE_FRAMES["argoverse2"]
+        rows = np.flatnonzero(table["timestamp_ns"] == ref.t_ns)
+        poses, sizes = (np.stack([table[name][rows] for name in names], axis=1) for names in (_POSE, _SIZE))
+        return tuple(
+            ObjectBox(
+                world_from_car @ Rigid.from_quaternion(pose[:4], pose[4:]), (length, width, height),
+                str(table["category"][row]), str(table["track_uuid"][row]),
+            )
+            for row, pose, (length, width, height) in zip(rows, poses, sizes.tolist(), strict=True)
+        )  # fmt: skip
+
+    def _refs(self, log: Path) -> Sequence[SweepRef]:
+        files = sorted((log / SWEEPS).glob("*.feather"))
+        named = [file for file in files if file.stem.isascii() and file.stem.isdecimal() and len(file.stem) <= 18]
+        for file in sorted(set(files) - set(named)):
+            note_damage(self.problems, f"{file}: must be named by its nanoseconds; it is left out")
+        return [
+            SweepRef(log.name, index, str(file), int(file.stem), sensor="up_lidar, down_lidar", key=file.stem)
+            for index, file in enumerate(sorted(named, key=lambda file: int(file.stem)))
+        ]
+
+    def _pose(self, ref: SweepRef) -> Rigid | None:
+        """Return the car's pose in the city, the one nearest in time within a millisecond."""
+        table = self._table(_log_of(ref) / POSES, (*_POSE, "timestamp_ns"))
+        if table is None or ref.t_ns is None or not len(table["timestamp_ns"]):
+            return None
+        apart_ns = np.abs(table["timestamp_ns"] - ref.t_ns)
+        row = int(apart_ns.argmin())
+        if apart_ns[row] > 1_000_000:
+            return None
+        pose = np.array([table[name][row] for name in _POSE])
+        return Rigid.from_quaternion(pose[:4], pose[4:])
+
+    def _table(self, path: Path, numbers: Sequence[str], words: Sequence[str] = ()) -> dict[str, NDArray[Any]] | None:
+        """Return the columns of a table of a log, None where it has none; read once."""
+        if path not in self._tables:
+            self._tables[path] = _read_table(self.root, path, numbers, words) if path.is_file() else None
+        return self._tables[path]
+
+
+def logs_in(place: Path) -> list[Path]:
+    """Return the logs at a place: itself, or those in it."""
+    return sorted({folder.parents[1] for depth in ("", "*/") for folder in place.glob(f"{depth}{SWEEPS}")})
+
+
+def _log_of(ref: SweepRef) -> Path:
+    return Path(ref.file).parents[2]
+
+
+def _read_table(root: Path, path: Path, numbers: Sequence[str], words: Sequence[str]) -> dict[str, NDArray[Any]]:
+    with open_input(inside(root, path)) as source:
+        table = read_feather(source.content(_MOST_BYTES), numbers, words)
+        missing = [name for name in (*numbers, *words) if name not in table]
+        if missing:
+            raise ValueError(f"must have the columns {', '.join((*numbers, *words))}, got none of {', '.join(missing)}")
+        return table
