@@ -14,12 +14,32 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 
 
-def test_every_mark_on_a_page_is_generated() -> None:
-    marks = {mark for page in PAGES for mark in docs_site.MARK.findall(page.read_text("utf-8"))}
+def test_every_generated_table_stands_on_its_page_as_the_code_has_it() -> None:
+    pages = [ROOT / "README.md", *PAGES]
+    marks = {
+        mark for page in pages for mark in re.findall(r"^<!-- generated: (\w+) -->", page.read_text("utf-8"), re.M)
+    }
     assert marks == set(docs_site.GENERATED)
+    for page in pages:
+        text = page.read_text("utf-8")
+        assert docs_site.with_tables(text) == text, f"{page.name}: python tools/docs_site.py writes it"
+
+
+def test_figures_of_the_readme_are_in_the_pages_that_their_rows_link() -> None:
+    rows = docs_site.figures().splitlines()[2:]
+    assert len(rows) >= 5
+    for row in rows:
+        _, _, figure, where, given, link = (cell.strip() for cell in row.strip("|").split("|"))
+        page = (ROOT / re.findall(r"\((docs/results/\w+\.md)\)", link)[0]).read_text("utf-8")
+        numbers = re.findall(r"(?<!\d)\d*\.\d+", figure)
+        assert numbers
+        assert [number for number in numbers if number not in page] == []
+        assert ("simulated" in where) or ("real" in where)
+        assert given
 
 
 def test_generated_tables_hold_the_program() -> None:
+    assert "| `study robustness` |" in docs_site.command_table()
     from viewshed.sensors import sensor_names
     from viewshed_lab.sim.worlds import WORLDS
     from viewshed_lab.threats.attacks import ATTACKS
@@ -74,11 +94,6 @@ def _helps() -> dict[str, str]:
     """What ``--help`` prints of every command."""
     parts = docs_site.commands().removeprefix("## viewshed ").split("\n## viewshed ")
     return {name: text for name, _, text in (part.partition("\n") for part in parts)}
-
-
-def test_figures_of_the_methods_are_those_of_the_results() -> None:
-    page = (DOCS / "which_method.md").read_text("utf-8")
-    assert docs_site.methods() in page, "python tools/docs_site.py writes them"
 
 
 def _literals() -> str:

@@ -1,8 +1,11 @@
-"""A clip of what several agents see: the frames of a page of ``viewshed view``, agents side by side, as animated WebP.
+"""A clip of a page of ``viewshed view``: its frames, agents or layers side by side, as animated WebP.
 
     viewshed record sim --world junction --agents 3 --seconds 30 --hz 2 --to drive.mcap
     viewshed view drive.mcap --html run.html
     python tools/clip.py run.html docs/assets/agents.webp [--seconds 30] [--side 320]
+
+    viewshed view PANDASET/*.bin --file-frame pandaset --method viewnet --html three.html
+    python tools/clip.py three.html docs/assets/real.webp --layers states,doubt --pace 2.5 --side 400
 
 The page draws every frame itself, in a headless Chromium, and its canvas is what the clip shows.
 """
@@ -33,6 +36,7 @@ class Shown:
 
     number: int  # of the frame on the page
     agent: str  # whose sweep it is
+    name: str  # of the sweep
     time_s: float  # since the first frame
     visible_m2: float  # of the estimate
 
@@ -40,7 +44,9 @@ class Shown:
 def frames_of(browser: Browser) -> list[Shown]:
     """Return the frames of the open page, in its order."""
     rows = json.loads(
-        browser.value("JSON.stringify(abouts.map((about, k) => [about.agent, seconds[k], about.visible_m2]))")
+        browser.value(
+            "JSON.stringify(abouts.map((about, k) => [about.agent, about.name, seconds[k], about.visible_m2]))"
+        )
     )
     return [Shown(number, *each) for number, each in enumerate(rows)]
 
@@ -48,7 +54,7 @@ def frames_of(browser: Browser) -> list[Shown]:
 def steps(frames: list[Shown], longest_s: float) -> list[dict[str, Shown]]:
     """Return for each time the latest frame of each agent, from the first time at which all have one.
 
-    >>> a, b, c = Shown(0, "x", 0.0, 1.0), Shown(1, "y", 0.1, 1.0), Shown(2, "x", 1.0, 1.0)
+    >>> a, b, c = Shown(0, "x", "", 0.0, 1.0), Shown(1, "y", "", 0.1, 1.0), Shown(2, "x", "", 1.0, 1.0)
     >>> [[shown.number for shown in step.values()] for step in steps([a, b, c], 30.0)]
     [[0, 1], [2, 1]]
     """
@@ -67,8 +73,9 @@ def _first(step: dict[str, Shown]) -> Shown:
     return next(iter(step.values()))
 
 
-def picture(browser: Browser, frame: Shown, side: int) -> Image.Image:
-    """Return what the page draws of a frame, with agent, time and visible area above it."""
+def picture(browser: Browser, frame: Shown, side: int, layer: str, heading: tuple[str, str]) -> Image.Image:
+    """Return what the page draws of a frame in a layer of its cells, with a heading of two lines above it."""
+    browser.value(f"document.querySelector('#bases input[value={layer}]').click()")
     browser.value(f"show({frame.number})")
     browser.wait_for(f"current === {frame.number} && element('sweep').textContent.startsWith('{frame.number + 1} of')")
     address = str(browser.value("map.toDataURL('image/png')"))
@@ -78,11 +85,25 @@ def picture(browser: Browser, frame: Shown, side: int) -> Image.Image:
     left, top = (drawn.width - edge) // 2, (drawn.height - edge) // 2
     square = drawn.crop((left, top, left + edge, top + edge)).resize((side, side), Image.Resampling.LANCZOS)
     page = Canvas.blank(side, side + _HEAD)
-    page.text((6, 18), frame.agent.partition("/")[0], 10, bold=True)
-    page.text((6, 38), f"{frame.time_s:.1f} s · sees {frame.visible_m2:,.0f} m²", 9)
+    page.text((6, 18), heading[0], 10, bold=True)
+    page.text((6, 38), heading[1], 9)
     whole = Image.fromarray(page.pixels())
     whole.paste(square, (0, _HEAD), square if square.mode == "RGBA" else None)
     return whole
+
+
+_LAYERS = {
+    "states": "free blue, surface orange, hidden gray, unknown light",
+    "probability": "probability that a target would be seen",
+    "doubt": "doubt: probability that the answer is wrong",
+}
+
+
+def _heading(frame: Shown, layer: str, is_timed: bool) -> tuple[str, str]:
+    """Return what stands above a picture: agent and time of a drive, or sweep and layer."""
+    if is_timed:
+        return frame.agent.partition("/")[0], f"{frame.time_s:.1f} s · sees {frame.visible_m2:,.0f} m²"
+    return f"{frame.name} · sees {frame.visible_m2:,.0f} m²", _LAYERS.get(layer, layer)
 
 
 def main() -> int:
@@ -92,6 +113,10 @@ def main() -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--side", type=int, default=320)
+    parser.add_argument("--layers", default="states", help="of the cells, with commas; several stand side by side")
+    parser.add_argument(
+        "--pace", type=float, help="seconds that each frame is shown, in place of the sweeps' own times"
+    )
     given = parser.parse_args()
     pictures = []
     with open_browser() as browser:
@@ -100,7 +125,11 @@ def main() -> int:
         browser.wait_for("typeof abouts !== 'undefined' && element('sweep').textContent !== ''")
         chosen = steps(frames_of(browser), given.seconds)
         for step in chosen:
-            tiles = [picture(browser, frame, given.side) for frame in step.values()]
+            tiles = [
+                picture(browser, frame, given.side, layer, _heading(frame, layer, given.pace is None))
+                for frame in step.values()
+                for layer in given.layers.split(",")
+            ]
             whole = Image.new("RGB", ((given.side + 8) * len(tiles) - 8, given.side + _HEAD), "white")
             for number, tile in enumerate(tiles):
                 whole.paste(tile, (number * (given.side + 8), 0))
@@ -108,6 +137,8 @@ def main() -> int:
     times_ms = [round(1000 * _first(step).time_s) for step in chosen]
     lasts_ms = [after - before for before, after in pairwise(times_ms)] or [1000]
     lasts_ms.append(lasts_ms[-1])
+    if given.pace is not None:
+        lasts_ms = [round(1000 * given.pace)] * len(chosen)
     first, *more = pictures
     given.out.parent.mkdir(parents=True, exist_ok=True)
     first.save(given.out, save_all=True, append_images=more, duration=lasts_ms[: len(pictures)], quality=60, loop=0)

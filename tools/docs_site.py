@@ -1,7 +1,8 @@
 """Hooks of mkdocs: what the site takes from the code, so that no page repeats it.
 
-A line ``<!-- generated: NAME -->`` of a page becomes the table of that name in ``GENERATED``, and each notebook a page
-with its stored outputs. The site's name shows the version, and its header the repository, where the checkout has one.
+Between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` of a page stands the table of that name in ``GENERATED``;
+``python tools/docs_site.py`` writes it there anew. Each notebook becomes a page with its stored outputs. The site's name
+shows the version, and its header the repository, where the checkout has one.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ import viewshed
 from viewshed_lab._page import table
 
 ROOT = Path(__file__).resolve().parents[1]
-MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+MARK = re.compile(r"^<!-- generated: (\w+) -->\n(?:.*?\n)?<!-- end of \1 -->$", re.MULTILINE | re.DOTALL)
 TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
 """The real sweep of the tutorial, in the folder of real sweeps."""
+RESULTS = ("gallery.md", "ugv.md", "first_hour.md", "release.md")
+"""Pages that commands write as a whole."""
 ELSEWHERE = {
     "contribute/contributing.md": "CONTRIBUTING.md",
     "contribute/core.md": "packages/viewshed/src/core/README.md",
@@ -69,13 +72,14 @@ def on_files(files: Any, config: Any) -> Any:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Write generated tables into a page, and turn its links to files elsewhere into those to their pages."""
+def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
+    """Turn a page's links to files elsewhere into those to their pages; that of the command line has every option."""
     if results_index.MARK in markdown:
         markdown = results_index.with_overview(markdown)
     for page, path in ELSEWHERE.items():
         markdown = markdown.replace(f"](../{path})", f"]({page})")
-    return MARK.sub(lambda mark: GENERATED[mark[1]](), markdown.replace(".ipynb)", ".md)"))
+    options = f"\n\n{commands()}" if page is not None and page.file.src_uri == "cli.md" else ""
+    return markdown.replace(".ipynb)", ".md)") + options
 
 
 def on_page_content(html: str, **_: Any) -> str:
@@ -141,6 +145,12 @@ def commands() -> str:
         for name in command_names()
     }
     return "\n\n".join(f"## viewshed {name}\n\n```text\n{text.strip()}\n```" for name, text in shown.items())
+
+
+def command_table() -> str:
+    """Return every command with the first line of its help."""
+    firsts = re.findall(r"^## viewshed (.*)\n\n```text\nUsage: (?:.+\n)+\n +(.*?\.)\s", commands(), re.MULTILINE)
+    return table(("command", "does"), [[f"`{name}`", first] for name, first in firsts])
 
 
 def attacks() -> str:
@@ -243,11 +253,6 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-GENERATED: dict[str, Callable[[], str]] = {
-    make.__name__: make for make in (commands, attacks, corruptions, defenses, worlds, materials, weather, sensors)
-}
-
-
 # Figures of pages, from results.
 
 
@@ -264,6 +269,90 @@ def methods() -> str:
     ranked = sorted(seen.items(), key=lambda row: -float(row[1][5]))
     header = ("method", "own: precision", "recall", "F1", "other: precision", "recall", "F1")
     return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
+
+
+def figures() -> str:
+    """Return the table of the README: what is asked, by which command, how well, on what, what was given, and where."""
+    wild, ring, alone = "wild", _known("ring, time and intensity"), _known("points alone")
+    told = _result("wild_versions").split("## Told rings\n")[1]
+    doubt = next(row for row in re.findall(r"^\| viewnet \| after \|.*$", told, re.MULTILINE)).split(" | ")[5]
+    over = _headline("crossview", "claimed though hidden, of the hidden columns, `shadow_map`, HDL-64E")
+    caught = _headline("monitor", "of the attacked sweeps caught")
+    false = _headline("monitor", "of the benign sweeps of unseen scenes")
+    speed, real_speed = _headline("speed", "`shadow_map`, 35k"), _headline("speed", "the same of a real sweep")
+    rows = [
+        ("Would a car there be seen?", "estimate FILE", _precision(ring) + f"F1 {_row(ring, 'shadow_map')[4]}",
+         "simulated", "rings; no sensor, no height", wild),
+        ("… from bare points?", "estimate FILE", _precision(alone) + f"F1 {_row(alone, 'shadow_map')[4]}",
+         "simulated", "points alone", wild),
+        ("Is hidden ground claimed?", "evaluate crossview INDEX", f"{over} columns", "real, HDL-64E",
+         "points, poses", "crossview"),
+        ("Which answers are wrong?", "estimate FILE --method viewnet", f"AUROC of the doubt {doubt}", "simulated",
+         "rings; no sensor, no height", "wild_versions"),
+        ("Is someone lying?", "monitor check DRIVE", f"{caught} of the forged sweeps caught, {false} false alarms",
+         "simulated, unseen attacks", "a limit for 1 % false alarms", "monitor"),
+        ("How fast, one thread?", "estimate FILE", f"{speed} ms of 35k points; real: {real_speed} ms",
+         "simulated; real", "rings", "speed"),
+    ]  # fmt: skip
+    lines = [
+        (question, f"`viewshed {command}`", figure, where, given, f"[page](docs/results/{page}.md)")
+        for question, command, figure, where, given, page in rows
+    ]
+    return table(("question", "command", "figure", "measured on", "what was given", ""), lines)
+
+
+def _result(page: str) -> str:
+    return (ROOT / "docs" / "results" / f"{page}.md").read_text(encoding="utf-8")
+
+
+def _headline(page: str, words: str) -> str:
+    """Return the bold number of the line at the top of a page of results that has these words."""
+    found = re.search(rf"^- \*\*(.*?)\*\* .*{re.escape(words)}", _result(page), re.MULTILINE)
+    if found is None:
+        raise ValueError(f"docs/results/{page}.md must have a line '- **NUMBER** … {words}' at its top")
+    return found[1]
+
+
+def _known(what: str) -> str:
+    """Return the part of the page in the wild, of cars on roads, where so much was known."""
+    return (
+        _result("wild").split("## road, car\n")[1].split("\n## ")[0].split(f"**Known: {what}")[1].split("**Known: ")[0]
+    )
+
+
+def _row(part: str, method: str) -> list[str]:
+    """Return the cells of the first row of a method."""
+    found = re.search(rf"^\| {method} \|.*$", part, re.MULTILINE)
+    if found is None:
+        raise ValueError(f"docs/results/wild.md must have a row of {method}")
+    return [cell.strip() for cell in found[0].strip("|").split("|")]
+
+
+def _precision(part: str) -> str:
+    """Return precision and recall of the default method on other worlds, in words."""
+    precision, recall = _row(part, "shadow_map")[3].split(" / ")
+    return f"precision {precision}, recall {recall}, "
+
+
+GENERATED: dict[str, Callable[[], str]] = {
+    make.__name__: make
+    for make in (
+        command_table, attacks, corruptions, defenses, worlds, materials, weather, sensors, methods, figures
+    )
+}  # fmt: skip
+
+
+def with_tables(markdown: str) -> str:
+    """Return a page with its generated tables anew."""
+    return MARK.sub(
+        lambda mark: f"<!-- generated: {mark[1]} -->\n{GENERATED[mark[1]]()}\n<!-- end of {mark[1]} -->", markdown
+    )
+
+
+def words() -> int:
+    """Return how many words a reader of the pages reads: without results and what is generated."""
+    pages = [path for path in sorted((ROOT / "docs").glob("*.md")) if path.name not in RESULTS]
+    return sum(len(MARK.sub("", path.read_text(encoding="utf-8")).split()) for path in pages)
 
 
 # The tutorial.
@@ -290,15 +379,17 @@ def _run(block: str, folder: Path) -> str:
 
 def main() -> None:
     """Write anew what pages take from results and from commands; the tutorial where its real sweep is to be had."""
-    page = ROOT / "docs" / "which_method.md"
-    kept = re.compile(r"(<!-- methods: .*? -->\n).*?(<!-- end of methods -->)", re.DOTALL)
-    page.write_text(kept.sub(rf"\g<1>{methods()}\n\g<2>", page.read_text(encoding="utf-8")), encoding="utf-8")
+    for place in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        before = place.read_text(encoding="utf-8")
+        if (after := with_tables(before)) != before:
+            place.write_text(after, encoding="utf-8")
     sweep = Path(os.environ.get("VIEWSHED_REAL_DATA", ROOT / ".." / "shared" / "data"), TUTORIAL_SWEEP)
     if sweep.is_file():
         page = ROOT / "docs" / "tutorial.md"
         with tempfile.TemporaryDirectory() as folder:
             shutil.copy(sweep, folder)
             page.write_text(transcript(page.read_text(encoding="utf-8"), Path(folder)), encoding="utf-8")
+    print(f"{words()} words to read in docs/*.md")
 
 
 if __name__ == "__main__":

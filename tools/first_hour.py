@@ -2,10 +2,10 @@
 
     python tools/first_hour.py [--wheel FILE | --installed BIN] [--times 3] [--page docs/first_hour.md]
 
-Each time begins with an empty home and nothing of the caller's environment. Without ``--wheel`` a fresh copy of the
-checkout is taken and ``make demo`` is run in it, as the README says; with it, the wheel is installed into an empty
-environment; ``--installed`` names the folder of an environment's programs and installs nothing. Then come the README's
-other commands as they stand there, on a terminal. The transcript of the last time is the page.
+Each time begins with an empty home and nothing of the caller's environment, and the README's commands are typed from top
+to bottom into one shell, on a terminal. Without ``--wheel`` that is in a fresh copy of the checkout; with it, the wheels
+are installed in place of ``make demo`` and of the laboratory's folder; ``--installed`` names the folder of an
+environment's programs and installs nothing. The transcript of the last time is the page.
 Exit code 1 where a command failed, printed a traceback or left out a file that it named.
 """
 
@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -46,34 +47,58 @@ class Typed:
 
 @dataclass(slots=True)
 class Home:
-    """An empty home with the commands typed in it so far."""
+    """An empty home with one shell on a terminal, and the commands typed in it so far.
+
+    Use it as a context: the shell ends with it. Nothing of the caller's environment is in it but PATH.
+    """
 
     folder: Path
     path: str = "/usr/local/bin:/usr/bin:/bin"
     typed: list[Typed] = field(default_factory=list)
+    _ours: int = field(default=-1, init=False)
+    _shell: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
-    def type(self, command: str, cwd: Path) -> Typed:
-        """Run a command on a terminal as a shell would, with nothing in its environment but HOME and PATH."""
-        words = ["bash", "-c", command]
+    def __enter__(self) -> Home:
         env = {"HOME": str(self.folder), "PATH": self.path, "LANG": "C.UTF-8", "TERM": "xterm"}
+        self._ours, theirs = pty.openpty()
+        self._shell = subprocess.Popen(
+            ["bash", "--noprofile", "--norc"],
+            cwd=self.folder,
+            env=env,
+            stdin=subprocess.PIPE,
+            stdout=theirs,
+            stderr=theirs,
+        )
+        os.close(theirs)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shell is not None:
+            self._shell.communicate()
+        os.close(self._ours)
+
+    def type(self, command: str) -> Typed:
+        """Type a command into the shell, and wait until it has ended."""
+        shell = self._shell
+        if shell is None or shell.stdin is None:
+            raise RuntimeError("a home must be entered before commands are typed: with Home(folder) as home")
+        # In braces a command may change the shell, as `source` does; what it prints ends with its exit code.
+        shell.stdin.write(f"{{ {command}\n}} </dev/null; printf '\\001%d\\001' $?\n".encode())
+        shell.stdin.flush()
         began = last = time.monotonic()
-        silent, parts = 0.0, []
-        ours, theirs = pty.openpty()
-        with subprocess.Popen(words, cwd=cwd, env=env, stdin=theirs, stdout=theirs, stderr=theirs) as running:
-            os.close(theirs)
-            while piece := _piece(ours):
-                silent, last = max(silent, time.monotonic() - last), time.monotonic()
-                parts.append(piece)
-        os.close(ours)
-        silent, ended = max(silent, time.monotonic() - last), time.monotonic()
-        text = shown(b"".join(parts).decode(errors="replace")).replace(str(self.folder), "~")
-        done = Typed(command, text.rstrip(), running.returncode, ended - began, silent)
+        silent, printed = 0.0, b""
+        while not (ended := re.search(rb"\001(\d+)\001", printed)) and (piece := _piece(self._ours)):
+            silent, last = max(silent, time.monotonic() - last), time.monotonic()
+            printed += piece
+        text = shown(printed.partition(b"\001")[0].decode(errors="replace")).replace(str(self.folder), "~")
+        code = int(ended[1]) if ended else -1
+        done = Typed(command, text.rstrip(), code, time.monotonic() - began, silent)
         self.typed.append(done)
         return done
 
 
 def _piece(terminal: int) -> bytes:
-    """Return what was printed, or nothing when the program has ended."""
+    """Return what was printed, or nothing when the shell has ended."""
     try:
         return os.read(terminal, 65536)
     except OSError:  # how Linux says that nobody has the other end
@@ -107,38 +132,51 @@ def faults(typed: Typed, cwd: Path) -> list[str]:
     return [f"{typed.command}: {one}" for one in found]
 
 
+def instead(command: str, given: Sequence[str] | None, python: str) -> list[str]:
+    """Return what is typed in place of a command of the README.
+
+    Args:
+        command: as the README has it.
+        given: wheels that are installed in place of a checkout; empty for programs that are installed already; None
+            takes the README at its word.
+        python: the Python that the user has.
+
+    >>> instead("make demo", ["~/a.whl", "~/b.whl"], "python3")
+    ['python3 -m venv .venv', '.venv/bin/pip install --disable-pip-version-check ~/a.whl']
+    """
+    if command.startswith("make ") and given is None:
+        return [f"{command} PYTHON={python}"]
+    is_install = command.startswith(("make ", "pip install"))
+    if is_install and given:
+        wheel = given[0] if command.startswith("make ") else given[1]
+        install = f".venv/bin/pip install --disable-pip-version-check {wheel}"
+        return [*([f"{python} -m venv .venv"] if command.startswith("make ") else []), install]
+    return [] if given is not None and not given and (is_install or command.startswith("source ")) else [command]
+
+
 def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[Home, list[str]]:
-    """Run the first hour in a new home; return it and what went wrong."""
+    """Run the first hour in a new home, in one shell; return it and what went wrong."""
     home = Home(Path(tempfile.mkdtemp(prefix="home")), f"{Path(python).parent}:/usr/local/bin:/usr/bin:/bin")
-    work, wrong = home.folder / "try", []
+    work, wrong = home.folder / "viewshed", []
     work.mkdir()
-    commands = [command for command in readme_commands() if not command.startswith("make ")]
+    given: list[str] | None = None
     if installed is not None:
-        home.path = f"{installed.resolve()}:{home.path}"
+        given, home.path = [], f"{installed.resolve()}:{home.path}"
     elif wheel is None:
-        checkout = home.folder / "viewshed"
-        checkout.mkdir()
         archived = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
-        subprocess.run(["tar", "x"], input=archived, cwd=checkout, check=True)
-        wrong += faults(home.type(f"make demo PYTHON={Path(python).name}", checkout), checkout)
-        install = (
-            f"{checkout}/.venv/bin/python -m pip install --disable-pip-version-check {checkout}/packages/viewshed-lab"
-        )
-        wrong += faults(home.type(install, work), work)
-        home.path = f"{checkout}/.venv/bin:{home.path}"
+        subprocess.run(["tar", "x"], input=archived, cwd=work, check=True)
     else:
-        wrong += faults(home.type(f"{Path(python).name} -m venv ~/env", work), work)
         wheels = sorted(wheel.parent.glob("*.whl"))  # that of the laboratory lies beside it
+        given = [f"~/{each.name}" for each in wheels]
         for each in wheels:
             shutil.copy2(each, home.folder)
-        names = " ".join(f"~/{each.name}" for each in wheels)
-        install = f"~/env/bin/python -m pip install --disable-pip-version-check {names}"
-        wrong += faults(home.type(install, work), work)
-        home.path = f"{home.folder}/env/bin:{home.path}"
+    commands = [each for command in readme_commands() for each in instead(command, given, Path(python).name)]
     own = ["viewshed info demo/sweep.pcd.bin.gz", "viewshed compare demo/sweep.pcd.bin.gz --out demo/compare.png",
            "viewshed export demo/sweep.pcd.bin.gz --to nav2_map --out demo", "viewshed"]  # fmt: skip
-    for command in [*commands, *own]:
-        wrong += faults(home.type(command, work), work)
+    with home:
+        home.type("cd viewshed")
+        for command in [*commands, *own]:
+            wrong += faults(home.type(command), work)
     return home, wrong
 
 

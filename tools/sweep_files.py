@@ -203,6 +203,23 @@ def ouster_payloads(frames: int = 1, columns: int = 64) -> list[bytes]:
     return payloads
 
 
+def las(
+    points: NDArray[np.float64], intensity: NDArray[np.generic], offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> bytes:
+    """Return a LAS 1.2 file of point format 0: whole millimeters from an offset."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    bounds = [number for axis in range(3) for number in (high[axis], low[axis])]
+    header = struct.pack(
+        "<4sHHIHH8sBB32s32sHHHIIBHI5I12d", b"LASF", 0, 0, 0, 0, 0, bytes(8), 1, 2, b"", b"", 1, 2026, 227, 227, 0, 0, 20,
+        len(points), len(points), 0, 0, 0, 0, 1e-3, 1e-3, 1e-3, *offset, *bounds,
+    )  # fmt: skip
+    steps = np.rint((points - offset) * 1e3).astype(int)
+    return header + b"".join(
+        struct.pack("<3iHBBBBH", *map(int, row), int(value), 0, 0, 0, 0, 0)
+        for row, value in zip(steps, intensity, strict=True)
+    )
+
+
 def sample_sweep() -> Sweep:
     """Return a sweep with every attribute but a model."""
     return Sweep(
@@ -235,6 +252,9 @@ def samples() -> dict[str, SampleFile]:
         "npy": SampleFile("npy", "a.npy", npy(POINTS)),
         "npz": SampleFile("npz", "a.npz", npz(points=(POINTS * 1000).astype(np.int32))),
         "npz of viewshed": SampleFile("npz", "b.npz", written_npz(sample_sweep())),
+        "las": SampleFile("las", "a.las", las(POINTS.astype(np.float64), INTENSITY)),
+        "text with names": SampleFile("text", "a.csv", b"X;Y;Z;Intensity\n" + text(table).replace(b" ", b";")),
+        "text": SampleFile("text", "a.xyz", b"# made by hand\n" + text(table)),
         "argoverse2 lz4": SampleFile("argoverse2", "a.feather", feather()),
         "argoverse2 zstd": SampleFile("argoverse2", "b.feather", feather("zstd")),
         "velodyne payloads": SampleFile("velodyne", "v.bin", b"".join(turns)),

@@ -19,10 +19,15 @@ from viewshed._extras import _DISTRIBUTIONS, EXTRAS, needed_for
 from viewshed.cli import main
 
 ROOT = Path(__file__).resolve().parents[3]
-PROJECTS = {
-    name: tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+_FILES = {
+    name: tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text(encoding="utf-8"))
     for name in ("viewshed", "viewshed-lab")
 }
+PROJECTS = {name: file["project"] for name, file in _FILES.items()}
+# The laboratory's own list; its version and the robot's package of that version come before it, by hatch_build.py.
+PROJECTS["viewshed-lab"]["dependencies"] = _FILES["viewshed-lab"]["tool"]["hatch"]["metadata"]["hooks"]["custom"][
+    "dependencies"
+]
 files: Any = import_module("sweep_files")
 recordings: Any = import_module("recording_files")
 
@@ -127,9 +132,18 @@ def test_the_table_says_what_the_projects_say() -> None:
     assert not brought["viewshed"] & {_DISTRIBUTIONS.get(package, package) for package in EXTRAS}
 
 
-def test_the_two_packages_have_one_version() -> None:
-    assert PROJECTS["viewshed-lab"]["version"] == viewshed_lab.__version__ == viewshed.__version__
-    assert f"viewshed=={viewshed.__version__}" in PROJECTS["viewshed-lab"]["dependencies"]
+def test_the_two_packages_have_one_version_and_one_place_for_it() -> None:
+    assert viewshed_lab.__version__ == viewshed.__version__
+    assert [project["dynamic"][0] for project in PROJECTS.values()] == ["version", "version"]
+    hatchling = pytest.importorskip("hatchling.metadata.core", reason="needs hatchling, which builds the laboratory")
+    built = hatchling.ProjectMetadata(str(ROOT / "packages" / "viewshed-lab"), hatchling_plugins())
+    assert built.core.version == viewshed.__version__
+    assert f"viewshed=={viewshed.__version__}" in built.core.dependencies
+
+
+def hatchling_plugins() -> Any:
+    """What finds the hook."""
+    return import_module("hatchling.plugin.manager").PluginManager()
 
 
 def _names(wanted: list[str]) -> set[str]:

@@ -1,3 +1,5 @@
 """The laboratory of viewshed: simulator, attacks, data sets, training and studies; nothing that a robot needs."""
 
-__version__ = "0.3.0"
+from viewshed import __version__
+
+__all__ = ["__version__"]

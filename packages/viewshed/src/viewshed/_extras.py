@@ -13,7 +13,7 @@ from typing import Any
 
 LABORATORY = "viewshed-lab"
 
-_RECORDINGS = ("rosbags", "mcap", "lz4", "zstandard", "velodyne_decoder", "yaml", "pyarrow", "foxglove")
+_RECORDINGS = ("rosbags", "mcap", "lz4", "zstandard", "velodyne_decoder", "yaml", "pyarrow", "foxglove", "laspy")
 
 EXTRAS = {
     **dict.fromkeys(("numba", "matplotlib", "pebble"), LABORATORY),

@@ -42,7 +42,7 @@ _MOST_HEIGHT_M = 100.0
 _MOST_AZIMUTH = 2 * np.pi + 1e-3
 
 _MOST_COLUMNS = 16
-"""An array of three or four rows with more columns than this holds its points in columns."""
+"""An array with more columns than this holds no point in a row."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,14 +242,27 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 def shape_remedy(shape: tuple[int, ...]) -> str:
     """Return what mends an array of points of a wrong shape, with a semicolon before it; empty where it is not clear.
 
-    >>> shape_remedy((3, 50_000))
-    '; transpose it (points.T)'
+    >>> shape_remedy((3, 50_000)), shape_remedy((64, 1024))[:21], shape_remedy((64, 1024, 3))
+    ('; transpose it (points.T)', '; is it a range image', '; reshape it (points.reshape(-1, 3))')
     """
     if len(shape) == 2 and shape[0] in (3, 4) and shape[1] > _MOST_COLUMNS:
         return "; transpose it (points.T)" if shape[0] == 3 else "; transpose it and take its first three columns"
+    if len(shape) == 2 and shape[1] > _MOST_COLUMNS:
+        return "; is it a range image? turn its ranges into points x, y, z by the angles of its rows and columns"
     if len(shape) == 2 and shape[1] > 3:
         return "; take its first three columns (points[:, :3])"
+    if len(shape) == 3 and 3 <= shape[2] <= _MOST_COLUMNS:
+        return f"; reshape it (points.reshape(-1, {shape[2]}))"
     return ""
+
+
+def has_points_in_rows(shape: tuple[int, ...]) -> bool:
+    """Return whether an array of this shape has a point in each row, with no more columns than a point may have.
+
+    >>> [has_points_in_rows(shape) for shape in ((9, 3), (9, 5), (3, 900), (64, 1024), (64, 1024, 3), ())]
+    [True, True, False, False, False, False]
+    """
+    return len(shape) == 2 and 3 <= shape[1] <= _MOST_COLUMNS
 
 
 def sweep_of_points(
@@ -283,7 +296,7 @@ def sweep_of_points(
         flat = array.ravel()
         columns = {name: flat[name] for name in ("intensity", "ring") if name in array.dtype.names}
         array = np.column_stack([flat[name] for name in "xyz"])
-    elif array.ndim != 2 or array.shape[1] < 3 or (array.shape[0] in (3, 4) and array.shape[1] > _MOST_COLUMNS):
+    elif not has_points_in_rows(array.shape):
         raise ValueError(f"points must have shape (N, 3+), got {array.shape}{shape_remedy(array.shape)}")
     elif array.shape[1] > 3:
         columns = {"intensity": array[:, 3]}

@@ -101,7 +101,7 @@ def test_compare_prints_a_row_for_each_method(tmp_path: Path) -> None:
 
 
 def test_an_export_replaces_none_of_another_format(tmp_path: Path) -> None:
-    out = tmp_path / "view"
+    out = tmp_path / "view.one"
     names = [name for name in EXPORTERS if name != "geotiff" or find_spec("rasterio") is not None]
     for earlier, name in zip(names, [*names[1:], names[0]], strict=True):
         for _ in range(2):  # the same format is replaced
@@ -121,10 +121,10 @@ def test_an_export_replaces_none_of_another_format(tmp_path: Path) -> None:
 def test_export_from_a_sweep_and_from_an_estimate_agree(name: str, tmp_path: Path) -> None:
     first = run("export", junction_path(), "--to", "npz", "--out", tmp_path / "e.npz")
     assert first.returncode == 0, first.stderr
-    for source, out in ((junction_path(), "a"), (tmp_path / "e.npz", "b")):
+    for source, out in ((junction_path(), "a.out"), (tmp_path / "e.npz", "b.out")):
         done = run("export", source, "--to", name, "--out", tmp_path / out)
         assert done.returncode == 0, done.stderr
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    assert (tmp_path / "a.out").read_bytes() == (tmp_path / "b.out").read_bytes()
 
 
 def _write(path: Path, points: list[list[float]]) -> Path:
@@ -206,7 +206,7 @@ def test_progress_goes_to_the_terminal_and_lines_to_the_pipe(kitti_like: Path, t
 
 def test_the_paper_profile_has_its_own_method_and_threshold(kitti_like: Path, tmp_path: Path) -> None:
     for grid in ("paper", "paper_indoor"):
-        done = run("estimate", kitti_like, "--profile", "paper", "--grid", grid, "--out", tmp_path)
+        done = run("estimate", kitti_like, "--parameters", "paper", "--grid", grid, "--out", tmp_path)
         assert done.returncode == 0, done.stderr
         assert "paper_label" in done.stdout
     thresholds = {

@@ -1,7 +1,11 @@
 """The first hour of a user: point it at anything, one default everywhere, results where they were asked for."""
 
 import inspect
+import json
 import re
+import subprocess
+import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +48,9 @@ def test_a_folder_and_a_pattern_are_their_sweeps_in_the_order_of_their_numbers(
 ) -> None:
     done = run("estimate", drive / place, *FAST, "--out", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
-    assert [line.partition(":")[0] for line in done.stdout.splitlines()] == names
+    *lines, total = done.stdout.splitlines()
+    assert [line.partition(":")[0] for line in lines] == names
+    assert total.startswith(f"{len(names)} sweeps: ")
 
 
 @pytest.mark.parametrize("command", ["info", "compare", "export"])
@@ -116,7 +122,7 @@ def test_one_default_everywhere(drive: Path, tmp_path: Path) -> None:
         assert inspect.signature(command).parameters["method"].default is None
     # 2. What the command line and Python give is the same method, and the line names it.
     done = run("estimate", drive / "9.npz", *FAST, "--out", tmp_path)
-    assert f"({DEFAULT_ESTIMATOR}, car, " in done.stdout
+    assert f"({DEFAULT_ESTIMATOR}, " in done.stdout
     by_command = read_npz(tmp_path / "9.npz")
     by_python = viewshed.estimate(STREET.points, grid=BevGrid(64, 32.0))
     assert by_command.method == by_python.method == viewshed.load_estimator().name == DEFAULT_ESTIMATOR
@@ -132,7 +138,7 @@ def test_one_default_everywhere(drive: Path, tmp_path: Path) -> None:
 )
 def test_the_line_names_the_network_that_looked(weights: str, method: str, drive: Path, tmp_path: Path) -> None:
     done = run("estimate", drive / "9.npz", "--weights", weights, "--results", "npz", "--out", tmp_path)
-    assert f"({method}, car, " in done.stdout, done.stderr
+    assert f"({method}, " in done.stdout, done.stderr
     assert [file.name for file in tmp_path.iterdir()] == [f"9_{method}.npz"]
 
 
@@ -176,3 +182,97 @@ def test_commands_that_read_bags_take_a_topic() -> None:
     for name in ("estimate", "info", "compare", "export", "view"):
         assert "--topic" in {option for each in commands[name].params for option in each.opts}
     assert re.search(r"--topic", run("monitor", "check", "--help").stdout)
+
+
+def test_a_line_is_short_and_a_total_ends_many(drive: Path, tmp_path: Path) -> None:
+    done = run("estimate", drive, *FAST, "--out", tmp_path / "o")
+    lines = done.stdout.splitlines()
+    assert [len(line.partition(" → ")[0]) <= 100 for line in lines] == [True] * 4
+    areas_m2 = [float(re.search(r"visible (\d+) m²", line)[1]) for line in lines[:3]]
+    assert lines[3].startswith(
+        f"3 sweeps: {np.mean(areas_m2):.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}; "
+    )
+
+
+def test_json_says_what_the_arrays_hold_and_quiet_says_nothing(drive: Path, tmp_path: Path) -> None:
+    done = run("estimate", drive, *FAST, "--out", tmp_path, "--json")
+    known = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [each["name"] for each in known] == ["9", "10", "11"]
+    found = read_npz(known[0]["results"][0])
+    assert known[0]["visible_m2"] == pytest.approx(found.area_m2())
+    assert known[0]["hidden_share"] == pytest.approx((found.state == 3).mean(), abs=1e-6)
+    assert known[0]["basis"]["height_source"] == "estimated"
+    assert run("estimate", drive, *FAST, "--out", tmp_path, "--quiet") == (0, "", "")
+
+
+@pytest.mark.parametrize("command", ["export", "compare"])
+def test_out_is_a_folder_for_every_command_unless_it_is_named_like_a_file(
+    command: str, drive: Path, tmp_path: Path
+) -> None:
+    assert run(command, drive / "9.npz", "--out", tmp_path / "new").returncode == 0
+    assert [file.is_file() for file in (tmp_path / "new").iterdir()] == [True]
+    assert run(command, drive / "9.npz", "--out", tmp_path / "one.result").returncode == 0
+    assert (tmp_path / "one.result").is_file()
+    assert run("estimate", drive / "9.npz", *FAST, "--out", tmp_path / "more").returncode == 0
+    assert (tmp_path / "more").is_dir()
+
+
+def test_whole_numbers_are_millimeters_and_that_is_noted(tmp_path: Path) -> None:
+    np.save(tmp_path / "mm.npy", np.rint(STREET.points * 1000).astype(np.int32))
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        code, _, err = run("estimate", tmp_path / "mm.npy", *FAST, "--out", tmp_path)
+    assert code == 0
+    assert err == "viewshed: note: int32 points are read as millimeters; save meters as float32\n"
+
+
+def test_help_of_a_command_with_many_options_has_sections() -> None:
+    text = run("estimate", "--help").stdout
+    titles = re.findall(r"^(\w.*):$", text, re.MULTILINE)
+    assert titles == ["Arguments", "Options", "Reading options", "Method options"]
+    parts = re.split(r"^\w.*:$", text, flags=re.MULTILINE)
+    assert max(len(re.findall(r"^  --", part, re.MULTILINE)) for part in parts) < 16
+    assert "Reading options" not in run("demo", "--help").stdout
+
+
+def test_no_option_means_two_things() -> None:
+    meanings: dict[str, set[str]] = {}
+    for command in get_command(application()).commands.values():
+        for param in command.params:
+            if param.opts[0] in {"--profile", "--every", "--step", "--parameters", "--between"}:
+                meanings.setdefault(param.opts[0], set()).add(param.help)
+    assert {option: len(texts) for option, texts in meanings.items()} == dict.fromkeys(meanings, 1)
+
+
+def test_the_module_is_the_program(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "viewshed", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"viewshed {viewshed.__version__}\n"
+
+
+def test_python_takes_a_file_and_shows_what_it_found(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fov = viewshed.estimate(drive / "9.npz", grid="indoor")
+    assert (fov.state == viewshed.estimate(str(drive / "9.npz"), grid="indoor").state).all()
+    line = str(fov)
+    assert "\n" not in line
+    assert f"visible on {fov.area_m2():.0f} m² of 32 × 32 m" in line
+    assert fov._repr_png_()[:8] == b"\x89PNG\r\n\x1a\n"
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    path = fov.show()
+    assert opened == [path.as_uri()]
+    assert path.read_bytes() == fov.plot()
+    with pytest.raises(FileNotFoundError, match="no.bin"):
+        viewshed.estimate("no.bin")
+
+
+@pytest.mark.parametrize(
+    ("shape", "remedy"),
+    [
+        ((64, 1024), "is it a range image"),
+        ((64, 1024, 3), r"reshape it \(points.reshape\(-1, 3\)\)"),
+        ((), r"got \(\)"),
+    ],
+)
+def test_an_array_of_another_shape_is_no_cloud(shape: tuple[int, ...], remedy: str) -> None:
+    with pytest.raises(ValueError, match=remedy):
+        viewshed.estimate(np.ones(shape, np.float32))

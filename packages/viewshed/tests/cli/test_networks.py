@@ -137,7 +137,7 @@ def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(t
             (("--grid", "64x16"), "shadow_map"),
             (("--method", "viewnet"), "viewnet"),
             (("--weights", "viewnet_indoor_car", "--grid", "indoor"), "viewnet"),
-            (("--profile", "paper"), "paper_label"),
+            (("--parameters", "paper"), "paper_label"),
         ]
     ):
         out = tmp_path / str(number)

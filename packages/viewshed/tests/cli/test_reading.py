@@ -30,14 +30,31 @@ def lines(path: Path, *options: str) -> tuple[int, list[str]]:
     return done.returncode, done.stderr.splitlines()
 
 
+NOT_METERS = [
+    (STREET.points * np.float32(1000.0), "is the file in millimeters or centimeters?"),
+    (STREET.points * np.float32(100.0), "is the file in millimeters or centimeters?"),
+    (STREET.points * np.float32(0.001), "is the file in kilometers?"),
+    (STREET.points * np.float32(0.0), "nearly all points lie at the origin: are they returns at all?"),
+    (STREET.points + np.array([566_000.0, 5_930_000.0, 12.0], np.float32),
+     r"the points lie around \((565999|566000|566001), 5930000, .*Subtract the sensor's position before they"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("points", "words"), NOT_METERS)
+def test_points_that_cannot_be_meters_about_the_sensor_end_in_no_picture(
+    points: NDArray[np.float32], words: str, tmp_path: Path
+) -> None:
+    code, [line] = lines(written(points, tmp_path))
+    assert code == 2
+    assert re.search(words, line)
+    assert list((tmp_path / "out").iterdir()) == []
+    told = run("info", tmp_path / "a.npz")  # says what it holds all the same
+    assert (told.returncode, told.stdout.splitlines()[1].partition(":")[0]) == (0, "range")
+    assert re.search(words, told.stderr)
+
+
 AXLE = np.array([1.3, 0.1, 1.5], np.float32)
 DOUBTED = [
-    (STREET.points * np.float32(1000.0), (), "is the file in millimeters or centimeters?"),
-    (STREET.points * np.float32(100.0), (), "is the file in millimeters or centimeters?"),
-    (STREET.points * np.float32(0.001), (), "is the file in kilometers?"),
-    (STREET.points * np.float32(0.0), (), "nearly all points lie at the origin: are they returns at all?"),
-    (STREET.points + np.array([566_000.0, 5_930_000.0, 12.0], np.float32), (),
-     r"the points lie around \((565999|566000|566001), 5930000, .*Subtract the sensor's position before they"),
     (STREET.points + np.array([0.0, 0.0, 1.8], np.float32), (),
      "no point lies below the origin: are the points counted from the road\\? Say with --origin X,Y,Z"),
     (STREET.points + AXLE, (), r"counted from the axle or the road\? Say with --origin X,Y,Z where the sensor is"),
@@ -76,8 +93,7 @@ def test_a_cloud_upside_down_is_doubted_by_every_command(command: str, tmp_path:
     done = run(command, path, *out)
     assert done.returncode == 0
     [line] = done.stderr.splitlines()
-    assert ": warning: no ground is seen, and the sensor is taken to be " in line
-    assert line.endswith("give --height if it is known, or --file-frame if the file's z points down")
+    assert ": warning: the ground seems to lie 1.8 m above the sensor: does z point down? " in line
     assert ("; ground not seen, sensor taken to be" in done.stdout) == (command == "estimate")
 
 

@@ -54,9 +54,9 @@ def test_files_become_one_page(drive: list[Path], tmp_path: Path) -> None:
 
 def test_some_sweeps_are_taken(drive: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "run.html"
-    assert run("view", *drive, "--html", page, "--every", 2)[0] == 0
+    assert run("view", *drive, "--html", page, "--step", 2)[0] == 0
     assert _names(page) == ["sweep <0>", "sweep <2>", "sweep <4>"]
-    assert run("view", *drive, "--html", page, "--every", 2, "--sweeps", 2)[0] == 0
+    assert run("view", *drive, "--html", page, "--step", 2, "--sweeps", 2)[0] == 0
     assert _names(page) == ["sweep <0>", "sweep <2>"]
 
 
@@ -107,7 +107,7 @@ def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path)
 def test_a_file_for_rerun(drive: list[Path], tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
     place = tmp_path / "run.rrd"
-    code, out, err = run("view", *drive, "--rerun", place, "--every", 2)
+    code, out, err = run("view", *drive, "--rerun", place, "--step", 2)
     assert (code, err) == (0, "")
     assert len(out.splitlines()) == 4
     assert out.splitlines()[-1] == f"{place}: {place.stat().st_size / 1e6:.2f} MB"

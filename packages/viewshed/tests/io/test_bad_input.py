@@ -106,7 +106,7 @@ BAD = {
     ),
     "agentless.npz": (files.npz(viewshed_sweep=np.array(1), points=P), "is damaged or of a kind that is not read: Key"),
     "entries.npz": (SAMPLES["npz"].content + b"PK\x01\x02" * 64, "NPZ must have at most 64 arrays, got 65"),
-    "none.npz": (files.npz(cloud=P), "NPZ must have an array 'points'"),
+    "none.npz": (files.npz(cloud=P, labels=P[:, 0]), "NPZ must have an array 'points' or a single one, got cloud, labels"),
     "object.npz": (files.npz(points=np.array([[1, 2, None]], dtype=object)), "pickled and structured are refused"),
     "cut.npz": (SAMPLES["npz"].content[:-30], "NPZ is damaged or cut off"),
     "bomb.npz": (zipped("points.npy", bytes(5_000_000)), "unpacks to more than 1000000 bytes"),

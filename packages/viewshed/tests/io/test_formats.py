@@ -2,6 +2,7 @@
 
 import gzip
 import struct
+import io
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,8 @@ def put(tmp_path: Path) -> Any:
     return write
 
 
-PLAIN = ["kitti", "pcd ascii", "pcd binary", "ply ascii", "ply little endian", "ply big endian", "ply gzipped"]
+PLAIN = ["kitti", "pcd ascii", "pcd binary", "ply ascii", "ply little endian", "ply big endian", "ply gzipped",
+         "las", "text", "text with names"]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PLAIN)
@@ -168,6 +170,37 @@ def test_times_whose_difference_leaves_int64_do_not_wrap() -> None:
     assert matched_time_s(np.array([ends.min, 0, ends.max])) is None
     near = matched_time_s(np.array([ends.min, ends.min + 5_000_000]))
     np.testing.assert_allclose(near, [0, 0.005], rtol=1e-6)
+
+
+def test_text_takes_names_in_any_order_and_any_separator(put: Any) -> None:
+    sweep = read_sweep(put("a.csv", b'"intensity","z","y","x"\r\n7,3,2,1.5\r\n\r\n8,6,5,4\r\n'))
+    assert sweep.points.tolist() == [[1.5, 2, 3], [4, 5, 6]]
+    assert sweep.intensity.tolist() == [7, 8]
+    assert read_sweep(put("b.xyz", b"1\t2\t3\n4\t5\t6")).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+PLACE = np.array([566_000.123, 5_930_000.456, 12.0])
+IN_A_MAP = {
+    "a.las": files.las(P + PLACE, I, (566_000.0, 5_930_000.0, 0.0)),
+    "a.csv": "".join(f"{x:.4f},{y:.4f},{z:.4f}\n" for x, y, z in (P + PLACE)).encode(),
+}
+
+
+@pytest.mark.parametrize("name", [*IN_A_MAP, "a.laz"])
+def test_coordinates_of_a_map_keep_their_millimeters(name: str, put: Any) -> None:
+    laspy = pytest.importorskip("laspy")
+    if name == "a.laz":
+        packed = io.BytesIO()
+        laspy.read(io.BytesIO(IN_A_MAP["a.las"])).write(packed, do_compress=True)
+        content = packed.getvalue()
+    else:
+        content = IN_A_MAP[name]
+    sweep = read_sweep(put(name, content), file_frame=Rigid(np.eye(3), -PLACE))
+    np.testing.assert_allclose(sweep.points, P, atol=6e-4)  # float32 stores the northing in steps of half a meter
+
+
+def test_the_only_array_of_an_npz_is_its_points(put: Any) -> None:
+    np.testing.assert_array_equal(read_sweep(put("one.npz", files.npz(cloud=P))).points, P)
 
 
 def test_npy_of_int32_is_millimeters_and_of_floats_meters(put: Any) -> None:

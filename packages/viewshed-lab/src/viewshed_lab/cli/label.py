@@ -38,7 +38,7 @@ def label(
         str, typer.Option(help="What SRC is: auto, archive (a data set of viewshed), nuscenes, kitti, carla, …")
     ] = AUTO,
     sensor: options.SensorName = AUTO,
-    every: Annotated[bool, typer.Option("--every", help="Label sweeps between keyframes as well.")] = False,
+    between: Annotated[bool, typer.Option("--between", help="Label sweeps between keyframes as well.")] = False,
     workers: options.Workers = None,
     engine: options.EngineName = "local",
 ) -> None:
@@ -57,7 +57,7 @@ def label(
     if (source is None) == (index is None):
         raise ValueError("name a recording SRC or an --index, one of them")
     place = (str(source), kind) if index is None else (str(index), "index")
-    origin = Origin(*place, sensor, every)
+    origin = Origin(*place, sensor, between)
     rules = _rules(origin, grid, definition, target, neighbors)
     make = partial(run, origin, rules, Storage.of(out), engine_named(engine, workers))
     archive, problems = build_with_bar("label", None, make)

@@ -12,9 +12,9 @@ import typer
 
 from viewshed import __version__
 from viewshed._extras import needed_for, plugin, plugins
-from viewshed.cli._options import with_groups
+from viewshed.cli._options import SectionedCommand, with_groups
 from viewshed.cli._status import status_line
-from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
+from viewshed.cli._terminal import BAD_INPUTS, complain, note, one_line
 from viewshed.cli.compare import compare
 from viewshed.cli.demo import demo
 from viewshed.cli.estimate import estimate
@@ -46,7 +46,7 @@ def application() -> typer.Typer:
     app = typer.Typer(name="viewshed", add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     app.callback(invoke_without_command=True)(_root)
     for command in _COMMANDS:
-        app.command()(with_groups(command))
+        app.command(cls=SectionedCommand)(with_groups(command))
     app.add_typer(monitor_app, name="monitor")
     points = plugins("commands")
     for name in dict.fromkeys([*LABORATORY_COMMANDS, *sorted(points)]):
@@ -58,7 +58,7 @@ def application() -> typer.Typer:
         if isinstance(brought, typer.Typer):
             app.add_typer(brought, name=name)
         else:
-            app.command(name)(with_groups(brought))
+            app.command(name, cls=SectionedCommand)(with_groups(brought))
     return app
 
 
@@ -128,7 +128,11 @@ def _warn(
     line: str | None = None,
 ) -> None:
     """Print a warning like other complaints, without the place in the source that Python would add."""
-    complain(f"warning: {' '.join(str(message).split())}")
+    line = " ".join(str(message).split())
+    if category.__name__ == "Assumption":  # of viewshed.io, which is imported only where files are read
+        note(line)
+    else:
+        complain(f"warning: {line}")
 
 
 def _refuse(message: str) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from viewshed._extras import plugin
 from viewshed.cli._terminal import complain, note
@@ -79,9 +80,7 @@ Index = Annotated[
     Path | None, typer.Option("--index", help="JSON file that lists sweeps with their axes, heights and poses.")
 ]
 TargetName = Annotated[str, typer.Option("--target", help="What a cell counts as visible for: car or pedestrian.")]
-Profile = Annotated[
-    str, typer.Option("--profile", help="Parameters of the method: sound (ours) or paper (as published).")
-]
+Parameters = Annotated[str, typer.Option("--parameters", help="Of the method: sound (ours) or paper (as published).")]
 Sources = Annotated[list[str], typer.Argument(metavar="SRC...", help="A data set, recordings, or files.")]
 Split = Annotated[str | None, typer.Option(help="Only this split of a data set.")]
 Workers = Annotated[int | None, typer.Option(help="Processes; one for each core if not given.")]
@@ -93,14 +92,14 @@ NO_SENSOR = "none"
 
 RING_SOURCES = ("file", "none")
 
-PROFILES = ("sound", "paper")
+PARAMETERS = ("sound", "paper")
 
 _NO_OPTION = "no option"
 
 _FAR_M = 10_000.0
 """An origin beyond this is in a map."""
 
-_IN_FLOAT64 = (".pcd", ".ply", ".npy")
+_IN_FLOAT64 = (".pcd", ".ply", ".npy", ".las", ".laz", ".csv", ".xyz", ".asc")
 """Files whose coordinates may be float64."""
 
 _COARSE_M = 0.02
@@ -324,6 +323,52 @@ def _parameters(group: type[Any]) -> list[inspect.Parameter]:
     ]
 
 
+SECTIONS = {
+    "Reading": (
+        "sensor", "format", "file_frame", "height_m", "attitude", "origin", "ring", "vehicle_yaw_deg", "topic", "poses",
+        "index", "crs", "number", "step", "sweeps", "split",
+    ),
+    "Method": (
+        "method", "methods", "grid", "target", "parameters", "profile", "weights", "passes", "seed", "abstain_below",
+        "device", "threshold", "history", "require_confirmation", "monitor", "monitor_file", "objects", "fuse",
+    ),
+    "Attack": ("attack", "attacked", "attack_from"),
+}  # fmt: skip
+"""Options by what they are about, in the order in which help lists them; those that are nowhere come first."""
+
+_MANY = 12
+"""Help of a command with more options than this has sections."""
+
+
+class SectionedCommand(TyperCommand):
+    """A command whose help lists its options by :data:`SECTIONS`."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options, in sections where they are many."""
+        shown = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
+        titles = {name: f"{title} options" for title, names in SECTIONS.items() for name in names}
+        sections: dict[str, list[Any]] = {
+            "Arguments": [],
+            "Options": [],
+            **{f"{title} options": [] for title in SECTIONS},
+        }
+        for param, record in shown:
+            is_argument = param.param_type_name == "argument"
+            title = (
+                "Arguments"
+                if is_argument
+                else titles.get(str(param.name), "Options")
+                if len(shown) > _MANY
+                else "Options"
+            )
+            if record is not None:
+                sections[title].append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
 def parse_numbers(name: str, text: str | None, count: int) -> list[float] | None:
     """Return ``count`` numbers from text with commas, or None.
 
@@ -430,16 +475,16 @@ class NetworkOptions:
     abstain_below: float | None = None
     device: str = "cpu"
 
-    def estimator(self, method: str | None, grid: BevGrid, target: str, profile: str = "sound") -> Estimator:
+    def estimator(self, method: str | None, grid: BevGrid, target: str, parameters: str = "sound") -> Estimator:
         """Return the estimator called ``method``; None is the best that is shipped, or the paper's label.
 
-        In the profile ``paper`` its estimators may be named without ``paper_``.
+        With the parameters ``paper`` its estimators may be named without ``paper_``.
         """
         from viewshed.estimators import load_estimator, paper_estimators_on
 
-        if profile not in PROFILES:
-            raise ValueError(f"profile must be {' or '.join(PROFILES)}, got {profile!r}")
-        if profile == "paper":
+        if parameters not in PARAMETERS:
+            raise ValueError(f"parameters must be {' or '.join(PARAMETERS)}, got {parameters!r}")
+        if parameters == "paper":
             known = paper_estimators_on(grid)
             method = "paper_label" if method is None else method
             method = f"paper_{method}" if f"paper_{method}" in known else method
@@ -448,12 +493,12 @@ class NetworkOptions:
             seed=self.seed, abstain_below=self.abstain_below,
         )  # fmt: skip
 
-    def threshold(self, given: float | None, estimator: Estimator, profile: str = "sound") -> float:
+    def threshold(self, given: float | None, estimator: Estimator, parameters: str = "sound") -> float:
         """Return the probability from which a cell counts as visible; None is the estimator's own, or the paper's."""
         from viewshed.estimators import PAPER_THRESHOLD
 
         if given is None:
-            return PAPER_THRESHOLD if profile == "paper" else estimator.threshold
+            return PAPER_THRESHOLD if parameters == "paper" else estimator.threshold
         if not 0 < given <= 1:
             raise ValueError(f"threshold must lie in (0, 1], got {given}")
         if self.abstain_below is not None and given < self.abstain_below:

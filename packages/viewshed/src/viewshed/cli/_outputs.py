@@ -5,13 +5,14 @@ What ``viewshed estimate`` does with its sweeps, one by one or in batches, and t
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -35,7 +36,7 @@ RESULTS = ("png", "geojson", "npz")
 
 _SUFFIXES = (
     ".gz", ".zst", ".zstd", ".pcd.bin", ".bin", ".pcd", ".ply", ".npy", ".npz", ".feather", ".pcap", ".bag", ".mcap",
-    ".db3",
+    ".db3", ".las", ".laz", ".csv", ".xyz", ".asc",
 )  # fmt: skip
 
 
@@ -72,8 +73,15 @@ def make_folder(out: Path) -> None:
     Raises:
         ValueError: something else is there.
     """
+    from viewshed.io.export import EXPORTERS
+
     if out.exists() and not out.is_dir():
         raise ValueError(f"--out must be a folder, got the file {out}")
+    endings = {".png", *(exporter.suffix for exporter in EXPORTERS.values())}
+    if not out.exists() and out.suffix and out.name.endswith(tuple(endings)):
+        raise ValueError(
+            f"--out must be a folder for the results, got the name of a file, {out}; leave out {out.suffix}"
+        )
     out.mkdir(parents=True, exist_ok=True)
 
 
@@ -199,14 +207,14 @@ class Run:
     certify: Threat | None = None
     _is_warm: bool = field(default=False, init=False)
 
-    def lines(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[str]:
-        """Yield the summary line of each sweep, one by one and timed, or ``batch`` of them together."""
+    def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
+        """Yield the summary of each sweep, one by one and timed, or ``batch`` of them together."""
         return self._one_by_one(sweeps, failures) if batch == 1 else self._in_batches(sweeps, failures, batch)
 
-    def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[str]:
+    def _one_by_one(self, sweeps: Iterable[Named], failures: Failures) -> Iterator[Summary]:
         for named in sweeps:
             try:
-                yield self.one(named.sweep, named.name)[1]
+                yield self.one(named.sweep, named.name)
             except BAD_INPUTS as error:
                 failures.report(named.file, error)
 
@@ -218,8 +226,8 @@ class Run:
         ends = [".png" if kind == "png" else EXPORTERS[kind].suffix for kind in self.results]
         return [self.out / f"{stem}{end}" for end in ends]
 
-    def one(self, sweep: Sweep, name: str) -> tuple[FovEstimate, str]:
-        """Level one sweep, estimate, write the results, and return the estimate and its summary line."""
+    def one(self, sweep: Sweep, name: str) -> Summary:
+        """Level one sweep, estimate, write the results, and return the summary."""
         from viewshed.io.export.crs import crs_named
         from viewshed.preprocess.leveling import level
 
@@ -232,22 +240,22 @@ class Run:
         leveled = level(sweep, self.estimator.grid)
         estimate = self.estimator.estimate(leveled)
         elapsed_ms = 1e3 * (time.perf_counter() - start)
-        line = self.write(leveled, name, estimate, elapsed_ms)
-        if self.monitor is not None:
-            line = f"{line}; {stream_verdicts(self.monitor.check(leveled, {estimate.method: estimate}))}"
-        return estimate, line
+        summary = self.write(leveled, name, estimate, elapsed_ms)
+        if self.monitor is None:
+            return summary
+        return replace(summary, verdicts=stream_verdicts(self.monitor.check(leveled, {estimate.method: estimate})))
 
-    def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
+    def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[Summary]:
         """Estimate in batches and write in threads."""
         from viewshed.estimators.batch import cores, in_order
 
         with closing(in_order(self._written, self._estimated(sweeps, failures, batch), batch, cores())) as written:
             for done in written:
-                file, line = done.result()
-                if isinstance(line, str):
-                    yield line
+                file, summary = done.result()
+                if isinstance(summary, Summary):
+                    yield summary
                 else:
-                    failures.report(file, line)
+                    failures.report(file, summary)
 
     def _estimated(
         self, sweeps: Iterable[Named], failures: Failures, batch: int
@@ -267,7 +275,7 @@ class Run:
         for estimate in estimate_all(self.estimator, taking(), batch, on_error=on_error):
             yield taken.popleft(), estimate
 
-    def _written(self, estimated: tuple[Named, FovEstimate]) -> tuple[Path, str | Exception]:
+    def _written(self, estimated: tuple[Named, FovEstimate]) -> tuple[Path, Summary | Exception]:
         from viewshed.preprocess.leveling import level
 
         named, estimate = estimated
@@ -276,27 +284,29 @@ class Run:
         except BAD_INPUTS as error:
             return named.file, error
 
-    def write(self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
-        """Write the results of an estimate and return its summary line, with the time if there is one."""
+    def write(
+        self, leveled: LeveledSweep, name: str, estimate: FovEstimate, elapsed_ms: float | None = None
+    ) -> Summary:
+        """Write the results of an estimate and return its summary, with the time if there is one."""
         from viewshed._files import write_atomic
         from viewshed.io.export import EXPORTERS, write_export
 
         report_doubts(leveled, name)
-        estimate, certified = replace(estimate, threshold=self.threshold), ""
+        estimate, certified = replace(estimate, threshold=self.threshold), ()
         if self.certify is not None:
             from viewshed.guarantees.certificate import certify
 
             certificate = certify(leveled, estimate, self.certify)
-            estimate, certified = certificate.withdraw(estimate), f"; {certificate.line}"
-        summary = summary_line(estimate, elapsed_ms)
+            estimate, certified = certificate.withdraw(estimate), (certificate.line,)
         places = self.places(name)
+        remarks = (*certified, *_remarks(leveled, estimate))
+        summary = Summary(name, estimate, elapsed_ms, tuple(places), remarks)
         for kind, place in zip(self.results, places, strict=True):
             if kind == "png":
-                write_atomic(place, estimate.plot(leveled, f"{name}\n{summary}", self.dark))
+                write_atomic(place, estimate.plot(leveled, f"{name}\n{summary_line(estimate, elapsed_ms)}", self.dark))
             else:
                 write_export(estimate, kind, place, crs=None if EXPORTERS[kind].in_crs is None else self.crs)
-        remarks = f"{_basis_remark(leveled, estimate)}{_range_remark(leveled)}"
-        return f"{name}: {summary}{certified}{remarks} → {places[0]}"
+        return summary
 
 
 def warm_up(estimator: Estimator, sweep: Sweep) -> None:
@@ -310,9 +320,14 @@ def warm_up(estimator: Estimator, sweep: Sweep) -> None:
 
 
 def report_doubts(leveled: LeveledSweep, name: str) -> None:
-    """Say on standard error what cannot well be as it was read, a line each."""
-    from viewshed.preprocess.plausibility import doubts
+    """Say on standard error what cannot well be as it was read, a line each.
 
+    Raises:
+        ValueError: the points are not in meters about the sensor; no picture would show anything.
+    """
+    from viewshed.preprocess.plausibility import check_units, doubts
+
+    check_units(leveled.sweep)
     for doubt in doubts(leveled):
         complain(f"{name}: warning: {doubt}")
 
@@ -322,30 +337,89 @@ def summary_line(estimate: FovEstimate, elapsed_ms: float | None = None) -> str:
     from viewshed.fov.estimate import CellState
 
     hidden, unknown = estimate.share(CellState.HIDDEN), estimate.share(CellState.UNKNOWN)
-    elapsed = "" if elapsed_ms is None else f", {elapsed_ms:.1f} ms"
+    elapsed = "" if elapsed_ms is None else f", {elapsed_ms:.0f} ms"
+    target = "" if estimate.target.name == "car" else f", {estimate.target.name}"
     return (
-        f"visible {estimate.area_m2():.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%} "
-        f"({estimate.method}, {estimate.target.name}{elapsed})"
+        f"visible {estimate.area_m2():.0f} m², hidden {hidden:.0%}, unknown {unknown:.0%}"
+        f" ({estimate.method}{target}{elapsed})"
     )
 
 
-def _basis_remark(leveled: LeveledSweep, estimate: FovEstimate) -> str:
-    """Return what the estimate rests on."""
-    if len(leveled.points) == 0:
-        return f"; no usable return among {len(leveled.sweep)} points: nothing is known"
-    basis = estimate.basis
-    if basis is None:
-        return ""
-    view = f"; {basis.view_line}" if estimate.visible().any() else ""
-    return f"; {basis.height_line}{view}"
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What is said of one sweep."""
+
+    name: str  # of its results
+    estimate: FovEstimate
+    elapsed_ms: float | None  # of leveling and estimate; None where they were not timed
+    places: tuple[Path, ...]  # of its results
+    remarks: tuple[str, ...] = ()  # what a reader should know of it first, each in a few words
+    verdicts: str = ""  # what a monitor says; empty without one
+
+    @property
+    def line(self) -> str:
+        """For people, up to 100 characters where there are no remarks and no verdicts."""
+        said = (summary_line(self.estimate, self.elapsed_ms), *self.remarks, *filter(None, [self.verdicts]))
+        return f"{self.name}: {'; '.join(said)} → {self.places[0]}"
+
+    @property
+    def json(self) -> str:
+        """For programs: all that is known, on one line."""
+        from viewshed.fov.estimate import CellState
+
+        estimate, basis = self.estimate, self.estimate.basis
+        shares = {f"{state.name.lower()}_share": round(estimate.share(state), 6) for state in CellState}
+        known = {
+            "name": self.name, "visible_m2": estimate.area_m2(), **shares, "method": estimate.method,
+            "target": estimate.target.name, "ms": self.elapsed_ms, "basis": None if basis is None else asdict(basis),
+            "remarks": self.remarks, "verdicts": self.verdicts, "results": [str(place) for place in self.places],
+        }  # fmt: skip
+        return json.dumps(known, ensure_ascii=False)
 
 
-def _range_remark(leveled: LeveledSweep) -> str:
-    """Return how many returns lie beyond the maximum range of the sweep's own sensor, which were left out."""
+@dataclass(slots=True)
+class Total:
+    """What many sweeps come to."""
+
+    areas_m2: list[float] = field(default_factory=list)
+    times_ms: list[float] = field(default_factory=list)
+
+    def add(self, summary: Summary) -> None:
+        """Count one more sweep."""
+        self.areas_m2.append(summary.estimate.area_m2())
+        if summary.elapsed_ms is not None:
+            self.times_ms.append(summary.elapsed_ms)
+
+    @property
+    def line(self) -> str:
+        """Mean, least and greatest visible area, and the median of the times."""
+        areas_m2, times_ms = self.areas_m2, sorted(self.times_ms)
+        elapsed = f"; {times_ms[len(times_ms) // 2]:.0f} ms each" if times_ms else ""
+        mean_m2 = sum(areas_m2) / len(areas_m2)
+        return (
+            f"{len(areas_m2)} sweeps: {mean_m2:.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}{elapsed}"
+        )
+
+
+_MUCH_UNSURE = 0.2
+"""A larger share of the view on unsure ground is worth a word."""
+
+
+def _remarks(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[str, ...]:
+    """Return what the estimate rests on, where that is worth a word, and how many returns were left out."""
     from viewshed.preprocess.reach import returns_beyond
 
+    if len(leveled.points) == 0:
+        return (f"no usable return among {len(leveled.sweep)} points: nothing is known",)
+    basis, remarks = estimate.basis, []
+    if basis is not None and basis.height_source == "assumed":
+        remarks.append(f"ground not seen, sensor taken to be {basis.sensor_height_m:.2f} m above it")
+    elif basis is not None:
+        remarks.append(f"sensor {basis.sensor_height_m:.2f} m high")
+        if basis.unsure_ground_share > _MUCH_UNSURE and estimate.visible().any():
+            remarks.append(f"{basis.unsure_ground_share:.0%} of the view over unsure ground")
     model = leveled.sweep.model
     beyond = returns_beyond(leveled.sweep.points, model)
-    if model is None or not beyond:
-        return ""
-    return f"; {beyond} returns beyond the {model.max_range_m:g} m of {model.name} left out"
+    if model is not None and beyond:
+        remarks.append(f"{beyond} returns beyond the {model.max_range_m:g} m of {model.name} left out")
+    return tuple(remarks)

@@ -123,14 +123,16 @@ def _by_numbers(path: Path) -> list[tuple[int, str]]:
 def place_of_result(out: str | None, name: str) -> Path:
     """Return where one result goes: the file ``out``, or ``name`` in the folder ``out`` or here.
 
-    What exists as a folder or ends in a slash is a folder; it is made.
+    A name with an ending is a file. Any other is a folder, as it is for commands with several results; it is made.
 
-    >>> place_of_result(None, "a.geojson").name
-    'a.geojson'
+    >>> place_of_result(None, "a.geojson").name, place_of_result("b.json", "a.geojson").name
+    ('a.geojson', 'b.json')
     """
     if out is None:
         return Path(name)
     place = Path(out)
-    if out.endswith(("/", os.sep)):
+    if place.exists() and not place.is_dir():
+        return place
+    if out.endswith(("/", os.sep)) or not place.suffix:
         place.mkdir(parents=True, exist_ok=True)
     return place / name if place.is_dir() else place

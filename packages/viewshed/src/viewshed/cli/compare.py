@@ -31,12 +31,12 @@ def compare(
     index: options.Index = None,
     number: options.Number = 0,
     target: options.TargetName = "car",
-    profile: options.Profile = "sound",
+    parameters: options.Parameters = "sound",
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
     device: Device = "cpu",
-    out: Annotated[str, typer.Option(help="The picture, or a folder for it.")] = "compare.png",
+    out: Annotated[str, typer.Option(help="Folder of the picture, or its file NAME.png.")] = "compare.png",
 ) -> None:
     """Show several estimators side by side: a picture and a table.
 
@@ -47,8 +47,8 @@ def compare(
     from viewshed.show.plot import Panel, comparison
 
     cells = options.parse_grid(grid)
-    names = _all_names(profile, cells) if methods == "all" else _current_names(methods)
-    estimators = _estimators(names, cells, target, profile, NetworkOptions(weights, passes, seed, device=device))
+    names = _all_names(parameters, cells) if methods == "all" else _current_names(methods)
+    estimators = _estimators(names, cells, target, parameters, NetworkOptions(weights, passes, seed, device=device))
     place = place_of_result(out, "compare.png")
     refuse_inputs([place], [file])
     sweep = one_sweep(reading, file, index, number)
@@ -72,10 +72,10 @@ def _table(header: list[str], rows: list[list[str]]) -> str:
     return "\n".join([f"| {' | '.join(header)} |", line, *(f"| {' | '.join(cells)} |" for cells in rows)])
 
 
-def _all_names(profile: str, grid: BevGrid) -> list[str]:
+def _all_names(parameters: str, grid: BevGrid) -> list[str]:
     from viewshed.estimators import CLASSICAL, paper_estimators_on
 
-    return list(paper_estimators_on(grid) if profile == "paper" else CLASSICAL)
+    return list(paper_estimators_on(grid) if parameters == "paper" else CLASSICAL)
 
 
 def _current_names(methods: str) -> list[str]:
@@ -85,7 +85,7 @@ def _current_names(methods: str) -> list[str]:
 
 
 def _estimators(
-    names: list[str], grid: BevGrid, target: str, profile: str, network: NetworkOptions
+    names: list[str], grid: BevGrid, target: str, parameters: str, network: NetworkOptions
 ) -> dict[str, Estimator]:
     """Return the estimators by name; of the options of a network, each takes those that it knows."""
     from viewshed.estimators import LEARNED
@@ -96,7 +96,7 @@ def _estimators(
         )
     one_pass = NetworkOptions(network.weights, device=network.device)
     takes = dict.fromkeys(LEARNED, one_pass) | {"mc_dropout": network}
-    return {name: takes.get(name, NetworkOptions()).estimator(name, grid, target, profile) for name in names}
+    return {name: takes.get(name, NetworkOptions()).estimator(name, grid, target, parameters) for name in names}
 
 
 def _timed(estimator: Estimator, leveled: LeveledSweep) -> tuple[FovEstimate, float]:

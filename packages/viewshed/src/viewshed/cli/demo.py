@@ -29,10 +29,10 @@ def demo(out: Annotated[Path, typer.Option(help="Folder of the results.")] = Pat
 
     out.mkdir(parents=True, exist_ok=True)
     estimator = NetworkOptions().estimator(None, options.parse_grid("road"), "car")
-    estimate, summary = Run(estimator, estimator.threshold, out).one(read_sweep(junction_path()), "demo")
-    typer.echo(summary)
+    summary = Run(estimator, estimator.threshold, out).one(read_sweep(junction_path()), "demo")
+    typer.echo(summary.line)
     write_atomic(out / "sweep.pcd.bin.gz", junction_path().read_bytes())
-    picture, line = _beside_truth(estimate)
+    picture, line = _beside_truth(summary.estimate)
     write_atomic(out / "demo_truth.png", picture)
     typer.echo(f"demo: {line} → {out / 'demo_truth.png'}")
     typer.echo(f"Look at {(out / 'demo.png').resolve()}")

@@ -23,7 +23,15 @@ from viewshed.cli._options import (
     Weights,
     WithMonitor,
 )
-from viewshed.cli._outputs import Failures, Run, make_folder, output_names, parse_results, refuse_inputs
+from viewshed.cli._outputs import (
+    Failures,
+    Run,
+    Total,
+    make_folder,
+    output_names,
+    parse_results,
+    refuse_inputs,
+)
 from viewshed.cli._places import chosen_files
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._verdicts import watching
@@ -71,7 +79,7 @@ def estimate(
     index: options.Index = None,
     crs: options.Crs = None,
     target: options.TargetName = "car",
-    profile: options.Profile = "sound",
+    parameters: options.Parameters = "sound",
     weights: Weights = None,
     passes: Passes = None,
     seed: Seed = None,
@@ -86,6 +94,8 @@ def estimate(
     monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
     dark: Annotated[bool, typer.Option("--dark", help="Pictures on a dark page.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="For programs: one JSON object a line and sweep.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but what goes wrong.")] = False,
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("out"),
 ) -> None:
     """Estimate what each sweep could see: picture, GeoJSON and NPZ.
@@ -104,13 +114,15 @@ def estimate(
         raise ValueError("--monitor goes with --batch 1: it judges a sweep by those before it")
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
+    if json and quiet:
+        raise ValueError("--json and --quiet exclude each other; leave one out")
     kinds = parse_results(results)
     network = NetworkOptions(weights, passes, seed, abstain_below, device)
-    estimator = network.estimator(method, options.parse_grid(grid), target, profile)
+    estimator = network.estimator(method, options.parse_grid(grid), target, parameters)
     if history:
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)
-    run = Run(estimator, network.threshold(threshold, estimator, profile), out, kinds, watch, crs, dark)
+    run = Run(estimator, network.threshold(threshold, estimator, parameters), out, kinds, watch, crs, dark)
     run.certify = None if certify is None else Threat.parse(certify)
     reading = replace(reading, crs=crs)
     if crs is not None:
@@ -120,7 +132,12 @@ def estimate(
     refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
     make_folder(out)
     failures = Failures()
-    for line in run.lines(named_sweeps(reading, jobs, names, failures, history=history), failures, batch):
-        typer.echo(line)
+    total = Total()
+    for summary in run.summaries(named_sweeps(reading, jobs, names, failures, history=history), failures, batch):
+        total.add(summary)
+        if not quiet:
+            typer.echo(summary.json if json else summary.line)
+    if len(total.areas_m2) > 1 and not quiet and not json:
+        typer.echo(total.line)
     if failures.count:
         raise typer.Exit(2)

@@ -34,7 +34,7 @@ def export(
     seed: Seed = None,
     device: Device = "cpu",
     out: Annotated[
-        str | None, typer.Option(help="File, or a folder; if not given, here, named after FILE and method.")
+        str | None, typer.Option(help="Folder of the result, or its file NAME.ENDING; here if not given.")
     ] = None,
 ) -> None:
     """Write the field of view for GIS, nav2, ROS, OSI or ETSI CPM.

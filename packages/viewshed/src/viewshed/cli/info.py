@@ -10,8 +10,8 @@ import typer
 
 from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, AUTO, Reading
-from viewshed.cli._outputs import report_doubts
 from viewshed.cli._stream import one_sweep
+from viewshed.cli._terminal import complain
 
 if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
@@ -30,10 +30,12 @@ def info(
     Example: viewshed info sweep.pcd.bin
     """
     from viewshed.preprocess.leveling import level
+    from viewshed.preprocess.plausibility import doubts
 
     sweep = one_sweep(reading, file, index, number)
     leveled = level(sweep, options.parse_grid(grid))
-    report_doubts(leveled, file.name)
+    for doubt in doubts(leveled):
+        complain(f"{file.name}: warning: {doubt}")
     for name, value in (*_points(sweep, leveled), *_beams(sweep, reading.sensor), *_ground(sweep, leveled)):
         typer.echo(f"{name + ':':<12} {value}")
 

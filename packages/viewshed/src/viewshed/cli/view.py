@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+import socket
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -30,7 +33,7 @@ from viewshed.cli._places import chosen_files
 from viewshed.cli._profile import ProfileName, settings
 from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
-from viewshed.cli._terminal import BAD_INPUTS
+from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
 from viewshed.cli.estimate import Files, Method
 from viewshed.cli.monitor import estimator_of
@@ -50,7 +53,7 @@ if TYPE_CHECKING:
     Check = Callable[[LeveledSweep, FovEstimate], tuple[IntegrityReport, str]]
     """What a monitor says of the next sweep and its estimate, and that in words."""
 
-Every = Annotated[int, typer.Option(min=1, help="Take every k-th sweep.")]
+Step = Annotated[int, typer.Option(min=1, help="Take one sweep of so many.")]
 
 MostSweeps = Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")]
 
@@ -63,6 +66,9 @@ def view(
     foxglove: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Serve live to Foxglove at this port, until Ctrl-C.")
     ] = None,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Serve a page to this machine alone, to drop files on, until Ctrl-C.")
+    ] = False,
     profile: ProfileName = None,
     method: Method = None,
     grid: options.GridName = "road",
@@ -75,7 +81,7 @@ def view(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     history: HistorySweeps = 0,
-    every: Every = 1,
+    step: Step = 1,
     sweeps: MostSweeps = None,
     following: Following = NOT_FOLLOWED,
 ) -> None:
@@ -86,12 +92,17 @@ def view(
 
     A file that cannot be read costs one line on standard error and does not stop the others; the exit code is then 2.
 
-    Example: viewshed view drive.mcap --html run.html --every 5
+    Example: viewshed view drive.mcap --html run.html --step 5
     """
-    if [html, rerun, foxglove].count(None) != 2:
-        raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT")
+    if [html, rerun, foxglove].count(None) + (not serve) != 3:
+        raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT; --serve")
+    if serve and files:
+        raise ValueError(f"--serve takes files on its page, got {files[0]}; leave it out, or name --html")
     chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
+    if serve:
+        _serve_page(reading, network.estimator(chosen.method, cells, target))
+        return
     jobs = list(chosen_files(files or [], index))
     places = [file for file, _ in jobs]
     failures, names = Failures(), output_names(places)
@@ -102,7 +113,7 @@ def view(
     if foxglove is not None:
         estimator = network.estimator(chosen.method, cells, target)
         watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
-        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else every * sweeps, every)
+        taken = islice(chosen.at_rate(live), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, chosen.history)
         _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures, following)
     else:
@@ -110,7 +121,7 @@ def view(
         if chosen.monitor or monitor_file:
             own, check = _monitored(monitor_file, weights, method)
         estimator = own or network.estimator(chosen.method, cells, target)
-        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else every * sweeps, every)
+        taken = islice(chosen.at_rate(read()), 0, None if sweeps is None else step * sweeps, step)
         frames = _frames(taken, estimator, history_buffer(estimator, chosen.history), check, failures, following)
         title = f"{places[0].name or places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}"
         typer.echo(_written(html, rerun or Path(), frames, title, places))
@@ -141,6 +152,61 @@ def _written(
     from viewshed.show.view.rerun import write_rerun
 
     return f"{rerun}: {write_rerun(rerun, shown(), title) / 1e6:.2f} MB"
+
+
+PAGE_PORT = 8765
+"""Of the page to try, where nothing else has it."""
+
+_SWEEPS_SHOWN = 50
+"""Of a capture that is dropped on the page."""
+
+
+def _serve_page(reading: Reading, estimator: Estimator) -> None:
+    """Serve the page to try until Ctrl-C."""
+    from viewshed.preprocess.plausibility import doubts
+    from viewshed.show.view import pack_frame, write_page
+    from viewshed.show.view.serve import Refused, serving
+
+    def page_of(name: str, content: bytes) -> tuple[bytes, str]:
+        said: list[str] = []
+
+        def packed(frames: Iterator[tuple[Frame, str]]) -> Iterator[PackedFrame]:
+            for frame, line in frames:
+                typer.echo(line)
+                said[:] = [line, *(doubts(frame.leveled) if frame.leveled is not None else ())]
+                yield pack_frame(frame)
+
+        with tempfile.TemporaryDirectory(prefix="viewshed") as folder:
+            file, page = Path(folder, name), Path(folder, "page.html")
+            file.write_bytes(content)
+            try:
+                sweeps = islice((Named(sweep, name, file) for sweep in reading.sweeps(file)), _SWEEPS_SHOWN)
+                frames = _frames(sweeps, estimator, None, None, _Raising(), NOT_FOLLOWED)
+                write_page(page, packed(frames), name)
+            except BAD_INPUTS as error:
+                line = one_line(error).replace(f"{folder}{os.sep}", "")
+                complain(line)
+                raise Refused(line) from error
+            return page.read_bytes(), "; ".join(said)
+
+    with _serving_somewhere(serving, page_of) as server:
+        typer.echo(f"open http://127.0.0.1:{server.server_address[1]}/ and drop a file on it; Ctrl-C ends")
+        server.serve_forever()
+
+
+def _serving_somewhere(serving: Callable[..., Any], page_of: Callable[[str, bytes], tuple[bytes, str]]) -> Any:
+    """Return the server at its usual port, or at any that is free."""
+    with socket.socket() as probe:
+        is_taken = probe.connect_ex(("127.0.0.1", PAGE_PORT)) == 0
+    return serving(0 if is_taken else PAGE_PORT, page_of)
+
+
+class _Raising(Failures):
+    """Raises what a file of one sweep cannot give: there are no others to go on with."""
+
+    def report(self, file: Path | str, error: Exception) -> None:
+        """Raise the error."""
+        raise error
 
 
 def _serve(

@@ -157,7 +157,7 @@ def load_estimator(
 
 
 def estimate(
-    sweep: Sweep | LeveledSweep | ArrayLike,
+    sweep: Sweep | LeveledSweep | ArrayLike | str | Path,
     *,
     method: str | Path | None = None,
     grid: str | BevGrid = "road",
@@ -173,18 +173,19 @@ def estimate(
     The estimator is loaded once and kept; for options of networks take :func:`load_estimator`.
 
     Args:
-        sweep: a Sweep; or points (N, 3+) in meters, x forward, y left, z up, the sensor at the origin; a fourth column
-            is intensity.
+        sweep: a Sweep; a file that :func:`viewshed.read_sweep` reads; or points (N, 3+) in meters, x forward, y left,
+            z up, the sensor at the origin; a fourth column is intensity.
         method: as ``name`` of :func:`load_estimator`.
         grid: a name of :data:`GRIDS`, or a grid.
         target: a name of :data:`TARGETS`, or a target.
         history: earlier sweeps of the sensor with poses, for a method that uses them.
         device: of a network, ``cpu`` or ``cuda``.
-        sensor: of points, beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
-        sensor_height_m: of points, height of the sensor above the ground, if it is known.
-        world_from_sensor: of points, pose of the sensor in the map, if it is known.
+        sensor: of points or a file, beam table or its name (see :func:`viewshed.lidar_model`); None infers it.
+        sensor_height_m: of points or a file, height of the sensor above the ground, if it is known.
+        world_from_sensor: of points or a file, pose of the sensor in the map, if it is known.
 
     Raises:
+        OSError: the file cannot be opened.
         ValueError: the points are no sweep, a name is unknown, or a value is given for a Sweep that has its own.
 
     >>> import numpy as np
@@ -199,9 +200,16 @@ def estimate(
                 " sweep.replace(model=viewshed.lidar_model(NAME), …)"
             )
         return estimator.estimate(sweep, history)
-    measured = sweep_of_points(
-        sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
-    )
+    if isinstance(sweep, str | Path):
+        from viewshed.io import read_sweep
+
+        measured = read_sweep(
+            sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
+        )
+    else:
+        measured = sweep_of_points(
+            sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
+        )
     return estimator.estimate(measured, history)
 
 

@@ -103,7 +103,7 @@ class Basis:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FovEstimate:
     """The field of view of one sweep on a :class:`BevGrid` in the ``level`` frame.
 
@@ -160,6 +160,27 @@ class FovEstimate:
         array = array.view()
         array.setflags(write=False)
         object.__setattr__(self, name, array)
+
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{self.share(state):.0%} {state.name.lower()}" for state in reversed(CellState))
+        size_m = 2 * self.grid.half_extent_m
+        return (
+            f"FovEstimate({self.method or 'no method'}: a {self.target.name} is visible on {self.area_m2():.0f} m² of"
+            f" {size_m:g} × {size_m:g} m; {shares})"
+        )
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture that a notebook shows."""
+        return self.plot()
+
+    def show(self) -> Path:
+        """Open the picture of :meth:`plot` in the viewer or browser of this machine; return the file."""
+        import tempfile
+        import webbrowser
+
+        path = self.save(Path(tempfile.mkdtemp(prefix="viewshed")) / f"{self.method or 'estimate'}.png")
+        webbrowser.open(path.as_uri())
+        return path
 
     def visible(self, threshold: float | None = None) -> NDArray[np.bool_]:
         """Return the mask (cells, cells) of cells with probability ≥ ``threshold``; None is the estimate's own."""

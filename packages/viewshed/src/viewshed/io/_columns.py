@@ -32,6 +32,10 @@ argoverse2: the car's frame (rear axle) → its ``up_lidar``. pandaset: the car'
 """
 
 
+class Assumption(UserWarning):
+    """What a file does not say and was assumed: a note for whoever reads it, no fault."""
+
+
 def file_frame_named(frame: str | Rigid) -> Rigid:
     """Return the ``sensor_from_file`` of a name in :data:`FILE_FRAMES`; a transform is returned as it is.
 

@@ -13,11 +13,13 @@ from viewshed.geometry import Rigid
 from viewshed.io._columns import Columns
 from viewshed.io._input import InputFile
 from viewshed.io.argoverse import read_argoverse2
+from viewshed.io.las import read_las
 from viewshed.io.numpy_files import read_npy, read_npz, write_npy, write_npz
 from viewshed.io.ouster import metadata_path, read_ouster
 from viewshed.io.pcd import read_pcd, write_pcd
 from viewshed.io.ply import read_ply, write_ply
 from viewshed.io.raw_floats import columns_of_bin, read_kitti, read_nuscenes, write_kitti, write_nuscenes
+from viewshed.io.text import read_text
 from viewshed.io.velodyne import PCAP_BEGINS, is_velodyne, looks_like_payloads, read_velodyne, udp_payloads
 from viewshed.sweep import Sweep
 
@@ -55,6 +57,8 @@ FORMATS: dict[str, Format] = {
     "argoverse2": Format(read_argoverse2, (".feather",), (b"ARROW1",)),
     "velodyne": Format(read_velodyne, (".pcap", ".bin")),
     "ouster": Format(read_ouster, (".pcap",)),
+    "las": Format(read_las, (".las", ".laz"), (b"LASF",)),
+    "text": Format(read_text, (".csv", ".xyz", ".asc")),
 }
 """Name → format; docs/formats.md says what each keeps. To add one: write a module with a reader, add a line; or, in a
 package of your own, an entry point of ``viewshed.formats``."""
@@ -75,7 +79,6 @@ _NOT_READ = {
     b"SQLite format 3": "is a ROS 2 bag (SQLite), a recording: open it with viewshed.recordings.read.open_source",
     b"#ROSBAG V": "is a ROS 1 bag, a recording: open it with viewshed.recordings.read.open_source",
     b"\x89MCAP0\r\n": "is an MCAP bag, a recording: open it with viewshed.recordings.read.open_source",
-    b"LASF": "is a LAS file; convert it to PLY or PCD",
     b"FEA1": "is feather version 1; write it again as version 2",
     b"\x0a\x0d\x0d\x0a": "is a pcapng capture; convert it with: editcap -F pcap",
     b"\x1f\x8b": "is gzipped twice; unpack it once",
@@ -114,6 +117,8 @@ def _format_by_name(source: InputFile) -> str:
         return "kitti" if columns_of_bin(source) == 4 else "nuscenes"
     for name, known in FORMATS.items():
         if source.name.endswith(known.suffixes):
+            if name == "text":
+                return name
             raise ValueError(f"is named like {name} but does not begin like it; it is damaged or of another format")
     raise ValueError(
         f"format is not known by name or content; name one of {', '.join(all_formats())} with --format, or save the"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -12,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io._columns import IDENTITY, Columns, Saved, near_points
+from viewshed.io._columns import IDENTITY, Assumption, Columns, Saved, near_points
 from viewshed.io._input import InputFile, read_bounded, unpack_limit
 from viewshed.sensors import LidarModel
-from viewshed.sweep import MAX_POINTS, PlanarScan, Sweep, shape_remedy
+from viewshed.sweep import MAX_POINTS, PlanarScan, Sweep, has_points_in_rows, shape_remedy
 
 _HEADER = re.compile(  # possessive (*+): a damaged header fails in one pass, whatever it is filled with
     r"\s*+\{\s*+'descr'\s*+:\s*+'([<>|=]?(?:[fiu][1248]|b1|U\d{1,7}))'\s*+,\s*+'fortran_order'\s*+:\s*+(True|False)"
     r"\s*+,\s*+'shape'\s*+:\s*+\(([\d\s,]*+)\)\s*+(?:,\s*+)?\}\s*+"
 )
+
+MILLIMETERS = "int32 points are read as millimeters; save meters as float32"
 
 _SIZES_MAX = 4
 
@@ -71,14 +74,15 @@ def read_npy(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
 
 
 def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
-    remedy = shape_remedy(array.shape)
-    if array.ndim != 2 or array.shape[1] < 3 or "transpose" in remedy:
-        raise ValueError(f"points must have shape (N, 3) or more columns, got {array.shape}{remedy}")
+    if not has_points_in_rows(array.shape):
+        raise ValueError(f"points must have shape (N, 3) or more columns, got {array.shape}{shape_remedy(array.shape)}")
     if len(array) > MAX_POINTS:
         raise ValueError(f"a sweep must have at most {MAX_POINTS} points, got {len(array)}")
     if array.dtype.kind != "f" and array.dtype.str[1:] != "i4":
         raise ValueError(f"points must be floats (meters) or int32 (millimeters), got {array.dtype}")
     millimeters = array.dtype.kind == "i"
+    if millimeters:
+        warnings.warn(MILLIMETERS, Assumption, stacklevel=2)
     with np.errstate(over="ignore"):
         meters = array[:, :3] * 1e-3 if millimeters else array[:, :3]
         points, place = near_points(list(meters.T), IDENTITY if frame is None else frame)
@@ -87,16 +91,20 @@ def _columns_of_points(array: NDArray[Any], frame: Rigid | None) -> Columns:
 
 
 def read_npz(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
-    """Yield the one sweep of an NPZ file: key ``points`` (N, 3+), and all of a Sweep where this package wrote it."""
+    """Yield the one sweep of an NPZ file: its array ``points`` (N, 3+), or the only one that it has.
+
+    Where this package wrote it, all of a Sweep is in it.
+    """
     members = _members(source)
-    if "points" not in members:
-        raise ValueError(f"NPZ must have an array 'points', got {', '.join(sorted(members)) or 'none'}")
     columns = _columns_of_points(members["points"], frame)
     yield _with_saved(columns, members) if "viewshed_sweep" in members else columns
 
 
 def _members(source: InputFile) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a zip file by name; sizes are measured while unpacking, not believed."""
+    """Return the arrays of a zip file by name, the only one as ``points``.
+
+    Sizes are measured while unpacking, not believed.
+    """
     limit = unpack_limit(source.size)
     members: dict[str, NDArray[Any]] = {}
     entries = source.content().count(_ZIP_ENTRY)  # before zipfile makes an object of each
@@ -104,18 +112,22 @@ def _members(source: InputFile) -> dict[str, NDArray[Any]]:
         raise ValueError(f"NPZ must have at most {_MEMBERS_MAX} arrays, got {entries}")
     try:
         with zipfile.ZipFile(source.file) as archive:
-            for info in archive.infolist():
+            names = [info.filename.removesuffix(".npy") for info in archive.infolist()]
+            for name, info in zip(names, archive.infolist(), strict=True):
                 if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError("NPZ must be stored or deflated, not packed in another way")
-                if info.filename.removesuffix(".npy") in _KEYS:
+                if name in _KEYS or len(names) == 1:
                     with archive.open(info) as stream:
                         content = read_bounded(stream, limit)  # type: ignore[arg-type]
                     limit -= len(content)
-                    members[info.filename.removesuffix(".npy")] = parse_npy(content)
+                    members[name if name in _KEYS else "points"] = parse_npy(content)
     except ValueError:
         raise
     except Exception as error:  # zipfile and zlib raise a dozen types on damaged archives
         raise ValueError(f"NPZ is damaged or cut off: {error or type(error).__name__}") from error
+    if "points" not in members:
+        got = ", ".join(sorted(names)) or "none"
+        raise ValueError(f"NPZ must have an array 'points' or a single one, got {got}; save it with points=…")
     return members
 
 

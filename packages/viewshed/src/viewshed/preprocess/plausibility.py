@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from viewshed.grid import GRIDS
 from viewshed.preprocess.beam_matching import match_beams, polar
 from viewshed.preprocess.elevation_clusters import find_clusters
-from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -20,6 +21,13 @@ _MILLIMETERS_M, _KILOMETERS_M = 500.0, 0.5
 """Half of the returns of a file in meters are nearer than the one, and some are farther than the other."""
 
 _FEWEST = 100
+
+_TURNED_SUPPORT = 0.6
+"""Of 66 real sweeps, 58 have ground with more support than this, and none has it upside down."""
+
+_MOST_TILT_DEG = 6.0
+"""A 2-D laser on a robot that drives up a ramp is tilted by less."""
+
 
 _NO_MATCH = 0.15
 """A named sensor whose beams explain less of the returns than this is another one, ..."""
@@ -37,6 +45,21 @@ _LOW_M = 0.6
 """Sensors that seem to stand lower than this, and whose returns gather at no beams, may not be at the origin."""
 
 
+def check_units(sweep: Sweep) -> None:
+    """Check that a sweep can be in meters and in the sensor's frame.
+
+    Raises:
+        ValueError: it cannot; nothing that is estimated from it would mean anything.
+
+    >>> check_units(Sweep(np.full((500, 3), 4_000.0)))
+    Traceback (most recent call last):
+    ValueError: the points lie around (4000, 4000, 4000) m: are they in a map's coordinates? Subtract the sensor's position before they are written, or say with --origin X,Y,Z where it is
+    """
+    problem = _problem_of_units(sweep) if len(sweep) >= _FEWEST else ""
+    if problem:
+        raise ValueError(problem)
+
+
 def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     """Return what a reader should doubt about a sweep, a sentence each; none for most.
 
@@ -48,14 +71,20 @@ def doubts(leveled: LeveledSweep) -> tuple[str, ...]:
     sweep = leveled.sweep
     if len(sweep) < _FEWEST:
         return ()
-    units = _doubt_of_units(sweep)
-    if units or sweep.planar is not None:
-        return (units,) if units else ()
+    units = _problem_of_units(sweep)
+    if units:
+        return (units,)
+    if sweep.planar is not None:
+        tilt = _doubt_of_plane(leveled)
+        return (tilt,) if tilt else ()
+    upside_down = _doubt_of_axes(leveled)
+    if upside_down:
+        return (upside_down,)
     found = (_doubt_of_height(leveled), _doubt_of_sensor(sweep), _doubt_of_origin(leveled))
     return tuple(doubt for doubt in found if doubt)
 
 
-def _doubt_of_units(sweep: Sweep) -> str:
+def _problem_of_units(sweep: Sweep) -> str:
     some = sweep.points[:: max(len(sweep) // 4096, 1)].astype(np.float64)
     half_m, most_m = np.quantile(np.linalg.norm(some, axis=1), (0.5, 0.99))
     if half_m > _MILLIMETERS_M:
@@ -64,7 +93,7 @@ def _doubt_of_units(sweep: Sweep) -> str:
             where = ", ".join(f"{value:.0f}" for value in middle_m)
             return (
                 f"the points lie around ({where}) m: are they in a map's coordinates? Subtract the sensor's position"
-                " before they are written"
+                " before they are written, or say with --origin X,Y,Z where it is"
             )
         return (
             f"half of the points are farther than {half_m:.0f} m: is the file in millimeters or centimeters? Convert it"
@@ -75,6 +104,30 @@ def _doubt_of_units(sweep: Sweep) -> str:
     if most_m < _KILOMETERS_M:
         return f"nearly all points are nearer than {most_m:.3f} m: is the file in kilometers? Convert it to meters"
     return ""
+
+
+def _doubt_of_plane(leveled: LeveledSweep) -> str:
+    """Return a sentence where the plane of a 2-D laser is far from level: its scans belong to different heights."""
+    tilt_deg = float(np.rad2deg(np.arccos(min(leveled.level_from_sensor.rotation[2, 2], 1.0))))
+    if tilt_deg <= _MOST_TILT_DEG:
+        return ""
+    return (
+        f"the plane of this 2-D laser is tilted by {tilt_deg:.0f}°, so its view is that of a slanted plane; if it tilts"
+        " to and fro, put the scans of one sweep together in a cloud first"
+    )
+
+
+def _doubt_of_axes(leveled: LeveledSweep) -> str:
+    """Return a sentence where ground is found once the sweep is turned upside down, and hardly any as it is."""
+    if leveled.sweep.sensor_height_m is not None or leveled.ground.support >= LEAST_SUPPORT:
+        return ""
+    turned = level(Sweep(leveled.sweep.points * np.array([1, -1, -1], np.float32)), GRIDS["road"])
+    if turned.ground.support < _TURNED_SUPPORT:
+        return ""
+    return (
+        f"the ground seems to lie {turned.sensor_height_m:.1f} m above the sensor: does z point down? Leave --file-frame"
+        " out if it is given, else try --file-frame carla"
+    )
 
 
 def _doubt_of_height(leveled: LeveledSweep) -> str:
@@ -90,8 +143,7 @@ def _doubt_of_height(leveled: LeveledSweep) -> str:
         if len(leveled.points) == 0 or _lies_on_the_ground(leveled.sweep):
             return ""
         return (
-            f"no ground is seen, and the sensor is taken to be {height_m:.2f} m above it: give --height if it is known,"
-            " or --file-frame if the file's z points down"
+            f"no ground is seen, and the sensor is taken to be {height_m:.2f} m above it: give --height if it is known"
         )
     if low_m <= height_m <= high_m:
         return ""

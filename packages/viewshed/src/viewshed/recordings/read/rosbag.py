@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 from collections import Counter
@@ -66,6 +67,10 @@ _DEFINITIONS = {
     **dict.fromkeys(OUSTER, "uint8[] buf"),
 }
 """Of messages that rosbags does not bring."""
+
+
+_MOST_TILT_DEG = 10.0
+"""A 2-D laser on a robot that drives over a curb tilts by less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,6 +337,7 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         if at.count(None):
             problem = "lie outside the times of the transforms and have no pose"
             note_damage(contents.notes, f"{at.count(None)} of {len(at)} clouds of {topic} {problem}")
+    _note_tilting(contents, clouds)
     heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
     kinds = {cloud.topic: cloud.kind for cloud in clouds}
     metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
@@ -344,6 +350,17 @@ def _world(contents: _Contents, frame: str) -> str | None:
     except ValueError as error:
         note_damage(contents.notes, f"clouds have no pose: {error}")
         return None
+
+
+def _note_tilting(contents: _Contents, clouds: list[_Cloud]) -> None:
+    """Note each topic of scans whose laser tilts: the view of a scan is that of its own slanted plane."""
+    scans = [cloud for cloud in clouds if cloud.kind == SCAN]
+    for topic, frame in dict.fromkeys((cloud.topic, cloud.frame) for cloud in scans):
+        times_ns = [cloud.t_ns for cloud in scans if cloud.topic == topic]
+        tilt_deg = math.degrees(contents.transforms.tilt_rad(frame, times_ns))
+        if tilt_deg > _MOST_TILT_DEG:
+            line = f"the 2-D laser of {topic} tilts by {tilt_deg:.0f}°, so each scan sees its own slanted plane"
+            note_damage(contents.notes, f"{line}; put the scans of a turn together in a cloud first")
 
 
 def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:

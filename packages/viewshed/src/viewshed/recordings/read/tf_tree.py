@@ -141,6 +141,20 @@ class TransformBuffer:
             raise ValueError(f"frame {frame!r} hangs from none of {', '.join(worlds)}; frames that exist: {known}")
         return first
 
+    def tilt_rad(self, frame: str, times_ns: Iterable[int]) -> float:
+        """Return by how much a frame's z axis turns, at most, between the first of these times and the others.
+
+        >>> buffer = TransformBuffer()
+        >>> for t_ns, y in enumerate((0.0, 0.7071)):
+        ...     buffer.add("mount", "laser", t_ns, (0.0, 0.0, 0.0), (1.0 - y, 0.0, y, 0.0))
+        >>> round(buffer.tilt_rad("laser", (0, 1)), 1)
+        2.4
+        """
+        chain = self._chain(frame.lstrip("/"))
+        found = (self._up(chain[:-1], t_ns) for t_ns in times_ns)
+        axes = np.array([pose.rotation[:, 2] for pose in found if pose is not None])
+        return float(np.arccos(np.clip(axes @ axes[0], -1.0, 1.0)).max()) if len(axes) else 0.0
+
     def _up(self, frames: list[str], t_ns: int) -> Rigid | None:
         """Return the transform from the first of these frames to the parent of the last."""
         total = Rigid.identity()
