@@ -292,7 +292,8 @@ class Run:
         from viewshed.io.export import EXPORTERS, write_export
 
         report_doubts(leveled, name)
-        estimate, certified = replace(estimate, threshold=self.threshold), ()
+        estimate = replace(estimate, threshold=self.threshold)
+        certified: tuple[str, ...] = ()
         if self.certify is not None:
             from viewshed.guarantees.certificate import certify
 
