@@ -49,10 +49,6 @@ _MOST_COLUMNS = 16
 class PlanarScan:
     """What is known of a sweep whose beams lie in one plane, z = 0 of the sensor's frame, beside its returns.
 
-    Attributes:
-        open_azimuth: (K,) float32 radians within ±2π of the beams that met nothing up to ``max_range_m``.
-        max_range_m: how far the sensor measures, positive; +inf where it does not say.
-
     Raises:
         ValueError: a shape or a value is not as above.
 
@@ -60,8 +56,9 @@ class PlanarScan:
     'float32'
     """
 
+    # (K,) float32 radians within ±2π of the beams that met nothing up to ``max_range_m``
     open_azimuth: NDArray[np.float32]
-    max_range_m: float
+    max_range_m: float  # how far the sensor measures, positive; +inf where it does not say
 
     def __post_init__(self) -> None:
         azimuth = np.asarray(self.open_azimuth)

@@ -171,22 +171,15 @@ _CLASS_OF_KIND: dict[int, dict[str, Any]] = {
 class Station:
     """Who sends, and where the origin of its ``level`` frame lies.
 
-    Attributes:
-        station_id: of the sender, up to 2³² - 1.
-        latitude_deg: of the origin (WGS84).
-        longitude_deg: of the origin.
-        altitude_m: of the origin, or None where it is not known.
-        yaw: heading of x of the ``level`` frame, radians counter-clockwise from east.
-
     Raises:
         ValueError: an angle or the altitude is out of bounds.
     """
 
-    station_id: int
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float | None = None
-    yaw: float = 0.0
+    station_id: int  # of the sender, up to 2³² - 1
+    latitude_deg: float  # of the origin (WGS84)
+    longitude_deg: float  # of the origin
+    altitude_m: float | None = None  # of the origin, or None where it is not known
+    yaw: float = 0.0  # heading of x of the ``level`` frame, radians counter-clockwise from east
 
     def __post_init__(self) -> None:
         bounds = {"latitude_deg": (self.latitude_deg, 90.0), "longitude_deg": (self.longitude_deg, 180.0)}

@@ -101,29 +101,17 @@ class _Contents:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bag:
-    """One bag as listed.
+    """One bag as listed."""
 
-    Attributes:
-        root: the recording that it belongs to.
-        path: where it lies.
-        refs: its clouds, in the order of time.
-        poses: ``world_from_sensor`` of each, or None.
-        heights_m: height of the sensor above the ground at each, or None.
-        encoding: how its messages are written, ``cdr`` or ``ros1``.
-        kinds: type of the messages of each topic with sweeps.
-        metadata: of each topic with Ouster packets.
-        notes: what it lacks, and which topics are not read.
-    """
-
-    root: Path
-    path: Path
-    refs: tuple[SweepRef, ...]
-    poses: tuple[Rigid | None, ...]
-    heights_m: tuple[float | None, ...]
-    encoding: str
-    kinds: Mapping[str, str]
-    metadata: Mapping[str, str]
-    notes: tuple[str, ...] = ()
+    root: Path  # the recording that it belongs to
+    path: Path  # where it lies
+    refs: tuple[SweepRef, ...]  # its clouds, in the order of time
+    poses: tuple[Rigid | None, ...]  # ``world_from_sensor`` of each, or None
+    heights_m: tuple[float | None, ...]  # height of the sensor above the ground at each, or None
+    encoding: str  # how its messages are written, ``cdr`` or ``ros1``
+    kinds: Mapping[str, str]  # type of the messages of each topic with sweeps
+    metadata: Mapping[str, str]  # of each topic with Ouster packets
+    notes: tuple[str, ...] = ()  # what it lacks, and which topics are not read
 
 
 def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str | None = None) -> Bag | None:
