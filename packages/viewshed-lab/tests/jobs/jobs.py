@@ -49,9 +49,11 @@ def write_file(folder: Path, job: int) -> tuple[int, int]:
 
 
 def process_id(folder: Path, job: int) -> int:
-    """Say which process works, then hang in all but the first job."""
+    """Say which process works, then hang; the first job ends once a second process works."""
     (folder / f"{os.getpid()}.pid").touch()
-    time.sleep(0.3 if job == 0 else 120)
+    end_s = time.monotonic() + 120
+    while time.monotonic() < end_s and (job > 0 or len(list(folder.glob("*.pid"))) < 2):
+        time.sleep(0.05)
     return os.getpid()
 
 

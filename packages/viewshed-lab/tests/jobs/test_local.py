@@ -52,8 +52,8 @@ def _gone(pids: list[int], within_s: float) -> bool:
     return not any(map(_alive, pids))
 
 
-def test_one_worker_is_this_process(tmp_path: Path) -> None:
-    assert [one.result for one in LocalEngine(1).run(partial(jobs.process_id, tmp_path), [0])] == [os.getpid()]
+def test_one_worker_is_this_process() -> None:
+    assert [one.result for one in LocalEngine(1).run(lambda _: os.getpid(), [0])] == [os.getpid()]
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="processes are looked up in /proc")
