@@ -143,6 +143,8 @@ class LocalEngine:
                 _ = pool.active  # starts it
             return pool
 
+        pool = started()
+
         def submit(message: bytes) -> Future[bytes]:
             nonlocal pool
             if not pool.active:  # a worker died before it had a job
@@ -150,7 +152,6 @@ class LocalEngine:
                 pool = started()
             return pool.schedule(_do_locally, (work, message))
 
-        pool = started()
         try:
             yield from _drive(jobs, pickle.dumps, submit, lambda: size, {})
         finally:
