@@ -1,7 +1,7 @@
 """Hooks of mkdocs: what the site takes from the code, so that no page repeats it.
 
-Between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` of a page stands the table of that name in ``GENERATED``;
-``python tools/docs_site.py`` writes it there anew. Each notebook becomes a page with its stored outputs. The site's name
+Between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` of a page stands the table of that name in
+``GENERATED``; ``python tools/docs_site.py`` writes it there anew. Each notebook becomes a page with its stored outputs. The site's name
 shows the version, and its header the repository, where the checkout has one.
 """
 
