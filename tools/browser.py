@@ -23,8 +23,6 @@ _SWITCHES = (
     "--no-first-run", "--disable-extensions", "--disable-background-networking", "--hide-scrollbars",
 )  # fmt: skip
 
-_WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
-
 _LAUNCH = """
 import os, sys
 os.dup2(int(sys.argv[1]), 3)
@@ -42,23 +40,15 @@ def chromium() -> str | None:
 
 
 @contextmanager
-def open_browser(*, webgl: bool = False) -> Iterator[Browser]:
-    """Start Chromium with an empty profile; yield it with one empty tab.
-
-    Args:
-        webgl: whether pages may draw with WebGL, by software.
-
-    Raises:
-        FileNotFoundError: there is none.
-    """
+def open_browser() -> Iterator[Browser]:
+    """Start Chromium with an empty profile; yield it with one empty tab. A FileNotFoundError where there is none."""
     program = chromium()
     if program is None:
         raise FileNotFoundError(f"none of {', '.join(NAMES)} is installed")
     to_browser, write = os.pipe()
     read, from_browser = os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        switches = [switch for switch in _SWITCHES if not (webgl and switch == "--disable-gpu")]
-        command = [program, *switches, *(_WEBGL if webgl else ()), f"--user-data-dir={profile}", "about:blank"]
+        command = [program, *_SWITCHES, f"--user-data-dir={profile}", "about:blank"]
         process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, str(to_browser), str(from_browser), *command],
             pass_fds=(to_browser, from_browser), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,

@@ -156,18 +156,18 @@ def command_table() -> str:
 def attacks() -> str:
     """Return the table of attacks: family, name, mode, what it does, its own parameters with their defaults."""
     from viewshed import Sweep
-    from viewshed_lab.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, Knowledge
+    from viewshed_lab.threats.attacks import ATTACKS, FAMILY, FREE_FORM, INFORMED, WHOLE_CLOUD, Knowledge
 
     common = {"spoofer", "mode", "earlier", "first", "first_ns"}
     knowledge = Knowledge((Sweep([[1.0, 0.0, 0.0]]),))  # type: ignore[arg-type]
     rows = []
-    for name, make in (ATTACKS | INFORMED).items():
+    for name, make in (ATTACKS | INFORMED | WHOLE_CLOUD).items():
         attack: Any = make(None, knowledge)
         defaults = ", ".join(
             f"`{f.name}` {_text(getattr(attack, f.name))}" for f in fields(attack) if f.name not in common
         )
         what = str(type(attack).__doc__).splitlines()[0].split(": ")[0].removesuffix(".")
-        mode = "free-form" if name in FREE_FORM else "–" if name == "pose_spoof" else "on beams"
+        mode = "free-form" if name in FREE_FORM else "–" if name in {"pose_spoof", *WHOLE_CLOUD} else "on beams"
         rows.append([str(FAMILY[name]), f"`{name}`", mode, what, defaults])
     return table(("family", "name", "mode", "what", "defaults"), rows)
 

@@ -74,22 +74,6 @@ def plates(scan: ExactScan, snapshot: Snapshot, grid: BevGrid, target: Target, c
     return _boxes(cells, center, foot, azimuth, (grid.cell_m, target.width_m, target.height_m))
 
 
-def solids(
-    scan: ExactScan,
-    snapshot: Snapshot,
-    grid: BevGrid,
-    target: Target,
-    cells: NDArray[np.intp],
-    rng: np.random.Generator,
-) -> Boxes:
-    """Return whole targets, centered in their cells and turned at random."""
-    level, yaw = _world_of(scan, grid, cells)
-    c, s = np.cos(yaw), np.sin(yaw)
-    center = _sensor(scan) + level @ np.array([[c, s], [-s, c]])
-    sizes = (target.length_m, target.width_m, target.height_m)
-    return _boxes(cells, center, snapshot.terrain.at(center), rng.uniform(-np.pi, np.pi, len(cells)), sizes)
-
-
 def _sensor(scan: ExactScan) -> F64:
     return scan.world_from_sensor.translation[:2]
 
@@ -180,19 +164,18 @@ class Setting:
     known: NDArray[np.bool_]
 
 
-def place(setting: Setting, target: Target, count: int, rng: np.random.Generator, whole: bool = False) -> Probes:
+def place(setting: Setting, target: Target, count: int, rng: np.random.Generator) -> Probes:
     """Return about ``count`` probes at random cells, as many at all ranges, cast a few dozen at a time.
 
     Args:
         setting: where.
         target: what is placed.
         count: how many places are tried.
-        rng: chooses the cells, and the headings of whole targets.
-        whole: place the whole target, turned at random, instead of the plate of the definition.
+        rng: chooses the cells.
     """
     scan, snapshot, grid = setting.scan, setting.snapshot, setting.truth.grid
     cells = _cells(setting, count, rng)
-    boxes = solids(scan, snapshot, grid, target, cells, rng) if whole else plates(scan, snapshot, grid, target, cells)
+    boxes = plates(scan, snapshot, grid, target, cells)
     free = [
         free_of(snapshot, boxes.select(part), scan.motion.period_s) for part in np.array_split(np.arange(count), 64)
     ]

@@ -21,15 +21,10 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from viewshed._extras import needed_for
-
-if TYPE_CHECKING:
-    import pebble
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -139,43 +134,28 @@ class LocalEngine:
         return self._run_in_processes(pickle.dumps(work), jobs, min(self._size, len(jobs)))
 
     def _run_in_processes(self, work: bytes, jobs: Sequence[J], size: int) -> Generator[Done[R], None, None]:
-        workers: list[BaseProcess] = []
-        pool = self._start(size, workers)
+        import pebble
+
+        def started() -> pebble.ProcessPool:
+            context = multiprocessing.get_context(self._method)
+            pool = pebble.ProcessPool(size, initializer=_watch_parent, context=context)
+            with _without_interrupts():  # Ctrl-C is for this process, and for no thread or process of the pool
+                _ = pool.active  # starts it
+            return pool
 
         def submit(message: bytes) -> Future[bytes]:
             nonlocal pool
             if not pool.active:  # a worker died before it had a job
                 pool.join()
-                pool = self._start(size, workers)
+                pool = started()
             return pool.schedule(_do_locally, (work, message))
 
+        pool = started()
         try:
             yield from _drive(jobs, pickle.dumps, submit, lambda: size, {})
         finally:
             pool.stop()
-            for worker in workers:  # all at once, and those that have just begun to start before their pipes are gone
-                if worker.is_alive():
-                    worker.terminate()
             pool.join()
-            for worker in workers:
-                if worker.is_alive():
-                    worker.kill()
-
-    def _start(self, size: int, workers: list[BaseProcess]) -> pebble.ProcessPool:
-        """Return a pool that notes its processes; no thread and process of it hears Ctrl-C, which is for this one."""
-        import pebble
-
-        context: Any = multiprocessing.get_context(self._method)
-
-        def create(**options: Any) -> BaseProcess:
-            workers.append(context.Process(**options))
-            return workers[-1]
-
-        methods: Any = {name: getattr(context, name) for name in ("Pipe", "RLock", "get_start_method")}
-        pool = pebble.ProcessPool(size, initializer=_watch_parent, context=SimpleNamespace(Process=create, **methods))
-        with _without_interrupts():
-            _ = pool.active  # starts it
-        return pool
 
 
 @dataclass(frozen=True, slots=True)

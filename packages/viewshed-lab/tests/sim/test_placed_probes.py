@@ -13,7 +13,6 @@ from placed_probes import (
     place,
     plates,
     reason,
-    solids,
     with_boxes,
 )
 
@@ -125,7 +124,7 @@ def test_a_moving_solid_keeps_probes_further_away() -> None:
 def test_probes_of_one_cast_never_share_a_beam() -> None:
     setting = _setting()
     cells = np.argwhere(setting.known)[::37]
-    boxes = solids(setting.scan, setting.snapshot, GRID, CAR, cells, np.random.default_rng(1))
+    boxes = plates(setting.scan, setting.snapshot, GRID, CAR, cells)
     rows = apart(setting.scan, boxes, 30)
     assert 5 < len(rows) <= 30
     together = meets(setting, boxes.select(rows))

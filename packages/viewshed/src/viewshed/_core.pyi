@@ -584,3 +584,58 @@ class SweepView:
     def register_on(
         self, views: Sequence[SweepView], transforms: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
+
+# guarantees.cpp
+
+class TargetColumns:
+    def __init__(
+        self,
+        range_m: NDArray[np.float32],
+        azimuth: NDArray[np.float32],
+        fired: NDArray[np.uint8] | None,
+        rings: int,
+        columns: int,
+        cell_m: float,
+        width_m: float,
+        farthest_m: float,
+    ) -> None: ...
+
+class SentBeams:
+    def __init__(
+        self,
+        columns: TargetColumns,
+        low_m: NDArray[np.float32],
+        high_m: NDArray[np.float32],
+        slope: NDArray[np.float32],
+        start_m: NDArray[np.float32],
+    ) -> None: ...
+
+def nearest_returns(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    rotation: NDArray[np.float32],
+    tangent: NDArray[np.float32],
+    origin_m: NDArray[np.float32],
+    columns: int,
+    near_m: float,
+    far_m: float,
+) -> NDArray[np.float32]: ...
+def envelope_margins(sent: SentBeams, nearest: NDArray[np.float32]) -> NDArray[np.int32]: ...
+def cells_of_beams(
+    sent: SentBeams,
+    nearest: NDArray[np.float32],
+    margins: NDArray[np.int32],
+    counts: NDArray[np.bool_],
+    least: int,
+    most: int,
+    opens: bool,
+) -> NDArray[np.float64]: ...
+def wedge_changes(
+    sent: SentBeams,
+    nearest: NDArray[np.float32],
+    margins: NDArray[np.int32],
+    counts: NDArray[np.bool_],
+    least: int,
+    wide: int,
+    opens: bool,
+) -> tuple[int, NDArray[np.bool_]]: ...

@@ -190,3 +190,18 @@ def test_a_short_and_narrow_vehicle_uses_what_is_free_to_it_and_one_that_cannot_
     for wrong in ({"braking_mps2": 0.0}, {"half_width_m": -1.0}, {"delay_s": -0.1}, {"front_m": np.nan}):
         with pytest.raises(ValueError, match="half_width_m and braking_mps2 must be positive"):
             Vehicle(**wrong)
+
+
+@given(st.lists(st.integers(0, 3), max_size=40), RULES, st.integers(0, 2**32 - 1))
+def test_certified_claims_stay_until_the_view_is_stale(levels: list[int], rules: ReactionRules, seed: int) -> None:
+    certified = np.random.default_rng(seed).random(GRID.shape) < 0.5
+    state = states_after([0, *levels], rules)[-1]
+    kept = [
+        withdraw(all_free(), replace(state, caution=caution), None, rules, certified).visible() for caution in Caution
+    ]
+    for caution, claim in zip(Caution, kept, strict=True):
+        alone = withdraw(all_free(), replace(state, caution=caution), None, rules).visible()
+        expected = alone if caution == Caution.STALE else alone | certified
+        assert (claim == expected).all()
+    for less, more in itertools.pairwise(kept):
+        assert not (more & ~less).any()

@@ -36,6 +36,7 @@ from viewshed_lab.threats.attacks import (
     INFORMED,
     PAPER_ATTACK,
     PAPER_INDOOR_ATTACK,
+    WHOLE_CLOUD,
     Attack,
     Knowledge,
 )
@@ -104,7 +105,7 @@ ReadEarlier = Callable[[], tuple[Sweep, ...]]
 
 PAPER = "paper"
 _LASTING = EARLIER | {"coherent_phantom"}
-_FACTORIES = ATTACKS | INFORMED | ADAPTIVE
+_FACTORIES = ATTACKS | INFORMED | ADAPTIVE | WHOLE_CLOUD
 _ROOM_M = 20.0
 
 
@@ -143,7 +144,8 @@ class AttackPlan:
 
     command: ClassVar[str] = "attack"
 
-    attack: str  # a name of ``ATTACKS``, ``INFORMED`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture
+    # a name of ``ATTACKS``, ``INFORMED``, ``WHOLE_CLOUD`` or ``ADAPTIVE``, or ``paper`` for the paper's mixture
+    attack: str
     budget: int | None = None  # most returns; None is the attack's own
     mode: str | None = None  # ``free_form`` or ``beam_constrained``; None is the attack's own
     half_extent_m: float = 64.0  # half the side of the victim's grid

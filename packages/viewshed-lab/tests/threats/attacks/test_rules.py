@@ -18,6 +18,7 @@ from viewshed_lab.threats.attacks import (
     INFORMED,
     PAPER_ATTACK,
     SEVERITIES,
+    WHOLE_CLOUD,
     Knowledge,
     at_severity,
 )
@@ -90,7 +91,7 @@ def test_another_seed_is_another_attack(name: str, simulated: list[Scene]) -> No
 
 def test_the_tables_fit_together() -> None:
     assert set(BUDGETS) == set(ATTACKS)
-    assert set(FAMILY) == set(ATTACKS | INFORMED)
+    assert set(FAMILY) == set(ATTACKS | INFORMED | WHOLE_CLOUD)
     assert {FAMILY[name] for name in ATTACKS} == {*range(1, 15), 17}
     assert FREE_FORM | set(SEVERITIES) <= set(ATTACKS)
     for name, budgets in BUDGETS.items():

@@ -19,6 +19,7 @@ NB_MODULE(_core, m) {
     viewshed::bind_height_map(m);
     viewshed::bind_visibility(m);
     viewshed::bind_evidence(m);
+    viewshed::bind_guarantees(m);
     viewshed::bind_boxes(m);
     viewshed::bind_object_candidates(m);
     viewshed::bind_shape_classifier(m);

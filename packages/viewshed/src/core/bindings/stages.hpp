@@ -16,6 +16,7 @@ void bind_grid(nb::module_& m);
 void bind_height_map(nb::module_& m);
 void bind_visibility(nb::module_& m);
 void bind_evidence(nb::module_& m);
+void bind_guarantees(nb::module_& m);
 void bind_boxes(nb::module_& m);
 void bind_object_candidates(nb::module_& m);
 void bind_shape_classifier(nb::module_& m);

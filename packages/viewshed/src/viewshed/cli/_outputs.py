@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from viewshed.estimators import Estimator
     from viewshed.fov.estimate import FovEstimate
+    from viewshed.guarantees.envelope import Threat
     from viewshed.monitor import StreamMonitor
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
@@ -193,6 +194,7 @@ class Run:
         monitor: says what it finds in each sweep; None without one.
         crs: reference system of the poses, for the formats that have one; None for none.
         dark: whether pictures are on a dark page.
+        certify: against what the claims are certified, ``added`` or ``replaced:5``; None where they are not.
     """
 
     estimator: Estimator
@@ -202,6 +204,7 @@ class Run:
     monitor: StreamMonitor | None = None
     crs: str | None = None
     dark: bool = False
+    certify: Threat | None = None
     _is_warm: bool = field(default=False, init=False)
 
     def summaries(self, sweeps: Iterable[Named], failures: Failures, batch: int = 1) -> Iterator[Summary]:
@@ -290,8 +293,15 @@ class Run:
 
         report_doubts(leveled, name)
         estimate = replace(estimate, threshold=self.threshold)
+        certified: tuple[str, ...] = ()
+        if self.certify is not None:
+            from viewshed.guarantees.certificate import certify
+
+            certificate = certify(leveled, estimate, self.certify)
+            estimate, certified = certificate.withdraw(estimate), (certificate.line,)
         places = self.places(name)
-        summary = Summary(name, estimate, elapsed_ms, tuple(places), _remarks(leveled, estimate))
+        remarks = (*certified, *_remarks(leveled, estimate))
+        summary = Summary(name, estimate, elapsed_ms, tuple(places), remarks)
         for kind, place in zip(self.results, places, strict=True):
             if kind == "png":
                 write_atomic(place, estimate.plot(leveled, f"{name}\n{summary_line(estimate, elapsed_ms)}", self.dark))

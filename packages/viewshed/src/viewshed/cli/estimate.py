@@ -57,6 +57,15 @@ Batch = Annotated[
     ),
 ]
 
+Certify = Annotated[
+    str | None,
+    typer.Option(
+        metavar="THREAT",
+        help="Claim only what no such attack can have opened: added (any points), replaced:5 (beams), window:5, wedge:10"
+        " (degrees), dropped:5. Needs --sensor, --height and --attitude, unless the file says them.",
+    ),
+]
+
 Results = Annotated[
     str, typer.Option(help="What is written of each sweep: some of png,geojson,npz, or other formats of export.")
 ]
@@ -80,6 +89,7 @@ def estimate(
     history: HistorySweeps = 0,
     require_confirmation: RequireConfirmation = False,
     batch: Batch = 1,
+    certify: Certify = None,
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
@@ -95,6 +105,7 @@ def estimate(
     Example: viewshed estimate sweep.pcd.bin --out out
     """
     from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
+    from viewshed.guarantees.envelope import Threat
     from viewshed.io.export.crs import crs_of
 
     if history and batch > 1:
@@ -112,6 +123,7 @@ def estimate(
         estimator = TemporalEstimator(estimator, SweepBuffer(history), require_confirmation)
     watch = watching(monitor, monitor_file)
     run = Run(estimator, network.threshold(threshold, estimator, parameters), out, kinds, watch, crs, dark)
+    run.certify = None if certify is None else Threat.parse(certify)
     reading = replace(reading, crs=crs)
     if crs is not None:
         crs_of(crs)

@@ -130,6 +130,7 @@ def withdraw(
     state: ReactionState,
     confirmed: NDArray[np.bool_] | None = None,
     rules: ReactionRules = RULES,
+    certified: NDArray[np.bool_] | None = None,
 ) -> FovEstimate:
     """Return an estimate without what does not hold: these cells are UNKNOWN, whatever they were.
 
@@ -138,6 +139,8 @@ def withdraw(
         state: after the sweep.
         confirmed: (cells, cells) bool, what earlier sweeps saw as well; None where there are none: nothing is.
         rules: how many sectors beside a suspect one are not trusted.
+        certified: (cells, cells) bool, the claims that no attack of the certificate's threat can have opened
+            (:mod:`viewshed.guarantees.certificate`): they stay whatever is found, until the view is stale. None: none.
     """
     if state.caution < Caution.WIDEN:
         return estimate
@@ -150,6 +153,8 @@ def withdraw(
         lost[:] = True
     elif state.caution == Caution.CONFIRMED:
         lost |= True if confirmed is None else ~confirmed
+    if certified is not None and state.caution != Caution.STALE:
+        lost &= ~certified
     below = np.nextafter(np.float32(estimate.threshold), np.float32(0.0))
     return replace(
         estimate,

@@ -42,13 +42,54 @@ from viewshed_lab.threats.attacks.points import (
 from viewshed_lab.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed_lab.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
+from viewshed_lab.threats.attacks.whole_cloud import (
+    Blinding,
+    Mirror,
+    SensorNoise,
+    ShiftedAxis,
+    TrojanInjects,
+    TrojanSuppresses,
+)
 
 __all__ = [
-    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY",
-    "FREE_FORM", "FULL_WEDGE", "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY",
-    "ROAD_EXTENT_M", "SEVERITIES", "Attack", "AttackFactory", "BlackBox", "CopiedObject", "Evade",
-    "Expectation", "Knowledge", "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer",
-    "Tampered", "Trip", "UnderClaim", "VanishedObject", "Wedge", "WhiteBox", "at_severity", "smallest_budget",
+    "ADAPTIVE",
+    "ATTACKS",
+    "BITS",
+    "BUDGETS",
+    "CLEAN_SPOOFER",
+    "EARLIER",
+    "FAMILY",
+    "FREE_FORM",
+    "FULL_WEDGE",
+    "INFORMED",
+    "NULL",
+    "PAPER_ATTACK",
+    "PAPER_INDOOR_ATTACK",
+    "RELIABILITY",
+    "ROAD_EXTENT_M",
+    "SEVERITIES",
+    "WHOLE_CLOUD",
+    "Attack",
+    "AttackFactory",
+    "BlackBox",
+    "CopiedObject",
+    "Evade",
+    "Expectation",
+    "Knowledge",
+    "MonitorScore",
+    "Objective",
+    "OverClaim",
+    "Placement",
+    "SearchResult",
+    "Spoofer",
+    "Tampered",
+    "Trip",
+    "UnderClaim",
+    "VanishedObject",
+    "Wedge",
+    "WhiteBox",
+    "at_severity",
+    "smallest_budget",
     "tripped_shares",
 ]  # fmt: skip
 
@@ -138,6 +179,27 @@ ATTACKS: dict[str, AttackFactory] = {name: partial(_make, name) for name in _MAK
 """By name, with sound parameters. Attacks that last need ``Knowledge(earlier=…)``."""
 
 
+_WHOLE: dict[str, Callable[[Knowledge], Attack]] = {
+    "shifted_axis": lambda known: ShiftedAxis(),
+    "sensor_noise": lambda known: SensorNoise(),
+    "blinding": lambda known: Blinding(),
+    "mirror_adds": lambda known: Mirror(range_m=8.0 * known.scale),
+    "mirror_removes": lambda known: Mirror(range_m=8.0 * known.scale, turn_deg=0.0, tilt_deg=40.0),
+    "trojan_injects": lambda known: TrojanInjects(range_m=max(12.0 * known.scale, 4.0)),
+    "trojan_suppresses": lambda known: TrojanSuppresses(far_m=max(30.0 * known.scale, 8.0)),
+}
+
+
+def _make_whole(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
+    if budget is not None:
+        raise ValueError(f"attack {name} must be left without a budget, got {budget}: it works on the whole cloud")
+    return _WHOLE[name](knowledge)
+
+
+WHOLE_CLOUD: dict[str, AttackFactory] = {name: partial(_make_whole, name) for name in _WHOLE}
+"""Attacks on the whole cloud, mirrors, and trojans in the driver: no beam model binds them, and no budget."""
+
+
 def _make_null(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
     if knowledge.again is None:
         raise ValueError(
@@ -159,8 +221,10 @@ FAMILY: dict[str, int] = {
     "relay": 12, "pose_spoof": 13, "removal_and_far_wall": 14, "far_wall_aimed": 7, "removal_aimed": 8,
     "removal_and_far_wall_aimed": 14, "wedge_cluster_clean": 17, "ghost_car_clean": 17, "ghost_wall_clean": 17,
     "far_wall_clean": 17, "removal_and_far_wall_clean": 17, "vanished_object": 15, "copied_object": 15,
+    "shifted_axis": 18, "sensor_noise": 18,
+    "blinding": 19, "mirror_adds": 20, "mirror_removes": 20, "trojan_injects": 21, "trojan_suppresses": 21,
 }  # fmt: skip
-"""The number of the family that each of ``ATTACKS`` and ``INFORMED`` belongs to."""
+"""The number of the family that each of ``ATTACKS``, ``INFORMED`` and ``WHOLE_CLOUD`` belongs to."""
 
 FREE_FORM = frozenset({"uniform", "cluster", "wedge_cluster_free", "frustum_free"})
 """Attacks that add points anywhere; ``pose_spoof`` touches no return, and all others keep to the beams."""

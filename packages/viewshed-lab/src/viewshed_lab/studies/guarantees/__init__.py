@@ -1,0 +1,1 @@
+"""What cannot be over-claimed, measured: certificates, attacks on them, masks with a promised error."""

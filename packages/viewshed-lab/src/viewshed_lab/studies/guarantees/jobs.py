@@ -1,0 +1,169 @@
+"""The jobs of the study, one line of JSON each; those that are in the folder already are not done again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from viewshed._files import write_atomic
+from viewshed.estimators import DEFAULT_ESTIMATOR
+from viewshed.guarantees.conformal import BANDS_M, EROSIONS, PLACE_EDGES, THRESHOLDS, Calibration, SceneCounts
+from viewshed_lab.data.wild import wild_scenes
+from viewshed_lab.studies.guarantees import attacks
+from viewshed_lab.studies.guarantees.scenes import (
+    GRID,
+    certificates_of,
+    counts_of,
+    guaranteed_of,
+    own_scene,
+    wild_scene,
+)
+
+TARGETS = ("car", "pedestrian")
+
+SENSOR = "HDL-32E"
+
+ALPHA, DELTA = 0.05, 0.1
+
+Line = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """How much is done: scenes of each part, and attacks of each kind on a scene."""
+
+    certificates: int
+    calibration: int
+    report: int
+    development: int
+    attacks: int
+    toys: int
+    each: int
+
+
+SIZES = {
+    "tiny": Sizes(2, 100, 4, 0, 1, 1, 10),
+    "small": Sizes(65, 300, 400, 60, 20, 80, 80),
+    "full": Sizes(65, 600, 1000, 60, 50, 160, 80),
+}
+
+
+def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> None:
+    """Do what is not done yet."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in _left(folder, "certificates", sizes.certificates, on_line):
+        _add(folder, "certificates", number, certificates_of(own_scene("certificates", number)))
+    for number in _left(folder, "calibration", sizes.calibration, on_line):
+        scene = own_scene("calibration", number)
+        _add(folder, "calibration", number, {t: _packed(counts_of(scene, t, number)[1]) for t in TARGETS})
+    for number in _left(folder, "development", sizes.development, on_line):
+        scene, told = wild_scene(wild_scenes("development", "road")[number])
+        estimate, counts = counts_of(scene, "car", number)
+        default = guaranteed_of(scene, "car", estimate, estimate.visible())
+        _add(folder, "development", number, {"car": _packed(counts), "default": default, "sensor": told})
+    calibrations = {target: calibration_of(folder, target) for target in TARGETS}
+    for number in _left(folder, "report", sizes.report, on_line):
+        scene, found = own_scene("report", number), {}
+        for target, calibration in calibrations.items():
+            estimate, _ = counts_of(scene, target, number)
+            found[target] = guaranteed_of(scene, target, estimate, calibration.mask(estimate, ALPHA, DELTA))
+        _add(folder, "report", number, found)
+    for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
+        _add(folder, "attacks", number, attack_scene(number, sizes))
+
+
+def lines_of(folder: Path, part: str) -> list[Line]:
+    """Return what is done of a part, in order."""
+    file = folder / f"{part}.jsonl"
+    if not file.exists():
+        return []
+    lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    return sorted(lines, key=lambda line: int(line["number"]))
+
+
+def calibration_of(folder: Path, target: str) -> Calibration:
+    """Return the calibration of the own scenes in a folder, in an order drawn by chance."""
+    scenes = [_unpacked(line[target]) for line in lines_of(folder, "calibration")]
+    order = np.random.Generator(np.random.PCG64(36)).permutation(len(scenes))
+    return Calibration.fit([scenes[k] for k in order], SENSOR, target, DEFAULT_ESTIMATOR, ALPHA)
+
+
+def ship(folder: Path, file: Path) -> None:
+    """Write the calibrations of a folder to the file that the package reads."""
+    tables = [calibration_of(folder, target).to_json() for target in TARGETS]
+    write_atomic(file, (json.dumps(tables, separators=(",", ":")) + "\n").encode())
+
+
+def retested_shares(folder: Path) -> list[Line]:
+    """Return false share and recall of development scenes, each by a calibration retested on all others' folds of ten."""
+    lines = lines_of(folder, "development")
+    if not lines:
+        return []
+    scenes, own = [_unpacked(line["car"]) for line in lines], calibration_of(folder, "car")
+    order, found = np.random.Generator(np.random.PCG64(36)).permutation(len(lines)), []
+    for fold in np.array_split(order, max(len(lines) // 10, 2)):
+        others = [scenes[k] for k in order if k not in fold]
+        retested = own.retested(others, "development") if len(others) >= 50 else own
+        step, plain = retested.step(ALPHA, DELTA), own.step(ALPHA, DELTA)
+        for k in fold:
+            found.append({**lines[k]["default"], "sensor": lines[k]["sensor"],
+                          "own": _share_of(scenes[k], own, plain), "retested": _share_of(scenes[k], own, step)})  # fmt: skip
+    return found
+
+
+def _share_of(scene: SceneCounts, path: Calibration, step: int) -> tuple[float, float]:
+    """Return the false share of a step's claim and the part it keeps of what the default rightly claims."""
+    if step < 0:
+        return 0.0, 0.0
+    levels, bands = np.searchsorted(THRESHOLDS, path.path[step]), np.arange(len(BANDS_M) - 1)
+    erosion = EROSIONS.index(path.erosion)
+    right, false = (float(counts[erosion, bands, levels].sum()) for counts in (scene.right, scene.false))
+    return false / max(right + false, 1.0), right / max(float(scene.right[0, :, 0].sum()), 1.0)
+
+
+def attack_scene(number: int, sizes: Sizes) -> Line:
+    """Return the tally of the attacks on a scene, an own one or a toy, by threat and kind."""
+    rng, found = np.random.Generator(np.random.PCG64(number)), {}
+    is_toy = number >= sizes.attacks
+    victim = attacks.toy_victim(rng) if is_toy else attacks.own_victim(
+        own_scene("attacks", number).leveled.sweep, GRID if number % 4 == 0 else attacks.NEAR_GRID
+    )  # fmt: skip
+    for words in attacks.TRIED_TOY if is_toy else attacks.TRIED:
+        for how in attacks.HOW:
+            tally = attacks.Tally()
+            attacks.try_attacks(victim, words, how, sizes.each, rng, tally)
+            found[f"{words} | {how}"] = asdict(tally)
+    if is_toy:
+        tally = attacks.Tally()
+        attacks.try_all(victim, 1 + number % 3, 3 * sizes.each, tally)
+        found["dropped:1-3 | exhaustive"] = asdict(tally)
+    return {"toy": is_toy, "tallies": found}
+
+
+def _left(folder: Path, part: str, count: int, on_line: Callable[[str], None]) -> Iterator[int]:
+    done = {line["number"] for line in lines_of(folder, part)}
+    for number in range(count):
+        if number not in done:
+            yield number
+        if (number + 1) % 50 == 0 or number + 1 == count:
+            on_line(f"{part}: {number + 1} of {count}")
+
+
+def _add(folder: Path, part: str, number: int, line: Line) -> None:
+    with (folder / f"{part}.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"number": number, **line}) + "\n")
+
+
+def _packed(counts: SceneCounts) -> dict[str, Any]:
+    return {name: getattr(counts, name).ravel().tolist() for name in ("right", "false", "drawn")}
+
+
+def _unpacked(packed: dict[str, Any]) -> SceneCounts:
+    shape, places = (len(EROSIONS), len(BANDS_M) - 1, len(THRESHOLDS)), (len(BANDS_M) - 1, len(PLACE_EDGES))
+    right, false = (np.array(packed[name], np.int64).reshape(shape) for name in ("right", "false"))
+    return SceneCounts(right, false, np.array(packed["drawn"], np.int8).reshape(places))

@@ -1,0 +1,131 @@
+"""The scenes of the study, and what is measured on each without an attack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from viewshed.arrays import F32, Mask
+from viewshed.estimators import DEFAULT_ESTIMATOR, Estimator, load_estimator
+from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.height_map import HeightMap
+from viewshed.fov.visibility import TARGETS, Target
+from viewshed.grid import GRIDS
+from viewshed.guarantees.certificate import certify
+from viewshed.guarantees.conformal import SceneCounts
+from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed_lab.data.presets import Preset, preset_named
+from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
+from viewshed_lab.data.wild import WildScene
+
+FRAME = 11
+
+SEEDS = {"calibration": 3601, "report": 3602, "certificates": 3603, "attacks": 3604}
+"""Of the own preset's scenes; no two parts of the study share a scene."""
+
+GRID = GRIDS["road"]
+
+THREATS = ("added", "replaced:5", "window:5", "replaced:150", "wedge:10", "dropped:20")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A sweep with its exact truth.
+
+    Attributes:
+        name: of the scene.
+        leveled: the sweep.
+        visible: by target name (cells, cells) exact truth.
+        known: (cells, cells) where that is known.
+        ground: exact heights of the ground.
+    """
+
+    name: str
+    leveled: LeveledSweep
+    visible: dict[str, Mask]
+    known: Mask
+    ground: HeightMap
+
+
+def own_scene(part: str, number: int) -> Scene:
+    """Return a scene of the preset nuscenes with a seed of this study."""
+    preset: Preset = replace(preset_named("nuscenes"), seed=SEEDS[part])
+    plan = ScenePlan(preset, 0, number)
+    seen, world = observe_frame(plan, FRAME), world_of(plan)
+    centers, pose, terrain = GRID.centers, seen.scan.world_from_sensor, world.ground_of(world.agents[0])
+    heights = terrain.about(pose, centers[:, 0, 0].copy(), centers[0, :, 1].copy())[0]
+    below = terrain.about(pose, np.zeros(1), np.zeros(1))[0][0, 0]
+    truth = {name: seen.truth.visible(name) for name in TARGETS}
+    return Scene(plan.name, level(seen.image.sweep(), GRID), truth, seen.known, _lattice(heights - below))
+
+
+def wild_scene(scene: WildScene) -> tuple[Scene, str]:
+    """Return the first sweep of a scene in the wild, which says its rings, and its sensor."""
+    sample = scene.observe(0).sample("rings")
+    truth = {name: sample.truth.visible(name) for name in TARGETS}
+    return Scene(sample.scene, level(sample.sweep, GRID), truth, sample.known, sample.exact_ground), sample.sensor
+
+
+def _lattice(heights: F32) -> HeightMap:
+    blocks = heights.reshape(64, 4, 64, 4)[:, 1:3, :, 1:3].mean(axis=(1, 3))
+    return HeightMap(blocks.astype(np.float32), GRID.half_extent_m, np.ones((64, 64), np.bool_))
+
+
+def default_estimator(target: Target) -> Estimator:
+    """Return the default estimator of a target."""
+    return load_estimator(DEFAULT_ESTIMATOR, grid=GRID, target=target)
+
+
+def areas(claim: Mask, visible: Mask, known: Mask) -> tuple[float, float, float]:
+    """Return the area in m² that is claimed and visible, claimed and not, and visible, where the truth is known."""
+    return tuple(
+        float((cells & known).sum()) * GRID.cell_area_m2 for cells in (claim & visible, claim & ~visible, visible)
+    )  # type: ignore[return-value]
+
+
+def certificates_of(scene: Scene) -> dict[str, Any]:
+    """Return for each threat and for each ground that is given what the envelope and the final claim are worth."""
+    target, visible, leveled = TARGETS["car"], scene.visible["car"], scene.leveled
+    estimate = default_estimator(target).estimate(leveled)
+    found: dict[str, Any] = {"name": scene.name, "default": areas(estimate.visible(), visible, scene.known)}
+    grounds = {
+        "height and attitude": Given.of(leveled, grade=0.0),
+        f"height and attitude, slope {GRADE:g}": Given.of(leveled),
+        "exact ground": Given.of(leveled, scene.ground, 0.0),
+    }
+    for name, given in grounds.items():
+        envelope = Envelope.of(leveled, given, GRID, target)
+        for words in THREATS:
+            threat = Threat.parse(words)
+            certificate = certify(leveled, estimate, threat, given)
+            # What is certified by the envelope alone, whatever an estimator claims.
+            gain_m2, _ = envelope.changeable(threat, ~envelope.claim(), opens=True)
+            _, spent = envelope.changeable(threat, envelope.claim(), opens=False)
+            found[f"{name} | {words}"] = {
+                "envelope": areas(envelope.claim(), visible, scene.known),
+                "certified envelope": areas(envelope.claim() & ~spent, visible, scene.known),
+                "final": areas(certificate.claim, visible, scene.known),
+                "certified": areas(certificate.certified_visible, visible, scene.known),
+                "gain_m2": gain_m2, "over_claim_m2": certificate.over_claim_m2,
+            }  # fmt: skip
+    return found
+
+
+def counts_of(scene: Scene, target: str, number: int) -> tuple[FovEstimate, SceneCounts]:
+    """Return the default estimate of a scene and its counts for calibration."""
+    estimate = default_estimator(TARGETS[target]).estimate(scene.leveled)
+    rng = np.random.Generator(np.random.PCG64(number))
+    return estimate, SceneCounts.of(estimate, scene.visible[target], scene.known, rng)
+
+
+def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask) -> dict[str, Any]:
+    """Return the false share of a guaranteed mask and its recall, of the truth and of what the default rightly claims."""
+    right, false, total = areas(claim, scene.visible[target], scene.known)
+    default = areas(estimate.visible(), scene.visible[target], scene.known)
+    return {
+        "name": scene.name, "false_share": false / max(right + false, 1e-9), "recall": right / max(total, 1e-9),
+        "of_default": right / max(default[0], 1e-9), "default_false_share": default[1] / max(sum(default[:2]), 1e-9),
+    }  # fmt: skip

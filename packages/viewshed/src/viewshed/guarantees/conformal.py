@@ -1,0 +1,325 @@
+"""Masks with a promised error on benign data, and a lower bound of visibility at a place.
+
+**Mask.** Learn, then test (Angelopoulos et al., arXiv 2110.01052). On one half of the calibration scenes a path of masks
+is learned, from strict to loose: a threshold of the probability for each range band and perhaps an erosion by a cell. On
+the other half each mask is tested, the strictest first: is the false share of a scene's claim above α in more than a
+share δ of scenes? The exact binomial test rejects that at the level 1 - confidence, and the last mask before the
+first that is not rejected is taken. So with probability ``confidence`` over the calibration, P(false share ≤ α) ≥ 1 - δ
+for a new scene that is exchangeable with the calibration's: same kind of places, sensor, target, mounting, no attack.
+
+**Place.** Of each calibration scene one cell is drawn in every bin of probability and range band, so that draws are
+independent. The Clopper-Pearson bound of their share that is visible holds for a cell of a new scene in that bin.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from math import lgamma
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F32, F64, Mask
+from viewshed.fov.estimate import FovEstimate
+from viewshed.geometry import FloatArray
+from viewshed.grid import BevGrid, polar_of_cells
+
+BANDS_M = (0.0, 15.0, 30.0, 45.0, np.inf)
+"""Edges of the range bands."""
+
+THRESHOLDS = np.concatenate([np.linspace(0.5, 0.9, 17), 1.0 - np.geomspace(0.08, 1e-6, 15)]).astype(np.float32)
+"""Thresholds that are tried."""
+
+EROSIONS = (0, 1)
+"""Cells by which a mask may be eroded."""
+
+PLACE_EDGES = np.array([0.5, 0.6, 0.75, 0.9, 0.99, 0.999], np.float32)
+"""Lower edges of the bins of probability in which places are counted."""
+
+LEAST_SCENES = 50
+"""Scenes that a recalibration needs."""
+
+_STEPS = 24
+_TABLE = "conformal.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneCounts:
+    """What calibration needs of one scene.
+
+    Attributes:
+        right: (EROSIONS, bands, THRESHOLDS) known cells claimed and visible.
+        false: the same, not visible.
+        drawn: (bands, PLACE_EDGES) of one cell drawn in each bin: 1 visible, 0 not, -1 no cell there.
+    """
+
+    right: NDArray[np.int64]
+    false: NDArray[np.int64]
+    drawn: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, estimate: FovEstimate, visible: Mask, known: Mask, rng: np.random.Generator) -> SceneCounts:
+        """Return the counts of an estimate against the truth (cells, cells) where that is known."""
+        bands, prob = band_of_cells(estimate.grid), estimate.visible_prob
+        shape = (len(EROSIONS), len(BANDS_M) - 1, len(THRESHOLDS))
+        right, false = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+        for e, erosion in enumerate(EROSIONS):
+            for t, threshold in enumerate(THRESHOLDS):
+                claim = eroded(prob >= threshold, erosion) & known
+                for counts, cells in ((right, claim & visible), (false, claim & ~visible)):
+                    counts[e, :, t] = np.bincount(bands[cells], minlength=shape[1])
+        drawn = np.full((shape[1], len(PLACE_EDGES)), -1, np.int8)
+        bins = np.searchsorted(PLACE_EDGES, prob, side="right") - 1
+        for band in range(shape[1]):
+            for number in range(len(PLACE_EDGES)):
+                cells = np.flatnonzero(known & (bands == band) & (bins == number))
+                if len(cells):
+                    drawn[band, number] = visible.flat[rng.choice(cells)]
+        return cls(right, false, drawn)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What was measured on calibration scenes of one sensor, target and method.
+
+    Attributes:
+        sensor: beam table, or what the scenes have in common.
+        target: name of the target.
+        method: name of the estimator.
+        erosion: of all masks of the path.
+        path: (steps, bands) thresholds, the strictest mask first.
+        shares: (steps, scenes) false share of the claim in each test scene.
+        seen: (bands, PLACE_EDGES, 2) cells drawn in each bin, and how many of them were visible.
+    """
+
+    sensor: str
+    target: str
+    method: str
+    erosion: int
+    path: F32
+    shares: F32
+    seen: NDArray[np.int64]
+
+    @classmethod
+    def fit(
+        cls, scenes: Sequence[SceneCounts], sensor: str, target: str, method: str, alpha: float = 0.05
+    ) -> Calibration:
+        """Return the calibration of scenes: the first half is learned from, the second tests.
+
+        Args:
+            scenes: at least twice LEAST_SCENES, in an order drawn by chance.
+            sensor: beam table.
+            target: name of the target.
+            method: name of the estimator.
+            alpha: false share at which the path claims the most.
+        """
+        if len(scenes) < 2 * LEAST_SCENES:
+            raise ValueError(f"scenes must be {2 * LEAST_SCENES} or more, got {len(scenes)}; simulate or label more")
+        learn, test = scenes[: len(scenes) // 2], scenes[len(scenes) // 2 :]
+        erosion, levels = _best_path(learn, alpha)
+        return cls(
+            sensor, target, method, EROSIONS[erosion], THRESHOLDS[levels], _shares(test, erosion, levels), _seen(test)
+        )  # fmt: skip
+
+    def retested(self, scenes: Sequence[SceneCounts], sensor: str) -> Calibration:
+        """Return the same path, tested on scenes of another domain: labelled ones, or such with cross-view labels.
+
+        The promise is then about that domain. It needs no weights, since the path was fixed before.
+
+        Raises:
+            ValueError: there are fewer than 50 scenes.
+        """
+        if len(scenes) < LEAST_SCENES:
+            raise ValueError(f"recalibration needs {LEAST_SCENES} scenes or more, got {len(scenes)}; label more sweeps")
+        levels = np.searchsorted(THRESHOLDS, self.path)
+        shares = _shares(scenes, EROSIONS.index(self.erosion), levels)
+        return Calibration(sensor, self.target, self.method, self.erosion, self.path, shares, _seen(scenes))
+
+    def step(self, alpha: float, delta: float, confidence: float = 0.9) -> int:
+        """Return the step of the path that the tests allow, -1 where they allow none.
+
+        Raises:
+            ValueError: a number lies outside (0, 1).
+        """
+        for name, value in (("alpha", alpha), ("delta", delta), ("confidence", confidence)):
+            if not 0.0 < value < 1.0:
+                raise ValueError(f"{name} must lie in (0, 1), got {value:g}")
+        broken, scenes = (self.shares > alpha).sum(axis=1), self.shares.shape[1]
+        refused = [binomial_tail(int(count), scenes, delta) > 1.0 - confidence for count in broken]
+        return int(np.argmax([*refused, True])) - 1
+
+    def mask(self, estimate: FovEstimate, alpha: float = 0.05, delta: float = 0.1, confidence: float = 0.9) -> Mask:
+        """Return the cells (cells, cells) of the loosest mask whose false share is at most α in a share 1 - δ of scenes.
+
+        Raises:
+            ValueError: the calibration is another target's or method's, a number lies outside (0, 1), or so few scenes
+                promise nothing at that δ.
+        """
+        self._check(estimate)
+        step = self.step(alpha, delta, confidence)
+        if step < 0:
+            raise ValueError(
+                f"nothing is guaranteed at alpha {alpha:g}, delta {delta:g} by {self.shares.shape[1]} scenes;"
+                " choose a larger one, or calibrate on more scenes"
+            )
+        # Every band has its threshold; eroded, each mask by itself.
+        bands, prob = band_of_cells(estimate.grid), estimate.visible_prob
+        if not self.erosion:
+            claim: Mask = prob >= self.path[step][bands]
+            return claim
+        claim = np.zeros(estimate.grid.shape, np.bool_)
+        for band, threshold in enumerate(self.path[step]):
+            claim |= eroded(prob >= threshold, self.erosion) & (bands == band)
+        return claim
+
+    def at(self, estimate: FovEstimate, xy: FloatArray, confidence: float = 0.95) -> F64:
+        """Return the lower bound (…,) of the probability that a target at points (…, 2+) of ``level`` is visible.
+
+        0 where nothing is claimed, NaN outside the grid.
+        """
+        self._check(estimate)
+        cells, inside = estimate.grid.index(xy)
+        i, j = cells[..., 0], cells[..., 1]
+        bins = np.searchsorted(PLACE_EDGES, estimate.visible_prob[i, j], side="right") - 1
+        bound = np.zeros((self.seen.shape[0], len(PLACE_EDGES) + 1))
+        for band, number in np.ndindex(self.seen.shape[:2]):
+            count, visible = self.seen[band, number]
+            bound[band, number] = lower_bound(int(visible), int(count), confidence)
+        found: F64 = np.where(inside, bound[band_of_cells(estimate.grid)[i, j], bins], np.nan)
+        return found
+
+    def _check(self, estimate: FovEstimate) -> None:
+        if (estimate.target.name, estimate.method) != (self.target, self.method):
+            raise ValueError(
+                f"the calibration must be of {estimate.method} and {estimate.target.name}, got one of {self.method} and"
+                f" {self.target}; fit one for it"
+            )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the calibration as plain values."""
+        return {
+            "sensor": self.sensor, "target": self.target, "method": self.method, "erosion": self.erosion,
+            "levels": np.searchsorted(THRESHOLDS, self.path).tolist(),
+            "shares": [[round(float(share), 4) for share in step] for step in self.shares],
+            "seen": self.seen.tolist(),
+        }  # fmt: skip
+
+    @classmethod
+    def from_json(cls, table: dict[str, Any]) -> Calibration:
+        """Return the calibration in plain values."""
+        levels, shares, seen = (np.array(table[key]) for key in ("levels", "shares", "seen"))
+        return cls(
+            table["sensor"], table["target"], table["method"], table["erosion"], THRESHOLDS[levels],
+            shares.astype(np.float32), seen,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def shipped() -> tuple[Calibration, ...]:
+    """Return the calibrations of the package."""
+    text = resources.files("viewshed.guarantees").joinpath(_TABLE).read_text(encoding="utf-8")
+    return tuple(Calibration.from_json(table) for table in json.loads(text))
+
+
+def calibration_for(sensor: str, target: str, method: str) -> Calibration:
+    """Return the shipped calibration.
+
+    Raises:
+        ValueError: there is none; the message lists those that exist.
+    """
+    for one in shipped():
+        if (one.sensor, one.target, one.method) == (sensor, target, method):
+            return one
+    known = "; ".join(f"{one.sensor}, {one.target}, {one.method}" for one in shipped())
+    raise ValueError(
+        f"no calibration for {sensor}, {target}, {method}, only for: {known}; fit one on {LEAST_SCENES} labelled sweeps"
+        " (Calibration.retested)"
+    )
+
+
+@lru_cache(maxsize=8)
+def band_of_cells(grid: BevGrid) -> NDArray[np.intp]:
+    """Return the range band (cells, cells) of each cell."""
+    bands = np.digitize(polar_of_cells(grid)[0], BANDS_M[1:-1])
+    bands.setflags(write=False)
+    return bands
+
+
+def eroded(claim: Mask, cells: int) -> Mask:
+    """Return a mask without the cells that have an unclaimed one beside them, so many times; beyond the grid all is."""
+    for _ in range(cells):
+        inner = claim.copy()
+        inner[1:] &= claim[:-1]
+        inner[:-1] &= claim[1:]
+        inner[:, 1:] &= claim[:, :-1]
+        inner[:, :-1] &= claim[:, 1:]
+        claim = inner
+    return claim
+
+
+def binomial_tail(count: int, trials: int, share: float) -> float:
+    """Return P(N ≤ count) of a binomial N.
+
+    >>> round(binomial_tail(1, 50, 0.1), 4)
+    0.0338
+    """
+    k = np.arange(count + 1)
+    logs = [lgamma(trials + 1) - lgamma(n + 1) - lgamma(trials - n + 1) for n in k]
+    return float(min(np.exp(np.array(logs) + k * np.log(share) + (trials - k) * np.log1p(-share)).sum(), 1.0))
+
+
+def lower_bound(count: int, trials: int, confidence: float) -> float:
+    """Return the one-sided Clopper-Pearson lower bound of a share: ``count`` of ``trials``.
+
+    >>> round(lower_bound(59, 59, 0.95), 3)
+    0.95
+    """
+    if count == 0:
+        return 0.0
+    low, high = 0.0, 1.0
+    # The share at which so many or more are as rare as 1 - confidence, by bisection.
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (
+            (middle, high) if 1.0 - binomial_tail(count - 1, trials, middle) < 1.0 - confidence else (low, middle)
+        )
+    return low
+
+
+def _best_path(scenes: Sequence[SceneCounts], alpha: float) -> tuple[int, NDArray[np.intp]]:
+    """Return the erosion and the levels (steps, bands) that claim the most of what is visible where α is kept."""
+    right, false = (np.sum([getattr(scene, name) for scene in scenes], axis=0) for name in ("right", "false"))
+    # In each band, the false share of all that is at or above a threshold: the largest share allowed gives the levels.
+    share = false / np.maximum(right + false, 1)
+    allowed = np.geomspace(0.002, 0.5, _STEPS)
+    best, found = -1.0, (0, np.zeros((_STEPS, right.shape[1]), np.intp))
+    for erosion in range(len(EROSIONS)):
+        fits = share[erosion][None] <= allowed[:, None, None]
+        levels = np.where(fits.any(axis=-1), fits.argmax(axis=-1), len(THRESHOLDS) - 1)
+        kept = (_shares(scenes, erosion, levels) > alpha).mean(axis=1) <= alpha
+        step = int(np.flatnonzero(kept)[-1]) if kept.any() else 0
+        claimed = float(np.take_along_axis(right[erosion], levels[step][:, None], axis=1).sum())
+        if claimed > best:
+            best, found = claimed, (erosion, levels)
+    return found
+
+
+def _shares(scenes: Iterable[SceneCounts], erosion: int, levels: NDArray[np.intp]) -> F32:
+    """Return the false share (steps, scenes) of the claim of each mask of a path; 0 where nothing is claimed."""
+    bands = np.arange(levels.shape[1])
+    right, false = (
+        np.array([getattr(scene, name)[erosion][bands, levels].sum(axis=1) for scene in scenes])
+        for name in ("right", "false")
+    )
+    shares: F32 = (false / np.maximum(right + false, 1)).T.astype(np.float32)
+    return shares
+
+
+def _seen(scenes: Iterable[SceneCounts]) -> NDArray[np.int64]:
+    drawn = np.array([scene.drawn for scene in scenes])
+    return np.stack([(drawn >= 0).sum(axis=0), (drawn == 1).sum(axis=0)], axis=-1)

@@ -1,0 +1,160 @@
+"""Certificates hold under attacks that obey their threat; and what happens to them when an assumption is broken."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from tests.guarantees import toy
+
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.visibility import CAR
+from viewshed.geometry import rotation_from_quaternion
+from viewshed.guarantees.certificate import certify
+from viewshed.guarantees.envelope import Given, Threat
+from viewshed.sensors import LidarModel
+
+EVERYTHING = FovEstimate(
+    toy.GRID,
+    np.ones(toy.GRID.shape, np.float32),
+    np.full(toy.GRID.shape, CellState.FREE, np.uint8),
+    target=CAR,
+    method="everything",
+)
+
+
+def attack_within(threat: Threat, rng: np.random.Generator, depth: NDArray[Any]) -> NDArray[Any]:
+    """Return beams (K, 2) that a threat lets replace."""
+    if threat.kind == "wedge":
+        wide = int(threat.amount / 360 * 90)
+        columns = (rng.integers(0, 90) + np.arange(wide)) % 90
+        return np.stack(np.meshgrid(columns, np.arange(8), indexing="ij"), axis=-1).reshape(-1, 2)
+    if threat.kind == "added":
+        return np.zeros((0, 2), np.intp)
+    count = int(threat.amount)
+    beams = rng.choice(720, count, replace=False)
+    return np.column_stack([beams // 8, beams % 8])
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(
+        [Threat(), Threat("replaced", 3), Threat("replaced", 30), Threat("window", 4), Threat("wedge", 24)]
+    ),
+)
+def test_what_is_certified_was_visible_without_the_attack(seed: int, threat: Threat) -> None:
+    rng = np.random.default_rng(seed)
+    depth = toy.scene(rng)
+    clean = toy.envelope(toy.sweep_of(depth))
+    sweep = toy.attacked(rng, depth, attack_within(threat, rng, depth))
+    one = toy.leveled(sweep)
+    certificate = certify(one, EVERYTHING, threat, Given.of(one, grade=0.0))
+    assert not (certificate.certified_visible & ~clean.claim()).any()
+    opened_m2 = (certificate.claim & ~clean.claim()).sum() * toy.GRID.cell_area_m2
+    assert opened_m2 <= certificate.over_claim_m2
+    assert opened_m2 <= clean.changeable(threat, ~clean.claim(), opens=True)[0]
+
+
+def test_bound_is_attained() -> None:
+    # One wall hides a cell; an attacker with exactly the beams that it lacks opens it, and no more than it.
+    depth = toy.scene(np.random.default_rng(5))
+    clean = toy.envelope(toy.sweep_of(depth))
+    lacking = np.where(clean.claim(), 0, CAR.min_returns - clean.margins)
+    one = np.zeros(toy.GRID.shape, bool)
+    one[np.unravel_index(np.argmin(np.where(lacking > 0, lacking, 1000)), lacking.shape)] = True
+    needed = int(lacking[one][0])
+    assert clean.changeable(Threat("replaced", needed), one, opens=True)[0] == toy.GRID.cell_area_m2
+    if needed > 1:
+        assert clean.changeable(Threat("replaced", needed - 1), one, opens=True)[0] == 0.0
+
+
+def test_an_attack_beyond_the_threat_breaks_the_certificate() -> None:
+    # All returns of a scene are dropped, and certified is against 3: what the law above checks can fail.
+    depth = toy.scene(np.random.default_rng(1))
+    clean, one = toy.envelope(toy.sweep_of(depth)), toy.leveled(toy.sweep_of(np.full_like(depth, np.inf)))
+    certificate = certify(one, EVERYTHING, Threat("dropped", 3), Given.of(one, grade=0.0))
+    assert (certificate.certified_visible & ~clean.claim()).any()
+    assert (certificate.claim & ~clean.claim()).sum() * toy.GRID.cell_area_m2 > certificate.over_claim_m2
+
+
+def test_an_inferred_height_certifies_nothing_unless_trusted() -> None:
+    sweep = toy.sweep_of(toy.scene(np.random.default_rng(2)), sensor_height_m=None)
+    one = toy.leveled(sweep)
+    certificate = certify(one, EVERYTHING)
+    assert certificate.inferred == ("mounting height",)
+    assert certificate.claim.any()
+    assert not certificate.certified_visible.any()
+    assert "nothing certified: mounting height" in certificate.line
+    assert certify(one, EVERYTHING, trust_inferred=True).certified_visible.any()
+
+
+def test_a_bound_that_leaves_nothing_says_so() -> None:
+    one = toy.leveled(toy.sweep_of(toy.scene(np.random.default_rng(2))))
+    assert certify(one, EVERYTHING, Threat("replaced", 700)).line.startswith("nothing certified against 700 replaced")
+
+
+def test_without_a_beam_table() -> None:
+    one = toy.leveled(toy.sweep_of(toy.scene(np.random.default_rng(2)), model=None, infer_sensor=False))
+    with pytest.raises(ValueError, match="needs the sensor's beam table"):
+        certify(one, EVERYTHING)
+
+
+def test_rows_without_a_return_are_none() -> None:
+    depth = toy.scene(np.random.default_rng(2))
+    holes = np.full((50, 3), np.nan)
+    assert (toy.envelope(toy.sweep_of(depth, holes)).margins == toy.envelope(toy.sweep_of(depth)).margins).all()
+
+
+def test_withdrawn_cells_are_unknown() -> None:
+    one = toy.leveled(toy.sweep_of(toy.scene(np.random.default_rng(2))))
+    certificate = certify(one, EVERYTHING, Threat("replaced", 5))
+    kept = certificate.withdraw(EVERYTHING)
+    assert (kept.visible() == certificate.certified_visible).all()
+    assert (kept.state[~certificate.certified_visible] == CellState.UNKNOWN).all()
+
+
+def false_share(given: Given | None = None, **more: Any) -> float:
+    """Return what share of the certified cells a car behind walls would not have shown in, over some scenes."""
+    wrong = total = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        depth = toy.scene(rng)
+        certain = np.where(np.isfinite(depth), depth, 60.0)  # nothing swallows light here
+        one = toy.leveled(toy.sweep_of(certain, **more))
+        right = toy.envelope(toy.sweep_of(certain)).claim()
+        base = Given.of(one, grade=0.0) if given is None else given
+        certified = certify(one, EVERYTHING, Threat(), base).certified_visible
+        wrong, total = wrong + int((certified & ~right).sum()), total + int(certified.sum())
+    return wrong / total
+
+
+def test_broken_assumptions_one_by_one() -> None:
+    level_one = np.eye(3)
+    tilted = rotation_from_quaternion([np.cos(np.deg2rad(0.5)), 0.0, np.sin(np.deg2rad(0.5)), 0.0])
+    shifted = LidarModel("shifted", toy.TOY.elevation + np.deg2rad(1.0), 90)
+    assert false_share() == 0.0
+    assert 0.0 < false_share(Given(toy.TOY, level_one, toy.HEIGHT_M + 0.3, grade=0.0)) < 0.25
+    assert 0.0 < false_share(Given(shifted, level_one, toy.HEIGHT_M, grade=0.0)) < 0.35
+    assert 0.0 < false_share(Given(toy.TOY, tilted, toy.HEIGHT_M, grade=0.0)) < 0.35
+    # Too many columns: beams are counted that the sensor never sends.
+    dense = LidarModel("dense", toy.TOY.elevation, 180)
+    assert false_share(Given(dense, level_one, toy.HEIGHT_M, grade=0.0)) > 0.2
+
+
+def test_one_thread_and_two_alike() -> None:
+    from viewshed import _core
+
+    before = _core.threads()
+    found = []
+    try:
+        for count in (1, 2):
+            _core.set_threads(count)
+            one = toy.envelope(toy.sweep_of(toy.scene(np.random.default_rng(4))))
+            found.append((one.margins, one.changeable(Threat("replaced", 9), ~one.claim(), opens=True)))
+    finally:
+        _core.set_threads(before)
+    assert (found[0][0] == found[1][0]).all()
+    assert found[0][1][0] == found[1][1][0]
