@@ -29,7 +29,7 @@ def test_figures_of_the_readme_are_in_the_pages_that_their_rows_link() -> None:
     rows = docs_site.figures().splitlines()[2:]
     assert len(rows) >= 5
     for row in rows:
-        _, _, figure, where, given, link = (cell.strip() for cell in row.strip("|").split("|"))
+        link, _, figure, where, given = (cell.strip() for cell in row.strip("|").split("|"))
         page = (ROOT / re.findall(r"\((docs/results/\w+\.md)\)", link)[0]).read_text("utf-8")
         numbers = re.findall(r"(?<!\d)\d*\.\d+", figure)
         assert numbers

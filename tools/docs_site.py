@@ -283,7 +283,7 @@ def figures() -> str:
     rows = [
         ("Would a car there be seen?", "estimate FILE", _precision(ring) + f"F1 {_row(ring, 'shadow_map')[4]}",
          "simulated", "rings; no sensor, no height", wild),
-        ("… from bare points?", "estimate FILE", _precision(alone) + f"F1 {_row(alone, 'shadow_map')[4]}",
+        ("… of bare points?", "estimate FILE", _precision(alone) + f"F1 {_row(alone, 'shadow_map')[4]}",
          "simulated", "points alone", wild),
         ("Is hidden ground claimed?", "evaluate crossview INDEX", f"{over} columns", "real, HDL-64E",
          "points, poses", "crossview"),
@@ -295,10 +295,10 @@ def figures() -> str:
          "simulated; real", "rings", "speed"),
     ]  # fmt: skip
     lines = [
-        (question, f"`viewshed {command}`", figure, where, given, f"[page](docs/results/{page}.md)")
+        (f"[{question}](docs/results/{page}.md)", f"`viewshed {command}`", figure, where, given)
         for question, command, figure, where, given, page in rows
     ]
-    return table(("question", "command", "figure", "measured on", "what was given", ""), lines)
+    return table(("question", "command", "figure", "measured on", "what was given"), lines)
 
 
 def _result(page: str) -> str:
