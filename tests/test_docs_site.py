@@ -115,7 +115,7 @@ def test_messages_of_the_questions_page_are_those_of_the_code() -> None:
     quotes = [quote for cell in cells for quote in re.findall(r"`([^`]+)`", cell) if " " in quote]
     parts = {part.strip(" ,;.") for quote in quotes for part in quote.split("…")}
     words = _literals()
-    assert len(parts) > 30
+    assert len(parts) > 20
     assert [part for part in parts if len(part) > 8 and part not in words] == []
 
 
