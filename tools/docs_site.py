@@ -1,8 +1,8 @@
 """Hooks of mkdocs: what the site takes from the code, so that no page repeats it.
 
-Between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` of a page stands the table of that name in ``GENERATED``;
-``python tools/docs_site.py`` writes it there anew. Each notebook becomes a page with its stored outputs. The site's name
-shows the version, and its header the repository, where the checkout has one.
+Between ``<!-- generated: NAME -->`` and ``<!-- end of NAME -->`` of a page stands the table of that name in
+``GENERATED``; ``python tools/docs_site.py`` writes it there anew. Each notebook becomes a page with its stored outputs.
+The site's name shows the version, and its header the repository, where the checkout has one.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
     """Turn a page's links to files elsewhere into those to their pages; that of the command line has every option."""
     if results_index.MARK in markdown:
         markdown = results_index.with_overview(markdown)
-    for page, path in ELSEWHERE.items():
-        markdown = markdown.replace(f"](../{path})", f"]({page})")
+    for own, path in ELSEWHERE.items():
+        markdown = markdown.replace(f"](../{path})", f"]({own})")
     options = f"\n\n{commands()}" if page is not None and page.file.src_uri == "cli.md" else ""
     return markdown.replace(".ipynb)", ".md)") + options
 
@@ -283,7 +283,7 @@ def figures() -> str:
     rows = [
         ("Would a car there be seen?", "estimate FILE", _precision(ring) + f"F1 {_row(ring, 'shadow_map')[4]}",
          "simulated", "rings; no sensor, no height", wild),
-        ("… from bare points?", "estimate FILE", _precision(alone) + f"F1 {_row(alone, 'shadow_map')[4]}",
+        ("… of bare points?", "estimate FILE", _precision(alone) + f"F1 {_row(alone, 'shadow_map')[4]}",
          "simulated", "points alone", wild),
         ("Is hidden ground claimed?", "evaluate crossview INDEX", f"{over} columns", "real, HDL-64E",
          "points, poses", "crossview"),
@@ -295,10 +295,10 @@ def figures() -> str:
          "simulated; real", "rings", "speed"),
     ]  # fmt: skip
     lines = [
-        (question, f"`viewshed {command}`", figure, where, given, f"[page](docs/results/{page}.md)")
+        (f"[{question}](docs/results/{page}.md)", f"`viewshed {command}`", figure, where, given)
         for question, command, figure, where, given, page in rows
     ]
-    return table(("question", "command", "figure", "measured on", "what was given", ""), lines)
+    return table(("question", "command", "figure", "measured on", "what was given"), lines)
 
 
 def _result(page: str) -> str:

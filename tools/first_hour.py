@@ -2,9 +2,9 @@
 
     python tools/first_hour.py [--wheel FILE | --installed BIN] [--times 3] [--page docs/first_hour.md]
 
-Each time begins with an empty home and nothing of the caller's environment, and the README's commands are typed from top
-to bottom into one shell, on a terminal. Without ``--wheel`` that is in a fresh copy of the checkout; with it, the wheels
-are installed in place of ``make demo`` and of the laboratory's folder; ``--installed`` names the folder of an
+Each time begins with an empty home and nothing of the caller's environment, and the README's commands are typed from
+top to bottom into one shell, on a terminal. Without ``--wheel`` that is in a fresh copy of the checkout; with it, the
+wheels are installed in place of ``make demo`` and of the laboratory's folder; ``--installed`` names the folder of an
 environment's programs and installs nothing. The transcript of the last time is the page.
 Exit code 1 where a command failed, printed a traceback or left out a file that it named.
 """

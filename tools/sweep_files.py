@@ -210,8 +210,8 @@ def las(
     low, high = points.min(axis=0), points.max(axis=0)
     bounds = [number for axis in range(3) for number in (high[axis], low[axis])]
     header = struct.pack(
-        "<4sHHIHH8sBB32s32sHHHIIBHI5I12d", b"LASF", 0, 0, 0, 0, 0, bytes(8), 1, 2, b"", b"", 1, 2026, 227, 227, 0, 0, 20,
-        len(points), len(points), 0, 0, 0, 0, 1e-3, 1e-3, 1e-3, *offset, *bounds,
+        "<4sHHIHH8sBB32s32sHHHIIBHI5I12d", b"LASF", 0, 0, 0, 0, 0, bytes(8), 1, 2, b"", b"", 1, 2026, 227, 227, 0, 0,
+        20, len(points), len(points), 0, 0, 0, 0, 1e-3, 1e-3, 1e-3, *offset, *bounds,
     )  # fmt: skip
     steps = np.rint((points - offset) * 1e3).astype(int)
     return header + b"".join(

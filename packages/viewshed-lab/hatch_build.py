@@ -1,4 +1,4 @@
-"""The version of the laboratory is that of the robot's package, which it needs: one number, in ``viewshed/__init__.py``."""
+"""The version of the laboratory is that of the robot's package: one number, in ``viewshed/__init__.py``."""
 
 from __future__ import annotations
 

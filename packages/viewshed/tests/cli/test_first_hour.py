@@ -261,7 +261,7 @@ def test_python_takes_a_file_and_shows_what_it_found(drive: Path, monkeypatch: p
     path = fov.show()
     assert opened == [path.as_uri()]
     assert path.read_bytes() == fov.plot()
-    with pytest.raises(FileNotFoundError, match="no.bin"):
+    with pytest.raises(FileNotFoundError, match=r"no\.bin"):
         viewshed.estimate("no.bin")
 
 

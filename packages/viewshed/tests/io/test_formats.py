@@ -1,8 +1,8 @@
 """Every format, from bytes made by hand to the points, rings and times they stand for."""
 
 import gzip
-import struct
 import io
+import struct
 from importlib import import_module
 from pathlib import Path
 from typing import Any

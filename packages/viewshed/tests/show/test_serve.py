@@ -15,7 +15,7 @@ from viewshed.cli._options import AS_THEY_ARE
 from viewshed.estimators import load_estimator
 from viewshed.io.samples import junction_path
 from viewshed.show.view import serve
-from viewshed.show.view.serve import MAX_FILE_BYTES, Refused, serving
+from viewshed.show.view.serve import MAX_FILE_BYTES, RefusedFileError, serving
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def port() -> Iterator[int]:
 
     def page_of(name: str, content: bytes) -> tuple[bytes, str]:
         if name == "bad":
-            raise Refused("bad: is no sweep")
+            raise RefusedFileError("bad: is no sweep")
         return f"<p>{name}</p>".encode() + content, "seen"
 
     with serving(0, page_of) as server:
@@ -126,5 +126,5 @@ def test_the_command_makes_the_page_that_view_writes(monkeypatch: pytest.MonkeyP
     assert said.startswith("junction.pcd.bin.gz: visible ")
     assert page.count('class="about"') == 1
     assert "<title>junction.pcd.bin.gz</title>" in page
-    with pytest.raises(Refused, match=r"^a\.csv: text must have"):
+    with pytest.raises(RefusedFileError, match=r"^a\.csv: text must have"):
         page_of("a.csv", b"hello")

@@ -165,7 +165,7 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
     """Serve the page to try until Ctrl-C."""
     from viewshed.preprocess.plausibility import doubts
     from viewshed.show.view import pack_frame, write_page
-    from viewshed.show.view.serve import Refused, serving
+    from viewshed.show.view.serve import RefusedFileError, serving
 
     def page_of(name: str, content: bytes) -> tuple[bytes, str]:
         said: list[str] = []
@@ -186,7 +186,7 @@ def _serve_page(reading: Reading, estimator: Estimator) -> None:
             except BAD_INPUTS as error:
                 line = one_line(error).replace(f"{folder}{os.sep}", "")
                 complain(line)
-                raise Refused(line) from error
+                raise RefusedFileError(line) from error
             return page.read_bytes(), "; ".join(said)
 
     with _serving_somewhere(serving, page_of) as server:

@@ -39,7 +39,8 @@ def read_text(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
 
 def _head(content: bytes) -> tuple[int, list[str]]:
     """Return where the points start, and the names of their columns."""
-    start, names = 0, []
+    start = 0
+    names: list[str] = []
     for _ in range(_MOST_SKIPPED):
         end = content.find(b"\n", start, start + _LINE_BYTES)
         line = content[start : end if end >= 0 else start + _LINE_BYTES].decode("utf-8-sig", "replace").strip()

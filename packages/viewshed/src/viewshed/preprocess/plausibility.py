@@ -51,9 +51,9 @@ def check_units(sweep: Sweep) -> None:
     Raises:
         ValueError: it cannot; nothing that is estimated from it would mean anything.
 
-    >>> check_units(Sweep(np.full((500, 3), 4_000.0)))
+    >>> check_units(Sweep(np.zeros((500, 3))))
     Traceback (most recent call last):
-    ValueError: the points lie around (4000, 4000, 4000) m: are they in a map's coordinates? Subtract the sensor's position before they are written, or say with --origin X,Y,Z where it is
+    ValueError: nearly all points lie at the origin: are they returns at all?
     """
     problem = _problem_of_units(sweep) if len(sweep) >= _FEWEST else ""
     if problem:
@@ -125,8 +125,8 @@ def _doubt_of_axes(leveled: LeveledSweep) -> str:
     if turned.ground.support < _TURNED_SUPPORT:
         return ""
     return (
-        f"the ground seems to lie {turned.sensor_height_m:.1f} m above the sensor: does z point down? Leave --file-frame"
-        " out if it is given, else try --file-frame carla"
+        f"the ground seems to lie {turned.sensor_height_m:.1f} m above the sensor: does z point down? Leave"
+        " --file-frame out if it is given, else try --file-frame carla"
     )
 
 

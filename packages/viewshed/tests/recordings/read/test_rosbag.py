@@ -526,6 +526,11 @@ def test_reading_leaves_no_file_behind(tmp_path: Path) -> None:
 
 
 VELODYNE, SCAN, STRING = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
+LIVOX = ("livox_ros_driver", "livox_ros_driver2")
+LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+LIVOX_MESSAGE = (
+    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n{}/CustomPoint[] points"
+)
 OUSTER = ("ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
 
 
@@ -538,6 +543,8 @@ def _register(ros: Ros) -> dict[str, Any]:
             ("velodyne_msgs/msg/VelodynePacket", "builtin_interfaces/Time stamp\nuint8[1206] data"),
             (VELODYNE, "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets"),
             *((kind, "uint8[] buf") for kind in OUSTER),
+            *((f"{name}/msg/CustomPoint", LIVOX_POINT) for name in LIVOX),
+            *((f"{name}/msg/CustomMsg", LIVOX_MESSAGE.format(name)) for name in LIVOX),
         ):
             ros.store.register(get_types_from_msg(definition, kind))
     types: dict[str, Any] = ros.store.types
@@ -572,6 +579,23 @@ def test_velodyne_scans_are_sweeps(tmp_path: Path, ros: Ros, write: Write) -> No
     assert (ref.sensor, sweep.t_ns) == ("/packets", 5 * S)
     np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 5.0, atol=0.03)
     assert sweep.world_from_sensor.translation.tolist() == [1.0, 2.0, 3.0]
+
+
+@KINDS
+@pytest.mark.parametrize("name", LIVOX)
+def test_livox_points_are_sweeps(tmp_path: Path, ros: Ros, write: Write, name: str) -> None:
+    types, rows = (
+        _register(ros),
+        [(0, 1.0, 2.0, -0.5, 10), (50_000_000, 0.0, 0.0, 0.0, 0), (99_000_000, 4.0, -3.0, 1.0, 255)],
+    )
+    points = [types[f"{name}/msg/CustomPoint"](*row, 16, line) for line, row in enumerate(rows)]
+    message = types[f"{name}/msg/CustomMsg"](ros.header(7 * S, "livox"), 7 * S, 3, 1, np.zeros(3, np.uint8), points)
+    [(ref, sweep)] = each_sweep(open_source(write(tmp_path / "a", [("/livox/lidar", 1, message)])))
+    assert (ref.sensor, sweep.t_ns) == ("/livox/lidar", 7 * S)
+    assert sweep.points.tolist() == [[1.0, 2.0, -0.5], [4.0, -3.0, 1.0]]  # without the beam that met nothing
+    assert sweep.intensity.tolist() == [10.0, 255.0]
+    np.testing.assert_allclose(sweep.time_s, [0.0, 0.099])
+    assert (sweep.ring, sweep.infer_sensor) == (None, False)
 
 
 @KINDS

@@ -19,7 +19,6 @@ from viewshed.sweep import Sweep
 
 UNREAD = {
     "pandar_msgs/msg/PandarScan": "Hesai packets", "nebula_msgs/msg/NebulaPackets": "packets of many makers",
-    "livox_ros_driver/msg/CustomMsg": "Livox points", "livox_ros_driver2/msg/CustomMsg": "Livox points",
 }  # fmt: skip
 """Types of messages that hold a LiDAR's returns and are not read, and what they hold."""
 

@@ -16,6 +16,7 @@ from viewshed._extras import needed_for
 from viewshed.geometry import Rigid
 from viewshed.io._input import one_line
 from viewshed.io.messages.laserscan import sweep_of_scan
+from viewshed.io.messages.livox import sweep_of_livox
 from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velodyne
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
@@ -31,7 +32,9 @@ TRANSFORMS = (TF, "tf/msg/tfMessage")
 VELODYNE, SCAN, STRING = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
 OUSTER = ("ouster_sensor_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg")
 
-RETURNS = ((CLOUD,), (VELODYNE, *OUSTER), (SCAN,))
+LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
+
+RETURNS = ((CLOUD,), (VELODYNE, *OUSTER, *LIVOX), (SCAN,))
 """Types of messages that hold a LiDAR's returns, the preferred ones first: what one sensor tells twice is read once."""
 
 OUSTER_FRAME = "os_sensor"
@@ -65,6 +68,17 @@ _DEFINITIONS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     VELODYNE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
     **dict.fromkeys(OUSTER, "uint8[] buf"),
+    **{
+        kind.replace("CustomMsg", "CustomPoint"): (
+            "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+        )
+        for kind in LIVOX
+    },
+    **{
+        kind: "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+        f"{kind.partition('/')[0]}/CustomPoint[] points"
+        for kind in LIVOX
+    },
 }
 """Of messages that rosbags does not bring."""
 
@@ -131,7 +145,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         return None
     contents, encoding = _Contents(), "cdr"
     try:
-        for message in file.messages((CLOUD, VELODYNE, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
+        for message in file.messages((CLOUD, VELODYNE, *LIVOX, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
         if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
@@ -151,7 +165,7 @@ def _add_message(contents: _Contents, message: Message, damage: list[str]) -> No
     try:
         if message.encoding not in ("cdr", "ros1"):
             raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
-        if message.kind in (CLOUD, VELODYNE, SCAN):
+        if message.kind in (CLOUD, VELODYNE, *LIVOX, SCAN):
             t_ns, frame = _header(message)
             contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
             return
@@ -271,7 +285,7 @@ def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], 
             note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
             note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
-        elif preferred and kind in (VELODYNE, SCAN) and topic not in with_clouds:
+        elif preferred and kind in (VELODYNE, *LIVOX, SCAN) and topic not in with_clouds:
             line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
             note_damage(contents.notes, line)
     if not with_clouds and CLOUD not in types.values():
@@ -365,7 +379,7 @@ def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
 
 
 _SWEEP_OF: dict[str, Callable[[Any], Sweep]] = {
-    CLOUD: sweep_of_cloud, VELODYNE: sweep_of_velodyne, SCAN: sweep_of_scan,
+    CLOUD: sweep_of_cloud, VELODYNE: sweep_of_velodyne, SCAN: sweep_of_scan, **dict.fromkeys(LIVOX, sweep_of_livox),
 }  # fmt: skip
 """From a message to its sweep, by type."""
 

@@ -1,8 +1,8 @@
 """A page to try, served to this machine alone: drop a point file on it and see the view.
 
-It listens on the loopback interface. Other web pages that the same browser has open can send requests there as well, and a
-name of the attacker's may resolve to it: a request must name this very address as its host, and as its origin where it sends
-a file.
+It listens on the loopback interface. Other web pages that the same browser has open can send requests there as well,
+and an attacker's name may resolve to it: a request must name this very address as its host, and as its origin where it
+sends a file.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _HEADERS = {
 }
 
 
-class Refused(ValueError):
+class RefusedFileError(ValueError):
     """A file that is no sweep; the message is for the one who dropped it."""
 
 
@@ -62,7 +62,7 @@ class _Pages:
 
 @contextmanager
 def serving(port: int, page_of: Callable[[str, bytes], tuple[bytes, str]]) -> Iterator[ThreadingHTTPServer]:
-    """Yield a server of the page to try at a port of this machine's loopback interface; it answers in ``serve_forever``.
+    """Yield a server of the page to try, at a port of this machine alone; it answers in ``serve_forever``.
 
     Args:
         port: of the server; 0 for any that is free.
@@ -120,7 +120,7 @@ class _Handler(BaseHTTPRequestHandler):
         )
         try:
             answer = self.kept.add(name or "file", content)
-        except Refused as error:
+        except RefusedFileError as error:
             self._say(HTTPStatus.UNPROCESSABLE_ENTITY, str(error))
             return
         self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
