@@ -17,6 +17,8 @@ from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.studies.guarantees import attacks
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
+    adapted_of,
+    broken_of,
     certificates_of,
     counts_of,
     guaranteed_of,
@@ -38,6 +40,9 @@ class Sizes:
     """How much is done: scenes of each part, and attacks of each kind on a scene."""
 
     certificates: int
+    broken: int
+    adapted: int
+    queries: int
     calibration: int
     report: int
     development: int
@@ -47,9 +52,9 @@ class Sizes:
 
 
 SIZES = {
-    "tiny": Sizes(2, 100, 4, 0, 1, 1, 10),
-    "small": Sizes(65, 300, 400, 60, 20, 80, 80),
-    "full": Sizes(65, 600, 1000, 60, 50, 160, 80),
+    "tiny": Sizes(2, 2, 1, 10, 100, 4, 0, 1, 1, 10),
+    "small": Sizes(65, 20, 8, 60, 300, 400, 60, 20, 80, 80),
+    "full": Sizes(65, 65, 40, 200, 600, 1000, 60, 50, 160, 80),
 }
 
 
@@ -58,6 +63,10 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
     folder.mkdir(parents=True, exist_ok=True)
     for number in _left(folder, "certificates", sizes.certificates, on_line):
         _add(folder, "certificates", number, certificates_of(own_scene("certificates", number)))
+    for number in _left(folder, "broken", sizes.broken, on_line):
+        _add(folder, "broken", number, broken_of(own_scene("certificates", number)))
+    for number in _left(folder, "adapted", sizes.adapted, on_line):
+        _add(folder, "adapted", number, adapted_of(own_scene("attacks", number), number, sizes.queries))
     for number in _left(folder, "calibration", sizes.calibration, on_line):
         scene = own_scene("calibration", number)
         _add(folder, "calibration", number, {t: _packed(counts_of(scene, t, number)[1]) for t in TARGETS})
@@ -100,7 +109,7 @@ def ship(folder: Path, file: Path) -> None:
 
 
 def retested_shares(folder: Path) -> list[Line]:
-    """Return false share and recall of development scenes, each by a calibration retested on all others' folds of ten."""
+    """Return false share and recall of development scenes, ten at a time by a calibration retested on the others."""
     lines = lines_of(folder, "development")
     if not lines:
         return []
@@ -110,9 +119,15 @@ def retested_shares(folder: Path) -> list[Line]:
         others = [scenes[k] for k in order if k not in fold]
         retested = own.retested(others, "development") if len(others) >= 50 else own
         step, plain = retested.step(ALPHA, DELTA), own.step(ALPHA, DELTA)
-        for k in fold:
-            found.append({**lines[k]["default"], "sensor": lines[k]["sensor"],
-                          "own": _share_of(scenes[k], own, plain), "retested": _share_of(scenes[k], own, step)})  # fmt: skip
+        found += [
+            {
+                **lines[k]["default"],
+                "sensor": lines[k]["sensor"],
+                "own": _share_of(scenes[k], own, plain),
+                "retested": _share_of(scenes[k], own, step),
+            }
+            for k in fold
+        ]
     return found
 
 
