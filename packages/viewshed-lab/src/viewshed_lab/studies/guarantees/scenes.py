@@ -122,7 +122,7 @@ def counts_of(scene: Scene, target: str, number: int) -> tuple[FovEstimate, Scen
     """Return the default estimate of a scene and its counts for calibration."""
     estimate = default_estimator(TARGETS[target]).estimate(scene.leveled)
     rng = np.random.Generator(np.random.PCG64(number))
-    return estimate, SceneCounts.of(estimate, scene.visible[target], scene.known, rng)
+    return estimate, SceneCounts.of(estimate, scene.leveled.ground, scene.visible[target], scene.known, rng)
 
 
 def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask) -> dict[str, Any]:
@@ -177,8 +177,9 @@ class Guaranteed:
 
     def estimate(self, sweep: Sweep) -> FovEstimate:
         """Return the estimate without the claims that are not guaranteed."""
-        estimate = self.estimator.estimate(level(sweep, self.grid))
-        return without(estimate, estimate.visible() & ~self.calibration.mask(estimate))
+        leveled = level(sweep, self.grid)
+        estimate = self.estimator.estimate(leveled)
+        return without(estimate, estimate.visible() & ~self.calibration.mask(estimate, leveled.ground))
 
 
 def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
