@@ -284,6 +284,33 @@ def wild(
     _run(plan, folder, page, work, files_of)
 
 
+@study_app.command()
+def guarantees(
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
+    out: Out = None,
+    run: Run = True,
+    page: Pages = None,
+    ship: Annotated[Path | None, typer.Option(metavar="FILE", help="File of calibrations to write as well.")] = None,
+) -> None:
+    """What cannot be over-claimed: certificates, attacks on them, masks.
+
+    A part that was done is not done again: after a change of the default estimator, give a new --out.
+
+    Example: viewshed study guarantees --preset tiny --out study
+    """
+    from viewshed_lab.studies.guarantees import jobs
+    from viewshed_lab.studies.guarantees.page import files_of
+
+    if preset not in jobs.SIZES:
+        raise ValueError(f"preset must be one of {', '.join(jobs.SIZES)}, got {preset!r}")
+    folder = _folder(out, "guarantees")
+    if run:
+        jobs.run_study(folder, jobs.SIZES[preset], lambda line: typer.echo(line, err=True))
+    if ship is not None:
+        jobs.ship(folder, ship)
+    _show(page or folder, files_of(folder))
+
+
 study_app.command()(crossview)
 
 

@@ -53,7 +53,9 @@ class Certificate:
             return f"{self.certified_m2:.0f} m² certified {against}{over}"
         if self.inferred:
             named = ", ".join(self.inferred)
-            return f"nothing certified: {named} inferred from the sweep itself, which an attacker may own; say what it is"
+            return (
+                f"nothing certified: {named} inferred from the sweep itself, which an attacker may own; say what it is"
+            )
         return f"nothing certified {against}: no cell of the claim has so many beams to spare"
 
     def withdraw(self, estimate: FovEstimate) -> FovEstimate:

@@ -1,11 +1,12 @@
 """Masks with a promised error on benign data, and a lower bound of visibility at a place.
 
-**Mask.** Learn, then test (Angelopoulos et al., arXiv 2110.01052). On one half of the calibration scenes a path of masks
-is learned, from strict to loose: a threshold of the probability for each range band and perhaps an erosion by a cell. On
-the other half each mask is tested, the strictest first: is the false share of a scene's claim above α in more than a
-share δ of scenes? The exact binomial test rejects that at the level 1 - confidence, and the last mask before the
-first that is not rejected is taken. So with probability ``confidence`` over the calibration, P(false share ≤ α) ≥ 1 - δ
-for a new scene that is exchangeable with the calibration's: same kind of places, sensor, target, mounting, no attack.
+**Mask.** Learn, then test (Angelopoulos et al., arXiv 2110.01052). A path of masks goes from strict to loose: first the
+ground on which a claim may stand gets less sure, then the threshold of the probability falls, in each range band as
+far as one half of the calibration scenes allows. On the other half each mask is tested, the strictest first: is the
+false share of a scene's claim above α in more than a share δ of scenes? The exact binomial test rejects that at the
+level 1 - confidence, and the last mask before the first that is not rejected is taken. So with probability
+``confidence`` over the calibration, P(false share ≤ α) ≥ 1 - δ for a new scene that is exchangeable with those of the
+calibration: same kind of places, sensor, target, mounting, no attack.
 
 **Place.** Of each calibration scene one cell is drawn in every bin of probability and range band, so that draws are
 independent. The Clopper-Pearson bound of their share that is visible holds for a cell of a new scene in that bin.
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F32, F64, Mask
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.height_map import HeightMap, positions_of_cells
 from viewshed.geometry import FloatArray
 from viewshed.grid import BevGrid, polar_of_cells
 
@@ -35,8 +37,11 @@ BANDS_M = (0.0, 15.0, 30.0, 45.0, np.inf)
 THRESHOLDS = np.concatenate([np.linspace(0.5, 0.9, 17), 1.0 - np.geomspace(0.08, 1e-6, 15)]).astype(np.float32)
 """Thresholds that are tried."""
 
-EROSIONS = (0, 1)
-"""Cells by which a mask may be eroded."""
+GROUND_STDS_M = np.array([0.03, 0.05, 0.07, 0.085, 0.1, 0.125, 0.15, 0.2, 0.3, 0.5, np.inf], np.float32)
+"""Largest standard deviations of the ground below a claim that are tried."""
+
+_SURE = 16
+"""Number of the threshold (.9) while the ground gets less sure."""
 
 PLACE_EDGES = np.array([0.5, 0.6, 0.75, 0.9, 0.99, 0.999], np.float32)
 """Lower edges of the bins of probability in which places are counted."""
@@ -53,7 +58,7 @@ class SceneCounts:
     """What calibration needs of one scene.
 
     Attributes:
-        right: (EROSIONS, bands, THRESHOLDS) known cells claimed and visible.
+        right: (GROUND_STDS_M, bands, THRESHOLDS) known cells claimed and visible.
         false: the same, not visible.
         drawn: (bands, PLACE_EDGES) of one cell drawn in each bin: 1 visible, 0 not, -1 no cell there.
     """
@@ -63,16 +68,22 @@ class SceneCounts:
     drawn: NDArray[np.int8]
 
     @classmethod
-    def of(cls, estimate: FovEstimate, visible: Mask, known: Mask, rng: np.random.Generator) -> SceneCounts:
-        """Return the counts of an estimate against the truth (cells, cells) where that is known."""
+    def of(
+        cls, estimate: FovEstimate, ground: HeightMap, visible: Mask, known: Mask, rng: np.random.Generator
+    ) -> SceneCounts:
+        """Return the counts of an estimate over a ground against the truth (cells, cells) where that is known."""
         bands, prob = band_of_cells(estimate.grid), estimate.visible_prob
-        shape = (len(EROSIONS), len(BANDS_M) - 1, len(THRESHOLDS))
-        right, false = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-        for e, erosion in enumerate(EROSIONS):
-            for t, threshold in enumerate(THRESHOLDS):
-                claim = eroded(prob >= threshold, erosion) & known
-                for counts, cells in ((right, claim & visible), (false, claim & ~visible)):
-                    counts[e, :, t] = np.bincount(bands[cells], minlength=shape[1])
+        shape = (len(GROUND_STDS_M), len(BANDS_M) - 1, len(THRESHOLDS))
+        # Each claimed cell once, in its bin; then all that are as sure or surer.
+        cells = known & (prob >= THRESHOLDS[0])
+        sureness = np.searchsorted(GROUND_STDS_M, ground_std(ground, estimate.grid)[cells])
+        level = np.searchsorted(THRESHOLDS, prob[cells], side="right") - 1
+        place = np.ravel_multi_index((sureness, bands[cells], level), shape)
+        right, false = (
+            np.bincount(place[seen], minlength=np.prod(shape)).reshape(shape)
+            for seen in (visible[cells], ~visible[cells])
+        )
+        right, false = (counts.cumsum(axis=0)[..., ::-1].cumsum(axis=-1)[..., ::-1] for counts in (right, false))
         drawn = np.full((shape[1], len(PLACE_EDGES)), -1, np.int8)
         bins = np.searchsorted(PLACE_EDGES, prob, side="right") - 1
         for band in range(shape[1]):
@@ -91,8 +102,8 @@ class Calibration:
         sensor: beam table, or what the scenes have in common.
         target: name of the target.
         method: name of the estimator.
-        erosion: of all masks of the path.
-        path: (steps, bands) thresholds, the strictest mask first.
+        stds_m: (steps,) largest standard deviation of the ground below a claim, the strictest mask first.
+        path: (steps, bands) thresholds.
         shares: (steps, scenes) false share of the claim in each test scene.
         seen: (bands, PLACE_EDGES, 2) cells drawn in each bin, and how many of them were visible.
     """
@@ -100,15 +111,13 @@ class Calibration:
     sensor: str
     target: str
     method: str
-    erosion: int
+    stds_m: F32
     path: F32
     shares: F32
     seen: NDArray[np.int64]
 
     @classmethod
-    def fit(
-        cls, scenes: Sequence[SceneCounts], sensor: str, target: str, method: str, alpha: float = 0.05
-    ) -> Calibration:
+    def fit(cls, scenes: Sequence[SceneCounts], sensor: str, target: str, method: str) -> Calibration:
         """Return the calibration of scenes: the first half is learned from, the second tests.
 
         Args:
@@ -116,15 +125,13 @@ class Calibration:
             sensor: beam table.
             target: name of the target.
             method: name of the estimator.
-            alpha: false share at which the path claims the most.
         """
         if len(scenes) < 2 * LEAST_SCENES:
             raise ValueError(f"scenes must be {2 * LEAST_SCENES} or more, got {len(scenes)}; simulate or label more")
         learn, test = scenes[: len(scenes) // 2], scenes[len(scenes) // 2 :]
-        erosion, levels = _best_path(learn, alpha)
-        return cls(
-            sensor, target, method, EROSIONS[erosion], THRESHOLDS[levels], _shares(test, erosion, levels), _seen(test)
-        )  # fmt: skip
+        stds, levels = _path(learn)
+        shares = _shares(test, stds, levels)
+        return cls(sensor, target, method, GROUND_STDS_M[stds], THRESHOLDS[levels], shares, _seen(test))
 
     def retested(self, scenes: Sequence[SceneCounts], sensor: str) -> Calibration:
         """Return the same path, tested on scenes of another domain: labelled ones, or such with cross-view labels.
@@ -136,9 +143,9 @@ class Calibration:
         """
         if len(scenes) < LEAST_SCENES:
             raise ValueError(f"recalibration needs {LEAST_SCENES} scenes or more, got {len(scenes)}; label more sweeps")
-        levels = np.searchsorted(THRESHOLDS, self.path)
-        shares = _shares(scenes, EROSIONS.index(self.erosion), levels)
-        return Calibration(sensor, self.target, self.method, self.erosion, self.path, shares, _seen(scenes))
+        stds, levels = np.searchsorted(GROUND_STDS_M, self.stds_m), np.searchsorted(THRESHOLDS, self.path)
+        shares = _shares(scenes, stds, levels)
+        return Calibration(sensor, self.target, self.method, self.stds_m, self.path, shares, _seen(scenes))
 
     def step(self, alpha: float, delta: float, confidence: float = 0.9) -> int:
         """Return the step of the path that the tests allow, -1 where they allow none.
@@ -153,8 +160,22 @@ class Calibration:
         refused = [binomial_tail(int(count), scenes, delta) > 1.0 - confidence for count in broken]
         return int(np.argmax([*refused, True])) - 1
 
-    def mask(self, estimate: FovEstimate, alpha: float = 0.05, delta: float = 0.1, confidence: float = 0.9) -> Mask:
-        """Return the cells (cells, cells) of the loosest mask whose false share is at most α in a share 1 - δ of scenes.
+    def mask(
+        self,
+        estimate: FovEstimate,
+        ground: HeightMap,
+        alpha: float = 0.05,
+        delta: float = 0.1,
+        confidence: float = 0.9,
+    ) -> Mask:
+        """Return the cells (cells, cells) whose false share is at most α in a share 1 - δ of scenes.
+
+        Args:
+            estimate: what is claimed.
+            ground: that it stands on, of the same sweep (``leveled.ground``).
+            alpha: α.
+            delta: δ.
+            confidence: with which the calibration keeps its promise.
 
         Raises:
             ValueError: the calibration is another target's or method's, a number lies outside (0, 1), or so few scenes
@@ -167,14 +188,9 @@ class Calibration:
                 f"nothing is guaranteed at alpha {alpha:g}, delta {delta:g} by {self.shares.shape[1]} scenes;"
                 " choose a larger one, or calibrate on more scenes"
             )
-        # Every band has its threshold; eroded, each mask by itself.
-        bands, prob = band_of_cells(estimate.grid), estimate.visible_prob
-        if not self.erosion:
-            claim: Mask = prob >= self.path[step][bands]
-            return claim
-        claim = np.zeros(estimate.grid.shape, np.bool_)
-        for band, threshold in enumerate(self.path[step]):
-            claim |= eroded(prob >= threshold, self.erosion) & (bands == band)
+        claim: Mask = estimate.visible_prob >= self.path[step][band_of_cells(estimate.grid)]
+        if np.isfinite(self.stds_m[step]):
+            claim &= ground_std(ground, estimate.grid) <= self.stds_m[step]
         return claim
 
     def at(self, estimate: FovEstimate, xy: FloatArray, confidence: float = 0.95) -> F64:
@@ -203,7 +219,8 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """Return the calibration as plain values."""
         return {
-            "sensor": self.sensor, "target": self.target, "method": self.method, "erosion": self.erosion,
+            "sensor": self.sensor, "target": self.target, "method": self.method,
+            "stds": np.searchsorted(GROUND_STDS_M, self.stds_m).tolist(),
             "levels": np.searchsorted(THRESHOLDS, self.path).tolist(),
             "shares": [[round(float(share), 4) for share in step] for step in self.shares],
             "seen": self.seen.tolist(),
@@ -212,9 +229,9 @@ class Calibration:
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Calibration:
         """Return the calibration in plain values."""
-        levels, shares, seen = (np.array(table[key]) for key in ("levels", "shares", "seen"))
+        stds, levels, shares, seen = (np.array(table[key]) for key in ("stds", "levels", "shares", "seen"))
         return cls(
-            table["sensor"], table["target"], table["method"], table["erosion"], THRESHOLDS[levels],
+            table["sensor"], table["target"], table["method"], GROUND_STDS_M[stds], THRESHOLDS[levels],
             shares.astype(np.float32), seen,
         )  # fmt: skip
 
@@ -250,16 +267,9 @@ def band_of_cells(grid: BevGrid) -> NDArray[np.intp]:
     return bands
 
 
-def eroded(claim: Mask, cells: int) -> Mask:
-    """Return a mask without the cells that have an unclaimed one beside them, so many times; beyond the grid all is."""
-    for _ in range(cells):
-        inner = claim.copy()
-        inner[1:] &= claim[:-1]
-        inner[:-1] &= claim[1:]
-        inner[:, 1:] &= claim[:, :-1]
-        inner[:, :-1] &= claim[:, 1:]
-        claim = inner
-    return claim
+def ground_std(ground: HeightMap, grid: BevGrid) -> F32:
+    """Return the standard deviation (cells, cells) of the ground below each cell: of the node before it."""
+    return ground.std_m.ravel()[positions_of_cells(grid, ground.half_extent_m, len(ground.std_m)).node]
 
 
 def binomial_tail(count: int, trials: int, share: float) -> float:
@@ -291,31 +301,22 @@ def lower_bound(count: int, trials: int, confidence: float) -> float:
     return low
 
 
-def _best_path(scenes: Sequence[SceneCounts], alpha: float) -> tuple[int, NDArray[np.intp]]:
-    """Return the erosion and the levels (steps, bands) that claim the most of what is visible where α is kept."""
-    right, false = (np.sum([getattr(scene, name) for scene in scenes], axis=0) for name in ("right", "false"))
-    # In each band, the false share of all that is at or above a threshold: the largest share allowed gives the levels.
+def _path(scenes: Sequence[SceneCounts]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the numbers of the ground's deviations (steps,) and thresholds (steps, bands) of a path of masks."""
+    right, false = (np.sum([getattr(scene, name)[-1] for scene in scenes], axis=0) for name in ("right", "false"))
+    # In each band, the lowest threshold at and above which no more than a share is false; that share grows.
     share = false / np.maximum(right + false, 1)
-    allowed = np.geomspace(0.002, 0.5, _STEPS)
-    best, found = -1.0, (0, np.zeros((_STEPS, right.shape[1]), np.intp))
-    for erosion in range(len(EROSIONS)):
-        fits = share[erosion][None] <= allowed[:, None, None]
-        levels = np.where(fits.any(axis=-1), fits.argmax(axis=-1), len(THRESHOLDS) - 1)
-        kept = (_shares(scenes, erosion, levels) > alpha).mean(axis=1) <= alpha
-        step = int(np.flatnonzero(kept)[-1]) if kept.any() else 0
-        claimed = float(np.take_along_axis(right[erosion], levels[step][:, None], axis=1).sum())
-        if claimed > best:
-            best, found = claimed, (erosion, levels)
-    return found
+    fits = share[None] <= np.geomspace(0.002, 0.5, _STEPS)[:, None, None]
+    levels = np.where(fits.any(axis=-1), fits.argmax(axis=-1), len(THRESHOLDS) - 1)
+    sure = np.arange(len(GROUND_STDS_M))
+    stds = np.concatenate([sure, np.full(_STEPS, sure[-1])])
+    return stds, np.concatenate([np.full((len(sure), levels.shape[1]), _SURE), levels])
 
 
-def _shares(scenes: Iterable[SceneCounts], erosion: int, levels: NDArray[np.intp]) -> F32:
+def _shares(scenes: Iterable[SceneCounts], stds: NDArray[np.intp], levels: NDArray[np.intp]) -> F32:
     """Return the false share (steps, scenes) of the claim of each mask of a path; 0 where nothing is claimed."""
-    bands = np.arange(levels.shape[1])
-    right, false = (
-        np.array([getattr(scene, name)[erosion][bands, levels].sum(axis=1) for scene in scenes])
-        for name in ("right", "false")
-    )
+    at = stds[:, None], np.arange(levels.shape[1]), levels
+    right, false = (np.array([getattr(scene, name)[at].sum(axis=1) for scene in scenes]) for name in ("right", "false"))
     shares: F32 = (false / np.maximum(right + false, 1)).T.astype(np.float32)
     return shares
 

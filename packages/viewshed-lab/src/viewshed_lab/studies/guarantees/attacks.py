@@ -20,7 +20,7 @@ from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.envelope import Envelope, Given, Threat
-from viewshed.preprocess.leveling import level
+from viewshed.preprocess.leveling import NULL_RANGE_M, level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -33,6 +33,9 @@ HOW = ("random", "gradient", "evolution")
 NEAR_GRID = BevGrid(128, 32.0)
 
 TOY = LidarModel("toy", np.deg2rad([-20.0, -12.0, -7.0, -3.0]), 24)
+
+_DEEPEST = 60
+"""Beams that a cell may lack to count for the gradient of a wedge."""
 
 _CHECKED = 40
 """Every so manyth attack is certified as well, as a victim would."""
@@ -86,7 +89,7 @@ class Victim:
         self.beam = ring * columns + column
 
     def attacked(self, beams: NDArray[np.intp], range_m: F32, added: F32) -> Sweep:
-        """Return the sweep whose ``beams`` return at ``range_m`` (+inf: not at all) along their ray, and with points."""
+        """Return the sweep whose ``beams`` return at ``range_m`` (+inf: not at all) along their rays, with points."""
         keep = ~np.isin(self.beam, beams)
         model = self.given.model
         moved = np.isfinite(range_m)
@@ -108,9 +111,15 @@ class Victim:
         """Return the envelope of an attacked sweep."""
         model, own = self.given.model, self.envelope
         nearest_m = _core.nearest_returns(
-            sweep.points, sweep.ring, self.given.rotation.astype(np.float32), np.tan(model.elevation).astype(np.float32),
-            model.origin_m.astype(np.float32), model.azimuth_columns, max(0.5, model.min_range_m), model.max_range_m,
-        )  # fmt: skip
+            sweep.points,
+            sweep.ring,
+            self.given.rotation.astype(np.float32),
+            np.tan(model.elevation).astype(np.float32),
+            model.origin_m.astype(np.float32),
+            model.azimuth_columns,
+            max(NULL_RANGE_M, model.min_range_m),
+            model.max_range_m,
+        )
         return Envelope(own.grid, own.target, own.sent, nearest_m, _core.envelope_margins(own.sent, nearest_m))
 
 
@@ -134,7 +143,9 @@ def toy_victim(rng: np.random.Generator) -> Victim:
     return own_victim(sweep, BevGrid(20, 8.0))
 
 
-def beams_within(threat: Threat, victim: Victim, rng: np.random.Generator, weight: F32 | None) -> NDArray[np.intp]:
+def beams_within(
+    threat: Threat, victim: Victim, rng: np.random.Generator, weight: NDArray[np.float64] | None
+) -> NDArray[np.intp]:
     """Return beams that a threat lets the attacker change: by chance, or those of the largest weight."""
     rings, columns = victim.given.model.rings, victim.given.model.azimuth_columns
     amount = int(threat.amount)
@@ -159,6 +170,14 @@ def beams_within(threat: Threat, victim: Victim, rng: np.random.Generator, weigh
     return np.argpartition(score, -amount)[-amount:]
 
 
+def weights_of(clean: Envelope, threat: Threat) -> NDArray[np.float64]:
+    """Return for each beam (rings, columns) how much it helps to open: the gradient of the bound."""
+    most = _DEEPEST if threat.kind == "wedge" else max(int(threat.amount), 1)
+    return _core.cells_of_beams(
+        clean.sent, clean.nearest_m, clean.margins, ~clean.claim(), clean.target.min_returns, most, True
+    )
+
+
 def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random.Generator, tally: Tally) -> None:
     """Try attacks of one kind on a victim and add to the tally what came of them.
 
@@ -168,11 +187,7 @@ def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random
     threat, clean = Threat.parse(words), victim.envelope
     among = ~clean.claim()
     bound_m2 = clean.changeable(threat, among, opens=True)[0]
-    least, most = CAR.min_returns, max(int(threat.amount), 1)
-    weight = None
-    if how != "random" and threat.kind != "added":
-        deepest = 60 if threat.kind == "wedge" else most
-        weight = _core.cells_of_beams(clean.sent, clean.nearest_m, clean.margins, among, least, deepest, True)
+    weight = None if how == "random" or threat.kind == "added" else weights_of(clean, threat)
     best: NDArray[np.intp] | None = None
     best_m2 = -1.0
     for number in range(count):

@@ -12,11 +12,21 @@ import numpy as np
 
 from viewshed._files import write_atomic
 from viewshed.estimators import DEFAULT_ESTIMATOR
-from viewshed.guarantees.conformal import BANDS_M, EROSIONS, PLACE_EDGES, THRESHOLDS, Calibration, SceneCounts
+from viewshed.guarantees.conformal import (
+    BANDS_M,
+    GROUND_STDS_M,
+    LEAST_SCENES,
+    PLACE_EDGES,
+    THRESHOLDS,
+    Calibration,
+    SceneCounts,
+)
 from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.studies.guarantees import attacks
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
+    adapted_of,
+    broken_of,
     certificates_of,
     counts_of,
     guaranteed_of,
@@ -26,7 +36,7 @@ from viewshed_lab.studies.guarantees.scenes import (
 
 TARGETS = ("car", "pedestrian")
 
-SENSOR = "HDL-32E"
+SENSOR, OTHERS = "HDL-32E", "any"
 
 ALPHA, DELTA = 0.05, 0.1
 
@@ -38,6 +48,9 @@ class Sizes:
     """How much is done: scenes of each part, and attacks of each kind on a scene."""
 
     certificates: int
+    broken: int
+    adapted: int
+    queries: int
     calibration: int
     report: int
     development: int
@@ -47,9 +60,9 @@ class Sizes:
 
 
 SIZES = {
-    "tiny": Sizes(2, 100, 4, 0, 1, 1, 10),
-    "small": Sizes(65, 300, 400, 60, 20, 80, 80),
-    "full": Sizes(65, 600, 1000, 60, 50, 160, 80),
+    "tiny": Sizes(2, 2, 1, 10, 100, 4, 0, 1, 1, 10),
+    "small": Sizes(65, 20, 8, 60, 300, 400, 60, 20, 80, 80),
+    "full": Sizes(65, 65, 40, 200, 600, 1000, 60, 50, 160, 80),
 }
 
 
@@ -58,6 +71,10 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
     folder.mkdir(parents=True, exist_ok=True)
     for number in _left(folder, "certificates", sizes.certificates, on_line):
         _add(folder, "certificates", number, certificates_of(own_scene("certificates", number)))
+    for number in _left(folder, "broken", sizes.broken, on_line):
+        _add(folder, "broken", number, broken_of(own_scene("certificates", number)))
+    for number in _left(folder, "adapted", sizes.adapted, on_line):
+        _add(folder, "adapted", number, adapted_of(own_scene("attacks", number), number, sizes.queries))
     for number in _left(folder, "calibration", sizes.calibration, on_line):
         scene = own_scene("calibration", number)
         _add(folder, "calibration", number, {t: _packed(counts_of(scene, t, number)[1]) for t in TARGETS})
@@ -71,7 +88,9 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         scene, found = own_scene("report", number), {}
         for target, calibration in calibrations.items():
             estimate, _ = counts_of(scene, target, number)
-            found[target] = guaranteed_of(scene, target, estimate, calibration.mask(estimate, ALPHA, DELTA))
+            found[target] = guaranteed_of(
+                scene, target, estimate, calibration.mask(estimate, scene.leveled.ground, ALPHA, DELTA)
+            )
         _add(folder, "report", number, found)
     for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
         _add(folder, "attacks", number, attack_scene(number, sizes))
@@ -90,17 +109,20 @@ def calibration_of(folder: Path, target: str) -> Calibration:
     """Return the calibration of the own scenes in a folder, in an order drawn by chance."""
     scenes = [_unpacked(line[target]) for line in lines_of(folder, "calibration")]
     order = np.random.Generator(np.random.PCG64(36)).permutation(len(scenes))
-    return Calibration.fit([scenes[k] for k in order], SENSOR, target, DEFAULT_ESTIMATOR, ALPHA)
+    return Calibration.fit([scenes[k] for k in order], SENSOR, target, DEFAULT_ESTIMATOR)
 
 
 def ship(folder: Path, file: Path) -> None:
     """Write the calibrations of a folder to the file that the package reads."""
     tables = [calibration_of(folder, target).to_json() for target in TARGETS]
+    others = [_unpacked(line["car"]) for line in lines_of(folder, "development")]
+    if len(others) >= LEAST_SCENES:
+        tables.append(calibration_of(folder, "car").retested(others, OTHERS).to_json())
     write_atomic(file, (json.dumps(tables, separators=(",", ":")) + "\n").encode())
 
 
 def retested_shares(folder: Path) -> list[Line]:
-    """Return false share and recall of development scenes, each by a calibration retested on all others' folds of ten."""
+    """Return false share and recall of development scenes, ten at a time by a calibration retested on the others."""
     lines = lines_of(folder, "development")
     if not lines:
         return []
@@ -110,9 +132,15 @@ def retested_shares(folder: Path) -> list[Line]:
         others = [scenes[k] for k in order if k not in fold]
         retested = own.retested(others, "development") if len(others) >= 50 else own
         step, plain = retested.step(ALPHA, DELTA), own.step(ALPHA, DELTA)
-        for k in fold:
-            found.append({**lines[k]["default"], "sensor": lines[k]["sensor"],
-                          "own": _share_of(scenes[k], own, plain), "retested": _share_of(scenes[k], own, step)})  # fmt: skip
+        found += [
+            {
+                **lines[k]["default"],
+                "sensor": lines[k]["sensor"],
+                "own": _share_of(scenes[k], own, plain),
+                "retested": _share_of(scenes[k], own, step),
+            }
+            for k in fold
+        ]
     return found
 
 
@@ -121,9 +149,9 @@ def _share_of(scene: SceneCounts, path: Calibration, step: int) -> tuple[float, 
     if step < 0:
         return 0.0, 0.0
     levels, bands = np.searchsorted(THRESHOLDS, path.path[step]), np.arange(len(BANDS_M) - 1)
-    erosion = EROSIONS.index(path.erosion)
-    right, false = (float(counts[erosion, bands, levels].sum()) for counts in (scene.right, scene.false))
-    return false / max(right + false, 1.0), right / max(float(scene.right[0, :, 0].sum()), 1.0)
+    std = int(np.searchsorted(GROUND_STDS_M, path.stds_m[step]))
+    right, false = (float(counts[std, bands, levels].sum()) for counts in (scene.right, scene.false))
+    return false / max(right + false, 1.0), right / max(float(scene.right[-1, :, 0].sum()), 1.0)
 
 
 def attack_scene(number: int, sizes: Sizes) -> Line:
@@ -164,6 +192,6 @@ def _packed(counts: SceneCounts) -> dict[str, Any]:
 
 
 def _unpacked(packed: dict[str, Any]) -> SceneCounts:
-    shape, places = (len(EROSIONS), len(BANDS_M) - 1, len(THRESHOLDS)), (len(BANDS_M) - 1, len(PLACE_EDGES))
+    shape, places = (len(GROUND_STDS_M), len(BANDS_M) - 1, len(THRESHOLDS)), (len(BANDS_M) - 1, len(PLACE_EDGES))
     right, false = (np.array(packed[name], np.int64).reshape(shape) for name in ("right", "false"))
     return SceneCounts(right, false, np.array(packed["drawn"], np.int8).reshape(places))

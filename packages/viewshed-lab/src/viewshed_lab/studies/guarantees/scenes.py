@@ -12,14 +12,18 @@ from viewshed.estimators import DEFAULT_ESTIMATOR, Estimator, load_estimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
-from viewshed.grid import GRIDS
-from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.conformal import SceneCounts
+from viewshed.geometry import rotation_from_quaternion
+from viewshed.grid import GRIDS, BevGrid
+from viewshed.guarantees.certificate import ADDED, certify, without
+from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
 from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sensors import lidar_model
+from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.data.wild import WildScene
+from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
 FRAME = 11
 
@@ -118,14 +122,113 @@ def counts_of(scene: Scene, target: str, number: int) -> tuple[FovEstimate, Scen
     """Return the default estimate of a scene and its counts for calibration."""
     estimate = default_estimator(TARGETS[target]).estimate(scene.leveled)
     rng = np.random.Generator(np.random.PCG64(number))
-    return estimate, SceneCounts.of(estimate, scene.visible[target], scene.known, rng)
+    return estimate, SceneCounts.of(estimate, scene.leveled.ground, scene.visible[target], scene.known, rng)
 
 
 def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask) -> dict[str, Any]:
-    """Return the false share of a guaranteed mask and its recall, of the truth and of what the default rightly claims."""
+    """Return the false share of a guaranteed mask, its recall, and what it keeps of the default's right claims."""
     right, false, total = areas(claim, scene.visible[target], scene.known)
     default = areas(estimate.visible(), scene.visible[target], scene.known)
     return {
         "name": scene.name, "false_share": false / max(right + false, 1e-9), "recall": right / max(total, 1e-9),
         "of_default": right / max(default[0], 1e-9), "default_false_share": default[1] / max(sum(default[:2]), 1e-9),
     }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Certified:
+    """The default estimator inside the envelope: what an attacker who adapts is up against.
+
+    Attributes:
+        estimator: whose claims are certified.
+        threat: what the attacker may do.
+        only_certified: claim the certified cells alone, else all of the claim inside the envelope.
+    """
+
+    estimator: Estimator
+    threat: Threat
+    only_certified: bool = False
+
+    @property
+    def grid(self) -> BevGrid:
+        """Its grid."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate without what is not certified; what the sweep does not say is trusted."""
+        leveled = level(sweep, self.grid)
+        estimate = self.estimator.estimate(leveled)
+        certificate = certify(leveled, estimate, self.threat, trust_inferred=True)
+        kept = certificate.certified_visible if self.only_certified else certificate.claim
+        return without(estimate, estimate.visible() & ~kept)
+
+
+@dataclass(frozen=True, slots=True)
+class Guaranteed:
+    """The default estimator with the mask of a calibration."""
+
+    estimator: Estimator
+    calibration: Calibration
+
+    @property
+    def grid(self) -> BevGrid:
+        """Its grid."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate without the claims that are not guaranteed."""
+        leveled = level(sweep, self.grid)
+        estimate = self.estimator.estimate(leveled)
+        return without(estimate, estimate.visible() & ~self.calibration.mask(estimate, leveled.ground))
+
+
+def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
+    """Return what 150 returns on beams open in m², found by asking the victim: the default, and its final claim."""
+    sweep, visible, found = scene.leveled.sweep, scene.visible["car"], {}
+    estimator = default_estimator(TARGETS["car"])
+    threat = Threat("replaced", 150)
+    victims = {
+        "default": estimator,
+        "final": Certified(estimator, threat),
+        "certified": Certified(estimator, threat, True),
+    }
+    for name, victim in victims.items():
+        search = BlackBox(OverClaim(victim), 150, queries, placement="largest_hidden_area")
+        tampered = search.apply(sweep, np.random.Generator(np.random.PCG64(number)))
+        before, after = victim.estimate(sweep).visible(), victim.estimate(tampered.sweep).visible()
+        opened, known = after & ~before, scene.known
+        found[name] = [float(cells.sum()) * GRID.cell_area_m2 for cells in (opened & known, opened & known & ~visible)]
+        if name == "final":
+            leveled = level(tampered.sweep, GRID)
+            found["bound"] = certify(leveled, estimator.estimate(leveled), threat, trust_inferred=True).over_claim_m2
+            clean = Envelope.of(scene.leveled, Given.of(scene.leveled), GRID, TARGETS["car"]).claim()
+            found["beyond the clean envelope"] = float((after & ~clean).sum()) * GRID.cell_area_m2
+    return found
+
+
+def broken_of(scene: Scene) -> dict[str, Any]:
+    """Return what is certified against added points where an assumption is broken: right, false, visible in m²."""
+    leveled, target = scene.leveled, TARGETS["car"]
+    given, estimate = Given.of(leveled), default_estimator(target).estimate(leveled)
+    model, half = given.model, np.deg2rad(0.5)
+    tilted = rotation_from_quaternion([np.cos(half), 0.0, np.sin(half), 0.0]) @ given.rotation
+    shifted = replace(model, elevation=model.elevation + np.deg2rad(0.5))
+    cases = {
+        "none is broken": given,
+        "mounting height .3 m too large": replace(given, height_m=given.height_m + 0.3),
+        "mounting height .3 m too small": replace(given, height_m=given.height_m - 0.3),
+        "attitude off by 1° (pitch)": replace(given, rotation=tilted),
+        "beam table off by .5° (elevation)": replace(given, model=shifted),
+        "beam table of another sensor (VLP-32C)": replace(given, model=lidar_model("vlp32c")),
+        "beam table with twice the columns": replace(
+            given, model=replace(model, azimuth_columns=2 * model.azimuth_columns)
+        ),
+        "ground known exactly": replace(given, ground=scene.ground, grade=0.0),
+    }
+    found = {}
+    for name, one in cases.items():
+        certificate = certify(leveled, estimate, ADDED, one)
+        envelope = Envelope.of(leveled, one, GRID, target).claim()
+        found[name] = [*areas(certificate.certified_visible, scene.visible["car"], scene.known),
+                       *areas(envelope, scene.visible["car"], scene.known)[:2]]  # fmt: skip
+    return found

@@ -1,0 +1,256 @@
+"""The page of the study: certificates, attacks on them, masks with a promised error, assumptions broken one by one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.stats import beta
+
+from viewshed.guarantees.certificate import certify
+from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, lower_bound
+from viewshed.guarantees.envelope import Threat
+from viewshed.preprocess.leveling import level
+from viewshed_lab._page import facts
+from viewshed_lab.studies.figures import compared
+from viewshed_lab.studies.formatting import format_interval, format_number, format_rate, format_rates
+from viewshed_lab.studies.guarantees import attacks
+from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
+from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, default_estimator, own_scene
+from viewshed_lab.studies.pages import Picture, Table, fill_template
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """Return the page ``guarantees.md``, the last, and its picture, as files by name."""
+    lines = {part: lines_of(folder, part) for part in _PARTS}
+    page = fill_template(
+        "guarantees/page.md", counts={part: len(of) for part, of in lines.items()}, alpha=ALPHA, delta=DELTA,
+        certificates=_certificates(lines["certificates"]), final=_final(lines["certificates"]),
+        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), adapted=_adapted(lines["adapted"]),
+        broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
+        development=_development(folder), picture=_picture() if lines["attacks"] else None,
+    )  # fmt: skip
+    seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
+    about = facts(
+        scenes=f"preset nuscenes, frame {FRAME} of each scene, seeds: {seeds}", development="set development, road"
+    )
+    return page.files("guarantees.md", about)
+
+
+_PARTS = ("certificates", "broken", "adapted", "calibration", "development", "report", "attacks")
+
+
+def _sum(lines: list[Line], key: str, kind: str) -> Any:
+    return np.sum([line[key][kind] for line in lines], axis=0)
+
+
+def _precision_recall(areas: Any) -> str:
+    right, false, visible = (float(area) for area in areas)
+    return format_rates(right / max(right + false, 1e-9), right / max(visible, 1e-9))
+
+
+def _f1(areas: Any) -> float:
+    right, false, visible = (float(area) for area in areas)
+    return 2 * right / max(right + false + visible, 1e-9)
+
+
+def _certificates(lines: list[Line]) -> Table | None:
+    """Return what the envelope is worth by the ground that is given and the threat."""
+    if not lines:
+        return None
+    rows = []
+    for key in (key for key in lines[0] if " | " in key):
+        ground, words = key.split(" | ")
+        clean = _sum(lines, key, "envelope")
+        gain_m2 = sum(line[key]["gain_m2"] for line in lines)
+        worst = clean[0] / (clean[0] + clean[1] + gain_m2)
+        rows.append([
+            ground, f"`{words}`", _precision_recall(clean), _precision_recall(_sum(lines, key, "certified envelope")),
+            f"{gain_m2 / len(lines):.0f}", format_rate(worst),
+        ])  # fmt: skip
+    header = ["given", "threat", "envelope without attack: precision / recall", "certified part of it",
+              "an attack adds at most, m²", "precision under the worst attack, at least"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _final(lines: list[Line]) -> Table | None:
+    """Return what is left of the default's claims inside the envelope."""
+    if not lines:
+        return None
+    default = np.sum([line["default"] for line in lines], axis=0)
+    rows = [["default alone", "", _precision_recall(default), format_rate(_f1(default)), "", ""]]
+    for key in (key for key in lines[0] if " | " in key):
+        ground, words = key.split(" | ")
+        final, certified = _sum(lines, key, "final"), _sum(lines, key, "certified")
+        if words == THREATS[0] or ground.endswith("slope 0.01"):
+            change = _f1(final) - _f1(default)
+            rows.append([
+                ground, f"`{words}`", _precision_recall(final), f"{format_rate(_f1(final))} ({change:+.3f})",
+                _precision_recall(certified),
+                f"{sum(line[key]['over_claim_m2'] for line in lines) / len(lines):.0f}",
+            ])  # fmt: skip
+    header = ["given", "threat", "default ∩ envelope: precision / recall", "F1", "certified part: precision / recall",
+              "of the claim owed to an attack at most, m²"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _attacks(lines: list[Line]) -> Table | None:
+    """Return how many attacks of each threat and kind were tried, and how many broke a certificate."""
+    tried: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
+    kinds = (*attacks.HOW, "exhaustive")
+    for line in lines:
+        for key, tally in line["tallies"].items():
+            words, how = key.split(" | ")
+            for name in (words.partition(":")[0], "all"):
+                tried[name][kinds.index(how)] += tally["tried"]
+    if not tried:
+        return None
+    broken = dict.fromkeys(tried, 0)
+    for line in lines:
+        for key, tally in line["tallies"].items():
+            broken[key.partition(":")[0].partition(" ")[0]] += tally["violations"]
+            broken["all"] += tally["violations"]
+    rows = [[f"`{name}`" if name != "all" else name, *map(str, counts), str(sum(counts)), str(broken[name])]
+            for name, counts in tried.items() if name != "all"]  # fmt: skip
+    rows.append(["all", *map(str, tried["all"]), str(sum(tried["all"])), str(broken["all"])])
+    return Table(["threat", *kinds, "attacks", "violations"], rows)
+
+
+def _worst(lines: list[Line]) -> Table | None:
+    """Return the bound against the worst attack that was found, by threat, over the own scenes."""
+    found: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for line in lines:
+        by_threat: dict[str, list[Line]] = defaultdict(list)
+        for key, tally in line["tallies"].items():
+            by_threat[key.split(" | ")[0]].append(tally)
+        for words, tallies in by_threat.items():
+            if not line["toy"]:
+                found[words].append((max(tally["best_m2"] for tally in tallies), tallies[0]["bound_m2"]))
+    if not found:
+        return None
+    rows = []
+    for words, pairs in found.items():
+        best, bound = np.array(pairs).T
+        acted = best > 0
+        ratio = float(np.mean(bound[acted] / best[acted])) if acted.any() else float("nan")
+        rows.append([f"`{words}`", f"{best.mean():.1f}", f"{bound.mean():.1f}", format_number(ratio, 1)])
+    return Table(["threat", "worst attack found, m²", "bound, m²", "bound / worst, mean over scenes"], rows)
+
+
+def _adapted(lines: list[Line]) -> Table | None:
+    """Return what an attacker with 150 returns on beams opens who asks the victim."""
+    if not lines:
+        return None
+    names = {"default": "default", "final": "default ∩ envelope", "certified": "its certified part, `replaced:150`"}
+    rows = [
+        [words, *(f"{np.mean([line[name][k] for line in lines]):.0f}" for k in (0, 1)),
+         f"{max(line[name][1] for line in lines):.0f}"]
+        for name, words in names.items()
+    ]  # fmt: skip
+    header = ["victim", "opened, m²", "of it false, m²", "false, worst scene, m²"]
+    beyond, bound = (np.array([line[name] for line in lines]) for name in ("beyond the clean envelope", "bound"))
+    rows.append([f"beyond the clean envelope: {beyond.mean():.0f}, bound {bound.mean():.0f},"
+                 f" above its bound in {int((beyond > bound).sum())} scenes", "", "", ""])  # fmt: skip
+    return Table(header, rows)
+
+
+def _broken(lines: list[Line]) -> Table | None:
+    """Return what is certified against added points where an assumption does not hold."""
+    if not lines:
+        return None
+    rows = []
+    for name in (name for name in lines[0] if name != "number"):
+        right, false, visible, inside, outside = np.sum([line[name] for line in lines], axis=0)
+        rows.append([name, _precision_recall((right, false, visible)), _precision_recall((inside, outside, visible))])
+    return Table(["assumption", "certified: precision / recall", "envelope: precision / recall"], rows)
+
+
+def _interval(count: int, trials: int) -> tuple[float, float]:
+    low = beta.ppf(0.025, count, trials - count + 1) if count else 0.0
+    return float(low), float(beta.ppf(0.975, count + 1, trials - count)) if count < trials else 1.0
+
+
+def _masks(folder: Path, lines: list[Line]) -> Table | None:
+    """Return how often the guaranteed mask breaks its promise on own scenes that no calibration saw."""
+    if not lines:
+        return None
+    rows = []
+    for target in TARGETS:
+        calibration = calibration_of(folder, target)
+        found = [line[target] for line in lines]
+        broken, default = (sum(one[key] > ALPHA for one in found) for key in ("false_share", "default_false_share"))
+        thresholds = ", ".join(format_rate(float(t)) for t in calibration.path[calibration.step(ALPHA, DELTA)])
+        rows.append([
+            target, thresholds, format_interval(broken / len(found), _interval(broken, len(found))),
+            format_rate(default / len(found)), format_rate(float(np.mean([one["recall"] for one in found]))),
+            format_rate(float(np.mean([one["of_default"] for one in found]))),
+        ])  # fmt: skip
+    header = ["target", "thresholds by range band", "scenes with a false share above α", "the default alone",
+              "recall of the truth", "kept of what the default rightly claims"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _places(folder: Path) -> Table | None:
+    """Return the lower bounds of visibility by bin of probability and band, for a car."""
+    if not lines_of(folder, "calibration"):
+        return None
+    seen = calibration_of(folder, "car").seen
+    heads = [f"p ≥ {format_rate(float(edge))}" for edge in PLACE_EDGES]
+    rows = [
+        [f"{low:g} to {high:g} m", *(format_rate(lower_bound(int(k), int(n), 0.95)) for n, k in seen[band])]
+        for band, (low, high) in enumerate(pairwise(BANDS_M))
+    ]
+    return Table(["range", *heads], rows)
+
+
+def _development(folder: Path) -> Table | None:
+    """Return the same for worlds that it was not made for: by the own calibration, and retested on 50 other scenes."""
+    found = retested_shares(folder)
+    if not found:
+        return None
+    rows = []
+    for name, words in (("own", "calibration of the own scenes"), ("retested", "retested on 50 of these scenes")):
+        shares, kept = np.array([one[name] for one in found]).T
+        broken = int((shares > ALPHA).sum())
+        promised = format_interval(broken / len(shares), _interval(broken, len(shares)))
+        rows.append([words, promised, format_rate(float(kept.mean()))])
+    default = sum(one["default_false_share"] > ALPHA for one in found)
+    rows.append(
+        ["the default alone", format_interval(default / len(found), _interval(default, len(found))), format_rate(1.0)]
+    )
+    return Table(["mask", "scenes with a false share above α", "kept of what the default rightly claims"], rows)
+
+
+def _picture(number: int = 1) -> Picture:
+    """Return the envelope of one scene without an attack and under one, what is certified, and what was opened."""
+    scene, threat = own_scene("attacks", number), Threat("replaced", 150)
+    victim = attacks.own_victim(scene.leveled.sweep, GRID)
+    clean, rng = victim.envelope, np.random.Generator(np.random.PCG64(number))
+    beams = attacks.beams_within(threat, victim, rng, attacks.weights_of(clean, threat))
+    sweep = victim.attacked(beams, np.full(len(beams), np.inf, np.float32), np.zeros((0, 3), np.float32))
+    leveled = level(sweep, GRID)
+    estimate, after = default_estimator(clean.target).estimate(leveled), victim.envelope_of(sweep)
+    panels = {
+        "envelope without attack": clean.claim(),
+        "150 beams replaced": after.claim(),
+        "final claim, certified against 5": certify(
+            leveled, estimate, Threat("replaced", 5), victim.given
+        ).certified_visible,
+        "opened by the attack": after.claim() & ~clean.claim(),
+    }
+    figure = Figure((12.5, 3.4), dpi=90, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axis, (title, claim) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
+        axis.imshow(compared(claim, scene.visible["car"], scene.known)[::-1, ::-1], interpolation="nearest")
+        axis.set_title(title, fontsize=9)
+        axis.set(xticks=[], yticks=[])
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    alt = "Envelope without attack and under one, certified cells, cells that the attack opened."
+    return Picture("guarantees.png", drawn.getvalue(), alt)
