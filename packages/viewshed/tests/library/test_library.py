@@ -151,12 +151,16 @@ def key_of(sweep: Sweep) -> bytes | None:
 
 
 def test_the_library_answers_as_python_does_on_every_real_sweep(library: c.CDLL, real_data: Path) -> None:
-    entries = [entry for entry in read_index(real_data / "index.json") if entry.points is not None]
-    for entry in entries:
+    shipped, compared = [lidar_model(name) for name in sensor_names()], 0
+    for entry in read_index(real_data / "index.json"):
+        if entry.points is None:
+            continue
         sweep = read_indexed(entry)
-        if sweep.planar is None:
+        # Ouster's files have tables of their own, which C does not take.
+        if sweep.model is None or any(sweep.model is model for model in shipped):
             assert_alike(library, sweep)
-    assert len(entries) > 40
+            compared += 1
+    assert compared > 40
 
 
 @pytest.mark.parametrize(
