@@ -75,7 +75,7 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(*command: Any, **named: Any) -> str:
     done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False, **named)
     assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return str(done.stdout)
 
 
 @pytest.fixture(scope="session")
@@ -104,7 +104,7 @@ def opened(library: c.CDLL, **changes: Any) -> int:
 
 def c_sweep(library: c.CDLL, sweep: Sweep) -> CSweep:
     """The sweep as C takes it; it points into the arrays of the other."""
-    given = library.viewshed_no_sweep()
+    given: CSweep = library.viewshed_no_sweep()
     given.count, given.points = len(sweep), sweep.points.ctypes.data
     if sweep.ring is not None:
         given.ring = sweep.ring.ctypes.data
@@ -197,6 +197,7 @@ def test_tables_target_grid_and_bytes_between_points_are_taken(library: c.CDLL) 
     given.count, given.points, given.point_step = len(rows), rows.ctypes.data + 8, 28
     given.sensor_height_m = 1.8
     ring = np.zeros((len(rows), 3), np.uint16)
+    assert sweep.ring is not None
     ring[1:, 0] = sweep.ring
     given.ring, given.ring_step = ring.ctypes.data, 6
     assert library.viewshed_estimate(stream, c.byref(given), state.ctypes.data, None, state.size, c.byref(basis)) == OK
