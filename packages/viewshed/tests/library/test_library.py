@@ -312,7 +312,7 @@ def test_programs_find_it_by_cmake_and_by_pkg_config(prefix: Path, tmp_path: Pat
     assert len(source.read_text(encoding="utf-8").splitlines()) <= 40
     # 1. CMake.
     (tmp_path / "CMakeLists.txt").write_text(
-        "cmake_minimum_required(VERSION 3.20)\nproject(seen LANGUAGES C CXX)\nfind_package(viewshed 0.3 REQUIRED)\n"
+        "cmake_minimum_required(VERSION 3.20)\nproject(seen LANGUAGES C CXX)\nfind_package(viewshed REQUIRED)\n"
         f"add_executable(seen {source})\ntarget_link_libraries(seen viewshed::viewshed)\n"
         "add_executable(cpp cpp.cpp)\ntarget_link_libraries(cpp viewshed::viewshed)\n",
         encoding="utf-8",
