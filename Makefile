@@ -17,7 +17,7 @@ timed = begin=$$(date +%s); $(MAKE) --no-print-directory $(2); code=$$?; \
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo check test properties lint types imports quick unit docs bench soak fuzz clean
+.PHONY: help demo check test properties lint types imports quick unit docs bench soak fuzz fuzz-library clean
 
 help:  ## list the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -64,8 +64,14 @@ soak: $(VENV)/.test  ## pipeline and ROS 2 node worked for half an hour each (MI
 	OMP_NUM_THREADS=1 $(BENCHMARKS).messages --flood --forged $(FORGED)
 	OMP_NUM_THREADS=1 $(BENCHMARKS).soak --minutes $(MINUTES)
 
+FUZZ_SECONDS ?= 600
 fuzz: $(VENV)/.test  ## the native core called with damaged arguments, half a minute each function, under sanitizers
 	$(BIN)/python tools/fuzz_core.py --sanitize --seconds 30
+
+fuzz-library:  ## libviewshed called with any bytes, ten minutes under sanitizers (clang's libFuzzer)
+	cmake -S packages/viewshed -B build/fuzz -DCMAKE_CXX_COMPILER=clang++ -DVIEWSHED_PYTHON=OFF -DVIEWSHED_FUZZ=ON -DVIEWSHED_SANITIZE=ON
+	cmake --build build/fuzz --parallel 2 --target fuzz_library
+	build/fuzz/fuzz_library -max_total_time=$(FUZZ_SECONDS) -max_len=16000 -timeout=20 -rss_limit_mb=4000
 
 clean:  ## remove what these commands made
 	rm -rf $(VENV) $(OUT) site build dist

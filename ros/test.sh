@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The tests of the ROS 2 node, in an environment of its own (ros/python.sh makes it): ros/test.sh [WHEELS]
-# Without wheels of viewshed and viewshed-lab the checkout is taken, after make demo or without it.
+# Without wheels of viewshed and viewshed-lab the checkout is taken, after make demo or without it. The messages of the C++ node
+# are tested where VIEWSHED_LIBRARY names an installed libviewshed (docs/cpp.md).
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 [ -z "${1:-}" ] || export VIEWSHED_SOURCES=
@@ -10,4 +11,5 @@ if [ -n "${1:-}" ]; then
 fi
 cd "$here/viewshed_ros"
 export PYTHONDONTWRITEBYTECODE=1
+(cd "$here/viewshed_cpp" && "$here/python.sh" -m pytest test)
 exec "$here/python.sh" -m pytest

@@ -59,8 +59,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "beam_slopes": {"points": POINTS, "range_m": LONG + 1, "sensor_height_m": 1.8, "left_out": None, "rows": ROWS},
     "obstacle_cells": {"points": POINTS, "height_m": LONG, "x0_m": -2.0, "y0_m": -2.0, "cells_per_m": 1.0, "low_m": 0.3,
                        "high_m": 3.0, "cells": 4},
-    "ground": {"points": POINTS, "isolated": MASK, "rotation": np.eye(3, dtype=F4), "near_m": 0.5, "far_m": 100.0,
-               "heading": 0.0, "half_m": 32.0, "nodes": NODES, "height_m": NAN},
+    "level_sweep": {"points": POINTS, "ring": np.arange(N, dtype=I2) % RINGS, "rings": RINGS, "columns": COLUMNS,
+                    "near_m": 0.5, "far_m": 100.0, "attitude": None, "height_m": None, "yaw": None,
+                    "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
     "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
@@ -122,7 +123,7 @@ GOOD: dict[str, dict[str, Any]] = {
 
 OF_POINTS = (
     "identify_by_points", "infer_sensor", "rings_of_points", "beams_of_sensor", "find_motion", "recover_rings",
-    "undo_motion", "ground", "concave_hull", "height_codes", "level_points", "range_image",
+    "undo_motion", "level_sweep", "concave_hull", "height_codes", "level_points", "range_image",
 )  # fmt: skip
 TYPE, OF_FEATURE = "incompatible function arguments", "incompatible|must"
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
@@ -162,13 +163,15 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"rows": ROWS.astype(np.int64)})),
     *(("obstacle_cells", changes, "must") for changes in ({"height_m": SHORT}, {"cells": 0}, {"cells": 1 << 20})),
     # The ground.
-    ("ground", {"isolated": MASK[1:]}, "isolated must have one row"), ("ground", {"isolated": MASK.astype(U1)}, TYPE),
-    ("ground", {"rotation": np.eye(2, 3, dtype=F4)}, r"rotation must be \(3, 3\)"),
-    ("ground", {"rotation": np.full((3, 3), NAN, F4)}, "rotation must be finite"),
-    ("ground", {"far_m": INF}, "far_m must be at most"), ("ground", {"far_m": NAN}, "far_m must be at most"),
-    ("ground", {"nodes": 1}, "a lattice must have 2 to 1024 nodes"),
-    ("ground", {"nodes": 100_000}, "a lattice must have 2 to 1024 nodes"),
-    ("ground", {"half_m": 0.0}, "half_m must lie in"), ("ground", {"half_m": NAN}, "half_m must lie in"),
+    ("level_sweep", {"attitude": np.eye(2, 3)}, TYPE), ("level_sweep", {"attitude": np.eye(3, dtype=F4)}, TYPE),
+    ("level_sweep", {"attitude": np.full((3, 3), NAN)}, "attitude must be finite"),
+    ("level_sweep", {"far_m": INF}, "far_m must be at most"), ("level_sweep", {"far_m": NAN}, "far_m must be at most"),
+    ("level_sweep", {"half_extent_m": 0.0}, "half_m must lie in"),
+    ("level_sweep", {"half_extent_m": NAN}, "half_m must lie in"),
+    ("level_sweep", {"height_m": NAN}, "height_m must be finite"), ("level_sweep", {"yaw": INF}, "yaw must be finite"),
+    ("level_sweep", {"ring": np.zeros(N - 1, I2)}, "ring must have one row for each point"),
+    ("level_sweep", {"ring": np.full(N, RINGS, I2)}, r"ring must lie in \[-1"),
+    ("level_sweep", {"columns": 0}, "an image must have 1 to 65536 columns"),
     ("ground_of_lows", {"lows_m": LOWS[:5]}, r"lows_m must be \(n, n, 3\)"),
     ("ground_of_lows", {"lows_m": LOWS * F4(3.0)}, "lows_m must lie on the lattice"),
     ("ground_of_lows", {"lows_m": LOWS.astype(np.float64)}, TYPE),
@@ -362,7 +365,7 @@ def ground_of_street() -> Any:
     points[:, 2] = -1.8 + 0.2 * (points[:, 1] > 5) + rng.normal(0, 0.02, len(points))
     points[::7, 2] += rng.uniform(0, 2, len(points[::7]))
     points = points.astype(F4)
-    return call("ground", points=points, isolated=np.zeros(len(points), np.bool_))
+    return call("level_sweep", points=points, ring=None)
 
 
 def large_quantile() -> Any:

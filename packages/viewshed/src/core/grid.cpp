@@ -1,5 +1,8 @@
 #include "grid.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -37,6 +40,19 @@ void count_points(View2<const float> points, const float* rotation, const float*
         find_cells(points[start], size, rotation, translation, counted, of_block);
         for (std::size_t k = 0; k < size; ++k) {
             if (of_block[k] >= 0) ++counts[std::size_t(of_block[k])];
+        }
+    }
+}
+
+void polar_of_cells(const CellCenters& grid, View1<float> range_m, View1<float> azimuth) {
+    for (std::size_t i = 0; i < grid.cells; ++i) {
+        const double x = grid.x0_m + (double(i) + 0.5) * grid.cell_m;
+        for (std::size_t j = 0; j < grid.cells; ++j) {
+            const double y = grid.y0_m + (double(j) + 0.5) * grid.cell_m;
+            const std::size_t n = i * grid.cells + j;
+            range_m[n] = float(std::hypot(x, y));
+            const float angle = float(std::atan2(y, x));
+            azimuth[n] = angle >= PI ? -PI : angle;
         }
     }
 }

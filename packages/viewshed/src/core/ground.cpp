@@ -478,9 +478,9 @@ double lowest_m(const Lows& lows) {
 
 }  // namespace
 
-Ground estimate_ground(const Lattice& lattice, const Lows& lows, double height_m) {
+FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double height_m) {
     const std::size_t n = lattice.nodes, size = lattice.size();
-    Ground ground{Buffer<float>(size), Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
+    FoundGround ground{Buffer<float>(size), Buffer<float>(size), Buffer<bool>(size), carrier_plane(lows, height_m),
                   std::numeric_limits<double>::quiet_NaN()};
     // Walk, attach what goes on beside the ground, and walk again from there, past levels that one sector alone shows.
     Patches patches(lows, float(lattice.node_m));

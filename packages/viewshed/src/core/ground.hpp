@@ -9,7 +9,7 @@
 namespace viewshed {
 
 // Ground on a lattice (n, n), z from the sensor.
-struct Ground {
+struct FoundGround {
     Buffer<float> heights_m, std_m;
     Buffer<bool> seen;    // the height rests on returns
     CarrierPlane carrier;
@@ -18,6 +18,6 @@ struct Ground {
 };
 
 // The ground by a low point of each node; the sensor's height is known or NaN.
-Ground estimate_ground(const Lattice& lattice, const Lows& lows, double height_m);
+FoundGround estimate_ground(const Lattice& lattice, const Lows& lows, double height_m);
 
 }  // namespace viewshed

@@ -13,9 +13,7 @@ def set_threads(count: int) -> None: ...
 
 # range_image.cpp
 
-def range_image(
-    points: NDArray[np.float32], ring: NDArray[np.int16], columns: int, rings: int, near_m: float, far_m: float
-) -> tuple[
+_RangeImage = tuple[
     NDArray[np.int32],
     NDArray[np.uint8],
     NDArray[np.float32],
@@ -24,7 +22,11 @@ def range_image(
     NDArray[np.bool_],
     NDArray[np.bool_] | None,
     bool,
-]: ...
+]
+
+def range_image(
+    points: NDArray[np.float32], ring: NDArray[np.int16], columns: int, rings: int, near_m: float, far_m: float
+) -> _RangeImage: ...
 def silent_columns(counts: NDArray[np.uint8]) -> NDArray[np.bool_]: ...
 def least_confirmations(mean: float) -> int: ...
 def pixels_without(
@@ -88,17 +90,6 @@ def undo_motion(
 
 _Ground = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], tuple[float, float, float], float, float]
 
-def ground(
-    points: NDArray[np.float32],
-    isolated: NDArray[np.bool_],
-    rotation: NDArray[np.float32],
-    near_m: float,
-    far_m: float,
-    heading: float,
-    half_m: float,
-    nodes: int,
-    height_m: float,
-) -> _Ground: ...
 def ground_of_lows(
     lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_m: float, height_m: float
 ) -> _Ground: ...
@@ -138,6 +129,11 @@ EGO_BOX_M: tuple[float, float]
 EGO_HEIGHTS_M: tuple[float, float]
 
 def vehicle_heading(points: NDArray[np.float32], rotation: NDArray[np.float32]) -> float: ...
+
+_LevelPoints = tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]
+]
+
 def level_points(
     points: NDArray[np.float32],
     clutter: NDArray[np.bool_] | None,
@@ -147,7 +143,25 @@ def level_points(
     heading: float,
     ground_m: NDArray[np.float32],
     half_extent_m: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]: ...
+) -> _LevelPoints: ...
+def level_sweep(
+    points: NDArray[np.float32],
+    ring: NDArray[np.int16] | None,
+    rings: int,
+    columns: int,
+    near_m: float,
+    far_m: float,
+    attitude: NDArray[np.float64] | None,
+    height_m: float | None,
+    yaw: float | None,
+    half_extent_m: float,
+) -> tuple[
+    _RangeImage | None,
+    NDArray[np.float64],
+    float,
+    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], tuple[float, float, float], float],
+    _LevelPoints,
+]: ...
 def beam_slopes(
     points: NDArray[np.float32],
     range_m: NDArray[np.float32],
@@ -225,6 +239,9 @@ def count_points(
     max_range_m: float,
     null_range_m: float,
 ) -> NDArray[np.int32]: ...
+def polar_of_cells(
+    cells: int, cell_m: float, x0_m: float, y0_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 
 # height_map.cpp
 

@@ -129,10 +129,7 @@ GRIDS: dict[str, BevGrid] = {
 @lru_cache(maxsize=8)
 def polar_of_cells(grid: BevGrid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return range (cells, cells) in meters and azimuth (cells, cells) in [-π, π) of the cell centers; read-only."""
-    x, y = grid.centers[..., 0], grid.centers[..., 1]
-    range_m = np.hypot(x, y).astype(np.float32)
-    azimuth = np.arctan2(y, x).astype(np.float32)
-    azimuth[azimuth >= np.pi] = -np.pi
+    range_m, azimuth = _core.polar_of_cells(grid.cells, grid.cell_m, *grid.origin_m)
     for array in (range_m, azimuth):
         array.setflags(write=False)
     return range_m, azimuth

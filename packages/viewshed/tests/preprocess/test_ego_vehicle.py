@@ -1,21 +1,18 @@
 """The own vehicle: its returns are left out, however the sensor is turned on it, and those of others are not."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from viewshed import BevGrid, Sweep
+from viewshed import BevGrid, Sweep, _core
 from viewshed.arrays import F32
 from viewshed.estimators.first_blocker import FirstBlocker
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.ego_vehicle import vehicle_heading
 from viewshed.preprocess.leveling import level
 from viewshed.sensors import lidar_model
 from viewshed_lab.sim import cast, junction
 
 GRID = BevGrid(128, 32.0)
-LEVEL = np.eye(3)
+LEVEL = np.eye(3, dtype=np.float32)
 STREET = cast(lidar_model("vlp16"), junction(), 1.8)
 
 
@@ -41,21 +38,7 @@ def off_deg(heading: float, degrees: float) -> float:
 @pytest.mark.parametrize("degrees", [0, 30, 45, 90, 120, -60])
 def test_the_heading_follows_the_vehicle(degrees: float) -> None:
     points = np.concatenate([turned(own_car(), degrees), STREET.points])
-    assert off_deg(vehicle_heading(points, LEVEL, None), degrees) < 8
-    assert vehicle_heading(points, LEVEL, 1.0) == 1.0
-
-
-@pytest.mark.parametrize("given", [{}, {"attitude": (1.0, 0.0, 0.0, 0.0)}])
-def test_the_heading_is_found_once_a_sweep(given: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-
-    def counted(*arguments: Any) -> float:
-        calls.append(arguments)
-        return vehicle_heading(*arguments)
-
-    monkeypatch.setattr("viewshed.preprocess.leveling.vehicle_heading", counted)
-    level(Sweep(STREET.points, infer_sensor=False, **given), GRID)
-    assert len(calls) == 1
+    assert off_deg(_core.vehicle_heading(points, LEVEL), degrees) < 8
 
 
 @pytest.mark.parametrize("degrees", [0, 45, 90])
@@ -104,13 +87,13 @@ def beside(x_m: tuple[float, float], y_m: tuple[float, float], z_m: tuple[float,
     ],
 )
 def test_others_beside_are_not_the_own_vehicle(others: F32) -> None:
-    assert vehicle_heading(np.concatenate([others, STREET.points]), LEVEL, None) == 0.0
+    assert _core.vehicle_heading(np.concatenate([others, STREET.points]), LEVEL) == 0.0
 
 
 def test_a_person_beside_the_roof_that_is_seen_is_no_hood() -> None:
     roof = beside((-1.0, 1.0), (-0.6, 0.6), (-0.35, -0.3))
     person = beside((-0.2, 0.2), (1.5, 1.8), (-1.1, -0.1))
-    assert vehicle_heading(np.concatenate([roof, person, STREET.points]), LEVEL, None) == 0.0
+    assert _core.vehicle_heading(np.concatenate([roof, person, STREET.points]), LEVEL) == 0.0
 
 
 def test_no_real_sweep_is_turned_and_nuscenes_turned_is_noticed(real_data: object) -> None:
@@ -119,8 +102,8 @@ def test_no_real_sweep_is_turned_and_nuscenes_turned_is_noticed(real_data: objec
         if entry.points is None or entry.file.suffix in {".pcap", ".feather"}:
             continue
         points = read_indexed(entry).points
-        assert vehicle_heading(points, LEVEL, None) == 0.0, entry.file
+        assert _core.vehicle_heading(points, LEVEL) == 0.0, entry.file
         if "LIDAR_TOP" in entry.file.name:
             seen += 1
-            assert off_deg(vehicle_heading(np.ascontiguousarray(turned(points, 90)), LEVEL, None), 90) < 3
+            assert off_deg(_core.vehicle_heading(np.ascontiguousarray(turned(points, 90)), LEVEL), 90) < 3
     assert seen == 5

@@ -10,9 +10,10 @@ from tests.test_core_arrays import NODES, call
 from viewshed import _core
 
 
-def found(points: NDArray[np.float32], height_m: float = np.nan) -> Any:
-    isolated = np.zeros(len(points), np.bool_)
-    return call("ground", points=points, isolated=isolated, height_m=height_m)
+def found(points: NDArray[np.float32], height_m: float | None = None) -> Any:
+    """Heights and deviations of the ground, its support, and the height of the sensor above it."""
+    _, _, above_m, (heights, std, *_, support), _ = call("level_sweep", points=points, ring=None, height_m=height_m)
+    return heights, std, support, above_m
 
 
 def held(**named: Any) -> Any:
@@ -40,11 +41,11 @@ def test_level_ground_is_found_where_it_lies() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_without_enough_points_level_ground_is_assumed(count: int) -> None:
-    *_, support, level = found(street(1000)[:count])
+    heights, _, support, above_m = found(street(1000)[:count])
     assert support == 0.0
-    assert level == -1.8
-    *_, level = found(street(1000)[:count], height_m=0.7)
-    assert level == -0.7
+    assert above_m == pytest.approx(1.8)
+    assert np.abs(heights).max() == 0.0
+    assert found(street(1000)[:count], height_m=0.7)[-1] == 0.7
 
 
 def test_held_ground_is_taken_where_only_the_earlier_sweep_saw_it() -> None:

@@ -8,7 +8,7 @@ from viewshed import BevGrid, Sweep, _core
 from viewshed.arrays import Mask
 from viewshed.estimators.shadow_map import NoReturn, ShadowMap
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
+from viewshed.preprocess.range_image import RangeImage, pixels_of
 from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_lab.sim import Box, Scene, cast
@@ -29,9 +29,9 @@ def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int =
 
 
 def image_of(sweep: Sweep) -> RangeImage:
-    image = range_image_by_sensor(sweep.points, identify_sensor(sweep), LIMITS_M)
-    assert image is not None
-    return image
+    pixels = pixels_of(identify_sensor(sweep))
+    assert pixels is not None
+    return pixels.image_of(sweep.points, LIMITS_M)
 
 
 def isolated_in(sweep: Sweep) -> Mask:

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed import Sweep
-from viewshed.preprocess.range_image import DEFAULT_COLUMNS, RangeImage, range_image_by_rings, range_image_by_sensor
+from viewshed.preprocess.range_image import DEFAULT_COLUMNS, RangeImage, pixels_of, range_image_by_rings
 from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId
 from viewshed.sensors import LidarModel
@@ -25,9 +25,9 @@ def image_of(returns: list[tuple[int, int, float]], model: LidarModel | None = M
     """The image of returns given by column, ring and distance; of ring -1 no beam is known."""
     points = np.array([point(column, max(ring, 0), range_m) for column, ring, range_m in returns], np.float32)
     ring = np.array([ring for _, ring, _ in returns], np.int16)
-    image = range_image_by_sensor(points, SensorId(ring, model), LIMITS_M)
-    assert image is not None
-    return image
+    pixels = pixels_of(SensorId(ring, model))
+    assert pixels is not None
+    return pixels.image_of(points, LIMITS_M)
 
 
 def test_each_return_has_the_pixel_of_its_beam_and_each_pixel_its_nearest_return() -> None:
@@ -85,8 +85,8 @@ def test_a_pixel_holds_255_returns_at_most_and_then_stays_full() -> None:
 
 
 def test_without_rings_or_returns_there_is_no_image() -> None:
-    assert range_image_by_sensor(np.ones((3, 3), np.float32), UNIDENTIFIED, LIMITS_M) is None
-    assert range_image_by_sensor(np.zeros((0, 3), np.float32), SensorId(np.zeros(0, np.int16), MODEL), LIMITS_M) is None
+    assert pixels_of(UNIDENTIFIED) is None
+    assert pixels_of(SensorId(np.zeros(0, np.int16), MODEL)) is None
 
 
 def test_rings_that_are_bins_of_elevation_are_no_beams() -> None:

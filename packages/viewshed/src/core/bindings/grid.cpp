@@ -26,6 +26,19 @@ void bind_grid(nb::module_& m) {
         "points"_a.noconvert(), "rotation"_a.noconvert(), "translation"_a.noconvert(), nb::kw_only(), "cells"_a,
         "cell_m"_a, "origin_x_m"_a, "origin_y_m"_a, "low_m"_a, "high_m"_a, "max_range_m"_a, "null_range_m"_a,
         "Counts (cells, cells) int32 of points (N, 3) after a transform to level, by height there and by range.");
+    m.def(
+        "polar_of_cells",
+        [](std::size_t cells, double cell_m, double x0_m, double y0_m) {
+            require(cells >= 1 && cells <= 16384, "cells must lie in [1, 16384]");
+            Buffer<float> range_m(cells * cells), azimuth(cells * cells);
+            {
+                nb::gil_scoped_release unlocked;
+                polar_of_cells({cells, cell_m, x0_m, y0_m}, range_m, azimuth);
+            }
+            return nb::make_tuple(array(std::move(range_m), {cells, cells}), array(std::move(azimuth), {cells, cells}));
+        },
+        "cells"_a, "cell_m"_a, "x0_m"_a, "y0_m"_a,
+        "Range in meters and azimuth in [-pi, pi) (cells, cells) of the centers of cells.");
 }
 
 }  // namespace viewshed

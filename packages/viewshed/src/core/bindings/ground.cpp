@@ -15,7 +15,7 @@ namespace viewshed {
 namespace {
 
 // Heights, standard deviations, seen nodes, plane and support as numpy arrays; and the z of level ground, NaN where it is seen.
-nb::tuple as_tuple(Ground& ground, std::size_t n) {
+nb::tuple as_tuple(FoundGround& ground, std::size_t n) {
     const auto& [a, b, c] = ground.carrier.plane;
     return nb::make_tuple(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
                           array(std::move(ground.seen), {n, n}), nb::make_tuple(a, b, c), ground.carrier.support,
@@ -56,34 +56,10 @@ Lows lows_of(const In3<float>& points, const In2<float>& rise_m, double half_m) 
 // What Python calls: arrays are checked here, whatever hands them in.
 void bind_ground(nb::module_& m) {
     m.def(
-        "ground",
-        [](Points points, In1<bool> isolated, In2<float> rotation, float near_m, float far_m,
-           double heading, double half_m, std::size_t nodes, double height_m) {
-            require(isolated.shape(0) == points.shape(0), "isolated must have one row for each point");
-            require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
-            require(rotation.shape(0) == 3 && rotation.shape(1) == 3, "rotation must be (3, 3)");
-            require_bounded(view(rotation).flat(), "rotation must be finite");
-            require(far_m <= MOST_M, "far_m must be at most 1e6 m");
-            require_lattice(nodes, half_m);
-            std::optional<Ground> found;
-            {
-                nb::gil_scoped_release unlocked;
-                const auto lattice = lattice_of(nodes, half_m);
-                const Lows lows = lowest_returns(view(points), view(isolated), view(rotation), near_m, far_m, heading,
-                                                 float(half_m), nodes);
-                found = estimate_ground(*lattice, lows, height_m);
-            }
-            return as_tuple(*found, nodes);
-        },
-        "points"_a.noconvert(), "isolated"_a.noconvert(), "rotation"_a.noconvert(), "near_m"_a, "far_m"_a, "heading"_a,
-        "half_m"_a, "nodes"_a, "height_m"_a,
-        "Heights, deviations, seen nodes (nodes, nodes), plane, support, and level (or NaN) of the ground below points "
-        "(N, 3), isolated (N,) ones left out, after rotation (3, 3); the sensor's height may be NaN.");
-    m.def(
         "ground_of_lows",
         [](In3<float> lows_m, In2<float> rise_m, double half_m, double height_m) {
             const Lows lows = lows_of(lows_m, rise_m, half_m);
-            std::optional<Ground> found;
+            std::optional<FoundGround> found;
             {
                 nb::gil_scoped_release unlocked;
                 found = estimate_ground(*lattice_of(lows.nodes, half_m), lows, height_m);
@@ -91,7 +67,8 @@ void bind_ground(nb::module_& m) {
             return as_tuple(*found, lows.nodes);
         },
         "lows_m"_a.noconvert(), "rise_m"_a.noconvert(), "half_m"_a, "height_m"_a,
-        "As `ground`, by low points (n, n, 3) and the rise (n, n) from each to the highest return of its node.");
+        "Heights, deviations, seen nodes (n, n), plane, support, and level (or NaN) of the ground, by low points (n, n, 3) "
+        "and the rise (n, n) from each to the highest return of its node.");
     m.def(
         "fill_ground",
         [](In2<float> walked_m, In2<bool> accepted, In1<float> plane, double half_m) {

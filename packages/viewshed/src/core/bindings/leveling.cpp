@@ -7,10 +7,15 @@
 #include <limits>
 #include <optional>
 
-#include "bindings.hpp"
 #include "ego_vehicle.hpp"
+#include "stages.hpp"
 
 namespace viewshed {
+
+nb::tuple level_arrays(LevelPoints&& level) {
+    return nb::make_tuple(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
+                          array(std::move(level.azimuth)), array(std::move(level.height_m)), array(std::move(level.rows)));
+}
 
 void bind_leveling(nb::module_& m) {
     m.attr("EGO_BOX_M") = nb::make_tuple(EGO_LENGTH_M, EGO_WIDTH_M);
@@ -43,10 +48,7 @@ void bind_leveling(nb::module_& m) {
                 made = level_points(view(points), mask, {level_from_sensor.data(), 3, 4}, near_m, far_m, heading,
                                     {view(ground_m), half_extent_m});
             }
-            LevelPoints& level = *made;
-            return nb::make_tuple(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
-                                  array(std::move(level.azimuth)), array(std::move(level.height_m)),
-                                  array(std::move(level.rows)));
+            return level_arrays(std::move(*made));
         },
         "points"_a.noconvert(), "clutter"_a.noconvert().none(), "level_from_sensor"_a.noconvert(), "near_m"_a,
         "far_m"_a, "heading"_a, "ground_m"_a.noconvert(), "half_extent_m"_a,

@@ -14,6 +14,7 @@ NB_MODULE(_core, m) {
     viewshed::bind_ground(m);
     viewshed::bind_held_ground(m);
     viewshed::bind_leveling(m);
+    viewshed::bind_level_sweep(m);
     viewshed::bind_no_return(m);
     viewshed::bind_grid(m);
     viewshed::bind_height_map(m);

@@ -1,11 +1,20 @@
 #include "range_image.hpp"
 
-#include "bindings.hpp"
 #include "isolated_returns.hpp"
+#include "stages.hpp"
 
 namespace viewshed {
 
-// What Python calls: arrays are checked here, whatever hands them in.
+// A range image as a tuple of arrays.
+nb::tuple range_image_arrays(RangeImage&& image) {
+    nb::object clutter = nb::none();
+    if (image.clutter) clutter = nb::cast(array(std::move(*image.clutter)));
+    const std::size_t rings = image.rings, columns = image.columns;
+    return nb::make_tuple(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
+                          array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
+                          array(std::move(image.isolated)), array(std::move(image.behind)), clutter, image.has_full_rings);
+}
+
 void bind_range_image(nb::module_& m) {
     m.def(
         "range_image",
@@ -18,13 +27,7 @@ void bind_range_image(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 made = range_image(view(points), own, columns, rings, near_m, far_m);
             }
-            RangeImage& image = *made;
-            nb::object clutter = nb::none();
-            if (image.clutter) clutter = nb::cast(array(std::move(*image.clutter)));
-            return nb::make_tuple(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
-                                  array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
-                                  array(std::move(image.isolated)), array(std::move(image.behind)), clutter,
-                                  image.has_full_rings);
+            return range_image_arrays(std::move(*made));
         },
         "points"_a.noconvert(), "ring"_a.noconvert(), "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
         "Column, counts, nearest_m2, phase, isolated, behind, clutter (or None) of points (N, 3) by ring (N,); and "

@@ -5,12 +5,19 @@
 
 namespace viewshed {
 
+// Results of stages that several bindings hand back.
+struct RangeImage;
+struct LevelPoints;
+nb::tuple range_image_arrays(RangeImage&& image);
+nb::tuple level_arrays(LevelPoints&& level);
+
 void bind_range_image(nb::module_& m);
 void bind_reach(nb::module_& m);
 void bind_sensor_id(nb::module_& m);
 void bind_ground(nb::module_& m);
 void bind_held_ground(nb::module_& m);
 void bind_leveling(nb::module_& m);
+void bind_level_sweep(nb::module_& m);
 void bind_no_return(nb::module_& m);
 void bind_grid(nb::module_& m);
 void bind_height_map(nb::module_& m);

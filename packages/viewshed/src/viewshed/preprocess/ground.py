@@ -40,31 +40,6 @@ def lattice_nodes(half_extent_m: float) -> int:
     return 128 if half_extent_m > 32.0 else 64
 
 
-def estimate_ground(
-    points: NDArray[np.float32],
-    isolated: NDArray[np.bool_],
-    rotation: NDArray[np.float64],
-    limits_m: tuple[float, float],
-    heading: float,
-    half_extent_m: float,
-    sensor_height_m: float | None,
-) -> HeightMap:
-    """Return the ground below the points of a sweep, z from the sensor.
-
-    Args:
-        points: (N, 3) float32 in the sensor's frame.
-        isolated: (N,) bool, points that do not count.
-        rotation: (3, 3) from the sensor's frame to a level one.
-        limits_m: nearest and farthest range of points that count.
-        heading: of the own vehicle in the level frame, whose hood and roof are no ground.
-        half_extent_m: half the side of the lattice in meters.
-        sensor_height_m: known mounting height, or None.
-    """
-    turn, nodes, height_m = rotation.astype(np.float32), lattice_nodes(half_extent_m), _or_nan(sensor_height_m)
-    found = _core.ground(points, isolated, turn, *limits_m, heading, half_extent_m, nodes, height_m)
-    return _height_map(found, half_extent_m)
-
-
 def ground_of_lows(
     lows_m: NDArray[np.float32], rise_m: NDArray[np.float32], half_extent_m: float, sensor_height_m: float | None
 ) -> HeightMap:

@@ -15,9 +15,7 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Beams
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
-from viewshed.preprocess.ego_vehicle import vehicle_heading
-from viewshed.preprocess.ground import estimate_ground
-from viewshed.preprocess.range_image import RangeImage, range_image_by_sensor
+from viewshed.preprocess.range_image import RangeImage, pixels_of
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -30,20 +28,6 @@ NULL_RANGE_M = 0.5
 
 MAX_RANGE_M = 250.0
 """Returns farther than this are not used where the sensor is not known."""
-
-TILT_SUPPORT = 0.35
-"""Share of the near ground (or of the area seen) that must lie on a plane before it is believed about the tilt, ..."""
-
-TILT_RETURNS = 0.5
-"""... or this share of the returns: far walls outweigh the ground below a sensor that looks down beside them."""
-
-_ON_PLANE_M = 0.2
-
-LEVEL_TILT = np.deg2rad(6.0)
-"""A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
-
-LEAST_HEIGHT_M = 0.05
-"""Least height of a sensor above the ground that was estimated."""
 
 PLANE_HEIGHT_M = 0.3
 """Height of a scan in one plane where it is not known: within every target."""
@@ -124,23 +108,25 @@ def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> Le
     """
     if sweep.planar is not None:
         return _level_planar(sweep, grid)
-    # 1. Identify the sensor: its beam table, and the ring of each return.
     sensor_id = identify_sensor(sweep, expected)
-    # 2. Range image: isolated returns say nothing of the ground, clutter is left out altogether.
-    image = range_image_by_sensor(sweep.points, sensor_id, range_limits(sweep))
-    isolated = np.zeros(len(sweep), np.bool_) if image is None else image.isolated
-    isolated.setflags(write=False)
-    # 3. Attitude and ground, in the sensor's frame; then raise both until the ground below the sensor is at z = 0.
-    rotation, heading, ground = _attitude_and_ground(sweep, grid, isolated)
-    height_m = sweep.sensor_height_m or max(-float(ground.at(np.zeros((1, 2)))[0]), LEAST_HEIGHT_M)
-    ground = ground.raised(height_m)
-    level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, height_m]))
-    # 4. Level points, with their range, azimuth and height above the ground.
-    clutter = None if image is None else image.clutter
-    points, range_m, azimuth, heights_m, rows = _level_points(sweep, clutter, level_from_sensor, heading, ground)
-    return LeveledSweep(
-        sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground, sensor_id, image
+    pixels = pixels_of(sensor_id)
+    attitude = sweep.known_attitude
+    arrays, rotation, height_m, (heights_m, std_m, seen, plane, support), columns = _core.level_sweep(
+        sweep.points, None if pixels is None else pixels.ring, 0 if pixels is None else len(pixels.elevation),
+        0 if pixels is None else pixels.columns, *range_limits(sweep),
+        None if attitude is None else rotation_from_quaternion(attitude), sweep.sensor_height_m, sweep.vehicle_yaw,
+        _half_extent_m(grid),
     )  # fmt: skip
+    for column in columns:
+        column.setflags(write=False)
+    return LeveledSweep(
+        sweep,
+        *columns,
+        Rigid(rotation, np.array([0.0, 0.0, height_m])),
+        HeightMap(heights_m, _half_extent_m(grid), seen, plane, support, std_m),
+        sensor_id,
+        None if pixels is None or arrays is None else pixels.image(*arrays),
+    )
 
 
 def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
@@ -149,7 +135,7 @@ def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
     level_from_sensor = Rigid(rotation, np.array([0.0, 0.0, sweep.sensor_height_m or PLANE_HEIGHT_M]))
     ground, heading = HeightMap.flat(_half_extent_m(grid)), sweep.vehicle_yaw or 0.0
-    points, range_m, azimuth, heights_m, rows = _level_points(sweep, None, level_from_sensor, heading, ground)
+    points, range_m, azimuth, heights_m, rows = _level_points(sweep, level_from_sensor, heading, ground)
     # Whatever a beam of the plane meets is an obstacle, however low the plane is.
     heights_m = np.maximum(heights_m, np.float32(_OBSTACLE_M))
     heights_m.setflags(write=False)
@@ -192,63 +178,13 @@ def _half_extent_m(grid: BevGrid) -> float:
     return grid.half_extent_m + max(abs(offset) for offset in grid.offset_m)
 
 
-def _attitude_and_ground(sweep: Sweep, grid: BevGrid, isolated: Mask) -> tuple[NDArray[np.float64], float, HeightMap]:
-    """Return the rotation (3, 3) from sensor to level, the vehicle's heading, and ground with the sensor at z = 0."""
-    attitude = sweep.known_attitude
-    rotation = np.eye(3) if attitude is None else rotation_from_quaternion(attitude)
-    heading, ground = _heading_and_ground(sweep, grid, rotation, isolated)
-    # Where nothing says how the sensor is tilted, a steep ground plane does. The ground is then found again, upright.
-    normal = _tilted_normal(sweep, ground) if attitude is None else None
-    if normal is not None:
-        rotation = _upright(normal)
-        heading, ground = _heading_and_ground(sweep, grid, rotation, isolated)
-    return rotation, heading, ground
-
-
-def _heading_and_ground(
-    sweep: Sweep, grid: BevGrid, rotation: NDArray[np.float64], isolated: Mask
-) -> tuple[float, HeightMap]:
-    """Return the vehicle's heading, and the ground over the extent of ``grid``, after a rotation (3, 3)."""
-    heading = vehicle_heading(sweep.points, rotation, sweep.vehicle_yaw)
-    limits_m, height_m = range_limits(sweep), sweep.sensor_height_m
-    return heading, estimate_ground(sweep.points, isolated, rotation, limits_m, heading, _half_extent_m(grid), height_m)
-
-
-def _tilted_normal(sweep: Sweep, ground: HeightMap) -> NDArray[np.float64] | None:
-    """Return the ground's normal (3,) in the sensor frame where the sensor is clearly tilted, else None."""
-    normal = np.array([-ground.plane[0], -ground.plane[1], 1.0])
-    if ground.support < TILT_SUPPORT:
-        # Too few near nodes lie on that plane: look for a steeper one, up to 60°, through some of the returns.
-        returns = np.ascontiguousarray(sweep.points[:: max(len(sweep) // 2500, 1)])
-        steep, support = _core.free_plane(returns)
-        if support < TILT_SUPPORT and _share_at_one_height(returns @ steep) < TILT_RETURNS:
-            return None
-        normal = steep.astype(np.float64)
-    normal /= np.linalg.norm(normal)
-    return normal if np.arccos(min(normal[2], 1.0)) > LEVEL_TILT else None
-
-
-def _share_at_one_height(height_m: NDArray[np.float32]) -> float:
-    """Return the share of heights (n,) below the sensor that lie within ``_ON_PLANE_M`` of each other."""
-    low = np.sort(height_m[height_m < -LEAST_HEIGHT_M])
-    together = np.searchsorted(low, low + np.float32(_ON_PLANE_M)) - np.arange(len(low))
-    return float(together.max(initial=0)) / max(len(height_m), 1)
-
-
-def _upright(normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) that takes ``normal`` to z and keeps the heading of x."""
-    forward = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
-    forward /= np.linalg.norm(forward)
-    return np.stack([forward, np.cross(normal, forward), normal])
-
-
 def _level_points(
-    sweep: Sweep, clutter: Mask | None, level_from_sensor: Rigid, heading: float, ground: HeightMap
+    sweep: Sweep, level_from_sensor: Rigid, heading: float, ground: HeightMap
 ) -> tuple[F32, F32, F32, F32, NDArray[np.int32]]:
     """Return points (M, 3), range, azimuth, height above the ground and row in the sweep (M,) of returns that count."""
     columns = _core.level_points(
         sweep.points,
-        clutter,
+        None,
         level_from_sensor.as_matrix()[:3].astype(np.float32),
         *range_limits(sweep),
         heading,

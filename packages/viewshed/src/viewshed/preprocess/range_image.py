@@ -65,43 +65,61 @@ class RangeImage:
         return _core.pixels_without(self.ring, left_out, self.column, self.counts)
 
 
-def range_image_by_sensor(points: F32, sensor_id: SensorId, limits_m: tuple[float, float]) -> RangeImage | None:
-    """Return the range image of points (N, 3) by their rings and their sensor's columns; None where rings are unknown.
+@dataclass(frozen=True, slots=True, eq=False)
+class Pixels:
+    """Where the returns of a sweep go on its range image, and where the beams of its rows point.
+
+    Attributes:
+        ring: (N,) int16 row of each return; -1 where no beam explains it.
+        columns: of a revolution.
+        elevation: (rings,) float64 radians above the horizon; NaN where the sensor is not known.
+        origin_m: (rings,) float64 height above the sensor's origin at range 0.
+    """
+
+    ring: NDArray[np.int16]
+    columns: int
+    elevation: NDArray[np.float64]
+    origin_m: NDArray[np.float64]
+
+    def image(
+        self,
+        column: NDArray[np.int32],
+        counts: NDArray[np.uint8],
+        nearest_m2: F32,
+        phase: F32,
+        isolated: Mask,
+        behind: Mask,
+        clutter: Mask | None,
+        has_full_rings: bool,
+    ) -> RangeImage:
+        """Return the range image of what the core found."""
+        for array in (column, counts, nearest_m2, phase, isolated, behind, *(() if clutter is None else (clutter,))):
+            array.setflags(write=False)
+        fits = bool(np.isfinite(self.elevation).all()) and has_full_rings
+        return RangeImage(
+            self.ring, column, counts, nearest_m2, phase, self.elevation, self.origin_m, fits, isolated, behind, clutter
+        )
+
+    def image_of(self, points: F32, limits_m: tuple[float, float]) -> RangeImage:
+        """Return the range image of points (N, 3); returns outside ``limits_m`` confirm none and are not isolated."""
+        return self.image(*_core.range_image(points, self.ring, self.columns, len(self.elevation), *limits_m))
+
+
+def pixels_of(sensor_id: SensorId) -> Pixels | None:
+    """Return the pixels by the rings of a sweep and its sensor's columns; None where rings are unknown.
 
     Columns somewhat too wide or too narrow still show which returns are isolated.
     """
     ring, model = sensor_id.ring, sensor_id.model
-    if ring is None or len(points) == 0:
+    if ring is None or len(ring) == 0:
         return None
     if model is None:
         unknown = np.full(int(ring.max()) + 1, np.nan)
-        return _range_image(points, ring, DEFAULT_COLUMNS, unknown, np.zeros(len(unknown)), limits_m)
-    return _range_image(points, ring, model.azimuth_columns, model.elevation, model.origin_m, limits_m)
+        return Pixels(ring, DEFAULT_COLUMNS, unknown, np.zeros(len(unknown)))
+    return Pixels(ring, model.azimuth_columns, model.elevation, model.origin_m)
 
 
 def range_image_by_rings(points: F32, rings: RingAssignment, limits_m: tuple[float, float]) -> RangeImage:
     """Return the range image of points (N, 3) by recovered rings and the columns and elevations measured with them."""
-    image = _range_image(points, rings.ring, rings.columns, rings.elevation, np.zeros(rings.rings), limits_m)
-    return replace(image, pixels_are_beams=rings.source != "elevation bins")
-
-
-def _range_image(
-    points: F32,
-    ring: NDArray[np.int16],
-    columns: int,
-    elevation: NDArray[np.float64],
-    origin_m: NDArray[np.float64],
-    limits_m: tuple[float, float],
-) -> RangeImage:
-    """Return the range image of points (N, 3); returns outside ``limits_m`` confirm none and are not isolated."""
-    rings = len(elevation)
-    column, counts, nearest_m2, phase, isolated, behind, clutter, has_full_rings = _core.range_image(
-        points, ring, columns, rings, *limits_m
-    )
-    fits = bool(np.isfinite(elevation).all()) and has_full_rings
-    image = RangeImage(
-        ring, column, counts, nearest_m2, phase, elevation, origin_m, fits, isolated, behind, clutter
-    )  # fmt: skip
-    for array in (column, counts, nearest_m2, phase, isolated, behind, *(() if clutter is None else (clutter,))):
-        array.setflags(write=False)
-    return image
+    pixels = Pixels(rings.ring, rings.columns, rings.elevation, np.zeros(rings.rings))
+    return replace(pixels.image_of(points, limits_m), pixels_are_beams=rings.source != "elevation bins")

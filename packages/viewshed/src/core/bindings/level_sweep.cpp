@@ -1,0 +1,66 @@
+#include "level_sweep.hpp"
+
+#include <nanobind/stl/optional.h>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+#include <utility>
+
+#include "ground_lattice.hpp"
+#include "stages.hpp"
+
+namespace viewshed {
+
+void bind_level_sweep(nb::module_& m) {
+    using RotationArray = nb::ndarray<const double, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
+    m.def(
+        "level_sweep",
+        [](Points points, std::optional<In1<std::int16_t>> ring, std::size_t rings, std::size_t columns, float near_m,
+           float far_m, std::optional<RotationArray> attitude, std::optional<double> height_m, std::optional<double> yaw,
+           double half_extent_m) {
+            require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
+            require(far_m <= MOST_M, "far_m must be at most 1e6 m");
+            require(!height_m || std::isfinite(*height_m), "height_m must be finite");
+            require(!yaw || std::isfinite(*yaw), "yaw must be finite");
+            require_lattice(2, half_extent_m);
+            UnleveledSweep sweep{view(points), std::nullopt, rings, columns, near_m, far_m, std::nullopt, height_m, yaw, half_extent_m};
+            std::optional<Buffer<std::int16_t>> own;
+            if (ring && points.shape(0) > 0) {
+                require(ring->shape(0) == points.shape(0), "ring must have one row for each point");
+                require_image(rings, columns);
+                own = indices_of<std::int16_t>(view(*ring), -1, std::int16_t(rings - 1), "ring");
+                sweep.ring = View1<const std::int16_t>(*own);
+            }
+            if (attitude) {
+                std::copy_n(attitude->data(), 9, sweep.attitude.emplace().begin());
+                const auto is_bounded = [](double value) { return std::fabs(value) <= MOST_M; };
+                require(std::all_of(sweep.attitude->begin(), sweep.attitude->end(), is_bounded), "attitude must be finite");
+            }
+            std::optional<SweepLevel> made;
+            {
+                nb::gil_scoped_release unlocked;
+                made = level_sweep(sweep);
+            }
+            // The range image, the rotation, the height, the ground, and the level points.
+            nb::object image = nb::none();
+            if (made->image) image = range_image_arrays(std::move(*made->image));
+            Buffer<double> rotation(9);
+            std::copy(made->rotation.begin(), made->rotation.end(), rotation.begin());
+            GroundMap& ground = made->ground;
+            const std::size_t n = ground.nodes;
+            const auto [a, b, c] = ground.plane;
+            LevelPoints& level = made->level;
+            return nb::make_tuple(
+                image, array(std::move(rotation), {3, 3}), made->height_m,
+                nb::make_tuple(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
+                               array(std::move(ground.seen), {n, n}), nb::make_tuple(a, b, c), ground.support),
+                level_arrays(std::move(level)));
+        },
+        "points"_a.noconvert(), "ring"_a.noconvert().none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a,
+        "attitude"_a.noconvert().none(), "height_m"_a.none(), "yaw"_a.none(), "half_extent_m"_a,
+        "Range image (as range_image gives it, or None), rotation (3, 3) to level, height of the sensor, ground (heights, "
+        "deviations, seen nodes, plane, support), and level points (as level_points gives them) of points (N, 3).");
+}
+
+}  // namespace viewshed

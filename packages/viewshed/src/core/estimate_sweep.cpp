@@ -1,0 +1,246 @@
+#include "estimate_sweep.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "depth_images.hpp"
+#include "evidence.hpp"
+#include "grid.hpp"
+#include "height_map.hpp"
+#include "no_return.hpp"
+#include "reach.hpp"
+#include "sensor_id.hpp"
+
+namespace viewshed {
+namespace {
+
+// As viewshed.preprocess.leveling, .evidence and .reach have them.
+constexpr double NULL_RANGE_M = 0.5, MAX_RANGE_M = 250.0;
+constexpr float LOW_M = 0.3f, HIGH_M = 3.0f;
+constexpr std::array<float, 2> GROUND_STEPS{-1.22f, 1.22f};
+constexpr float STEP_WEIGHT = 0.3f;
+constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
+constexpr double LEAST_REACH_M = 20.0, BULK_SHARE = 0.9, REACH_TIMES = 2.5, USUAL_REACH_M = 85.0;
+
+// Columns of a revolution where the sensor is not known.
+constexpr std::size_t DEFAULT_COLUMNS = 1024;
+
+constexpr double NONE = std::numeric_limits<double>::infinity();
+
+// The sensors that may be inferred, and their tables.
+struct KnownSensors {
+    std::vector<const SensorModel*> models;
+    BeamTables tables;
+};
+
+const KnownSensors& known_sensors() {
+    static const KnownSensors known = [] {
+        KnownSensors some;
+        for (const SensorModel& model : shipped_sensors()) {
+            if (!model.is_inferred) continue;
+            some.models.push_back(&model);
+            some.tables.push_back(model.beams);
+        }
+        return some;
+    }();
+    return known;
+}
+
+// The rings (N,) of a sweep, its own or recovered ones, and its sensor; none of either where nothing shows it.
+struct Identity {
+    std::optional<Buffer<std::int16_t>> recovered;
+    std::optional<View1<const std::int16_t>> own;
+    const SensorModel* model = nullptr;
+
+    std::optional<View1<const std::int16_t>> ring() const {
+        return recovered ? std::optional(View1<const std::int16_t>(*recovered)) : own;
+    }
+};
+
+Identity identify(const SweepInput& sweep, const SensorModel* expected) {
+    if (sweep.model != nullptr && !sweep.model->fires_rings) return {std::nullopt, std::nullopt, sweep.model};
+    if (sweep.points.rows == 0 || (sweep.ring && (sweep.model != nullptr || !sweep.infers_sensor))) return {std::nullopt, sweep.ring, sweep.model};
+    if (sweep.model != nullptr) return {beams_of_sensor(sweep.points, sweep.model->beams), std::nullopt, sweep.model};
+    if (!sweep.infers_sensor) return {rings_of_points(sweep.points), std::nullopt, nullptr};
+    const auto& [models, tables] = known_sensors();
+    const auto at = std::find(models.begin(), models.end(), expected);
+    const int number = at == models.end() ? NO_TABLE : int(at - models.begin());
+    SensorId found = sweep.ring ? identify_by_rings(sweep.points, *sweep.ring, tables, number)
+                                : identify_by_points(sweep.points, tables, number);
+    return {std::move(found.ring), sweep.ring, found.table == NO_TABLE ? nullptr : models[std::size_t(found.table)]};
+}
+
+// Where the beams of a range image point, and what of it says which beams are missing.
+struct BeamImage {
+    View1<const std::int16_t> ring;
+    const RangeImage* image;
+    View1<const double> elevation, origin_m;
+};
+
+// The slopes of measured beams, and the beams without a return.
+struct SplitBeams {
+    Buffer<float> slope;
+    std::optional<BeamColumns> inferred, unresolved;
+};
+
+View1<const bool> clutter_of(const SweepLevel& at) {
+    return at.image && at.image->clutter ? View1<const bool>(*at.image->clutter) : View1<const bool>{nullptr, 0};
+}
+
+SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double top_m) {
+    const LevelPoints& level = at.level;
+    const RangeImage& image = *beams.image;
+    const std::size_t room = image.rings * image.columns;
+    const float height_m = float(at.height_m), steep_m = float(STEEP * at.height_m);
+    SplitBeams split{Buffer<float>(level.count), BeamColumns(room), BeamColumns(room)};
+    const Pixels pixels{beams.ring, image.column, {image.counts.data(), image.rings, image.columns}, image.isolated, clutter_of(at)};
+    const DepthImages depths = depth_images(pixels, {level.range_m, level.height_m, level.rows}, LOW_M, steep_m);
+    beam_slopes({level.points.data(), level.count, 3}, level.range_m, height_m, image.isolated, level.rows, split.slope);
+    const RingAims aims{image.phase, beams.elevation, beams.origin_m, at.rotation.data()};
+    split_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m, *split.inferred, *split.unresolved);
+    return split;
+}
+
+// The beams of a sweep by what is known of their depth; viewshed.preprocess.no_return.beams_by_evidence.
+SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, const Identity& identity, const SweepLevel& at,
+                       double top_m) {
+    if (const auto ring = identity.ring()) {
+        // 1. The range image, if its pixels are beams: elevations are known, and rings about as full as the columns are many.
+        if (identity.model != nullptr && at.image && at.image->has_full_rings) {
+            const BeamTable& table = identity.model->beams;
+            const View1<const double> elevation{table.elevation.data(), table.rings()};
+            return split_by_image({*ring, &*at.image, elevation, {table.origin_m.data(), table.rings()}}, at, top_m);
+        }
+        // 2. Else one by its rings and the columns and elevations that are measured with them.
+        const BeamTable* table = identity.model == nullptr ? nullptr : &identity.model->beams;
+        const RingAssignment found = recover_rings(sweep.points, ring, table);
+        if (found.source != RingSource::ELEVATION_BINS) {
+            const std::size_t rings = found.elevation.size();
+            const RangeImage image =
+                range_image(sweep.points, found.ring, found.columns, rings, limits.near_m, limits.far_m);
+            const Buffer<double> origin_m(rings, 0.0);
+            return split_by_image({found.ring, &image, found.elevation, origin_m}, at, top_m);
+        }
+    }
+    // 3. It is not known which beams a sweep lacks: it has measured ones alone.
+    SplitBeams split{Buffer<float>(at.level.count), std::nullopt, std::nullopt};
+    beam_slopes({at.level.points.data(), at.level.count, 3}, at.level.range_m, float(at.height_m), {nullptr, 0}, at.level.rows,
+                split.slope);
+    return split;
+}
+
+Beams beams_of(const std::optional<BeamColumns>& columns) {
+    if (!columns) return {{nullptr, 0}, {nullptr, 0}, {nullptr, 0}};
+    const std::size_t count = columns->count;
+    return {{columns->azimuth.data(), count}, {columns->slope.data(), count}, {columns->depth_m.data(), count}};
+}
+
+// How far the sensor sees a dark target; viewshed.preprocess.reach.sensing_reach.
+double sensing_reach(const SweepLevel& at, const SensorModel* model, std::size_t count) {
+    if (model != nullptr && model->reach_m) return *model->reach_m;
+    const double most_m = model == nullptr ? NONE : model->max_range_m;
+    const Buffer<bool> none(at.image ? 0 : count, false);
+    const View1<const bool> isolated = at.image ? View1<const bool>(at.image->isolated) : View1<const bool>(none);
+    const double quantile_m = range_quantile(at.level.range_m, isolated, at.level.rows, float(most_m), BULK_SHARE);
+    if (std::isnan(quantile_m)) return std::min(LEAST_REACH_M, most_m);  // no return is supported
+    const double shown_m = REACH_TIMES * quantile_m;
+    return std::min(std::max(USUAL_REACH_M, std::cbrt(shown_m * USUAL_REACH_M * USUAL_REACH_M)), most_m);
+}
+
+CellWindows windows_of(const BevGrid& grid, const Target& target) {
+    Buffer<float> range_m(grid.size()), azimuth(grid.size());
+    polar_of_cells({grid.cells, grid.cell_m(), grid.x0_m(), grid.y0_m()}, range_m, azimuth);
+    const std::size_t n = grid.cells;
+    return CellWindows({range_m.data(), n, n}, {azimuth.data(), n, n}, grid.cell_m(), target.width_m);
+}
+
+}  // namespace
+
+SweepEstimator::SweepEstimator(const BevGrid& grid, const Target& target, RefineGround refine_ground)
+    : grid_(grid),
+      target_(target),
+      refine_ground_(std::move(refine_ground)),
+      probabilities_(poisson_table(target.min_returns)),
+      windows_(windows_of(grid, target)) {}
+
+View1<const std::int32_t> SweepEstimator::nodes_of_cells(std::size_t nodes) const {
+    const std::lock_guard lock(mutex_);
+    const auto found = nodes_of_cells_.find(nodes);
+    if (found != nodes_of_cells_.end()) return found->second;
+    Buffer<float> xy(2 * grid_.size());
+    for (std::size_t i = 0; i < grid_.cells; ++i) {
+        for (std::size_t j = 0; j < grid_.cells; ++j) {
+            float* const at = &xy[2 * (i * grid_.cells + j)];
+            at[0] = float(grid_.x0_m() + (double(i) + 0.5) * grid_.cell_m());
+            at[1] = float(grid_.y0_m() + (double(j) + 0.5) * grid_.cell_m());
+        }
+    }
+    const double half_m = grid_.half_extent_m + std::max(std::fabs(grid_.offset_x_m), std::fabs(grid_.offset_y_m));
+    LatticePositions at = lattice_positions({xy.data(), grid_.size(), 2}, float(half_m), nodes);
+    return nodes_of_cells_.emplace(nodes, std::move(at.node)).first->second;
+}
+
+SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorModel* expected) const {
+    // 1. The rings and the sensor.
+    const Identity identity = identify(sweep, expected);
+    const SensorModel* const model = identity.model;
+    const auto ring = identity.ring();
+    // 2. Level: range image, attitude, ground, points above it.
+    const std::size_t most_ring = ring && ring->size > 0 ? std::size_t(*std::max_element(ring->begin(), ring->end()) + 1) : 0;
+    const UnleveledSweep unleveled{
+        sweep.points,
+        ring,
+        model == nullptr ? most_ring : model->beams.rings(),
+        model == nullptr ? DEFAULT_COLUMNS : std::size_t(model->beams.columns),
+        float(sweep.model == nullptr ? NULL_RANGE_M : std::max(NULL_RANGE_M, sweep.model->min_range_m)),
+        float(sweep.model == nullptr ? MAX_RANGE_M : sweep.model->max_range_m),
+        sweep.attitude,
+        sweep.height_m,
+        sweep.yaw,
+        grid_.half_extent_m + std::max(std::fabs(grid_.offset_x_m), std::fabs(grid_.offset_y_m)),
+    };
+    SweepLevel at = level_sweep(unleveled);
+    if (refine_ground_) refine_ground_(sweep, at);
+    // 3. Beams by what is known of their depth, and how far the sensor sees.
+    const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
+    const double reach_m = sensing_reach(at, model, sweep.points.rows);
+    // 4. The evidence of each cell.
+    const std::size_t cells = grid_.size();
+    Buffer<float> measured(cells), inferred(cells), unresolved(cells), aimed(cells), visible_prob(cells);
+    Buffer<bool> within_reach(cells);
+    const std::array<Beams, 3> beams{Beams{at.level.azimuth, split.slope, at.level.range_m}, beams_of(split.inferred),
+                                     beams_of(split.unresolved)};
+    const std::size_t nodes = at.ground.nodes;
+    const Ground ground = at.ground.view();
+    const View2<const float> std_m{at.ground.std_m.data(), nodes, nodes};
+    const Rule rule{1.0f - STEP_WEIGHT - STEP_WEIGHT, STEP_WEIGHT, STEP_WEIGHT, THRESHOLD, std::nextafter(THRESHOLD, 0.0f),
+                    float(reach_m)};
+    measure_evidence(windows_, beams, {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
+                     float(target_.height_m), GROUND_STEPS, probabilities_, rule,
+                     {measured.data(), inferred.data(), unresolved.data(), aimed.data(), visible_prob.data(), within_reach.data()});
+    // 5. The states: what the evidence claims, and what it denies.
+    Buffer<bool> obstacle(cells + 1);
+    const SquareCells square{float(grid_.x0_m()), float(grid_.y0_m()), float(1.0 / grid_.cell_m()), LOW_M, HIGH_M,
+                             std::int32_t(grid_.cells)};
+    mark_cells({at.level.points.data(), at.level.count, 3}, at.level.height_m, square, obstacle);
+    Buffer<std::uint8_t> visible(cells), denied(cells), state(cells);
+    for (std::size_t n = 0; n < cells; ++n) visible[n] = visible_prob[n] >= THRESHOLD;
+    for (std::size_t n = 0; n < cells; ++n) denied[n] = !visible[n];
+    const auto bytes = [](const Buffer<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); };
+    write_states({measured.data(), inferred.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
+                 THRESHOLD, SURE_AIM, {visible.data(), denied.data(), bytes(obstacle)}, state);
+    // 6. What the estimate rests on.
+    const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), UNSURE_M,
+                                       probabilities_, THRESHOLD);
+    const double claimed = double(std::max<std::size_t>(claims.all, 1));
+    const HeightSource source = sweep.height_m                 ? HeightSource::GIVEN
+                                : at.ground.support > 0.0 ? HeightSource::ESTIMATED
+                                                          : HeightSource::ASSUMED;
+    const Basis basis{at.height_m, source, std::min(at.ground.support, 1.0), double(claims.over_unsure_ground) / claimed,
+                      double(claims.inferred) / claimed, reach_m};
+    return {std::move(state), std::move(visible_prob), basis, model, at.rotation};
+}
+
+}  // namespace viewshed
