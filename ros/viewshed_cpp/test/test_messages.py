@@ -34,7 +34,11 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     headers = Path(os.environ.get("VIEWSHED_ROS_HEADERS", f"{sys.prefix}/include"))
     library = next(Path(prefix).glob("lib*/libviewshed.so"))
     path = tmp_path_factory.mktemp("program") / "grids_of_cloud"
-    folders = [HERE.parent / "include", Path(prefix) / "include", *(each for each in headers.iterdir() if each.is_dir())]
+    folders = [
+        HERE.parent / "include",
+        Path(prefix) / "include",
+        *(each for each in headers.iterdir() if each.is_dir()),
+    ]
     subprocess.run(
         ["c++", "-std=c++17", "-Wall", "-Wextra", "-Werror", str(HERE / "grids_of_cloud.cpp"),
          str(HERE.parent / "src" / "messages.cpp"), "-o", str(path), *(f"-isystem{folder}" for folder in folders),

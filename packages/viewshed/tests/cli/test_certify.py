@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tests.cli.commands import run
+
 from viewshed import read_sweep
 from viewshed.estimators import load_estimator
 from viewshed.fov.visibility import CAR

@@ -61,8 +61,8 @@ Certify = Annotated[
     str | None,
     typer.Option(
         metavar="THREAT",
-        help="Claim only what no such attack can have opened: added (any points), replaced:5 (beams), window:5, wedge:10"
-        " (degrees), dropped:5. Needs --sensor, --height and --attitude, unless the file says them.",
+        help="Claim only what no such attack can have opened: added (any points), replaced:5 (beams), window:5,"
+        " wedge:10 (degrees), dropped:5. Needs --sensor, --height and --attitude, unless the file says them.",
     ),
 ]
 
