@@ -26,8 +26,11 @@ from viewshed.arrays import F32, F64, Mask
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.preprocess.leveling import LEVEL_TILT, NULL_RANGE_M, LeveledSweep
+from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep
 from viewshed.sensors import LidarModel
+
+LEVEL_TILT = np.deg2rad(6.0)
+"""Up to this tilt the core takes a sweep without attitude for level (level_sweep.cpp)."""
 
 MOST_TILT = np.deg2rad(15.0)
 """Beams of a sensor tilted further are not those that its table spreads over the ground."""
