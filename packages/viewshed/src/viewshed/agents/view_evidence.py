@@ -43,6 +43,10 @@ NEAREST_M, FARTHEST_M = 2.0, 40.0
 SAME_GROUND_M = 0.75
 """Views are compared where their grounds differ by less: elsewhere one looks over a crest, or from a deck."""
 
+LEAST_SEEN = 0.25
+"""A view that claims less than this share of what is near denies nothing: its sensor is covered, or beside a truck.
+Honest views see a third at least."""
+
 MOST_CELLS = 250
 """Of more surface or free cells of a view every second, third, ... one is compared."""
 
@@ -129,7 +133,8 @@ class ComparedView:
             first_m = _first_m(np.concatenate([self.surface_xy, surfaces, objects]), self.grid.cell_m)
             is_open = np.hypot(free[:, 0], free[:, 1]) < first_m[_sectors(free)] - 0.5
             free, of = free[is_open], of[is_open]
-        out.append(_shares(self.states_at(free) == CellState.HIDDEN, of, len(others), 1))
+        denied = _shares(self.states_at(free) == CellState.HIDDEN, of, len(others), 1)
+        out.append(denied if self.visible.mean() >= LEAST_SEEN else np.full(len(others), np.nan))
         return np.column_stack(out)
 
     def since(self, last: ComparedView) -> tuple[float, float]:
