@@ -23,11 +23,10 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     if rng is not None:
         xy_m += rng.normal(0.0, STD_M, xy_m.shape)
     able, odds = (chance > 0) | seen, np.clip(chance, 0.01, 0.99)
-    invented = np.full(seen.shape, np.log(0.25))
     there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
     return Reports(
-        np.arange(first, first + count), seen, able, able, np.full(seen.shape, np.nan), np.log(odds / (1 - odds)),
-        np.zeros((5, 3)), invented, np.full(seen.shape, -3.0), there, xy_m, np.full(seen.shape, STD_M),
+        np.arange(first, first + count), seen, able, able, np.ones(seen.shape), np.log(odds / (1 - odds)),
+        np.zeros((5, 3)), np.zeros(seen.shape), np.full(seen.shape, -3.0), there, xy_m, np.full(seen.shape, STD_M),
     )  # fmt: skip
 
 

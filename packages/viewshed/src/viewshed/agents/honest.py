@@ -111,8 +111,12 @@ class ObjectReports:
 
     @property
     def sees(self) -> Mask:
-        """(J, A) bool, who could report the object and claims to see it."""
-        return self.able & is_expected(self.visible, self.range_m)
+        """(J, A) bool, who could report the object and claims to see it: its view shows it, or the place without it.
+
+        Who is silent though its view holds a surface there does not deny what others report.
+        """
+        holds = self.cells[..., _COLUMNS["surface"]] > _LEAST_SURFACE
+        return self.able & is_expected(self.visible, self.range_m) & (self.seen | ~holds)
 
     def others(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return how many others report each object, and how many deny it: (J, A) each."""

@@ -329,6 +329,7 @@ def object_reports(
     for report, column in zip(reports, columns, strict=True):
         range_m[:, column] = report.range_m(boxes)
         nearby[:, column] = (range_m[:, column] <= FAR_M) & report.on_its_level(boxes)
+        nearby[:, column] &= range_m[:, column] >= report.blind_m
     seen_before = visible_to(reports, [boxes[nearby[:, column]] for column in columns]) if len(reports) else []
     for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
         found, hit = report.in_world.boxes, members[:, place] >= 0
@@ -336,6 +337,8 @@ def object_reports(
         theirs[hit] = found[members[hit, place]]
         if own is not None:
             theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
+        # What stands beneath a mast is seen in parts: such reports say nothing.
+        hit = hit & (range_m[:, column] >= report.blind_m)
         height[column], seen[:, column] = report.height, hit
         near = nearby[:, column]
         able[:, column] = near & ~report.is_own(boxes)

@@ -112,6 +112,12 @@ class AgentReport:
         return 0 if basis is None else int(np.searchsorted((ELEVATED_M, TALL_M), basis.sensor_height_m))
 
     @property
+    def blind_m(self) -> float:
+        """Range up to which an elevated sensor sees little of what stands there: its own height; 0 of a low one."""
+        basis = self.estimate.basis
+        return basis.sensor_height_m if basis is not None and self.elevated else 0.0
+
+    @property
     def elevated(self) -> bool:
         """Whether its sensor looks over cars."""
         return self.height > 0

@@ -60,8 +60,9 @@ class TrustRules:
         prior: chance that an agent is a liar, before it reports anything.
         least: no report, and no silence, of an honest agent is less likely: what is rare is known no better.
         most_ratio: bound in nats of what views say about an invented or a displaced box.
+        same: share of what a box holds that counts each time: mostly it is the same fact as the last time.
         agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
-        repeats: chance that a liar says of an object what it said before.
+        repeats: chance that a liar, or who alone reports an object, says of it what it said before.
         disc_m: radius of the disc over which a lie puts an object.
         astray: outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part).
         objects: most objects that count against a hypothesis, those that say most.
@@ -80,6 +81,7 @@ class TrustRules:
     prior: float = 0.1
     least: float = 0.005
     most_ratio: float = 6.0
+    same: float = 0.25
     agreeing: float = 0.5
     repeats: float = 0.8
     disc_m: float = 4.0
@@ -92,7 +94,7 @@ class TrustRules:
     temper: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lie", "prior", "least", "agreeing", "repeats", "astray"):
+        for name in ("false_report", "lie", "prior", "least", "same", "agreeing", "repeats", "astray"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
         for name in ("most_ratio", "disc_m", "objects", "most_of_object", "look_s", "half_life_s", "mean_s", "temper"):
@@ -284,17 +286,20 @@ class Trust:
         odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
         chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
         # A lie's box may agree with its own view as an honest one does, for the view may be forged.
-        displaced, invented = (self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented))
-        # Who alone reports an object errs seldom where others see; where they do not, it is as likely as not.
-        alone = np.where(denied > 0, np.log(rules.false_report), np.log(0.5)) - invented
+        displaced, invented = (
+            rules.same * self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented)
+        )
+        # Honest agents and liars repeat what they say of an object.
+        said = rules.repeats * reports.again + (1.0 - rules.repeats) * (1.0 - reports.again)
+        repeated = np.log(np.where(np.isfinite(said), said, 0.5))[:, None]
+        # Who alone reports an object errs seldom where others see; where they do not, it may be there as well as not.
+        alone = repeated + np.where(denied > 0, rules.same * np.log(2.0 * rules.false_report), 0.0) - invented
         with_others = np.where(
             seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
         )
         by_itself = np.where(seen, alone, np.log1p(-rules.false_report))
-        # A liar repeats itself; those who lie together agree on a place as well.
-        said = rules.repeats * reports.again + (1.0 - rules.repeats) * (1.0 - reports.again)
-        lied = np.log(np.where(np.isfinite(said), said, 0.5))[:, None]
-        lied = lied + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
+        # Those who lie together agree on a place as well.
+        lied = repeated + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
         logs = np.where(honest, np.where(others > 0, with_others, by_itself), lied)
         summed: F64 = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
         return summed
