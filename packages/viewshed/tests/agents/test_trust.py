@@ -25,7 +25,7 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     able, odds = (chance > 0) | seen, np.clip(chance, 0.01, 0.99)
     there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
     return Reports(
-        np.arange(first, first + count), seen, able, able, np.ones(seen.shape), np.log(odds / (1 - odds)),
+        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)),
         np.zeros((5, 3)), np.zeros(seen.shape), np.full(seen.shape, -3.0), there, xy_m, np.full(seen.shape, STD_M),
     )  # fmt: skip
 
@@ -115,8 +115,8 @@ def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
 def test_objects_that_look_invented_in_the_own_view_convict() -> None:
     trust, seen = Trust(3), np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
     reports = reports_of(seen, np.where(seen, 0.95, 0.0))
-    ratios = np.where(seen & (np.arange(3) == 1), 4.0, -2.0)
-    for _ in range(3):
+    ratios = np.where(seen & (np.arange(3) == 1), 6.0, -2.0)
+    for _ in range(12):
         verdicts = trust.add(replace(reports, invented=ratios), 1.0)
     assert verdicts.evidence.argmax() == 1
     assert verdicts.suspects.tolist() == [False, True, False]
@@ -203,7 +203,7 @@ def test_agents_may_come_in_any_order() -> None:
     seen[:, 0] = True
     order = np.array([2, 0, 3, 1])
     reports = reports_of(seen, chance, rng)
-    names = ("seen", "able", "sees", "again", "reported", "invented", "displaced", "there", "xy_m", "std_m")
+    names = ("seen", "able", "sees", "reported", "invented", "displaced", "there", "xy_m", "std_m")
     turned = replace(reports, **{name: getattr(reports, name)[:, order] for name in names})
     one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
     assert np.allclose(one.evidence[order], other.evidence)

@@ -284,9 +284,8 @@ class CommandCenter:
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
             std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
         model, own = self.honest, own_box_columns(said)[0]
-        again = np.where(said.silent < 0, np.nan, said.seen == (said.silent == 0))
         return Reports(
-            ids, said.seen, said.able, said.sees, again, model.reported(reported_columns(said)[0]), model.of_others,
+            ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
             model.invented(own), model.displaced(own), model.there(said), xy_m, std_m,
         )  # fmt: skip
 

@@ -10,7 +10,8 @@ is *disputed*.
 agents report and deny, whether it alone reports an object (*invented* by its own view), whether its box lies on the
 surfaces of its own view (*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to
 agree with its lies, so it vouches for them within a bound only. Each agent is judged given the other honest ones: a
-pseudo-likelihood (Besag, 1975). Of an object that it lies about, a liar says most likely what it said before.
+pseudo-likelihood (Besag, 1975). About an
+object that it lies about, a liar says one thing as likely as the other.
 
 **Views.** A comparison of two views (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail speaks
 for all hypotheses in which one of the two lies; one of a view with its past or with all others for those in which its
@@ -62,7 +63,6 @@ class TrustRules:
         most_ratio: bound in nats of what views say about an invented or a displaced box.
         same: share of what a box holds that counts each time: mostly it is the same fact as the last time.
         agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
-        repeats: chance that a liar, or who alone reports an object, says of it what it said before.
         disc_m: radius of the disc over which a lie puts an object.
         astray: outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part).
         objects: most objects that count against a hypothesis, those that say most.
@@ -83,7 +83,6 @@ class TrustRules:
     most_ratio: float = 6.0
     same: float = 0.25
     agreeing: float = 0.5
-    repeats: float = 0.8
     disc_m: float = 4.0
     astray: float = 0.4
     objects: int = 4
@@ -94,7 +93,7 @@ class TrustRules:
     temper: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lie", "prior", "least", "same", "agreeing", "repeats", "astray"):
+        for name in ("false_report", "lie", "prior", "least", "same", "agreeing", "astray"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
         for name in ("most_ratio", "disc_m", "objects", "most_of_object", "look_s", "half_life_s", "mean_s", "temper"):
@@ -111,7 +110,6 @@ class Reports:
         seen: (J, A) bool, who reports it.
         able: (J, A) bool, who could.
         sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
-        again: (J, A) 1 where the agent says what it said the last time, 0 where not, NaN at first.
         reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
         of_others: (others, deniers) log-odds by the numbers of others that report an object and that deny it.
         invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
@@ -128,7 +126,6 @@ class Reports:
     seen: Mask
     able: Mask
     sees: Mask
-    again: F64
     reported: F64
     of_others: F64
     invented: F64
@@ -289,17 +286,15 @@ class Trust:
         displaced, invented = (
             rules.same * self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented)
         )
-        # Honest agents and liars repeat what they say of an object.
-        said = rules.repeats * reports.again + (1.0 - rules.repeats) * (1.0 - reports.again)
-        repeated = np.log(np.where(np.isfinite(said), said, 0.5))[:, None]
-        # Who alone reports an object errs seldom where others see; where they do not, it may be there as well as not.
-        alone = repeated + np.where(denied > 0, rules.same * np.log(2.0 * rules.false_report), 0.0) - invented
+        # Who alone reports an object errs seldom where others see; where they do not, it is as good as silence.
+        silence = np.log1p(-rules.false_report)
+        alone = np.where(denied > 0, np.log(rules.false_report), silence) - invented
         with_others = np.where(
             seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
         )
-        by_itself = np.where(seen, alone, np.log1p(-rules.false_report))
+        by_itself = np.where(seen, alone, silence)
         # Those who lie together agree on a place as well.
-        lied = repeated + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
+        lied = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
         logs = np.where(honest, np.where(others > 0, with_others, by_itself), lied)
         summed: F64 = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
         return summed
