@@ -184,7 +184,7 @@ def monitor(
 
 @study_app.command()
 def agents(
-    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, short, small, full.")] = "small",
     out: Out = None,
     only: Annotated[
         str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas: scenes, runs, page.")
@@ -207,6 +207,23 @@ def agents(
     steps = _steps(only, STEPS)
     work = partial(run_study, engine=engine_named(engine, workers), steps=steps)
     _run(AgentsPlan.load(preset), _folder(out, "agents"), page, work, files_of if "page" in steps else None)
+
+
+@study_app.command()
+def cases(
+    scenes: Annotated[int, typer.Option(min=1, help="Scenes of each case; four take some minutes.")] = 4,
+    page: Annotated[Path, typer.Option(help="Markdown page to write.")] = Path("cases.md"),
+) -> None:
+    """The four cases of the publication: a robot, a mast beside a car, perception, trust of many agents.
+
+    Example: viewshed study cases --scenes 2
+    """
+    from viewshed._files import write_atomic
+    from viewshed_lab.studies.published_cases import cases_page
+
+    text = cases_page(scenes, progress=lambda title: typer.echo(f"{title} …"))
+    write_atomic(page, text.encode())
+    typer.echo(f"Look at {page}")
 
 
 @study_app.command()

@@ -22,8 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from viewshed.agents.joint_fov import JointFov, joint_fov
 from viewshed.agents.kinematics import Kinematics
-from viewshed.agents.many import LEAST_TRUST, AgentReport, CommandCenter, CommonPicture, JointFov, joint_fov
+from viewshed.agents.many import LEAST_TRUST, CommandCenter, CommonPicture
+from viewshed.agents.report import AgentReport
 from viewshed.agents.trust import trust_limits
 from viewshed.arrays import Mask
 from viewshed.geometry import Rigid
@@ -136,7 +138,6 @@ class Round:
         agents = {
             agent: {
                 "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
-                "suspicion": round(float(picture.suspicion[n]), 3),
                 "accused": bool(self.accused[n]), "disputed": bool(self.disputed[n]),
                 "refused": self.refused.get(agent, 0),
             }
@@ -161,7 +162,7 @@ def judged(picture: CommonPicture) -> tuple[Mask, Mask]:
     """Return who is accused and who is disputed (A,), at the smallest rate of the shipped limits, 1 % at least."""
     limits, verdicts = trust_limits(), picture.verdicts
     rate = max(FALSE_RATE, limits.least_rate)
-    accused = limits.accused(picture.suspicion, verdicts.elevated, rate)
+    accused = limits.accused(verdicts.evidence, picture.elevated, rate)
     return accused, limits.disputed(verdicts, accused, rate)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.agents.many import AgentReport
+from viewshed.agents.report import AgentReport
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
 from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie, with_objects, without_objects

@@ -134,6 +134,9 @@ class ExactView:
         counts = np.maximum(self._counts(boxes), SEEN_FROM).astype(np.float64)
         return self._found(counts, np.hypot(level[:, 0], level[:, 1]), kinds)
 
+    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> None:
+        """Return None: trackers are given those of the detector."""
+
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         """Return 1 (K,) where a box could be somewhere unseen within (K,) meters, else 0."""
         return hidden_within(self, boxes, within_m)

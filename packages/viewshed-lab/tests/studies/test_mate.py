@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from viewshed.agents.mate import (
+from viewshed_lab.studies.agents.mate import (
     MateReport,
     MateRules,
     MateTrust,

@@ -13,13 +13,13 @@ from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
 from viewshed.geometry import Rigid
 from viewshed.objects.metrics import IdSwitches, MatchedObjects, gospa, match_objects
-from viewshed.objects.published import PublishedRules
 from viewshed.objects.tracker import Rules, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import BeamView, GridView, PolygonView, SeesAll, View
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
+from viewshed_lab.studies.tracks.published import PublishedRules
 
 MODEL = LidarModel("test", np.deg2rad(np.linspace(-20, 6, 40)), azimuth_columns=1200, max_range_m=100.0)
 
