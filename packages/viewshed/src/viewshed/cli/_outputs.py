@@ -231,7 +231,7 @@ class Run:
         elapsed_ms = 1e3 * (time.perf_counter() - start)
         line = self.write(leveled, name, estimate, elapsed_ms)
         if self.monitor is not None:
-            line = f"{line}; {stream_verdicts(self.monitor.check(leveled, {estimate.method: estimate}))}"
+            line = f"{line}; {stream_verdicts(self.monitor.check(leveled))}"
         return estimate, line
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[str]:
