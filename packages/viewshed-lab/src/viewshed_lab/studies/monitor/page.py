@@ -231,7 +231,7 @@ def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
     about = facts(limit=f"score {limit:.2f}, {per_hour:g} false alarms an hour asked")
     intro = (
         "Real sweeps of one car (Allenpandas/LiDAR-Spoofing-Forensics-Datasets, Apache-2.0), without poses or rings."
-        " The authors publish no key; this one is inferred from the data, where these sweeps stand out by gaps of 10 to 25"
-        " times in single statistics. Sweeps about each spoofed one, and all that are called:"
+        " The authors publish no key; this one is inferred from the data, where these sweeps stand out by gaps of 10 to"
+        " 25 times in single statistics. Sweeps about each spoofed one, and all that are called:"
     )
-    return page("Public traces of spoofed drives", about, _traces(called), intro, *strips)
+    return page("Public traces of spoofed drives", about, f"## What is called\n\n{_traces(called)}", intro, *strips)

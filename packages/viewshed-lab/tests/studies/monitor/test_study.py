@@ -1,0 +1,84 @@
+"""The study of alarms: streams with attacks that branch off, rates with intervals, traces from archives."""
+
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from viewshed import Sweep, write_sweep
+from viewshed.monitor import Calibration, StreamMonitor
+from viewshed.monitor.evidence import EVIDENCE, SECTORS
+from viewshed_lab.studies.monitor.page import files_of, judge, rate_interval, trace_page
+from viewshed_lab.studies.monitor.plan import MonitorPlan
+from viewshed_lab.studies.monitor.streams import ATTACKED_SWEEPS, Stream, StreamEvidence, measure_stream
+from viewshed_lab.studies.monitor.traces import call_trace
+
+PLAN = replace(
+    MonitorPlan.load("shipped"), seconds=3.0, attack_every_s=1.2, attacks=("blinded", "pose_spoof"),
+    conditions=("clear",),
+)  # fmt: skip
+
+
+def test_the_plan_shares_no_style_and_names_each_stream_once() -> None:
+    plan = MonitorPlan.load("shipped")
+    keys = plan.stream_keys()
+    assert len(set(keys)) == len(keys) == 12 * len(plan.calibration) + 8 * len(plan.report)
+    assert {part for part, _, number in keys[: len(plan.calibration) + len(plan.report)]} == {"calibration", "report"}
+    with pytest.raises(ValueError, match="must share no style, got street in both"):
+        replace(plan, report=(*plan.report, "street"))
+
+
+@pytest.mark.slow
+def test_a_stream_is_measured_attacked_judged_and_kept(tmp_path: Path) -> None:
+    found = measure_stream(Stream(PLAN, "report", "parking", 0))
+    assert found.benign.shape == (30, len(EVIDENCE), SECTORS)
+    assert found.attacked.shape == (len(found.cases), ATTACKED_SWEEPS, len(EVIDENCE), SECTORS)
+    assert [first for _, first in found.cases] == [11, 11, 23, 23]
+    again = measure_stream(Stream(PLAN, "report", "parking", 0))
+    assert_array_equal(found.benign, again.benign)
+    found.save(tmp_path / "one.npz")
+    kept = StreamEvidence.load(tmp_path / "one.npz")
+    assert (kept.cases, kept.facts, kept.style) == (found.cases, found.facts, "parking")
+    rng = np.random.default_rng(0)
+    benign = [rng.exponential(1.0, (700, len(EVIDENCE), SECTORS)).astype(np.float32) for _ in range(2)]
+    made = Calibration.fit(benign, 10.0, places=("here", "there"))
+    judged = judge(made, kept)
+    blinded = [judged.attacked[k] for k, (name, _) in enumerate(kept.cases) if name == "blinded"]
+    returns = list(EVIDENCE).index("returns")
+    assert min(float(one[:, returns].min()) for one in blinded) > 3.0
+    text = files_of(PLAN, made, [kept], [])["monitor.md"].decode()
+    assert "| parking | 0.0 |" in text
+    assert "| pose_spoof | 2 |" in text
+
+
+def test_intervals_of_rates_are_those_of_poisson_counts() -> None:
+    # The rule of three, and the textbook's interval of ten counts.
+    assert rate_interval(0, 1.0) == pytest.approx((0.0, 3.69), abs=0.01)
+    assert rate_interval(10, 2.0) == pytest.approx((4.80 / 2, 18.39 / 2), abs=0.01)
+
+
+def test_a_trace_is_read_in_the_order_of_its_numbers_and_a_blinded_sweep_called(tmp_path: Path) -> None:
+    rng, folder = np.random.default_rng(0), tmp_path / "3-noise"
+    folder.mkdir()
+    azimuth = rng.uniform(-np.pi, np.pi, 4000)
+    world = np.column_stack([9.0 * np.cos(azimuth), 9.0 * np.sin(azimuth), rng.uniform(-1.5, 2.0, 4000)])
+    for number in range(1, 13):
+        points = rng.normal(0.0, 0.05, (4000, 3)) if number == 10 else world
+        write_sweep(Sweep(points.astype(np.float32)), folder / f"{number}.pcd")
+    archive = tmp_path / "noise.tar.xz"
+    with tarfile.open(archive, "w:xz") as packed:
+        packed.add(folder, "3-noise")
+    called = call_trace(archive, StreamMonitor())
+    assert [one.number for one in called] == list(range(1, 13))
+    assert [one.number for one in called if one.inconsistent] == [10]
+    assert "within 0.7 m" in called[9].reason or "usable returns" in called[9].reason
+    page = trace_page(called, 5.0, 6.0)
+    assert "   10  p" in page
+    empty = tmp_path / "none.tar.xz"
+    with tarfile.open(empty, "w:xz"):
+        pass
+    with pytest.raises(ValueError, match="must hold PCD files of a sweep each, got none"):
+        call_trace(empty, StreamMonitor())
