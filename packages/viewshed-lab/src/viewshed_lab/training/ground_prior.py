@@ -27,7 +27,7 @@ from viewshed_lab.sim.terrain import Terrain
 FEATURES = ("returns", "second_lowest_m", "lowest_m", "highest_m", "passing_m")
 """Of each node: how many returns, z of three of them, z of the lowest beam that passes over it; +inf for none."""
 
-CHANNELS = 9
+CHANNELS = 12
 
 _BINS, _REACH_NODES = 1024, 100
 """Azimuths and ranges, in nodes, for which the lowest passing beam is kept."""
@@ -35,7 +35,7 @@ _BINS, _REACH_NODES = 1024, 100
 _MOST_M, _UNIT_M = 15.0, 4.0
 """Heights beyond the first number are cut off; the network counts in units of the second."""
 
-_LEAST_LOG_M, _MOST_LOG_M = -5.0, 3.0
+_LEAST_LOG_M, _MOST_LOG_M = -3.0, 3.0
 """Bounds of the logarithm of a mode's mean deviation."""
 
 _HALVINGS = 24
@@ -72,11 +72,11 @@ class Modes(NamedTuple):
             (self.first_share, self.first_m, self.first_spread_m),
             (1.0 - self.first_share, self.second_m, self.second_spread_m),
         )
-        logs = [
-            torch.log(share.clamp_min(1e-7)) - torch.log(2 * spread) - (ground_m - mean).abs() / spread
+        first, second = (
+            torch.log(share.clamp_min(1e-7) / (2 * spread)) - (ground_m - mean).abs() / spread
             for share, mean, spread in pairs
-        ]
-        return torch.logaddexp(*logs)
+        )
+        return torch.logaddexp(first, second)
 
     def quantile(self, share: float) -> Tensor:
         """Return the height (…, n, n) below which the ground lies with a probability."""
@@ -121,7 +121,7 @@ class GroundNet(nn.Module):
         widths: channels of each level, the finest first.
     """
 
-    def __init__(self, fold: int = 4, widths: tuple[int, ...] = (40, 48, 64, 80)) -> None:
+    def __init__(self, fold: int = 4, widths: tuple[int, ...] = (32, 48, 64, 96)) -> None:
         super().__init__()
         self.shape = {"fold": fold, "widths": widths}
         self.fold = nn.Sequential(
@@ -152,31 +152,33 @@ def lattice_features(leveled: LeveledSweep) -> F32:
     return out
 
 
-def inputs_of(features: Tensor, sensor_height_m: Tensor, half_extent_m: float) -> Tensor:
+def inputs_of(features: Tensor, sensor_height_m: Tensor, half_extent_m: Tensor) -> Tensor:
     """Return inputs (B, CHANNELS, n, n) of the network.
 
     Args:
         features: (B, 5, n, n) of :func:`lattice_features`.
         sensor_height_m: (B,) above the ground below the sensor.
-        half_extent_m: half the side of the lattice.
+        half_extent_m: (B,) half the side of the lattice.
     """
-    count, *heights, passing = features.unbind(1)
+    count, *heights, passing, ground = features.unbind(1)
     seen, passed = (count > 0).float(), torch.isfinite(passing).float()
     scaled = [torch.where(seen > 0, z, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M for z in heights]
-    bound = torch.where(passed > 0, passing, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M
+    lies = torch.isfinite(ground).float()
+    bound, below = (torch.where(torch.isfinite(z), z, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M for z in (passing, ground))
     line = (torch.arange(count.shape[-1]) + 0.5) / count.shape[-1] * 2 - 1
-    range_m = torch.hypot(line[:, None], line[None]) * half_extent_m
-    beside = (range_m / 64.0).expand_as(count), (sensor_height_m[:, None, None] / 2.0).expand_as(count)
-    return torch.stack([seen, *scaled, torch.log1p(count) / 3.0, bound, passed, *beside], 1)
+    half_m = half_extent_m[:, None, None]
+    range_m, node_m = torch.hypot(line[:, None], line[None]) * half_m, 2 * half_m / count.shape[-1]
+    beside = [each.expand_as(count) for each in (range_m / 64.0, sensor_height_m[:, None, None] / 2.0, node_m)]
+    return torch.stack([seen, *scaled, torch.log1p(count) / 3.0, bound, passed, below, lies, *beside], 1)
 
 
-def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: float) -> Tensor:
+def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:
     """Return the mean negative log-likelihood of heights (B, n, n), nodes nearer to the sensor weighted more.
 
     Nodes whose height is NaN do not count.
     """
     line = (torch.arange(ground_m.shape[-1]) + 0.5) / ground_m.shape[-1] * 2 - 1
-    weight = 1.0 / (1.0 + torch.hypot(line[:, None], line[None]) * half_extent_m / 20.0)
+    weight = 1.0 / (1.0 + torch.hypot(line[:, None], line[None]) * half_extent_m[:, None, None] / 20.0)
     known = torch.isfinite(ground_m)
     likelihood = Modes.of(outputs).log_likelihood(torch.where(known, ground_m, 0.0))
     counted = (weight * known).expand_as(ground_m)
