@@ -1,13 +1,18 @@
-"""Fit and judge the network that guesses ground which no beam met.
+"""Fit how unsure ground is that no beam met, and a network that guesses it.
 
-    python tools/fit_ground.py make learning road --scenes 0:5000 --sweeps 2 --out samples
-    python tools/fit_ground.py make training road --scenes 0:1000 --sweeps 2 --out samples
-    python tools/fit_ground.py fit samples --steps 20000 --out ground.pt
+    python tools/fit_ground.py make learning road --scenes 0:1500 --sweeps 2 --out samples
+    python tools/fit_ground.py make own road --scenes 40:1000 --sweeps 1 --out samples
+    python tools/fit_ground.py make training road --scenes 0:500 --sweeps 2 --out samples
+    python tools/fit_ground.py make training indoor --scenes 0:250 --sweeps 2 --out samples
+    python tools/fit_ground.py make own indoor --scenes 16:216 --sweeps 1 --out samples
+    python tools/fit_ground.py deviation samples
+    python tools/fit_ground.py fit samples --minutes 60 --out ground.pt
     python tools/fit_ground.py judge ground.pt development --scenes 0:60
 
-``make`` writes one file for 50 scenes and goes on where it was stopped, ``fit`` keeps a checkpoint for every 500 steps
-and goes on from it, ``judge`` holds the shadow map on the network's ground against that on the ground of the rules and
-on the exact ground. The sealed set is not opened.
+``make`` writes one file for 50 scenes and goes on where it was stopped, ``deviation`` prints the constants of
+``core/ground_fill.cpp``, ``fit`` keeps a checkpoint for every 250 steps, goes on from it and takes up files that come
+meanwhile, ``judge`` holds the shadow map on the network's ground against that on the estimated ground and on the exact
+one. The sealed set is not opened.
 """
 
 from __future__ import annotations
@@ -22,8 +27,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from viewshed import _core
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import CAR
@@ -44,24 +51,30 @@ from viewshed_lab.training.ground_prior import (
     on_ground,
 )
 
-SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE, SHOWN_SHARE = 50, 16, 250, 3e-3, 0.96
+SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE, SHOWN_SHARE = 50, 8, 250, 2e-3, 0.96
 
 SHARES = {
     "learning-road": 0.48, "own-road": 0.22, "training-road": 0.15, "training-indoor": 0.10, "own-indoor": 0.05,
 }  # fmt: skip
 """Of the samples that are shown, by set and grid."""
 
+LEAST_ROUGHNESS_M, LAPLACE_68 = 0.02, 1.14
+"""As in ``core/ground_fill.cpp``; and half the width, in mean deviations, that holds 68 % of a Laplace distribution."""
+
 Row = tuple[Any, ...]
-"""Features, ground, sensor height and half extent of the lattice of one sample."""
+"""The values of ``COLUMNS`` of one sample."""
+
+COLUMNS = ("features", "ground_m", "height_m", "half_m")
+"""Of a file: features (7, n, n), exact ground (n, n), sensor height, and half extent of the lattice."""
 
 
-def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float, float, F32, F32]]:
-    """Yield features (5, n, n), exact ground (n, n), NaN where unknown, sensor height and half extent of a scene's sweeps.
+def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float, float]]:
+    """Yield features (7, n, n), exact ground (n, n), NaN where unknown, sensor height and half extent of sweeps.
 
     One in four has a lattice of another extent, from half to one and a half times that of the grid.
     """
     for number in range(sweeps):
-        seen, rng = scene.observe(number), scene.rng(100, number)
+        seen, rng = scene.observe(number), np.random.default_rng([scene.domain.seed, scene.number, number])
         half_m = seen.truth.grid.half_extent_m
         if rng.random() < 0.25:
             half_m *= 2.0 ** rng.uniform(-0.95, 0.6)
@@ -69,9 +82,7 @@ def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float, fl
         leveled = level(given, BevGrid(1, half_m))
         ground_m, known = exact_ground(leveled, seen.scan.world_from_sensor, seen.world.ground_of(seen.agent))
         ground_m[~known | (np.abs(ground_m) > 30.0)] = np.nan
-        rules, times = leveled.ground, len(ground_m) // len(leveled.ground.seen)
-        old_m, seen_m = (np.kron(a, np.ones((times, times))) for a in (rules.heights_m, rules.seen))
-        yield lattice_features(leveled), ground_m, leveled.sensor_height_m, half_m, old_m, seen_m
+        yield lattice_features(leveled), ground_m, leveled.sensor_height_m, half_m
 
 
 def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
@@ -79,9 +90,9 @@ def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if not path.exists():
         rows = [row for scene in scenes for row in samples(scene, sweeps)]
-        features, ground, height, half, old, seen = (np.stack(column).astype(np.float16) for column in zip(*rows, strict=True))
+        columns = (np.stack(column).astype(np.float16) for column in zip(*rows, strict=True))
         part = path.with_suffix(".part.npz")
-        np.savez(part, features=features, ground_m=ground, height_m=height, half_m=half, old_m=old, seen=seen > 0)
+        np.savez(part, **dict(zip(COLUMNS, columns, strict=True)))
         part.replace(path)
     return path.name
 
@@ -111,9 +122,7 @@ class Samples:
                 continue
             self.read.add(path.name)
             with np.load(path) as file:
-                seen_m = np.where(file["seen"], file["old_m"], np.float16(np.inf))
-                columns = (np.concatenate([file["features"], seen_m[:, None]], 1), file["ground_m"], file["height_m"], file["half_m"])
-                rows = list(zip(*columns, strict=True))
+                rows = list(zip(*(file[key] for key in COLUMNS), strict=True))
             kind = "-".join(path.name.split("-")[:2])
             last = int(SHOWN_SHARE * len(rows))
             self.shown[kind] += rows[:last]
@@ -126,18 +135,20 @@ class Samples:
         shares = np.array([SHARES[kind] for kind in kinds])
         chosen = rng.choice(len(kinds), 4 * BATCH if indoor else BATCH, p=shares / shares.sum())
         rows = [self.shown[kinds[k]][rng.integers(len(self.shown[kinds[k]]))] for k in chosen]
-        features, ground, height, half = (torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows, strict=True))
-        # Turns and flips; and heights scaled and tilted, which keeps beams straight.
+        features, ground, height_m, half = (
+            torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows, strict=True)
+        )
+        ground = ground - features[:, 6]
+        # Turns and flips; and heights scaled, which keeps beams straight.
         turn = int(rng.integers(4))
         features, ground = torch.rot90(features, turn, (2, 3)), torch.rot90(ground, turn, (1, 2))
         if rng.random() < 0.5:
             features, ground = features.flip(3), ground.flip(2)
-        scale = torch.tensor(np.where(rng.random(len(rows)) < 0.5, np.exp(rng.normal(0.0, 0.2, len(rows))), 1.0)).float()
-        tilt = torch.tensor(np.where(rng.random((2, len(rows))) < 0.5, rng.normal(0.0, 0.02, (2, len(rows))), 0.0)).float()
-        line = (torch.arange(ground.shape[-1]) + 0.5) / ground.shape[-1] * 2 - 1
-        plane = (tilt[0][:, None, None] * line[:, None] + tilt[1][:, None, None] * line) * half[:, None, None]
-        features[:, 1:] = features[:, 1:] * scale[:, None, None, None] + plane[:, None]
-        return inputs_of(features, height * scale, half), ground * scale[:, None, None] + plane, half
+        stretched = rng.random(len(rows)) < 0.5
+        scale = torch.tensor(np.where(stretched, np.exp(rng.normal(0.0, 0.2, len(rows))), 1.0)).float()
+        for height in (slice(1, 5), 6):
+            features[:, height] *= scale[:, None, None, None] if height != 6 else scale[:, None, None]
+        return inputs_of(features, height_m * scale, half), ground * scale[:, None, None], half
 
 
 def fit(given: argparse.Namespace) -> None:
@@ -161,7 +172,7 @@ def fit(given: argparse.Namespace) -> None:
         # The rate rises for a twentieth of the time and falls along a cosine.
         done = min((time.monotonic() - start_s) / (60.0 * given.minutes), 1.0)
         for group in optimizer.param_groups:
-            group["lr"] = RATE * min(20 * done + 0.05, 0.5 + 0.5 * np.cos(np.pi * done))
+            group["lr"] = RATE * float(min(20 * done + 0.05, 0.5 + 0.5 * np.cos(np.pi * done)))
         inputs, ground, half = samples.draw(rng)
         with torch.autocast("cpu", torch.bfloat16):
             outputs = net(inputs.to(memory_format=torch.channels_last))
@@ -200,22 +211,63 @@ def validated(net: GroundNet, rows: list[Row]) -> float:
             )
             with torch.autocast("cpu", torch.bfloat16):
                 outputs = net(inputs_of(features, height, half).to(memory_format=torch.channels_last)).float()
-            losses.append(float(loss_of(outputs[:, :, ::2, ::2], ground[:, ::2, ::2], half)))
+            above = ground - features[:, 6]
+            losses.append(float(loss_of(outputs[:, :, ::2, ::2], above[:, ::2, ::2], half)))
     net.train()
     return float(np.mean(losses))
 
 
+def deviation(given: argparse.Namespace) -> None:
+    """Fit the deviation of unseen ground to the samples of a folder: the constants of ``core/ground_fill.cpp``.
+
+    Prints the most likely factor and powers of the present deviation and of the roughness of what is seen (1, 1 and 0
+    where the constants are right), and, of the last scenes of each file, the share of nodes off by at most the present
+    deviation.
+    """
+    logs: dict[str, list[NDArray[Any]]] = {}
+    for path in sorted(given.folder.glob("*-[0-9]*.npz")):
+        with np.load(path) as file:
+            rows = list(zip(*(file[key] for key in COLUMNS), strict=True))
+        for number, (features, ground, height, half) in enumerate(rows):
+            exact_m, seen = ground.astype(np.float32), features[5] > 0
+            walked_m, plane = features[6].astype(np.float32), np.array([0.0, 0.0, 0.0], np.float32)
+            heights_m, std_m, roughness = _core.fill_ground(walked_m, seen, plane, float(half))
+            counted = ~seen & np.isfinite(exact_m)
+            counted[np.random.default_rng(number).random(seen.shape) > 0.05] = False
+            off_m = np.abs(heights_m - exact_m)[counted]
+            is_held = np.full(len(off_m), number >= int(SHOWN_SHARE * len(rows)))
+            rough = np.full(len(off_m), np.log(roughness + LEAST_ROUGHNESS_M))
+            logs.setdefault("-".join(path.name.split("-")[:2]), []).append(
+                np.stack([np.log(std_m[counted]), rough, np.ones(len(off_m)), off_m, is_held], axis=1)
+            )
+    kinds = {kind: np.concatenate(rows) for kind, rows in logs.items()}
+    shown = {kind: rows[rows[:, 4] == 0] for kind, rows in kinds.items()}
+    weight = np.concatenate([np.full(len(rows), SHARES[kind] / len(rows)) for kind, rows in shown.items()])
+    columns, off_m = (np.concatenate([rows[:, part] for rows in shown.values()]) for part in (slice(3), 3))
+    # Newton's method on the mean negative log-likelihood of Laplace distributions, which is convex; they lie within
+    # LAPLACE_68 mean deviations of their middle with 68 %.
+    powers = np.array([1.0, 0.0, -np.log(LAPLACE_68)])
+    for _ in range(50):
+        ratio = off_m * np.exp(-columns @ powers)
+        slope, curve = columns.T @ (weight * (1.0 - ratio)), (columns * (weight * ratio)[:, None]).T @ columns
+        powers -= np.clip(np.linalg.solve(curve + 1e-9 * np.eye(3), slope), -0.5, 0.5)
+    factor = np.exp(powers[2]) * LAPLACE_68
+    print(f"power of the deviation {powers[0]:.3f}, of the roughness {powers[1]:.3f}, factor {factor:.3f}")
+    for kind, rows in kinds.items():
+        log_std, off_m = rows[rows[:, 4] == 1][:, 0], rows[rows[:, 4] == 1][:, 3]
+        print(f"{kind:16} {np.mean(off_m <= np.exp(log_std)):.2f} of {len(off_m)} nodes within one deviation")
+
+
 def grounds(net: GroundNet, leveled: LeveledSweep) -> dict[str, LeveledSweep]:
-    """Return a sweep on the ground of the rules, on the network's median, and on that where no return shows ground."""
-    features = torch.tensor(lattice_features(leveled))[None]
-    height, half_m = (torch.tensor([m], dtype=torch.float32) for m in (leveled.sensor_height_m, leveled.ground.half_extent_m))
+    """Return a sweep on its own ground, and on the network's median where no return shows the ground."""
+    ground, features = leveled.ground, torch.tensor(lattice_features(leveled))[None]
+    height, half_m = (torch.tensor([m], dtype=torch.float32) for m in (leveled.sensor_height_m, ground.half_extent_m))
     with torch.no_grad():
         modes = Modes.of(net(inputs_of(features, height, half_m)))
-    median, std = modes.quantile(0.5)[0].numpy(), 0.5 * modes.std()[0].numpy()
-    old, times = leveled.ground, len(median) // len(leveled.ground.heights_m)
-    rules, rules_std, seen = (np.kron(each, np.ones((times, times))) for each in (old.heights_m, old.std_m, old.seen))
-    pinned = on_ground(leveled, np.where(seen > 0, rules, median), np.where(seen > 0, np.minimum(rules_std, std), std))
-    return {"rules": leveled, "network": on_ground(leveled, median, std), "network, seen ground pinned": pinned}
+    median, std = features[0, 6] + modes.quantile(0.5)[0], 0.5 * modes.std()[0]
+    median, seen = torch.minimum(median, features[0, 4] + 0.1), features[0, 5] > 0
+    heights = torch.where(seen, features[0, 6], median)
+    return {"estimated": leveled, "network": on_ground(leveled, heights.numpy(), torch.where(seen, 0.05, std).numpy())}
 
 
 def judge(given: argparse.Namespace) -> None:
@@ -236,11 +288,11 @@ def judge(given: argparse.Namespace) -> None:
         leveled_on = grounds(net, leveled)
         # The exact ground where no return shows it, as far as the cells reach.
         exact = (leveled.ground.at(grid.centers) - ground_error_m(leveled, sample)).astype(np.float32)
-        nodes = len(leveled_on["network"].ground.heights_m)
+        guess = leveled_on["network"].ground
+        nodes = len(guess.heights_m)
         side = grid.cells // nodes
         means = exact.reshape(nodes, side, nodes, side).mean(axis=(1, 3))
-        pinned = leveled_on["network, seen ground pinned"].ground
-        leveled_on["exact where unseen"] = on_ground(leveled, np.where(pinned.seen, pinned.heights_m, means), 0 * means)
+        leveled_on["exact where unseen"] = on_ground(leveled, np.where(guess.seen, guess.heights_m, means), 0 * means)
         for name, each in leveled_on.items():
             claimed = ShadowMap(grid, CAR).estimate(each).visible()
             counts = ConfusionCounts.of(claimed, seen.truth.visible(CAR), known, grid.cell_area_m2)
@@ -262,22 +314,23 @@ def main(words: Sequence[str] | None = None) -> None:
         prog="fit_ground.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     steps = parser.add_subparsers(required=True)
-    for work in (make, fit, judge):
+    for work in (make, deviation, fit, judge):
         step = steps.add_parser(work.__name__, help=(work.__doc__ or "").split(";")[0])
         step.set_defaults(work=work)
         if work is judge:
             step.add_argument("net", type=Path)
-        if work is fit:
+        if work in (deviation, fit):
             step.add_argument("folder", type=Path)
+        if work is fit:
             step.add_argument("--minutes", type=float, default=60.0, help="of training")
-        else:
+        if work in (make, judge):
             step.add_argument("set")
             step.add_argument("domain", nargs="?", default="road")
             step.add_argument("--scenes", default="0:60", help="from : to")
         if work is make:
             step.add_argument("--sweeps", type=int, default=2, help="of each scene")
             step.add_argument("--workers", type=int, default=2)
-        if work is not judge:
+        if work in (make, fit):
             step.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(words)
     given.work(given)

@@ -1,8 +1,9 @@
 """A network that guesses the ground which no beam met, and how sure it is of that: one guess for each lattice node.
 
-It is given what the returns of a sweep show on the lattice of the ground, and the lowest beam that passes over each
-node: the ground lies below that. It answers with two modes a node, for beyond an edge the ground goes on or falls away.
-The estimators count beams over the heights that it gives (:func:`on_ground`).
+It is given what the returns of a sweep show on the lattice of the ground, the ground as it was estimated, and the lowest
+beam that passes over each node: the ground lies below that. It answers with two modes a node, above the estimated ground or
+below it, for beyond an edge the ground goes on or falls away. The estimators count beams over the heights that it gives
+(:func:`on_ground`).
 """
 
 from __future__ import annotations
@@ -24,16 +25,17 @@ from viewshed.preprocess.ground import lattice_nodes
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.sim.terrain import Terrain
 
-FEATURES = ("returns", "second_lowest_m", "lowest_m", "highest_m", "passing_m")
-"""Of each node: how many returns, z of three of them, z of the lowest beam that passes over it; +inf for none."""
+FEATURES = ("returns", "second_lowest_m", "lowest_m", "highest_m", "passing_m", "seen", "ground_m")
+"""Of each node: how many returns, z of three of them, z of the lowest beam that passes over it (+inf for none), and whether
+the estimated ground rests on returns there, and its z."""
 
 CHANNELS = 12
 
 _BINS, _REACH_NODES = 1024, 100
 """Azimuths and ranges, in nodes, for which the lowest passing beam is kept."""
 
-_MOST_M, _UNIT_M = 15.0, 4.0
-"""Heights beyond the first number are cut off; the network counts in units of the second."""
+_MOST_M = 15.0
+"""Heights farther above or below the estimated ground are cut off."""
 
 _LEAST_LOG_M, _MOST_LOG_M = -3.0, 3.0
 """Bounds of the logarithm of a mode's mean deviation."""
@@ -62,9 +64,8 @@ class Modes(NamedTuple):
     def of(cls, outputs: Tensor) -> Modes:
         """Return the modes that outputs (B, 5, n, n) of the network stand for."""
         mean, below, *spreads, odds = outputs.unbind(1)
-        first_m = _UNIT_M * mean
         first, second = (torch.exp(spread.clamp(_LEAST_LOG_M, _MOST_LOG_M)) for spread in spreads)
-        return cls(first_m, first_m - _UNIT_M * functional.softplus(below), first, second, torch.sigmoid(odds))
+        return cls(mean, mean - functional.softplus(below), first, second, torch.sigmoid(odds))
 
     def log_likelihood(self, ground_m: Tensor) -> Tensor:
         """Return the logarithm of the density (…, n, n) of heights (…, n, n)."""
@@ -130,7 +131,9 @@ class GroundNet(nn.Module):
         )  # fmt: skip
         self.down = nn.ModuleList(_Block(a, b) for a, b in zip((widths[0], *widths[:-1]), widths, strict=True))
         self.up = nn.ModuleList(_Block(a + b, b) for a, b in zip(widths[:0:-1], widths[-2::-1], strict=True))
-        self.unfold = nn.Sequential(nn.Conv2d(widths[0], 5 * fold**2, 1), nn.PixelShuffle(fold))
+        last = nn.Conv2d(widths[0], 5 * fold**2, 1)
+        nn.init.normal_(last.weight, std=0.01)  # begins with the estimated ground
+        self.unfold = nn.Sequential(last, nn.PixelShuffle(fold))
 
     def forward(self, given: Tensor) -> Tensor:
         """Return outputs (B, 5, n, n) for inputs (B, CHANNELS, n, n) of :func:`inputs_of`."""
@@ -145,10 +148,13 @@ class GroundNet(nn.Module):
 
 
 def lattice_features(leveled: LeveledSweep) -> F32:
-    """Return ``FEATURES`` (5, n, n) float32 of a leveled sweep on the lattice of its ground, z of its level frame."""
-    nodes = lattice_nodes(leveled.ground.half_extent_m)
+    """Return ``FEATURES`` (7, n, n) float32 of a leveled sweep on the lattice of its ground, z of its level frame."""
+    ground = leveled.ground
+    nodes = lattice_nodes(ground.half_extent_m)
     out = np.empty((len(FEATURES), nodes, nodes), np.float32)
-    _fill_features(leveled.points, leveled.sensor_height_m, leveled.ground.half_extent_m, out)
+    _fill_features(leveled.points, leveled.sensor_height_m, ground.half_extent_m, out[:5])
+    repeated = np.ones((nodes // len(ground.seen),) * 2)  # ground that is not seen at all has fewer nodes
+    out[5], out[6] = np.kron(ground.seen, repeated), np.kron(ground.heights_m, repeated)
     return out
 
 
@@ -156,24 +162,23 @@ def inputs_of(features: Tensor, sensor_height_m: Tensor, half_extent_m: Tensor) 
     """Return inputs (B, CHANNELS, n, n) of the network.
 
     Args:
-        features: (B, 5, n, n) of :func:`lattice_features`.
+        features: (B, 7, n, n) of :func:`lattice_features`.
         sensor_height_m: (B,) above the ground below the sensor.
         half_extent_m: (B,) half the side of the lattice.
     """
-    count, *heights, passing, ground = features.unbind(1)
+    count, *heights, passing, shown, ground = features.unbind(1)
     seen, passed = (count > 0).float(), torch.isfinite(passing).float()
-    scaled = [torch.where(seen > 0, z, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M for z in heights]
-    lies = torch.isfinite(ground).float()
-    bound, below = (torch.where(torch.isfinite(z), z, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M for z in (passing, ground))
+    above = [torch.where(seen > 0, z - ground, 0.0).clamp(-_MOST_M, _MOST_M) for z in heights]
+    bound = torch.where(passed > 0, passing - ground, 0.0).clamp(-_MOST_M, _MOST_M)
     line = (torch.arange(count.shape[-1]) + 0.5) / count.shape[-1] * 2 - 1
     half_m = half_extent_m[:, None, None]
     range_m, node_m = torch.hypot(line[:, None], line[None]) * half_m, 2 * half_m / count.shape[-1]
     beside = [each.expand_as(count) for each in (range_m / 64.0, sensor_height_m[:, None, None] / 2.0, node_m)]
-    return torch.stack([seen, *scaled, torch.log1p(count) / 3.0, bound, passed, below, lies, *beside], 1)
+    return torch.stack([seen, *above, torch.log1p(count) / 3.0, bound, passed, shown, ground / 4.0, *beside], 1)
 
 
 def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:
-    """Return the mean negative log-likelihood of heights (B, n, n), nodes nearer to the sensor weighted more.
+    """Return the mean negative log-likelihood of heights above the estimate (B, n, n), nodes nearer to the sensor weighted more.
 
     Nodes whose height is NaN do not count.
     """
