@@ -1,18 +1,16 @@
-"""Fit how unsure ground is that no beam met, and a network that guesses it.
+"""Fit and judge the network that guesses ground which no beam met.
 
     python tools/fit_ground.py make learning road --scenes 0:1500 --sweeps 2 --out samples
     python tools/fit_ground.py make own road --scenes 40:1000 --sweeps 1 --out samples
     python tools/fit_ground.py make training road --scenes 0:500 --sweeps 2 --out samples
     python tools/fit_ground.py make training indoor --scenes 0:250 --sweeps 2 --out samples
     python tools/fit_ground.py make own indoor --scenes 16:216 --sweeps 1 --out samples
-    python tools/fit_ground.py deviation samples
     python tools/fit_ground.py fit samples --minutes 60 --out ground.pt
     python tools/fit_ground.py judge ground.pt development --scenes 0:60
 
-``make`` writes one file for 50 scenes and goes on where it was stopped, ``deviation`` prints the constants of
-``core/ground_fill.cpp``, ``fit`` keeps a checkpoint for every 250 steps, goes on from it and takes up files that come
-meanwhile, ``judge`` holds the shadow map on the network's ground against that on the estimated ground and on the exact
-one. The sealed set is not opened.
+``make`` writes one file for 50 scenes and goes on where it was stopped; ``fit`` takes the time that it is given, keeps
+a checkpoint for every 250 steps, goes on from it, and takes up files that come meanwhile; ``judge`` holds the shadow
+map on the network's ground against that on the estimated ground and on the exact one. The sealed set is not opened.
 """
 
 from __future__ import annotations
@@ -27,10 +25,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from viewshed import _core
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import CAR
@@ -57,9 +53,6 @@ SHARES = {
     "learning-road": 0.48, "own-road": 0.22, "training-road": 0.15, "training-indoor": 0.10, "own-indoor": 0.05,
 }  # fmt: skip
 """Of the samples that are shown, by set and grid."""
-
-LEAST_ROUGHNESS_M, LAPLACE_68 = 0.02, 1.14
-"""As in ``core/ground_fill.cpp``; and half the width, in mean deviations, that holds 68 % of a Laplace distribution."""
 
 Row = tuple[Any, ...]
 """The values of ``COLUMNS`` of one sample."""
@@ -188,8 +181,8 @@ def fit(given: argparse.Namespace) -> None:
             losses = {kind: validated(net, rows) for kind, rows in samples.held.items() if rows}
             shown = sum(map(len, samples.shown.values()))
             print(
-                f"step {step}, {60 * given.minutes * done:.0f} s: {loss_sum / SAVED_EVERY:.3f} of {shown} sweeps; held out: "
-                + ", ".join(f"{kind} {loss:.3f}" for kind, loss in losses.items()),
+                f"step {step}, {60 * given.minutes * done:.0f} s: {loss_sum / SAVED_EVERY:.3f} of {shown} sweeps;"
+                " held out: " + ", ".join(f"{kind} {loss:.3f}" for kind, loss in losses.items()),
                 flush=True,
             )
             loss_sum = 0.0
@@ -215,47 +208,6 @@ def validated(net: GroundNet, rows: list[Row]) -> float:
             losses.append(float(loss_of(outputs[:, :, ::2, ::2], above[:, ::2, ::2], half)))
     net.train()
     return float(np.mean(losses))
-
-
-def deviation(given: argparse.Namespace) -> None:
-    """Fit the deviation of unseen ground to the samples of a folder: the constants of ``core/ground_fill.cpp``.
-
-    Prints the most likely factor and powers of the present deviation and of the roughness of what is seen (1, 1 and 0
-    where the constants are right), and, of the last scenes of each file, the share of nodes off by at most the present
-    deviation.
-    """
-    logs: dict[str, list[NDArray[Any]]] = {}
-    for path in sorted(given.folder.glob("*-[0-9]*.npz")):
-        with np.load(path) as file:
-            rows = list(zip(*(file[key] for key in COLUMNS), strict=True))
-        for number, (features, ground, height, half) in enumerate(rows):
-            exact_m, seen = ground.astype(np.float32), features[5] > 0
-            walked_m, plane = features[6].astype(np.float32), np.array([0.0, 0.0, 0.0], np.float32)
-            heights_m, std_m, roughness = _core.fill_ground(walked_m, seen, plane, float(half))
-            counted = ~seen & np.isfinite(exact_m)
-            counted[np.random.default_rng(number).random(seen.shape) > 0.05] = False
-            off_m = np.abs(heights_m - exact_m)[counted]
-            is_held = np.full(len(off_m), number >= int(SHOWN_SHARE * len(rows)))
-            rough = np.full(len(off_m), np.log(roughness + LEAST_ROUGHNESS_M))
-            logs.setdefault("-".join(path.name.split("-")[:2]), []).append(
-                np.stack([np.log(std_m[counted]), rough, np.ones(len(off_m)), off_m, is_held], axis=1)
-            )
-    kinds = {kind: np.concatenate(rows) for kind, rows in logs.items()}
-    shown = {kind: rows[rows[:, 4] == 0] for kind, rows in kinds.items()}
-    weight = np.concatenate([np.full(len(rows), SHARES[kind] / len(rows)) for kind, rows in shown.items()])
-    columns, off_m = (np.concatenate([rows[:, part] for rows in shown.values()]) for part in (slice(3), 3))
-    # Newton's method on the mean negative log-likelihood of Laplace distributions, which is convex; they lie within
-    # LAPLACE_68 mean deviations of their middle with 68 %.
-    powers = np.array([1.0, 0.0, -np.log(LAPLACE_68)])
-    for _ in range(50):
-        ratio = off_m * np.exp(-columns @ powers)
-        slope, curve = columns.T @ (weight * (1.0 - ratio)), (columns * (weight * ratio)[:, None]).T @ columns
-        powers -= np.clip(np.linalg.solve(curve + 1e-9 * np.eye(3), slope), -0.5, 0.5)
-    factor = np.exp(powers[2]) * LAPLACE_68
-    print(f"power of the deviation {powers[0]:.3f}, of the roughness {powers[1]:.3f}, factor {factor:.3f}")
-    for kind, rows in kinds.items():
-        log_std, off_m = rows[rows[:, 4] == 1][:, 0], rows[rows[:, 4] == 1][:, 3]
-        print(f"{kind:16} {np.mean(off_m <= np.exp(log_std)):.2f} of {len(off_m)} nodes within one deviation")
 
 
 def grounds(net: GroundNet, leveled: LeveledSweep) -> dict[str, LeveledSweep]:
@@ -314,14 +266,13 @@ def main(words: Sequence[str] | None = None) -> None:
         prog="fit_ground.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     steps = parser.add_subparsers(required=True)
-    for work in (make, deviation, fit, judge):
+    for work in (make, fit, judge):
         step = steps.add_parser(work.__name__, help=(work.__doc__ or "").split(";")[0])
         step.set_defaults(work=work)
         if work is judge:
             step.add_argument("net", type=Path)
-        if work in (deviation, fit):
-            step.add_argument("folder", type=Path)
         if work is fit:
+            step.add_argument("folder", type=Path)
             step.add_argument("--minutes", type=float, default=60.0, help="of training")
         if work in (make, judge):
             step.add_argument("set")

@@ -40,7 +40,9 @@ def test_features_of_a_node_are_its_returns_and_the_lowest_beam_that_passes_over
     assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.01)
     points = [(10.2, 3.3, 0.5), (10.4, 3.6, 0.1), (10.7, 3.2, 2.0), (40.5, -0.5, 0.0), (40.5, -0.5, 1.0)]
     features = lattice_features(with_points(leveled, points))
-    assert features.shape == (5, 128, 128)
+    assert features.shape == (7, 128, 128)
+    assert np.array_equal(features[5] > 0, leveled.ground.seen)
+    assert np.array_equal(features[6], leveled.ground.heights_m)
     np.testing.assert_allclose(features[:4, 74, 67], [3.0, 0.5, 0.1, 2.0])
     np.testing.assert_allclose(features[:4, 104, 63], [2.0, 1.0, 0.0, 1.0])
     # The beam to z = 0 at 40.5 m passes over x = 20.5 m at half of its way; over nothing behind its end.
@@ -55,7 +57,7 @@ def test_features_of_a_node_are_its_returns_and_the_lowest_beam_that_passes_over
 def test_modes_are_a_distribution() -> None:
     outputs = torch.tensor([0.5, 0.3, -1.0, 0.2, 0.4]).reshape(1, 5, 1, 1)
     modes = Modes.of(outputs)
-    assert float(modes.second_m) < float(modes.first_m) == 2.0
+    assert float(modes.second_m) < float(modes.first_m) == 0.5
     heights = torch.linspace(-60.0, 60.0, 240_001, dtype=torch.float64)
     density = torch.exp(modes.log_likelihood(heights.reshape(-1, 1, 1))).reshape(-1).numpy()
     step = 120.0 / 240_000
@@ -74,7 +76,8 @@ def test_the_network_answers_for_every_node_and_learns(leveled: LeveledSweep, no
     torch.manual_seed(0)
     net = GroundNet(4, (8, 12, 16, 16))
     features = torch.tensor(lattice_features(leveled))[None, :, :nodes, :nodes]
-    inputs = inputs_of(features, torch.tensor([1.8]), nodes / 2)
+    half_m = torch.tensor([nodes / 2])
+    inputs = inputs_of(features, torch.tensor([1.8]), half_m)
     assert inputs.shape == (1, CHANNELS, nodes, nodes)
     assert torch.isfinite(inputs).all()
     ground = torch.full((1, nodes, nodes), 0.7)
@@ -82,7 +85,7 @@ def test_the_network_answers_for_every_node_and_learns(leveled: LeveledSweep, no
     optimizer = torch.optim.Adam(net.parameters(), 1e-2)
     losses = []
     for _ in range(12):
-        loss = loss_of(net(inputs), ground, nodes / 2)
+        loss = loss_of(net(inputs), ground, half_m)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <vector>
 
+#include "parallel.hpp"
 #include "vectors.hpp"
 
 namespace viewshed {
@@ -15,13 +16,22 @@ namespace {
 // Standard deviation where returns lie on the ground.
 constexpr float SEEN_STD_M = 0.05f;
 
-// Doubt of a node's height per meter of its side, before it is calibrated.
+// Doubt of a node's height per meter of its side; the least doubt per meter beyond the last return of a direction.
 constexpr double GROWTH = 0.015;
+constexpr float BEYOND_GROWTH = 0.01f;
 
-// The deviation of unseen ground: STD_SCALE · (that of the averages)^STD_POWER · (the roughness of what is seen +
-// LEAST_ROUGHNESS_M)^ROUGHNESS_POWER, the most likely one of Laplace distributions on simulated land, streets and rooms
-// (tools/fit_ground.py deviation).
-constexpr float STD_SCALE = 5.7f, STD_POWER = 1.3f, ROUGHNESS_POWER = 0.49f, LEAST_ROUGHNESS_M = 0.02f;
+// Where the ground before and behind a gap differs by more than twice this, it may be as high as either.
+constexpr float STEP_M = 0.3f;
+
+// Where so large a share of what is seen lies this far below the carrier's plane, the land has a lower level.
+constexpr float LOWER_LEVEL_M = 1.0f;
+constexpr double LOWEST_SHARE = 0.05;
+
+// Beyond the last return of a direction the ground may fall to that level: it is taken half way, by this slope.
+constexpr float FALL = 0.03f;
+
+// Between two returns of a direction ground lies between their heights, to this slope from the nearer one.
+constexpr float GAP_SLOPE = 0.02f;
 
 // Ground this far above or below the carrier's plane is a level of its own, which another direction must confirm.
 constexpr float LEVEL_M = 0.3f;
@@ -35,13 +45,16 @@ constexpr int CONFIRM_FROM = 9, CONFIRM_TO = 40;
 // sensor, which no beam meets.
 constexpr float UNCONFIRMED_WEIGHT = 0.1f, BLIND_WEIGHT = 0.9f;
 
+// Nodes of a part that is worth a thread.
+constexpr std::size_t PART = 8192;
+
 constexpr float UNSEEN = std::numeric_limits<float>::quiet_NaN();
 
-// Known heights over the base by range in nodes and sector (bins, SECTORS), NaN for none.
+// Known heights over the base by range in nodes and sector (bins, SECTORS), NaN for none; and the base there.
 struct Profiles {
-    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, UNSEEN) {}
+    explicit Profiles(std::size_t b) : bins(b), seen(b * SECTORS, UNSEEN), base(b * SECTORS) {}
     std::size_t bins;
-    Buffer<float> seen;
+    Buffer<float> seen, base;
 };
 
 // Call body(at) for each node that is marked. Most are not: eight are looked at together.
@@ -81,7 +94,8 @@ struct OverBase {
 };
 
 // Of several nodes in a bin the lowest counts: what lies above it may stand on it.
-Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const bool> known) {
+Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<const float> base,
+                       View1<const bool> known) {
     Profiles profiles(lattice.bins);
     for_marked(known, [&](std::size_t at) {
         const std::size_t row = std::size_t(lattice.bin[at]) * SECTORS;
@@ -90,6 +104,7 @@ Profiles find_profiles(const Lattice& lattice, View1<const float> above, View1<c
             const std::size_t cell = row + std::size_t(k & (SECTORS - 1));
             if (profiles.seen[cell] <= above[at]) continue;
             profiles.seen[cell] = above[at];
+            profiles.base[cell] = base[at];
         }
     });
     return profiles;
@@ -200,6 +215,47 @@ MULTIVERSION void push(const Level& coarse, const Level& fine, float* scratch) {
     }
 }
 
+// Draw nodes without weight to the mean of the four beside them, to and fro: straight lines between returns.
+//
+// Each node takes two neighbors that are drawn already and two that are not. Nodes on a diagonal do not depend on each other,
+// so that diagonals, as rows of an array, are drawn one after the other by vectors.
+MULTIVERSION void smooth_diagonals(float* mean, const float* lacking, std::size_t n) {
+    const auto draw = [&](std::size_t d) {
+        const std::size_t begin = d > n - 2 ? d - (n - 2) : 1, end = std::min(n - 2, d - 1) + 1;
+        float* here = mean + d * n;
+        const float *before = mean + (d - 1) * n, *after = mean + (d + 1) * n, *lack = lacking + d * n;
+        for (std::size_t i = begin; i < end; ++i) {
+            const float around = 0.25f * (before[i - 1] + after[i + 1] + before[i] + after[i]);
+            here[i] += lack[i] * (around - here[i]);
+        }
+    };
+    for (std::size_t d = 2; d <= 2 * n - 4; ++d) draw(d);
+    for (std::size_t d = 2 * n - 4; d >= 2; --d) draw(d);
+}
+
+void smooth(const Level& level, Buffer<float>& scratch) {
+    const std::size_t n = level.n;
+    if (n < 3) return;
+    constexpr std::size_t BLOCK_ROWS = 16;  // rows at a time, so that their diagonals stay in the nearest memory
+    float *mean = scratch.data(), *lacking = mean + 2 * n * n;
+    for (std::size_t start = 0; start < n; start += BLOCK_ROWS) {
+        const std::size_t end = std::min(start + BLOCK_ROWS, n);
+        for (std::size_t j = 0; j < n; ++j) {
+            for (std::size_t i = start; i < end; ++i) {
+                mean[(i + j) * n + i] = level.mean[i * n + j];
+                lacking[(i + j) * n + i] = 1.0f - level.weight[i * n + j];
+            }
+        }
+    }
+    smooth_diagonals(mean, lacking, n);
+    for (std::size_t start = 1; start < n - 1; start += BLOCK_ROWS) {
+        const std::size_t end = std::min(start + BLOCK_ROWS, n - 1);
+        for (std::size_t j = 1; j < n - 1; ++j) {
+            for (std::size_t i = start; i < end; ++i) level.mean[i * n + j] = mean[(i + j) * n + i];
+        }
+    }
+}
+
 // Fill nodes without weight from the level of nodes twice as large, which is filled first.
 void fill(const Level& level, double node_m, Buffer<float>& scratch) {
     const std::size_t half = (level.n + 1) / 2;
@@ -208,6 +264,96 @@ void fill(const Level& level, double node_m, Buffer<float>& scratch) {
     pull(level, float((GROWTH * node_m) * (GROWTH * node_m)), coarse);
     if (half > 1) fill(coarse, 2.0 * node_m, scratch);
     push(coarse, level, scratch.data());
+    smooth(level, scratch);
+}
+
+// How far below the base heights over it show a lower level, 0 for none.
+float find_lower_level(std::vector<float> above_m) {
+    if (above_m.empty()) return 0.0f;
+    const auto k = above_m.begin() + std::ptrdiff_t(LOWEST_SHARE * double(above_m.size()));
+    std::nth_element(above_m.begin(), k, above_m.end());
+    return -*k > LOWER_LEVEL_M ? -*k : 0.0f;
+}
+
+// What is seen nearest before each bin of a sector, and behind it: its height over the base, its bin, and the base.
+struct Gaps {
+    explicit Gaps(std::size_t bins)
+        : near_seen(bins * SECTORS), near_bin(bins * SECTORS), far_seen(bins * SECTORS), far_bin(bins * SECTORS),
+          far_base(bins * SECTORS) {}
+    Buffer<float> near_seen, near_bin, far_seen, far_bin, far_base;  // far_bin is -1 where nothing is seen behind
+};
+
+MULTIVERSION void find_gaps(const Profiles& profiles, Gaps& gaps) {
+    const std::size_t bins = profiles.bins;
+    const float *seen = profiles.seen.data(), *base = profiles.base.data();
+    float *near_seen = gaps.near_seen.data(), *near_bin = gaps.near_bin.data();
+    float *far_seen = gaps.far_seen.data(), *far_bin = gaps.far_bin.data(), *far_base = gaps.far_base.data();
+    for (std::size_t s = 0; s < SECTORS; ++s) {
+        near_seen[s] = seen[s] == seen[s] ? seen[s] : 0.0f;
+        near_bin[s] = 0.0f;
+    }
+    for (std::size_t b = 1; b < bins; ++b) {
+        for (std::size_t at = b * SECTORS; at < (b + 1) * SECTORS; ++at) {
+            near_seen[at] = seen[at] == seen[at] ? seen[at] : near_seen[at - SECTORS];
+            near_bin[at] = seen[at] == seen[at] ? float(b) : near_bin[at - SECTORS];
+        }
+    }
+    for (std::size_t at = (bins - 1) * SECTORS; at < bins * SECTORS; ++at) {
+        far_bin[at] = -1.0f;
+        far_seen[at] = far_base[at] = 0.0f;
+    }
+    for (std::size_t b = bins - 1; b-- > 0;) {
+        for (std::size_t at = b * SECTORS; at < (b + 1) * SECTORS; ++at) {
+            const std::size_t next = at + SECTORS;
+            const bool is_seen = seen[next] == seen[next];
+            far_seen[at] = is_seen ? seen[next] : far_seen[next];
+            far_bin[at] = is_seen ? float(b + 1) : far_bin[next];
+            far_base[at] = is_seen ? base[next] : far_base[next];
+        }
+    }
+}
+
+// Raise the deviation in gaps along the lines of sight, and mend heights there. Behind an edge the ground lies below the beam
+// that passes it, and not far below where that beam meets the ground. Beyond the last return it may lie as it does nearby,
+// or at a level that is `lower` meters below the base. All z are from the sensor.
+void doubt_gaps(const Lattice& lattice, const Gaps& gaps, View1<const float> base, View1<const bool> known, float lower,
+                View1<float> heights, View1<float> std) {
+    const auto node_m = float(lattice.node_m);
+    const float growth = BEYOND_GROWTH * node_m;
+    for_ranges(lattice.size(), count_parts(lattice.size(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        for (std::size_t at = begin; at < end; ++at) {
+            if (known[at]) continue;
+            const std::size_t sector = std::size_t(lattice.azimuth[at]) % SECTORS;
+            const std::size_t cell = std::size_t(lattice.bin[at]) * SECTORS + sector;
+            const float r = lattice.range_nodes[at], far = gaps.far_bin[cell];
+            if (far < 0.0f) {
+                const float away = r - gaps.near_bin[cell];
+                std[at] = std::max(std[at], growth * away);
+                if (lower > 0.0f) {
+                    const float fall = std::min(0.5f * (heights[at] - base[at] + lower), FALL * node_m * away);
+                    heights[at] -= std::max(fall, 0.0f);
+                    std[at] = std::max(std[at], fall);
+                }
+                continue;
+            }
+            const float before = gaps.near_seen[cell], behind = gaps.far_seen[cell];
+            float high = std::max(before, behind) + base[at];
+            const float low = std::min(before, behind) + base[at];
+            if (behind < before) {
+                const float beam = (behind + gaps.far_base[cell]) * r / (far + 0.5f);
+                high = std::max(std::min(high, beam), low);
+            }
+            const float apart = 0.5f * (high - low);
+            std[at] = std::max(std[at], apart);
+            if (0.5f * std::fabs(before - behind) > STEP_M) {
+                heights[at] = 0.5f * (high + low);
+            } else {
+                // What other directions show does not lead out of what this one shows on both sides.
+                const float slack = SEEN_STD_M + GAP_SLOPE * node_m * std::min(far - r, r - gaps.near_bin[cell]);
+                heights[at] = std::min(std::max(heights[at], low - slack), high + slack);
+            }
+        }
+    });
 }
 
 // Write weights and which nodes are known: accepted, or so near to the sensor that no beam meets them.
@@ -219,21 +365,16 @@ MULTIVERSION void weigh(const std::uint8_t* accepted, const float* range_m, std:
     for (std::size_t at = 0; at < size; ++at) known[at] = weight[at] > 0.0f ? 1 : 0;
 }
 
-// The root mean square of seen heights over the base, without those that no other direction confirms.
-float roughness_m(View1<const float> above, View1<const bool> accepted, View1<const bool> alone) {
-    double sum = 0.0, count = 0.0;
-    for_marked(accepted, [&](std::size_t at) {
-        if (alone[at]) return;
-        sum += double(above[at]) * double(above[at]);
-        count += 1.0;
-    });
-    return count > 0.0 ? float(std::sqrt(sum / count)) : 0.0f;
+// Turn heights over the base into heights, and variances into deviations.
+MULTIVERSION void add_base(const float* base, const float* variance, std::size_t size, float* heights_m, float* std_m) {
+    for (std::size_t at = 0; at < size; ++at) heights_m[at] += base[at];
+    for (std::size_t at = 0; at < size; ++at) std_m[at] = std::sqrt(variance[at]);
 }
 
 }  // namespace
 
-float fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier,
-                  View1<float> heights_m, View1<float> std_m) {
+void fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted, const Plane& carrier,
+                 View1<float> heights_m, View1<float> std_m) {
     const std::size_t n = lattice.nodes, size = lattice.size();
     Buffer<float> weight(size), variance(size);
     Buffer<bool> known(size), alone(size);
@@ -248,7 +389,7 @@ float fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<con
           reinterpret_cast<std::uint8_t*>(known.data()));
     // 2. The base counts, weakly, also where returns show a level that no other direction confirms. They hold for their own
     //    nodes.
-    const Profiles profiles = find_profiles(lattice, over.above, known);
+    const Profiles profiles = find_profiles(lattice, over.above, over.base, known);
     find_unconfirmed(lattice, over.above, accepted, profiles, alone);
     std::copy_n(over.above.data(), size, heights_m.data);
     std::fill_n(variance.data(), size, SEEN_STD_M * SEEN_STD_M);
@@ -257,24 +398,35 @@ float fill_ground(const Lattice& lattice, View1<const float> walked_m, View1<con
         heights_m[at] = 0.0f;
         variance[at] = LEVEL_M * LEVEL_M;
     });
-    // 3. Heights over the base and their variance in between.
-    Buffer<float> scratch(3 * (n + 2));
-    fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
-    // 4. Heights, and how unsure they are; what is seen holds for its own nodes.
-    const float roughness = roughness_m(over.above, accepted, alone);
-    const float scale = STD_SCALE * std::pow(roughness + LEAST_ROUGHNESS_M, ROUGHNESS_POWER);
-    for (std::size_t at = 0; at < size; ++at) {
-        heights_m[at] = accepted[at] ? walked_m[at] : heights_m[at] + over.base[at];
-        const float doubt_m = scale * std::pow(variance[at], STD_POWER / 2);
-        std_m[at] = accepted[at] ? SEEN_STD_M : std::max(doubt_m, SEEN_STD_M);
-    }
-    return roughness;
+    // 3. Heights over the base and their variance in between; beside it, what lies before and behind each gap.
+    Gaps gaps(profiles.bins);
+    run_parts(2, [&](std::size_t part) {
+        if (part == 0) {
+            Buffer<float> scratch(4 * size + 3 * (n + 2));
+            fill({n, heights_m.data, weight.data(), variance.data()}, node_m, scratch);
+        } else {
+            find_gaps(profiles, gaps);
+        }
+    });
+    add_base(over.base.data(), variance.data(), size, heights_m.data, std_m.data);
+    std::vector<float> confirmed;
+    confirmed.reserve(size);
+    for_marked(accepted, [&](std::size_t at) {
+        if (!alone[at]) {
+            confirmed.push_back(over.above[at]);
+            return;
+        }
+        heights_m[at] = walked_m[at];
+        std_m[at] = SEEN_STD_M;
+    });
+    // 4. Gaps along the lines of sight.
+    doubt_gaps(lattice, gaps, over.base, known, find_lower_level(std::move(confirmed)), heights_m, std_m);
 }
 
 void find_unconfirmed_levels(const Lattice& lattice, View1<const float> walked_m, View1<const bool> accepted,
                              const Plane& carrier, View1<bool> alone) {
     const OverBase over(lattice, walked_m, accepted, carrier);
-    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, accepted), alone);
+    find_unconfirmed(lattice, over.above, accepted, find_profiles(lattice, over.above, over.base, accepted), alone);
 }
 
 }  // namespace viewshed

@@ -12,7 +12,7 @@ namespace viewshed {
 namespace {
 
 // From this range on the slope of the carrier's plane fades, over this distance: land is mostly level.
-constexpr float PLANE_M = 60.0f, TILT_M = 20.0f;
+constexpr float PLANE_M = 30.0f, TILT_M = 20.0f;
 
 // How many lattices are kept.
 constexpr std::size_t KEPT = 4;

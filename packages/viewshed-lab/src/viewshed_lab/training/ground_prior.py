@@ -1,9 +1,9 @@
 """A network that guesses the ground which no beam met, and how sure it is of that: one guess for each lattice node.
 
-It is given what the returns of a sweep show on the lattice of the ground, the ground as it was estimated, and the lowest
-beam that passes over each node: the ground lies below that. It answers with two modes a node, above the estimated ground or
-below it, for beyond an edge the ground goes on or falls away. The estimators count beams over the heights that it gives
-(:func:`on_ground`).
+It is given what the returns of a sweep show on the lattice of the ground, the ground as it was estimated, and the
+lowest beam that passes over each node: the ground lies below that. It answers with two modes a node, counted from the
+estimated ground, for beyond an edge the ground goes on or falls away. The estimators count beams over the heights that
+it gives (:func:`on_ground`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.sim.terrain import Terrain
 
 FEATURES = ("returns", "second_lowest_m", "lowest_m", "highest_m", "passing_m", "seen", "ground_m")
-"""Of each node: how many returns, z of three of them, z of the lowest beam that passes over it (+inf for none), and whether
+"""Of each node: how many returns, z of three of them, z of the lowest beam that passes over it (+inf for none), whether
 the estimated ground rests on returns there, and its z."""
 
 CHANNELS = 12
@@ -178,7 +178,7 @@ def inputs_of(features: Tensor, sensor_height_m: Tensor, half_extent_m: Tensor) 
 
 
 def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:
-    """Return the mean negative log-likelihood of heights above the estimate (B, n, n), nodes nearer to the sensor weighted more.
+    """Return the mean negative log-likelihood of heights (B, n, n) above the estimate, near nodes weighted more.
 
     Nodes whose height is NaN do not count.
     """

@@ -89,8 +89,7 @@ void bind_ground(nb::module_& m) {
             return nb::make_tuple(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
         },
         "walked_m"_a.noconvert(), "accepted"_a.noconvert(), "plane"_a.noconvert(), "half_m"_a,
-        "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n), and the roughness "
-        "of these.");
+        "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
     m.def(
         "free_plane",
         [](Points points) {
