@@ -32,18 +32,23 @@ from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.networks.runtime import values_of
+from viewshed.preprocess.leveling import level
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.wild import WildScene, wild_scenes
 from viewshed_lab.sim.lidar.optics import optics_of
 from viewshed_lab.studies.wild.evaluate import ground_error_m
 from viewshed_lab.training.ground_prior import (
+    BASE,
+    BASE_UNIT_M,
+    FOLD,
+    HEIGHTS,
     GroundNet,
-    Modes,
     exact_ground,
-    inputs_of,
-    lattice_features,
+    exported,
+    guessed,
     loss_of,
+    network_inputs,
     on_ground,
 )
 
@@ -57,12 +62,12 @@ SHARES = {
 Row = tuple[Any, ...]
 """The values of ``COLUMNS`` of one sample."""
 
-COLUMNS = ("features", "ground_m", "height_m", "half_m")
-"""Of a file: features (7, n, n), exact ground (n, n), sensor height, and half extent of the lattice."""
+COLUMNS = ("inputs", "ground_m", "half_m")
+"""Of a file: inputs (CHANNELS, n, n), exact ground (n, n), and half extent of the lattice."""
 
 
-def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float, float]]:
-    """Yield features (7, n, n), exact ground (n, n), NaN where unknown, sensor height and half extent of sweeps.
+def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float]]:
+    """Yield inputs (CHANNELS, n, n), exact ground (n, n), NaN where unknown, and half extent of the lattice of sweeps.
 
     One in four has a lattice of another extent, from half to one and a half times that of the grid.
     """
@@ -75,7 +80,8 @@ def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float, fl
         leveled = level(given, BevGrid(1, half_m))
         ground_m, known = exact_ground(leveled, seen.scan.world_from_sensor, seen.world.ground_of(seen.agent))
         ground_m[~known | (np.abs(ground_m) > 30.0)] = np.nan
-        yield lattice_features(leveled), ground_m, leveled.sensor_height_m, half_m
+        unfolded = torch.pixel_shuffle(torch.tensor(network_inputs(leveled)), FOLD)
+        yield unfolded[0].numpy(), ground_m, half_m
 
 
 def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
@@ -123,25 +129,29 @@ class Samples:
 
     def draw(self, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Return inputs, ground and half extents of a batch: of roads, or of rooms."""
-        indoor = rng.random() < sum(share for kind, share in SHARES.items() if kind.endswith("indoor"))
-        kinds = [kind for kind in SHARES if kind.endswith("indoor") == indoor and self.shown[kind]]
+        some = [kind for kind in SHARES if self.shown[kind]]
+        first = rng.choice(some, p=[SHARES[kind] / sum(SHARES[each] for each in some) for kind in some])
+        indoor = first.endswith("indoor")
+        kinds = [kind for kind in some if kind.endswith("indoor") == indoor]
         shares = np.array([SHARES[kind] for kind in kinds])
         chosen = rng.choice(len(kinds), 4 * BATCH if indoor else BATCH, p=shares / shares.sum())
         rows = [self.shown[kinds[k]][rng.integers(len(self.shown[kinds[k]]))] for k in chosen]
-        features, ground, height_m, half = (
-            torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows, strict=True)
-        )
-        ground = ground - features[:, 6]
+        inputs, ground, half = _tensors(rows)
         # Turns and flips; and heights scaled, which keeps beams straight.
         turn = int(rng.integers(4))
-        features, ground = torch.rot90(features, turn, (2, 3)), torch.rot90(ground, turn, (1, 2))
+        inputs, ground = torch.rot90(inputs, turn, (2, 3)), torch.rot90(ground, turn, (1, 2))
         if rng.random() < 0.5:
-            features, ground = features.flip(3), ground.flip(2)
-        stretched = rng.random(len(rows)) < 0.5
-        scale = torch.tensor(np.where(stretched, np.exp(rng.normal(0.0, 0.2, len(rows))), 1.0)).float()
-        for height in (slice(1, 5), 6):
-            features[:, height] *= scale[:, None, None, None] if height != 6 else scale[:, None, None]
-        return inputs_of(features, height_m * scale, half), ground * scale[:, None, None], half
+            inputs, ground = inputs.flip(3), ground.flip(2)
+        scale = np.where(rng.random(len(rows)) < 0.5, np.exp(rng.normal(0.0, 0.2, len(rows))), 1.0)
+        scales = torch.tensor(scale).float()[:, None, None]
+        inputs[:, HEIGHTS] *= scales[:, None]
+        return inputs, ground * scales, half
+
+
+def _tensors(rows: list[Row]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return inputs, exact ground above the base, and half extents of samples."""
+    inputs, ground, half = (torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows, strict=True))
+    return inputs, ground - BASE_UNIT_M * inputs[:, BASE], half
 
 
 def fit(given: argparse.Namespace) -> None:
@@ -199,27 +209,12 @@ def validated(net: GroundNet, rows: list[Row]) -> float:
     losses = []
     with torch.no_grad():
         for at in range(0, min(len(rows), 128), 32):
-            features, ground, height, half = (
-                torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows[at : at + 32], strict=True)
-            )
+            inputs, ground, half = _tensors(rows[at : at + 32])
             with torch.autocast("cpu", torch.bfloat16):
-                outputs = net(inputs_of(features, height, half).to(memory_format=torch.channels_last)).float()
-            above = ground - features[:, 6]
-            losses.append(float(loss_of(outputs[:, :, ::2, ::2], above[:, ::2, ::2], half)))
+                outputs = net(inputs.to(memory_format=torch.channels_last)).float()
+            losses.append(float(loss_of(outputs[:, :, ::2, ::2], ground[:, ::2, ::2], half)))
     net.train()
     return float(np.mean(losses))
-
-
-def grounds(net: GroundNet, leveled: LeveledSweep) -> dict[str, LeveledSweep]:
-    """Return a sweep on its own ground, and on the network's median where no return shows the ground."""
-    ground, features = leveled.ground, torch.tensor(lattice_features(leveled))[None]
-    height, half_m = (torch.tensor([m], dtype=torch.float32) for m in (leveled.sensor_height_m, ground.half_extent_m))
-    with torch.no_grad():
-        modes = Modes.of(net(inputs_of(features, height, half_m)))
-    median, std = features[0, 6] + modes.quantile(0.5)[0], 0.5 * modes.std()[0]
-    median, seen = torch.minimum(median, features[0, 4] + 0.1), features[0, 5] > 0
-    heights = torch.where(seen, features[0, 6], median)
-    return {"estimated": leveled, "network": on_ground(leveled, heights.numpy(), torch.where(seen, 0.05, std).numpy())}
 
 
 def judge(given: argparse.Namespace) -> None:
@@ -228,6 +223,7 @@ def judge(given: argparse.Namespace) -> None:
     net = GroundNet(**saved["shape"])
     net.load_state_dict(saved["net"])
     net.eval()
+    run = values_of(exported(net))
     found: dict[str, ConfusionCounts] = {}
     for scene in scenes_of(given):
         seen = scene.observe(0)
@@ -237,7 +233,7 @@ def judge(given: argparse.Namespace) -> None:
         leveled = level(sample.sweep, grid)
         reach_m = min(optics_of(seen.sensor.model).reach_m, seen.sensor.model.max_range_m)
         known = seen.known & (polar_of_cells(grid)[0] <= reach_m)
-        leveled_on = grounds(net, leveled)
+        leveled_on = {"estimated": leveled, "network": guessed(leveled, run)}
         # The exact ground where no return shows it, as far as the cells reach.
         exact = (leveled.ground.at(grid.centers) - ground_error_m(leveled, sample)).astype(np.float32)
         guess = leveled_on["network"].ground
