@@ -96,6 +96,22 @@ def ground_of_lows(
 def fill_ground(
     walked_m: NDArray[np.float32], accepted: NDArray[np.bool_], plane: NDArray[np.float32], half_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def guess_inputs(
+    points: NDArray[np.float32],
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    heights_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+    sensor_height_m: float,
+) -> NDArray[np.float32]: ...
+def guessed_ground(
+    outputs: NDArray[np.float32],
+    inputs: NDArray[np.float32],
+    heights_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def free_plane(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]: ...
 def held_ground(
     heights_m: NDArray[np.float32],
