@@ -331,6 +331,9 @@ def guarantees(
     run: Run = True,
     page: Pages = None,
     ship: Annotated[Path | None, typer.Option(metavar="FILE", help="File of calibrations to write as well.")] = None,
+    survey: Annotated[
+        Path | None, typer.Option(metavar="LOG", help="Folder of an Argoverse 2 log with its map, to judge the masks.")
+    ] = None,
 ) -> None:
     """What cannot be over-claimed: certificates, attacks on them, masks.
 
@@ -346,6 +349,8 @@ def guarantees(
     folder = _folder(out, "guarantees")
     if run:
         jobs.run_study(folder, jobs.SIZES[preset], lambda line: typer.echo(line, err=True))
+    if survey is not None:
+        jobs.judge_by_survey(folder, survey)
     if ship is not None:
         jobs.ship(folder, ship)
     _show(page or folder, files_of(folder))
