@@ -292,7 +292,7 @@ def guarantees(
     page: Pages = None,
     ship: Annotated[Path | None, typer.Option(metavar="FILE", help="File of calibrations to write as well.")] = None,
 ) -> None:
-    """What cannot be over-claimed: certificates, attacks on them, masks.
+    """What cannot be over-claimed: certificates, attacks, masks.
 
     A part that was done is not done again: after a change of the default estimator, give a new --out.
 
