@@ -56,7 +56,7 @@ INPUTS: dict[str, bytes | str | Callable[[Path], object]] = {
     "mm.npy": files.npy(CLOUD[:, :3] * np.float32(1000)), "cm.npy": files.npy(CLOUD[:, :3] * np.float32(300)),
     "meters.npy": files.npy(CLOUD[:, :3].astype(np.int32)), "zero.npy": files.npy(np.zeros((500, 3), np.float32)),
     "nan.npy": files.npy(np.full((500, 3), np.nan, np.float32)),
-    "map.npy": files.npy(CLOUD[:, :3] + np.float32([566e3, 593e4, 0])),
+    "map.npy": files.npy(CLOUD[:, :3] + np.array([566e3, 593e4, 0], np.float32)),
     "words.csv": "x,y,z,kind\n1,2,3,car\n", "two.csv": "x,y\n1,2\n", "no.csv": "time,speed,heading\n1,2,3\n",
     "empty.csv": "", "ragged.csv": "x,y,z\n1,2,3\n1,2\n", "names.csv": "x,y,z\n", "more.csv": "x,y,z\n1,2,3,4\n",
     "german.csv": "x;y;z\n1,5;2,5;3,5\n", "json.csv": '{"x": 1}', "nul.xyz": b"\0" * 60,

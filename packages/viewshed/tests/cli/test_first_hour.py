@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -237,7 +238,8 @@ def test_help_of_a_command_with_many_options_has_sections() -> None:
 
 def test_no_option_means_two_things() -> None:
     meanings: dict[str, set[str]] = {}
-    for command in get_command(application()).commands.values():
+    commands: Any = get_command(application())
+    for command in commands.commands.values():
         for param in command.params:
             if param.opts[0] in {"--profile", "--every", "--step", "--parameters", "--between"}:
                 meanings.setdefault(param.opts[0], set()).add(param.help)

@@ -130,7 +130,7 @@ def survey(
         Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
     ] = None,
 ) -> None:
-    """Measure claims against a city's surveyed ground and people's boxes.
+    """Measure claims against the surveyed ground of a city.
 
     Example: viewshed evaluate survey val/7fab2350-7eaf-3b7e-a39d-6937a4c1bede --out survey.md
     """

@@ -335,7 +335,7 @@ def guarantees(
         Path | None, typer.Option(metavar="LOG", help="Folder of an Argoverse 2 log with its map, to judge the masks.")
     ] = None,
 ) -> None:
-    """What cannot be over-claimed: certificates, attacks on them, masks.
+    """What cannot be over-claimed: certificates, attacks, masks.
 
     A part that was done is not done again: after a change of the default estimator, give a new --out.
 
