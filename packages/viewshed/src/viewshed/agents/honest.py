@@ -74,35 +74,20 @@ _FILE = "honest.json"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectReports:
-    """What A agents say of J objects at one time, and what their views claim there.
+    """What A agents say of J objects at one time, and what their views claim there."""
 
-    Attributes:
-        seen: (J, A) bool, who reports the object.
-        able: (J, A) bool, who could: it speaks now, and the object is near, on its level and not its own vehicle.
-        visible: (J, A) probability that the object could be seen, as the agent claims.
-        range_m: (J, A) from the agent's sensor.
-        height: (A,) where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast.
-        size_m: (J,) longer side of the object.
-        cells: (J, A, 8) ``BoxCells`` of the object's box in the agent's view.
-        own_cells: (J, A, 8) the same of the agent's own box; 0 where it reports none.
-        apart_m: (J, A) from the object to the agent's next detection of another object.
-        before: (J, A) how often the agent reported the object before.
-        silent: (J, A) how often in a row it did not since its last report; -1 before the first one.
-        surface: (J, A) share of surface that its view held there at its last report; NaN before the first one.
-    """
-
-    seen: Mask
-    able: Mask
-    visible: F64
-    range_m: F64
-    height: NDArray[np.int64]
-    size_m: F64
-    cells: F64
-    own_cells: F64
-    apart_m: F64
-    before: NDArray[np.int64]
-    silent: NDArray[np.int64]
-    surface: F64
+    seen: Mask  # (J, A) bool, who reports the object
+    able: Mask  # (J, A) bool, who could: it speaks now, and the object is near, on its level and not its own vehicle
+    visible: F64  # (J, A) probability that the object could be seen, as the agent claims
+    range_m: F64  # (J, A) from the agent's sensor
+    height: NDArray[np.int64]  # (A,) where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast
+    size_m: F64  # (J,) longer side of the object
+    cells: F64  # (J, A, 8) ``BoxCells`` of the object's box in the agent's view
+    own_cells: F64  # (J, A, 8) the same of the agent's own box; 0 where it reports none
+    apart_m: F64  # (J, A) from the object to the agent's next detection of another object
+    before: NDArray[np.int64]  # (J, A) how often the agent reported the object before
+    silent: NDArray[np.int64]  # (J, A) how often in a row it did not since its last report; -1 before the first one
+    surface: F64  # (J, A) share of surface that its view held there at its last report; NaN before the first one
 
     @property
     def sizes_m(self) -> F64:
@@ -207,23 +192,14 @@ def own_box_columns(reports: ObjectReports) -> tuple[Columns, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestModel:
-    """What honest agents do; see the module.
+    """What honest agents do; see the module."""
 
-    Attributes:
-        found: (heights, sizes, ranges, visibilities) chance that an agent reports an object.
-        false: the same that it reports what is none.
-        reported: log-odds that an agent reports what others report; the last columns are those of the others.
-        invented: log-ratio of places elsewhere over what honest agents alone report.
-        displaced: log-ratio of boxes that were moved over honest ones.
-        views: how rare numbers of comparisons of views are.
-    """
-
-    found: F64
-    false: F64
-    reported: Weights
-    invented: Weights
-    displaced: Weights
-    views: Surprises
+    found: F64  # (heights, sizes, ranges, visibilities) chance that an agent reports an object
+    false: F64  # the same that it reports what is none
+    reported: Weights  # log-odds that an agent reports what others report; the last columns are those of the others
+    invented: Weights  # log-ratio of places elsewhere over what honest agents alone report
+    displaced: Weights  # log-ratio of boxes that were moved over honest ones
+    views: Surprises  # how rare numbers of comparisons of views are
 
     @classmethod
     def blank(cls) -> Self:
@@ -284,21 +260,13 @@ def honest_model() -> HonestModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestExamples:
-    """Rows that a model is fitted on, of one time of a scene in which nobody lies.
+    """Rows that a model is fitted on, of one time of a scene in which nobody lies."""
 
-    Attributes:
-        found: bins (N, 4) of objects in truth near agents, then whether the agent reported them.
-        false: the same of what another agent reports and is no object.
-        reported: columns (N, F + 1) with those of others, then whether the agent reported the object.
-        invented: columns (N, F), then whether the place is one elsewhere.
-        displaced: columns (N, F), then whether the box was moved.
-    """
-
-    found: Columns
-    false: Columns
-    reported: Columns
-    invented: Columns
-    displaced: Columns
+    found: Columns  # bins (N, 4) of objects in truth near agents, then whether the agent reported them
+    false: Columns  # the same of what another agent reports and is no object
+    reported: Columns  # columns (N, F + 1) with those of others, then whether the agent reported the object
+    invented: Columns  # columns (N, F), then whether the place is one elsewhere
+    displaced: Columns  # columns (N, F), then whether the box was moved
 
     @classmethod
     def of(

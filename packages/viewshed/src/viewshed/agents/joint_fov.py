@@ -16,25 +16,17 @@ from viewshed.grid import BevGrid
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFov:
-    """What several agents see together, on one grid of the world.
+    """What several agents see together, on one grid of the world."""
 
-    Attributes:
-        grid: where the cells are, about ``world_from_grid``.
-        world_from_grid: pose of the grid.
-        agents: names.
-        visible_prob: (cells, cells) probability that any trusted agent sees a target there.
-        seen_by: (cells, cells) uint8, how many agents claim to see it.
-        surest: (cells, cells) int8 number of the agent that sees it most surely, -1 where nobody sees it.
-        state: (cells, cells) uint8: SURFACE or FREE as the surest agent says, HIDDEN where somebody says so and nobody
-            sees it, UNKNOWN elsewhere.
-    """
-
-    grid: BevGrid
-    world_from_grid: Rigid
-    agents: tuple[str, ...]
-    visible_prob: NDArray[np.float32]
-    seen_by: NDArray[np.uint8]
+    grid: BevGrid  # where the cells are, about ``world_from_grid``
+    world_from_grid: Rigid  # pose of the grid
+    agents: tuple[str, ...]  # names
+    visible_prob: NDArray[np.float32]  # (cells, cells) probability that any trusted agent sees a target there
+    seen_by: NDArray[np.uint8]  # (cells, cells) uint8, how many agents claim to see it
+    # (cells, cells) int8 number of the agent that sees it most surely, -1 where nobody sees it
     surest: NDArray[np.int8]
+    # (cells, cells) uint8: SURFACE or FREE as the surest agent says, HIDDEN where somebody says so and nobody sees it,
+    # UNKNOWN elsewhere
     state: NDArray[np.uint8]
 
     def estimate(self, t_ns: int | None = None) -> FovEstimate:

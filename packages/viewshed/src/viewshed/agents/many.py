@@ -112,35 +112,20 @@ class JointView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonPicture:
-    """What all agents say together of one time.
+    """What all agents say together of one time."""
 
-    Attributes:
-        t_s: the time.
-        agents: names of all agents.
-        reports: of the agents that reported, their poses put right.
-        tracks: joint tracks in the world.
-        verdicts: of the agents, and of those tracks that somebody reports now.
-        elevated: (A,) bool, whose sensors look over the traffic.
-        existence: (N,) probability of each track, whoever lies.
-        reporters: (N, A) bool, who reports each track now.
-        deniers: (N, A) bool, who claims to see the place of each track that others report now, and is silent.
-        said: what all agents report about those tracks that somebody reports now, in their order.
-        compared: what views say of each other.
-        notes: what was left out, a sentence each.
-    """
-
-    t_s: float
-    agents: tuple[str, ...]
-    reports: tuple[AgentReport, ...]
-    tracks: Tracks
-    verdicts: Verdicts
-    elevated: Mask
-    existence: F64
-    reporters: Mask
-    deniers: Mask
-    said: ObjectReports
-    compared: Comparisons
-    notes: tuple[str, ...] = ()
+    t_s: float  # the time
+    agents: tuple[str, ...]  # names of all agents
+    reports: tuple[AgentReport, ...]  # of the agents that reported, their poses put right
+    tracks: Tracks  # joint tracks in the world
+    verdicts: Verdicts  # of the agents, and of those tracks that somebody reports now
+    elevated: Mask  # (A,) bool, whose sensors look over the traffic
+    existence: F64  # (N,) probability of each track, whoever lies
+    reporters: Mask  # (N, A) bool, who reports each track now
+    deniers: Mask  # (N, A) bool, who claims to see the place of each track that others report now, and is silent
+    said: ObjectReports  # what all agents report about those tracks that somebody reports now, in their order
+    compared: Comparisons  # what views say of each other
+    notes: tuple[str, ...] = ()  # what was left out, a sentence each
 
     @property
     def believed(self) -> Mask:

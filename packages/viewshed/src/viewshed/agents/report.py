@@ -41,22 +41,16 @@ agent sent its ground, and what each meter of range adds where it did not."""
 class AgentReport:
     """What one agent says of one time.
 
-    Attributes:
-        estimate: its field of view, with a pose and its name.
-        detections: its objects, in ``level``.
-        own_box: (7,) box of its own vehicle in ``level``, which others see; None for a sensor on a mast.
-        pose_std: what it says of the errors of its pose.
-        ground: heights of the ground about it, in ``level``; None: flat ground is taken.
-
     Raises:
         ValueError: the view has no pose.
     """
 
-    estimate: FovEstimate
-    detections: Detections
+    estimate: FovEstimate  # its field of view, with a pose and its name
+    detections: Detections  # its objects, in ``level``
+    # (7,) box of its own vehicle in ``level``, which others see; None for a sensor on a mast
     own_box: F64 | None = None
-    pose_std: PoseStd = EXACT
-    ground: HeightMap | None = None
+    pose_std: PoseStd = EXACT  # what it says of the errors of its pose
+    ground: HeightMap | None = None  # heights of the ground about it, in ``level``; None: flat ground is taken
 
     def __post_init__(self) -> None:
         if self.estimate.world_from_level is None:

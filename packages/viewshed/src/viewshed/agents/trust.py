@@ -55,42 +55,27 @@ MOST_LIARS = 2
 class TrustRules:
     """What honest agents and liars are taken to do.
 
-    Attributes:
-        false_report: chance that an honest agent reports an object that nobody else does where others see.
-        lie: share of the objects about which a liar lies.
-        prior: chance that an agent is a liar, before it reports anything.
-        least: no report, and no silence, of an honest agent is less likely: what is rare is known no better.
-        most_ratio: bound in nats of what views say about an invented or a displaced box.
-        same: share of what a box holds that counts each time: mostly it is the same fact as the last time.
-        agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
-        disc_m: radius of the disc over which a lie puts an object.
-        astray: outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part).
-        objects: most objects that count against a hypothesis, those that say most.
-        most_of_object: bound in nats of what one object says against a hypothesis.
-        look_s: reports of one object count once in this time: honest chances are those of looks so far apart.
-        half_life_s: after this time a report counts half.
-        mean_s: time over which comparisons of views are averaged.
-        temper: log-likelihoods are divided by this before they become probabilities.
-
     Raises:
         ValueError: a number is out of range.
     """
 
-    false_report: float = 0.2
-    lie: float = 0.05
-    prior: float = 0.1
+    false_report: float = 0.2  # chance that an honest agent reports an object that nobody else does where others see
+    lie: float = 0.05  # share of the objects about which a liar lies
+    prior: float = 0.1  # chance that an agent is a liar, before it reports anything
+    # no report, and no silence, of an honest agent is less likely: what is rare is known no better
     least: float = 0.005
-    most_ratio: float = 6.0
-    same: float = 0.25
-    agreeing: float = 0.5
-    disc_m: float = 4.0
+    most_ratio: float = 6.0  # bound in nats of what views say about an invented or a displaced box
+    same: float = 0.25  # share of what a box holds that counts each time: mostly it is the same fact as the last time
+    agreeing: float = 0.5  # share of the liars' boxes that agree with the liars' views, which may be forged as well
+    disc_m: float = 4.0  # radius of the disc over which a lie puts an object
+    # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
     astray: float = 0.4
-    objects: int = 4
-    most_of_object: float = 20.0
-    look_s: float = 0.5
-    half_life_s: float = 10.0
-    mean_s: float = 1.0
-    temper: float = 4.0
+    objects: int = 4  # most objects that count against a hypothesis, those that say most
+    most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
+    look_s: float = 0.5  # reports of one object count once in this time: honest chances are those of looks so far apart
+    half_life_s: float = 10.0  # after this time a report counts half
+    mean_s: float = 1.0  # time over which comparisons of views are averaged
+    temper: float = 4.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
         for name in ("false_report", "lie", "prior", "least", "same", "agreeing", "astray"):
@@ -105,34 +90,21 @@ class TrustRules:
 class Reports:
     """What A agents say of J objects at one time; each of the objects is reported by somebody.
 
-    Attributes:
-        ids: (J,) int64, the same for one object over time.
-        seen: (J, A) bool, who reports it.
-        able: (J, A) bool, who could.
-        sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
-        reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
-        of_others: (others, deniers) log-odds by the numbers of others that report an object and that deny it.
-        invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
-        displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
-        there: (J, A) log-odds that each agent's report or silence adds to those that the object is one.
-        xy_m: (J, A, 2) where it is reported, in the world; NaN where it is not.
-        std_m: (J, A) standard deviation of an honest report's position along each axis.
-
     Raises:
         ValueError: the shapes do not fit, or a number is missing.
     """
 
-    ids: NDArray[np.int64]
-    seen: Mask
-    able: Mask
-    sees: Mask
-    reported: F64
-    of_others: F64
-    invented: F64
-    displaced: F64
-    there: F64
-    xy_m: F64
-    std_m: F64
+    ids: NDArray[np.int64]  # (J,) int64, the same for one object over time
+    seen: Mask  # (J, A) bool, who reports it
+    able: Mask  # (J, A) bool, who could
+    sees: Mask  # (J, A) bool, who could and claims to see it, so that its silence denies the object
+    reported: F64  # (J, A) log-odds that an honest agent reports what others report, but for how many they are
+    of_others: F64  # (others, deniers) log-odds by the numbers of others that report an object and that deny it
+    invented: F64  # (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view
+    displaced: F64  # (J, A) log-ratio of a box that was moved over one of an honest agent
+    there: F64  # (J, A) log-odds that each agent's report or silence adds to those that the object is one
+    xy_m: F64  # (J, A, 2) where it is reported, in the world; NaN where it is not
+    std_m: F64  # (J, A) standard deviation of an honest report's position along each axis
 
     def __post_init__(self) -> None:
         shape = self.seen.shape
@@ -152,25 +124,15 @@ class Reports:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdicts:
-    """What is believed of each of A agents, and of each of J objects.
+    """What is believed of each of A agents, and of each of J objects."""
 
-    Attributes:
-        evidence: (A,) natural logarithm of the likelihood ratio against "this agent is honest".
-        doubt: how much better the best hypothesis with a liar explains all than "all are honest", in nats.
-        trust: (A,) probability that the agent is honest.
-        ids: (J,) of the objects of the last reports.
-        existence: (J,) probability that each exists, whoever lies.
-        suspects: (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars.
-        against: (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do.
-    """
-
-    evidence: F64
-    doubt: float
-    trust: F64
-    ids: NDArray[np.int64]
-    existence: F64
-    suspects: Mask
-    against: F64
+    evidence: F64  # (A,) natural logarithm of the likelihood ratio against "this agent is honest"
+    doubt: float  # how much better the best hypothesis with a liar explains all than "all are honest", in nats
+    trust: F64  # (A,) probability that the agent is honest
+    ids: NDArray[np.int64]  # (J,) of the objects of the last reports
+    existence: F64  # (J,) probability that each exists, whoever lies
+    suspects: Mask  # (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars
+    against: F64  # (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do
 
 
 _AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
@@ -372,16 +334,11 @@ class TrustLimits:
     elevated, of nearly all benign scenes. Each kind in a scene gets its part of the rate (Bonferroni). If the scene at
     hand is one like the others (exchangeable), somebody is accused in at most the stated share of benign scenes,
     however the agents of one scene depend on each other.
-
-    Attributes:
-        low: (N,) largest evidence against any low sensor of each benign scene, over time, ascending.
-        elevated: (N,) the same against any elevated one.
-        doubt: (N,) largest doubt of each benign scene, ascending.
     """
 
-    low: F64
-    elevated: F64
-    doubt: F64
+    low: F64  # (N,) largest evidence against any low sensor of each benign scene, over time, ascending
+    elevated: F64  # (N,) the same against any elevated one
+    doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
     def of(

@@ -219,15 +219,10 @@ def _shares(part: Mask, whose: NDArray[np.intp], count: int, name: int) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparisons:
-    """What views of A agents say of each other at one time; NaN where nothing is compared.
+    """What views of A agents say of each other at one time; NaN where nothing is compared."""
 
-    Attributes:
-        pairs: (A, A, 2) of each view with each other, by ``PAIR``.
-        own: (A, 3) of each view, by ``OWN``.
-    """
-
-    pairs: F64
-    own: F64
+    pairs: F64  # (A, A, 2) of each view with each other, by ``PAIR``
+    own: F64  # (A, 3) of each view, by ``OWN``
 
 
 def compare_views(
@@ -264,15 +259,10 @@ def compare_views(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surprises:
-    """How rare numbers of comparisons are where nobody lies.
+    """How rare numbers of comparisons are where nobody lies."""
 
-    Attributes:
-        pairs: (2, 2, 2, Q) quantiles of pairs, by whether the first and the second sensor are elevated.
-        own: (2, 3, Q) of one view, by whether its sensor is elevated.
-    """
-
-    pairs: F64
-    own: F64
+    pairs: F64  # (2, 2, 2, Q) quantiles of pairs, by whether the first and the second sensor are elevated
+    own: F64  # (2, 3, Q) of one view, by whether its sensor is elevated
 
     USUAL = 1.2
     """Surprise in nats that says nothing, as of three honest numbers in ten."""

@@ -61,15 +61,10 @@ class Bins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weights:
-    """Log-odds that add up.
+    """Log-odds that add up."""
 
-    Attributes:
-        of_bins: (W,) weights.
-        bias: that is always added.
-    """
-
-    of_bins: F64
-    bias: float
+    of_bins: F64  # (W,) weights
+    bias: float  # that is always added
 
     def __call__(self, columns: Columns) -> F64:
         """Return the log-odds (…,) of features with columns (…, F)."""

@@ -31,24 +31,6 @@ POSE_NOISE = (STATED, UNSTATED)
 class AgentsPlan(Plan):
     """The study of many agents.
 
-    Attributes:
-        worlds: kinds of world for learning and calibration, which the scenes take in turn.
-        sensors: beam tables of their vehicles, which the scenes take in turn.
-        test_worlds: kinds of world of the test scenes.
-        test_sensors: beam tables of their vehicles.
-        heights_m: of the vehicles' sensors, which the scenes take in turn.
-        moving: vehicles that measure and report.
-        roadside: sensors on masts that do.
-        tall_masts: every k-th scene has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none.
-        seconds: how long a scene lasts.
-        hz: reports a second of each agent.
-        learning: scenes from which it is learned what honest agents do.
-        calibration: scenes that limits are from.
-        test: scenes that are reported on.
-        lies: names of ``LIES``.
-        each: lies that each test scene is tried with, in turn; all scenes are run without any as well.
-        seed: of all that is random.
-
     Raises:
         ValueError: a name is not known, or a number is out of range.
     """
@@ -58,22 +40,22 @@ class AgentsPlan(Plan):
 
     name: str
     about: str
-    worlds: tuple[str, ...]
-    sensors: tuple[str, ...]
-    test_worlds: tuple[str, ...]
-    test_sensors: tuple[str, ...]
-    heights_m: tuple[float, ...]
-    moving: int
-    roadside: int
-    tall_masts: int
-    seconds: float
-    hz: float
-    learning: int
-    calibration: int
-    test: int
-    lies: tuple[str, ...]
-    each: int
-    seed: int
+    worlds: tuple[str, ...]  # kinds of world for learning and calibration, which the scenes take in turn
+    sensors: tuple[str, ...]  # beam tables of their vehicles, which the scenes take in turn
+    test_worlds: tuple[str, ...]  # kinds of world of the test scenes
+    test_sensors: tuple[str, ...]  # beam tables of their vehicles
+    heights_m: tuple[float, ...]  # of the vehicles' sensors, which the scenes take in turn
+    moving: int  # vehicles that measure and report
+    roadside: int  # sensors on masts that do
+    tall_masts: int  # every k-th scene has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none
+    seconds: float  # how long a scene lasts
+    hz: float  # reports a second of each agent
+    learning: int  # scenes from which it is learned what honest agents do
+    calibration: int  # scenes that limits are from
+    test: int  # scenes that are reported on
+    lies: tuple[str, ...]  # names of ``LIES``
+    each: int  # lies that each test scene is tried with, in turn; all scenes are run without any as well
+    seed: int  # of all that is random
 
     def __post_init__(self) -> None:
         check_names("worlds", self.worlds, WORLDS)

@@ -45,50 +45,30 @@ POSE_STD = PoseStd(0.2, float(np.radians(0.5)))
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What one case of a scene came to; plain values, which a line of results holds.
+    """What one case of a scene came to; plain values, which a line of results holds."""
 
-    Attributes:
-        case: ``HONEST`` or a lie.
-        liars: numbers of the agents that lied.
-        victim: of a lie about another one, or -1.
-        evidence: [T][A] against each agent, in nats.
-        doubt: [T] of all.
-        trust: [T][A].
-        published_trust: [T][A], of the published formulas.
-        suspects: [T][A] 0 or 1.
-        gospa: by center, [T] meters.
-        touched: [T] objects, or share of the area, that the liars changed.
-        overlap: other honest agents that see the places which were lied about, on average; NaN for lies about views.
-    """
-
-    case: str
-    liars: list[int]
-    victim: int
-    evidence: list[list[float]]
-    doubt: list[float]
-    trust: list[list[float]]
-    published_trust: list[list[float]]
-    suspects: list[list[int]]
-    gospa: dict[str, list[float]]
-    touched: list[float]
+    case: str  # ``HONEST`` or a lie
+    liars: list[int]  # numbers of the agents that lied
+    victim: int  # of a lie about another one, or -1
+    evidence: list[list[float]]  # [T][A] against each agent, in nats
+    doubt: list[float]  # [T] of all
+    trust: list[list[float]]  # [T][A]
+    published_trust: list[list[float]]  # [T][A], of the published formulas
+    suspects: list[list[int]]  # [T][A] 0 or 1
+    gospa: dict[str, list[float]]  # by center, [T] meters
+    touched: list[float]  # [T] objects, or share of the area, that the liars changed
+    # other honest agents that see the places which were lied about, on average; NaN for lies about views
     overlap: float
 
 
 @dataclass(slots=True)
 class SceneCases:
-    """Runs the cases of one scene; its honest reports are made once.
+    """Runs the cases of one scene; its honest reports are made once."""
 
-    Attributes:
-        scene: to be run.
-        seed: of the study, split and number of the scene.
-        honest: what honest agents do.
-        compared: whether a center that believes everybody and the published trust are run as well.
-    """
-
-    scene: Scene
-    seed: tuple[int, str, int]
-    honest: HonestModel
-    compared: bool = True
+    scene: Scene  # to be run
+    seed: tuple[int, str, int]  # of the study, split and number of the scene
+    honest: HonestModel  # what honest agents do
+    compared: bool = True  # whether a center that believes everybody and the published trust are run as well
     _reports: list[list[AgentReport]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -61,33 +61,20 @@ def scene_world(plan: AgentsPlan, split: str, number: int) -> World:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What T times of A agents hold, in files.
+    """What T times of A agents hold, in files."""
 
-    Attributes:
-        times_s: (T,) of the sweeps.
-        prob: (T, A, cells, cells) uint8 steps of the probability of visible.
-        state: (T, A, cells, cells) uint8 states.
-        poses: (T, A, 4, 4) ``world_from_level``.
-        ground: (T, A, nodes, nodes) float16 heights of the ground that each agent estimates, in ``level``.
-        bases: of the estimates, T lists of A.
-        found: boxes, kinds and returns of the detections (D, 9), in ``level``, ...
-        found_at: ... and the time and the agent of each (D, 2).
-        objects: (T, K, 7) boxes of all objects in the world.
-        returns: (T, A, K) int32 returns that each object gave each agent.
-        carriers: (A,) which object carries each agent's sensor, -1 for a mast.
-    """
-
-    times_s: F64
-    prob: NDArray[np.uint8]
-    state: NDArray[np.uint8]
-    poses: F64
+    times_s: F64  # (T,) of the sweeps
+    prob: NDArray[np.uint8]  # (T, A, cells, cells) uint8 steps of the probability of visible
+    state: NDArray[np.uint8]  # (T, A, cells, cells) uint8 states
+    poses: F64  # (T, A, 4, 4) ``world_from_level``
+    # (T, A, nodes, nodes) float16 heights of the ground that each agent estimates, in ``level``
     ground: NDArray[np.float16]
-    bases: list[list[dict[str, Any]]]
-    found: F64
-    found_at: NDArray[np.int16]
-    objects: F64
-    returns: NDArray[np.int32]
-    carriers: NDArray[np.int64]
+    bases: list[list[dict[str, Any]]]  # of the estimates, T lists of A
+    found: F64  # boxes, kinds and returns of the detections (D, 9), in ``level``, ..
+    found_at: NDArray[np.int16]  # ... and the time and the agent of each (D, 2).
+    objects: F64  # (T, K, 7) boxes of all objects in the world
+    returns: NDArray[np.int32]  # (T, A, K) int32 returns that each object gave each agent
+    carriers: NDArray[np.int64]  # (A,) which object carries each agent's sensor, -1 for a mast
 
     @property
     def agents(self) -> tuple[str, ...]:
