@@ -87,6 +87,8 @@ def test_surprise_is_the_logarithm_of_a_share() -> None:
 def test_evidence_that_always_abstained_counts_nothing() -> None:
     scale = SurpriseScale.fit(np.full((50, 1), np.nan))
     assert scale(np.array([[9.0]]))[0, 0] == 0.0
-    assert added(np.array([[3.0, np.nan]]))[0] == pytest.approx(1.0)
-    assert added(np.array([[3.0, 3.0]]))[0] == pytest.approx(2.0)
-    assert added(np.array([[50.0, 1.0]]))[0] < added(np.array([[4.0, 4.0]]))[0]
+    places = np.array([False, False])
+    assert added(np.array([[3.0, np.nan]]), places)[0] == pytest.approx(1.0)
+    assert added(np.array([[3.0, 3.0]]), places)[0] == pytest.approx(2.0)
+    assert added(np.array([[50.0, 1.0]]), places)[0] < added(np.array([[4.0, 4.0]]), places)[0]
+    assert added(np.array([[50.0, 1.0]]), ~places)[0] > added(np.array([[50.0, 1.0]]), places)[0]

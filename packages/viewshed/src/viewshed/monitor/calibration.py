@@ -98,14 +98,18 @@ class Calibration:
             kinds: of the evidence.
             base: its scales are kept and only the rates are from these streams: a few minutes of an own vehicle cannot
                 say how rare a change is. None fits all.
-            places: of each stream the kind of place it is of. The peaks of its scores are then by how rare changes are
-                in all other places, as they are for a stream of a new place.
+            places: of each stream the kind of place it is of; each is one of its own where none are given. The peaks
+                of its scores are by how rare changes are in all other places, as they are for a stream of a new place.
             facts: what else must be known.
 
         Raises:
             ValueError: there is too little driving.
         """
-        numbers = [strongest(evidence, kinds) for evidence in streams if len(evidence) > EARLIER_SWEEPS]
+        if places and len(places) != len(streams):
+            raise ValueError(f"places must be one for each of {len(streams)} streams, got {len(places)}")
+        long = [number for number, evidence in enumerate(streams) if len(evidence) > EARLIER_SWEEPS]
+        numbers = [strongest(streams[number], kinds) for number in long]
+        kept = [places[number] if places else str(number) for number in long]
         hours = sum(map(len, numbers)) / (3600.0 * hz)
         if hours * 60.0 < LEAST_MINUTES - 1e-6:
             raise ValueError(
@@ -118,13 +122,15 @@ class Calibration:
         changes = [changes_of(one, prior, both) for one in numbers]
         scale = base.changes if base is not None else SurpriseScale.fit(np.concatenate(changes))
         # 3. Scores, each by the streams of other places, and their peaks.
-        scores = [added(scale(one)) for one in changes]
-        if len(set(places)) > 1 and base is None:
-            scores = [
-                added(SurpriseScale.fit(np.concatenate(others))(one))
-                for one, place in zip(changes, places, strict=True)
-                if (others := [each for each, where in zip(changes, places, strict=True) if where != place])
-            ]
+        scores = [added(scale(one), both) for one in changes]
+        if base is None and len(set(kept)) > 1:
+            others = {
+                place: SurpriseScale.fit(
+                    np.concatenate([one for one, where in zip(changes, kept, strict=True) if where != place])
+                )
+                for place in set(kept)
+            }
+            scores = [added(others[place](one), both) for one, place in zip(changes, kept, strict=True)]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
         return cls(
             tuple(kinds), prior, scale, SurpriseScale.fit(np.concatenate(scores)[:, None]), peaks, hours,
@@ -134,7 +140,7 @@ class Calibration:
     def score(self, changes: F32) -> tuple[float, F32]:
         """Return the score of standardized changes (E,), and the surprise (E,) of each."""
         surprises = self.changes(changes[None])
-        return float(added(surprises)[0]), surprises[0]
+        return float(added(surprises, two_sided(EVIDENCE))[0]), surprises[0]
 
     def p_value(self, score: float) -> float:
         """Return the share of benign sweeps that score as high at least, going on beyond the highest."""

@@ -7,7 +7,7 @@ Evidence is a matrix (E, SECTORS), one line for each kind. Four steps make one n
    place (a quarry, a fence, a noisy pose) is odd in all its sweeps, and so is no change.
 3. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams that changed
    as much: 2 means one in a hundred. So kinds of evidence compare.
-4. What surprises are beyond 2 is added up, each to 3 at most: several rare changes at once are an attack's.
+4. What surprises are beyond 2 is added up, each to 3 or 5 at most: several rare changes at once are an attack's.
 
 A rank among the 600 sweeps of a minute could not ask for fewer than 60 false alarms an hour; the tail beyond is that of
 the calibration streams (:mod:`viewshed.monitor.calibration`).
@@ -40,8 +40,11 @@ STRONGEST = 3
 RARE = 2.0
 """Surprise from which evidence counts, and is a reason: one benign sweep in a hundred."""
 
-MOST_ADDED = 3.0
-"""What one kind of evidence adds at most: beyond one in 100,000 nobody has counted, and a new place may be odd once."""
+MOST_ADDED = 3.0, 5.0
+"""What one kind of evidence adds at most: one that compares with the sweeps before, one of the sensor's state.
+
+Beyond one in 100,000 nobody has counted, and a new place may be odd once; the sensor is the same in all places.
+"""
 
 _SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 5.0, 12)])
 _ONE_IN_A_HUNDRED = int(np.searchsorted(_SURPRISES, 2.0 - 1e-9))
@@ -202,10 +205,15 @@ class SurpriseScale:
         return surprises + more
 
 
-def added(surprises: NDArray[np.floating[Any]]) -> F32:
-    """Return the sum (N,) of surprises (N, E) beyond ``RARE``, each ``MOST_ADDED`` at most; NaN counts as none.
+def added(surprises: NDArray[np.floating[Any]], of_sensor: NDArray[np.bool_]) -> F32:
+    """Return the sum (N,) of surprises (N, E) beyond ``RARE``, each at most by ``MOST_ADDED``; NaN counts as none.
 
-    >>> added(np.array([[2.0, 1.0], [4.0, 2.5], [9.0, np.nan]])).tolist()
-    [0.0, 2.5, 3.0]
+    Args:
+        surprises: of each kind of evidence.
+        of_sensor: (E,) which kinds are of the sensor's state.
+
+    >>> added(np.array([[2.0, 1.0], [4.0, 2.5], [9.0, np.nan], [0.0, 9.0]]), np.array([False, True])).tolist()
+    [0.0, 2.5, 3.0, 5.0]
     """
-    return np.asarray(np.clip(np.nan_to_num(surprises) - RARE, 0.0, MOST_ADDED).sum(axis=1), np.float32)
+    most = np.where(of_sensor, MOST_ADDED[1], MOST_ADDED[0])
+    return np.asarray(np.clip(np.nan_to_num(surprises) - RARE, 0.0, most).sum(axis=1), np.float32)

@@ -71,7 +71,7 @@ def judge(calibration: Calibration, stream: StreamEvidence) -> Judged:
         for case in begins.get(number, ()):
             attacked[case] = calibration.changes(past.reference().changes(attacked_numbers[case]))
         past.add(one)
-    return Judged(stream, added(surprises), surprises, attacked)
+    return Judged(stream, added(surprises, both), surprises, attacked)
 
 
 def rate_interval(alarms: int, hours: float) -> tuple[float, float]:
@@ -149,7 +149,7 @@ def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
 
 def _scores(surprises: F32) -> F32:
     """Return the scores (C, K) of surprises (C, K, E)."""
-    return added(surprises.reshape(-1, surprises.shape[-1])).reshape(surprises.shape[:2])
+    return added(surprises.reshape(-1, surprises.shape[-1]), two_sided(EVIDENCE)).reshape(surprises.shape[:2])
 
 
 def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
@@ -189,7 +189,7 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
     rows = []
     for name in ["none", *EVIDENCE]:
         kept = np.array([kind != name for kind in EVIDENCE])
-        benign = [added(one.surprises * kept) for one in judged]
+        benign = [added(one.surprises * kept, two_sided(EVIDENCE)) for one in judged]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in benign]))[::-1]
         own_limit = float(peaks[min(count, len(peaks) - 1)])
         every = np.concatenate(benign)
