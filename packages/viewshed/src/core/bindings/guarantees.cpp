@@ -87,7 +87,8 @@ void bind_guarantees(nb::module_& m) {
             return array(found(), {rings, 2 * columns});
         },
         "points"_a.noconvert(), "ring"_a.noconvert().none(), "rotation"_a.noconvert(), "tangent"_a.noconvert(),
-        "origin_m"_a.noconvert(), "columns"_a, "near_m"_a, "far_m"_a);
+        "origin_m"_a.noconvert(), "columns"_a, "near_m"_a, "far_m"_a,
+        "Horizontal range (rings, 2 * columns) of the nearest return of each beam, the circle twice; +inf for none.");
     m.def(
         "envelope_margins",
         [](const SentBeams& sent, In2<float> nearest) {
@@ -98,7 +99,7 @@ void bind_guarantees(nb::module_& m) {
             };
             return array(found(), {sent.of->rows, sent.of->grid_columns});
         },
-        "sent"_a, "nearest"_a.noconvert());
+        "sent"_a, "nearest"_a.noconvert(), "Beams (cells, cells) that are sent through a target and not blocked before it.");
     m.def(
         "cells_of_beams",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
@@ -111,7 +112,8 @@ void bind_guarantees(nb::module_& m) {
             };
             return array(found(), {sent.of->rings, sent.of->columns});
         },
-        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "most"_a, "opens"_a);
+        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "most"_a, "opens"_a,
+        "For each beam (rings, columns), the sum of 1 / beams needed over the cells that it helps to change.");
     m.def(
         "wedge_changes",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
@@ -131,7 +133,8 @@ void bind_guarantees(nb::module_& m) {
             }
             return std::pair(most, array(std::move(changes), {sent.of->rows, sent.of->grid_columns}));
         },
-        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "wide"_a, "opens"_a);
+        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "wide"_a, "opens"_a,
+        "How many cells one wedge of columns changes at most, and which (cells, cells) any does.");
 }
 
 }  // namespace viewshed
