@@ -1,60 +1,87 @@
 """Fit and judge the network that guesses ground which no beam met.
 
-    python tools/fit_ground.py make learning road --scenes 0:5000 --sweeps 2 --out samples
-    python tools/fit_ground.py make training road --scenes 0:1000 --sweeps 2 --out samples
-    python tools/fit_ground.py fit samples --steps 20000 --out ground.pt
+    python tools/fit_ground.py make learning road --scenes 0:1500 --sweeps 2 --out samples
+    python tools/fit_ground.py make own road --scenes 40:1000 --sweeps 1 --out samples
+    python tools/fit_ground.py make training road --scenes 0:500 --sweeps 2 --out samples
+    python tools/fit_ground.py make training indoor --scenes 0:250 --sweeps 2 --out samples
+    python tools/fit_ground.py make own indoor --scenes 16:216 --sweeps 1 --out samples
+    python tools/fit_ground.py fit samples --minutes 60 --out ground.pt
     python tools/fit_ground.py judge ground.pt development --scenes 0:60
 
-``make`` writes one file for 50 scenes and goes on where it was stopped, ``fit`` keeps a checkpoint for every 500 steps
-and goes on from it, ``judge`` holds the shadow map on the network's ground against that on the ground of the rules and
-on the exact ground. The sealed set is not opened.
+``make`` writes one file for 50 scenes and goes on where it was stopped; ``fit`` takes the time that it is given, keeps
+a checkpoint for every 250 steps, goes on from it, and takes up files that come meanwhile; ``judge`` holds the shadow
+map on the network's ground against that on the estimated ground and on the exact one. The sealed set is not opened.
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import CAR
-from viewshed.grid import polar_of_cells
+from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.networks.runtime import values_of
+from viewshed.preprocess.leveling import level
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.wild import WildScene, wild_scenes
 from viewshed_lab.sim.lidar.optics import optics_of
 from viewshed_lab.studies.wild.evaluate import ground_error_m
 from viewshed_lab.training.ground_prior import (
+    BASE,
+    BASE_UNIT_M,
+    FOLD,
+    HEIGHTS,
     GroundNet,
-    Modes,
     exact_ground,
-    inputs_of,
-    lattice_features,
+    exported,
+    guessed,
     loss_of,
+    network_inputs,
     on_ground,
 )
 
-SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE = 50, 12, 500, 2e-3
-LEARNING_SHARE = 0.6
-"""Of the samples that are shown: those of the set without styles; the others are of the set ``training``."""
+SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE, SHOWN_SHARE = 50, 8, 250, 2e-3, 0.96
+
+SHARES = {
+    "learning-road": 0.48, "own-road": 0.22, "training-road": 0.15, "training-indoor": 0.10, "own-indoor": 0.05,
+}  # fmt: skip
+"""Of the samples that are shown, by set and grid."""
+
+Row = tuple[Any, ...]
+"""The values of ``COLUMNS`` of one sample."""
+
+COLUMNS = ("inputs", "ground_m", "half_m")
+"""Of a file: inputs (CHANNELS, n, n), exact ground (n, n), and half extent of the lattice."""
 
 
 def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float]]:
-    """Yield features (5, n, n), exact ground (n, n), NaN where unknown, and sensor height of a scene's sweeps."""
+    """Yield inputs (CHANNELS, n, n), exact ground (n, n), NaN where unknown, and half extent of the lattice of sweeps.
+
+    One in four has a lattice of another extent, from half to one and a half times that of the grid.
+    """
     for number in range(sweeps):
-        seen = scene.observe(number)
+        seen, rng = scene.observe(number), np.random.default_rng([scene.domain.seed, scene.number, number])
+        half_m = seen.truth.grid.half_extent_m
+        if rng.random() < 0.25:
+            half_m *= 2.0 ** rng.uniform(-0.95, 0.6)
         given = seen.told(("rings", "nothing")[(scene.number + number) % 2])
-        leveled = level(given, seen.truth.grid)
+        leveled = level(given, BevGrid(1, half_m))
         ground_m, known = exact_ground(leveled, seen.scan.world_from_sensor, seen.world.ground_of(seen.agent))
         ground_m[~known | (np.abs(ground_m) > 30.0)] = np.nan
-        yield lattice_features(leveled), ground_m, leveled.sensor_height_m
+        unfolded = torch.pixel_shuffle(torch.tensor(network_inputs(leveled)), FOLD)
+        yield unfolded[0].numpy(), ground_m, half_m
 
 
 def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
@@ -62,9 +89,9 @@ def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if not path.exists():
         rows = [row for scene in scenes for row in samples(scene, sweeps)]
-        features, ground, height = (np.stack(column).astype(np.float16) for column in zip(*rows, strict=True))
+        columns = (np.stack(column).astype(np.float16) for column in zip(*rows, strict=True))
         part = path.with_suffix(".part.npz")
-        np.savez(part, features=features, ground_m=ground, height_m=height)
+        np.savez(part, **dict(zip(COLUMNS, columns, strict=True)))
         part.replace(path)
     return path.name
 
@@ -78,69 +105,116 @@ def make(given: argparse.Namespace) -> None:
         print(done.error or done.result, flush=True)
 
 
+class Samples:
+    """The samples of a folder by kind of scene, in memory; files that are added to it are read when asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.read: set[str] = set()
+        self.shown: dict[str, list[Row]] = {kind: [] for kind in SHARES}
+        self.held: dict[str, list[Row]] = {kind: [] for kind in SHARES}
+
+    def refresh(self) -> None:
+        """Read the files that are new; the last scenes of each are for validation."""
+        for path in sorted(self.folder.glob("*-[0-9]*.npz")):
+            if path.name in self.read or path.name.endswith(".part.npz"):
+                continue
+            self.read.add(path.name)
+            with np.load(path) as file:
+                rows = list(zip(*(file[key] for key in COLUMNS), strict=True))
+            kind = "-".join(path.name.split("-")[:2])
+            last = int(SHOWN_SHARE * len(rows))
+            self.shown[kind] += rows[:last]
+            self.held[kind] += rows[last:]
+
+    def draw(self, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Return inputs, ground and half extents of a batch: of roads, or of rooms."""
+        some = [kind for kind in SHARES if self.shown[kind]]
+        first = rng.choice(some, p=[SHARES[kind] / sum(SHARES[each] for each in some) for kind in some])
+        indoor = first.endswith("indoor")
+        kinds = [kind for kind in some if kind.endswith("indoor") == indoor]
+        shares = np.array([SHARES[kind] for kind in kinds])
+        chosen = rng.choice(len(kinds), 4 * BATCH if indoor else BATCH, p=shares / shares.sum())
+        rows = [self.shown[kinds[k]][rng.integers(len(self.shown[kinds[k]]))] for k in chosen]
+        inputs, ground, half = _tensors(rows)
+        # Turns and flips; and heights scaled, which keeps beams straight.
+        turn = int(rng.integers(4))
+        inputs, ground = torch.rot90(inputs, turn, (2, 3)), torch.rot90(ground, turn, (1, 2))
+        if rng.random() < 0.5:
+            inputs, ground = inputs.flip(3), ground.flip(2)
+        scale = np.where(rng.random(len(rows)) < 0.5, np.exp(rng.normal(0.0, 0.2, len(rows))), 1.0)
+        scales = torch.tensor(scale).float()[:, None, None]
+        inputs[:, HEIGHTS] *= scales[:, None]
+        return inputs, ground * scales, half
+
+
+def _tensors(rows: list[Row]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return inputs, exact ground above the base, and half extents of samples."""
+    inputs, ground, half = (torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows, strict=True))
+    return inputs, ground - BASE_UNIT_M * inputs[:, BASE], half
+
+
 def fit(given: argparse.Namespace) -> None:
-    """Fit a network to all samples of a folder; the last scenes of each file are for validation."""
-    files = [(path.name, np.load(path)) for path in sorted(given.folder.glob("*-[0-9]*.npz"))]
-    columns = {key: np.concatenate([file[key] for _, file in files]) for key in ("features", "ground_m", "height_m")}
-    is_land = np.concatenate([np.full(len(file["height_m"]), name.startswith("learning")) for name, file in files])
-    is_held = np.concatenate(
-        [np.arange(len(file["height_m"])) >= int(0.96 * len(file["height_m"])) for _, file in files]
-    )
-    shown = (
-        np.where(is_land, LEARNING_SHARE / is_land.sum(), (1 - LEARNING_SHARE) / max((~is_land).sum(), 1)) * ~is_held
-    )
-    held = np.flatnonzero(is_held)
-    rng = np.random.default_rng(0)
-
-    def batch(rows: Any, turn: int = 0, *, flip: bool = False) -> tuple[torch.Tensor, torch.Tensor]:
-        features, ground, height = (torch.tensor(column[rows].astype(np.float32)) for column in columns.values())
-        features, ground = torch.rot90(features, turn, (2, 3)), torch.rot90(ground, turn, (1, 2))
-        if flip:
-            features, ground = features.flip(3), ground.flip(2)
-        return inputs_of(features, height, given.half_extent), ground
-
+    """Fit a network to the samples of a folder, and to those that come into it meanwhile."""
+    torch.set_num_threads(1)
+    samples = Samples(given.folder)
+    samples.refresh()
     torch.manual_seed(0)
     net, first = GroundNet(), 0
-    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=1e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, given.steps)
+    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=1e-2)
+    spent_s = 0.0
     if given.out.exists():
         saved = torch.load(given.out)
         net.load_state_dict(saved["net"])
         optimizer.load_state_dict(saved["optimizer"])
-        schedule.load_state_dict(saved["schedule"])
-        first = saved["step"]
-        rng = np.random.default_rng(first)
-    for step in range(first + 1, given.steps + 1):
-        rows = rng.choice(len(shown), BATCH, replace=False, p=shown / shown.sum())
-        inputs, ground = batch(rows, int(rng.integers(4)), flip=bool(rng.integers(2)))
-        loss = loss_of(net(inputs), ground, given.half_extent)
+        first, spent_s = saved["step"], saved["spent_s"]
+    rng = np.random.default_rng(first)
+    net = net.to(memory_format=torch.channels_last)
+    loss_sum, start_s = 0.0, time.monotonic() - spent_s
+    for step in count(first + 1):
+        # The rate rises for a twentieth of the time and falls along a cosine.
+        done = min((time.monotonic() - start_s) / (60.0 * given.minutes), 1.0)
+        for group in optimizer.param_groups:
+            group["lr"] = RATE * float(min(20 * done + 0.05, 0.5 + 0.5 * np.cos(np.pi * done)))
+        inputs, ground, half = samples.draw(rng)
+        with torch.autocast("cpu", torch.bfloat16):
+            outputs = net(inputs.to(memory_format=torch.channels_last))
+        # A quarter of the nodes: neighbors say the same.
+        i, j = int(rng.integers(2)), int(rng.integers(2))
+        loss = loss_of(outputs[:, :, i::2, j::2].float().contiguous(), ground[:, i::2, j::2], half)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimizer.step()
-        schedule.step()
-        if step % SAVED_EVERY == 0 or step == given.steps:
-            net.eval()
-            with torch.no_grad():
-                blocks = [batch(held[at : at + 24]) for at in range(0, len(held), 24)]
-                losses = [float(loss_of(net(x), y, given.half_extent)) for x, y in blocks]
-            net.train()
-            print(f"step {step}: negative log-likelihood {np.mean(losses):.3f} of {len(held)} sweeps", flush=True)
-            state = {"net": net.state_dict(), "optimizer": optimizer.state_dict(), "schedule": schedule.state_dict()}
-            torch.save(state | {"step": step, "shape": net.shape}, given.out)
+        loss_sum += loss.item()
+        if step % SAVED_EVERY == 0 or done == 1.0:
+            losses = {kind: validated(net, rows) for kind, rows in samples.held.items() if rows}
+            shown = sum(map(len, samples.shown.values()))
+            print(
+                f"step {step}, {60 * given.minutes * done:.0f} s: {loss_sum / SAVED_EVERY:.3f} of {shown} sweeps;"
+                " held out: " + ", ".join(f"{kind} {loss:.3f}" for kind, loss in losses.items()),
+                flush=True,
+            )
+            loss_sum = 0.0
+            state = {"net": net.state_dict(), "optimizer": optimizer.state_dict(), "shape": net.shape}
+            torch.save(state | {"step": step, "spent_s": time.monotonic() - start_s}, given.out)
+            samples.refresh()
+        if done == 1.0:
+            return
 
 
-def grounds(net: GroundNet, leveled: LeveledSweep) -> dict[str, LeveledSweep]:
-    """Return a sweep on the ground of the rules, on the network's median, and on that where no return shows ground."""
-    features = torch.tensor(lattice_features(leveled))[None]
-    height, half_m = torch.tensor([leveled.sensor_height_m], dtype=torch.float32), leveled.ground.half_extent_m
+def validated(net: GroundNet, rows: list[Row]) -> float:
+    """Return the mean negative log-likelihood of rows that are held out."""
+    net.eval()
+    losses = []
     with torch.no_grad():
-        modes = Modes.of(net(inputs_of(features, height, half_m)))
-    median, std = modes.quantile(0.5)[0].numpy(), 0.5 * modes.std()[0].numpy()
-    old, times = leveled.ground, len(median) // len(leveled.ground.heights_m)
-    rules, rules_std, seen = (np.kron(each, np.ones((times, times))) for each in (old.heights_m, old.std_m, old.seen))
-    pinned = on_ground(leveled, np.where(seen > 0, rules, median), np.where(seen > 0, np.minimum(rules_std, std), std))
-    return {"rules": leveled, "network": on_ground(leveled, median, std), "network, seen ground pinned": pinned}
+        for at in range(0, min(len(rows), 128), 32):
+            inputs, ground, half = _tensors(rows[at : at + 32])
+            with torch.autocast("cpu", torch.bfloat16):
+                outputs = net(inputs.to(memory_format=torch.channels_last)).float()
+            losses.append(float(loss_of(outputs[:, :, ::2, ::2], ground[:, ::2, ::2], half)))
+    net.train()
+    return float(np.mean(losses))
 
 
 def judge(given: argparse.Namespace) -> None:
@@ -149,6 +223,7 @@ def judge(given: argparse.Namespace) -> None:
     net = GroundNet(**saved["shape"])
     net.load_state_dict(saved["net"])
     net.eval()
+    run = values_of(exported(net))
     found: dict[str, ConfusionCounts] = {}
     for scene in scenes_of(given):
         seen = scene.observe(0)
@@ -158,14 +233,14 @@ def judge(given: argparse.Namespace) -> None:
         leveled = level(sample.sweep, grid)
         reach_m = min(optics_of(seen.sensor.model).reach_m, seen.sensor.model.max_range_m)
         known = seen.known & (polar_of_cells(grid)[0] <= reach_m)
-        leveled_on = grounds(net, leveled)
+        leveled_on = {"estimated": leveled, "network": guessed(leveled, run)}
         # The exact ground where no return shows it, as far as the cells reach.
         exact = (leveled.ground.at(grid.centers) - ground_error_m(leveled, sample)).astype(np.float32)
-        nodes = len(leveled_on["network"].ground.heights_m)
+        guess = leveled_on["network"].ground
+        nodes = len(guess.heights_m)
         side = grid.cells // nodes
         means = exact.reshape(nodes, side, nodes, side).mean(axis=(1, 3))
-        pinned = leveled_on["network, seen ground pinned"].ground
-        leveled_on["exact where unseen"] = on_ground(leveled, np.where(pinned.seen, pinned.heights_m, means), 0 * means)
+        leveled_on["exact where unseen"] = on_ground(leveled, np.where(guess.seen, guess.heights_m, means), 0 * means)
         for name, each in leveled_on.items():
             claimed = ShadowMap(grid, CAR).estimate(each).visible()
             counts = ConfusionCounts.of(claimed, seen.truth.visible(CAR), known, grid.cell_area_m2)
@@ -175,9 +250,10 @@ def judge(given: argparse.Namespace) -> None:
 
 
 def scenes_of(given: argparse.Namespace) -> list[WildScene]:
-    """Return the scenes that the command line names."""
+    """Return the scenes that the command line names; numbers beyond those of the set are fresh scenes of it."""
     first, last = map(int, given.scenes.split(":"))
-    return wild_scenes(given.set, given.domain)[first:last]
+    domain = wild_scenes(given.set, given.domain)[0].domain
+    return [WildScene(domain, number) for number in range(first, last)]
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -193,16 +269,15 @@ def main(words: Sequence[str] | None = None) -> None:
             step.add_argument("net", type=Path)
         if work is fit:
             step.add_argument("folder", type=Path)
-            step.add_argument("--steps", type=int, default=20000)
-            step.add_argument("--half-extent", type=float, default=64.0, help="of the lattice of the samples, meters")
-        else:
+            step.add_argument("--minutes", type=float, default=60.0, help="of training")
+        if work in (make, judge):
             step.add_argument("set")
             step.add_argument("domain", nargs="?", default="road")
             step.add_argument("--scenes", default="0:60", help="from : to")
         if work is make:
             step.add_argument("--sweeps", type=int, default=2, help="of each scene")
             step.add_argument("--workers", type=int, default=2)
-        if work is not judge:
+        if work in (make, fit):
             step.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(words)
     given.work(given)

@@ -27,7 +27,6 @@ from benchmarks.soak import memory_mb
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.monitor import StreamMonitor
-from viewshed.monitor.sweep_monitor import shipped_monitor
 from viewshed.pipeline import Pipeline, prepare_process
 from viewshed.pipeline.profiles import PROFILES, Profile
 from viewshed.sensors import lidar_model
@@ -194,8 +193,7 @@ def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
     from viewshed.geometry import Rigid
 
     estimator = load_estimator(profile.method, grid=profile.grid)
-    shipped = shipped_monitor()
-    monitor = StreamMonitor(shipped, shipped.detector(hz=HZ)) if profile.monitor else None
+    monitor = StreamMonitor() if profile.monitor else None
     history = SweepBuffer(profile.history) if profile.history else None
     latencies: list[float] = []
     pipeline = Pipeline(

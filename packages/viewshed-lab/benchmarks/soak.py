@@ -34,7 +34,6 @@ from viewshed.io import read_sweep
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.samples import junction_path
 from viewshed.monitor import StreamMonitor
-from viewshed.monitor.sweep_monitor import shipped_monitor
 from viewshed.pipeline import Answer, Pipeline, prepare_process
 from viewshed.pipeline.latency import Latencies
 from viewshed.sweep import Sweep
@@ -178,7 +177,8 @@ def soak_pipeline(seconds: float, rng: np.random.Generator) -> Soaked:
     while time.perf_counter() - begin_s < seconds:
         answers: list[Answer] = []
         pipeline = Pipeline(
-            load_estimator("shadow_map"), partial(_take, answers, taken), monitor=_monitor(), stale_after_s=math.inf,
+            load_estimator("shadow_map"), partial(_take, answers, taken), monitor=StreamMonitor(),
+            stale_after_s=math.inf,
         )  # fmt: skip
         sent: dict[int, str] = {}
         begun = [0]
@@ -309,11 +309,6 @@ def memory_mb(process: int) -> float:
 
 def _sweep() -> Sweep:
     return read_sweep(junction_path())
-
-
-def _monitor() -> StreamMonitor:
-    shipped = shipped_monitor()
-    return StreamMonitor(shipped, shipped.detector(hz=10.0))
 
 
 def _soak_node(seconds: float) -> Soaked | None:

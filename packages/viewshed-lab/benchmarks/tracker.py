@@ -24,7 +24,6 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.objects.cells import SeenCells
 from viewshed.objects.detection_table import detection_table
-from viewshed.objects.published import PublishedRules
 from viewshed.objects.sensor_view import Observed, SensorView
 from viewshed.objects.single import SingleFusion
 from viewshed.objects.tracker import Rules, Tracker
@@ -33,6 +32,7 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import lidar_model
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.sim import cast, junction
+from viewshed_lab.studies.tracks.published import PublishedRules
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "tracker.md"
 
@@ -123,7 +123,7 @@ def _observed(sweeps: list[tuple[float, F64]]) -> list[Observed]:
     tracker, observed = Tracker(), list[Observed]()
     for t_s, centers in sweeps:
         found = _cars(centers)
-        view = BeamView(leveled, t_s, found=detection_table().prob)
+        view = BeamView(leveled, t_s)
         seen = SensorView("top", view, np.zeros(2), SeenCells.of(estimate))
         observed.append((tracker.step(t_s, found, view), found, (seen,)))
     return observed

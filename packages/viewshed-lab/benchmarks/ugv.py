@@ -39,7 +39,6 @@ from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.monitor import StreamMonitor
-from viewshed.monitor.sweep_monitor import shipped_monitor
 from viewshed.pipeline import Answer, Caution, Pipeline, prepare_process
 from viewshed.pipeline.profiles import profile_named
 from viewshed.recordings.read.bag_files import Message, open_bag
@@ -242,8 +241,7 @@ def _estimator() -> Estimator:
 def _replayed(sweeps: Sequence[Sweep]) -> tuple[list[Answer], Found]:
     """Return the answers of a pipeline with the profile ``robot``, and what it took."""
     answers: list[Answer] = []
-    shipped = shipped_monitor()
-    monitor = StreamMonitor(shipped, shipped.detector(hz=HZ))
+    monitor = StreamMonitor()
     pipeline = Pipeline(
         _estimator(), answers.append, monitor=monitor, rules=profile_named("robot").rules, lossless=True
     )

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from viewshed.arrays import F32, Mask
-from viewshed.metrics import STEPS, Scores
+from viewshed.metrics import STEPS, ConfusionCounts, Scores
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # what torch's own imports warn of is not ours
@@ -205,3 +205,12 @@ def test_damaged_scores_are_refused(change: dict[str, Any]) -> None:
         Scores.from_json(Scores().to_json() | change)
     with pytest.raises(ValueError, match="scores must be of version 1, got 2"):
         Scores.from_json(Scores().to_json() | {"version": 2})
+
+
+@given(st.integers(0, 2**16 - 1), st.integers(0, 2**16 - 1), st.integers(1, 2**16 - 1))
+def test_counts_hold_every_cell_once(claimed: int, true: int, mask: int) -> None:
+    a, b, c = (np.array([value >> k & 1 for k in range(16)], bool) for value in (claimed, true, mask))
+    counts = ConfusionCounts.of(a, b, c, 0.25)
+    assert (counts.both, counts.over) == (int((a & b & c).sum()), int((a & ~b & c).sum()))
+    assert (counts.under, counts.neither) == (int((~a & b & c).sum()), int((~a & ~b & c).sum()))
+    assert counts.cells * 0.25 == counts.area_m2

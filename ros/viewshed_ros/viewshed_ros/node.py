@@ -25,8 +25,8 @@ from std_msgs.msg import Header, UInt8MultiArray
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.geometry import Rigid
+from viewshed.monitor.calibration import load_calibration
 from viewshed.monitor.stream_monitor import StreamMonitor
-from viewshed.monitor.sweep_monitor import load_sweep_monitor, shipped_monitor
 from viewshed.pipeline import Answer, Caution, Pipeline, RateLimit, prepare_process
 from viewshed.sweep import Sweep
 from viewshed_ros import costmap_filters, nav2, parameters, poses, status
@@ -199,8 +199,7 @@ class FieldOfView(LifecycleNode):
         wished = settings.profile.monitor if settings.monitor == OF_PROFILE else settings.monitor == "always"
         if not wished:
             return None
-        monitor = load_sweep_monitor(settings.monitor_file) if settings.monitor_file else shipped_monitor()
-        return StreamMonitor(monitor, monitor.detector())
+        return StreamMonitor(load_calibration(settings.monitor_file)) if settings.monitor_file else StreamMonitor()
 
     def _pose_source(self, settings: NodeSettings) -> poses.PoseSource | None:
         if settings.pose_source == "none":

@@ -15,7 +15,7 @@ from viewshed.estimators import load_estimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import GRIDS
-from viewshed.monitor.sweep_monitor import load_sweep_monitor
+from viewshed.monitor.calibration import load_calibration
 from viewshed.pipeline.profiles import PROFILES, Profile, profile_named
 from viewshed.pipeline.reactions import VEHICLE, Vehicle
 from viewshed.sensors import LidarModel, lidar_model
@@ -79,7 +79,7 @@ def _check_method(value: str) -> None:
 
 def _check_monitor_file(value: str) -> None:
     if value:
-        load_sweep_monitor(value)
+        load_calibration(value)
 
 
 def _check_sensors(names: Sequence[str]) -> None:

@@ -9,22 +9,21 @@ import numpy as np
 import pytest
 from tests.studies.by_hand import stored
 
-from viewshed.agents.claims import ClaimTable
 from viewshed.agents.honest import HonestModel
 from viewshed.agents.many import CommandCenter
-from viewshed.agents.suspicion import Suspicion
+from viewshed.agents.report import AgentReport
 from viewshed.objects.detector import Detector
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.simulated import world_of
-from viewshed_lab.studies.agents.jobs import CLAIMS, HONEST_MODEL, run_study
+from viewshed_lab.studies.agents.jobs import HONEST_MODEL, run_study
 from viewshed_lab.studies.agents.lies import APART_M, FORGED, LIES, Liars
 from viewshed_lab.studies.agents.page import AgentsResults, files_of
-from viewshed_lab.studies.agents.plan import HONEST, SPLITS, AgentsPlan
-from viewshed_lab.studies.agents.runs import seen_objects
+from viewshed_lab.studies.agents.plan import HONEST, POSE_NOISE, SPLITS, STATED, UNSTATED, AgentsPlan
+from viewshed_lab.studies.agents.runs import POSE_STD, SceneCases, seen_objects
 from viewshed_lab.studies.agents.scenes import Scene, scene_path, with_tall_masts
 from viewshed_lab.studies.store import ResultStore
 
-PLAN = replace(AgentsPlan.load("tiny"), seconds=3.0, claims=1, calibration=4, test=1, each=2)
+PLAN = replace(AgentsPlan.load("tiny"), seconds=3.0, learning=1, calibration=4, test=1, each=2)
 
 
 @pytest.fixture(scope="module")
@@ -33,24 +32,26 @@ def scene() -> Scene:
 
 
 def test_presets_can_be_loaded_and_scenes_differ_between_splits() -> None:
-    for name in ("tiny", "small", "full"):
+    for name in ("tiny", "short", "small", "full"):
         plan = AgentsPlan.load(name)
         assert set(plan.lies) == set(LIES)
-        assert plan.cases_of("calibration", 3) == plan.cases_of("benign", 3) == [HONEST]
+        assert {plan.cases_of("calibration", number)[0] for number in range(30)} == {HONEST, STATED}
         tried = {case for number in range(plan.test) for case in plan.cases_of("test", number)}
-        assert tried == {HONEST, *LIES} or name == "tiny"
+        assert tried == {HONEST, *POSE_NOISE, *LIES} or name == "tiny"
+        assert not set(plan.worlds) & set(plan.test_worlds)
+        assert {plan.scene("test", number).world_kind for number in range(8)} == set(plan.test_worlds)
     seeds = {str(PLAN.scene(split, 0).seed(0).entropy) for split in SPLITS}
-    assert len(seeds) == 4
+    assert len(seeds) == len(SPLITS)
     with pytest.raises(ValueError, match="lies must be"):
         replace(PLAN, lies=("flattery",))
 
 
 def test_every_third_scene_has_masts_as_published_in_each_world_and_with_each_sensor() -> None:
     plan = AgentsPlan.load("small")
-    tall = [number for number in range(36) if plan.has_tall_masts(number)]
-    assert len(tall) == 12
-    kinds = {(one.preset.worlds, one.preset.sensors) for one in (plan.scene("test", number) for number in tall)}
-    assert len(kinds) == len(plan.worlds) * len(plan.sensors)
+    tall = [number for number in range(120) if plan.has_tall_masts(number)]
+    assert len(tall) == 40
+    kinds = {(one.preset.worlds, one.preset.sensors) for one in (plan.scene("calibration", number) for number in tall)}
+    assert len(kinds) == len(set(plan.worlds)) * len(plan.sensors)
     assert not any(replace(plan, tall_masts=0).has_tall_masts(number) for number in range(36))
     world = world_of(plan.scene("test", tall[0]))
     before, after = (
@@ -111,25 +112,39 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
     assert stored(store) == before
     _center_judges_as_the_study(store)
     page = files_of(store)["agents.md"].decode()
-    for heading in ("Against the targets", "Where nobody lies", "Found", "What claims are worth"):
+    for heading in ("Against the targets", "Where nobody lies", "Found", "Reliability of trust"):
         assert f"## {heading}" in page
 
 
 def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:
-    """A live center with the study's calibration gives the study's scores for the same messages."""
+    """A live center with the study's model gives the study's evidence for the same messages."""
     found = AgentsResults(PLAN, store.results("run"))
-    center = CommandCenter(
-        Scene.load(scene_path(store.folder, "test", 0)).agents,
-        claims=ClaimTable.from_json((store.folder / CLAIMS).read_text("utf-8")),
-        honest=HonestModel.from_json((store.folder / HONEST_MODEL).read_text("utf-8")),
-        suspicion=Suspicion.from_json(found.suspicion.to_json()),
-    )
-    [benign] = found.benign
-    scene = Scene.load(scene_path(store.folder, "test", benign.scene))
+    scene = Scene.load(scene_path(store.folder, "test", 0))
+    honest = HonestModel.from_json((store.folder / HONEST_MODEL).read_text("utf-8"))
+    center = CommandCenter(scene.agents, honest=honest)
+    [benign] = found.of(HONEST)
     live = np.array([
-        center.add(t_s, scene.reports(time)).suspicion for time, t_s in enumerate(scene.times_s.tolist())
+        center.add(t_s, scene.reports(time)).verdicts.evidence for time, t_s in enumerate(scene.times_s.tolist())
     ])  # fmt: skip
-    assert live == pytest.approx(benign.by_time, rel=0.01, abs=0.02)
-    assert np.isfinite(np.array(benign.run.checks[-1], float)).any()
-    accused = found.limits.accused(live.max(axis=0), found.elevated, found.rate)
-    assert accused.tolist() == found.accused(benign).tolist()
+    assert live == pytest.approx(np.array(benign.evidence), abs=0.02)
+    assert found.limits.accused(live.max(axis=0), found.elevated, found.rate).tolist() == found.accused(benign).tolist()
+
+
+def test_poses_that_are_off_are_off_by_what_is_stated(scene: Scene) -> None:
+    """Errors differ between agents, last for the scene, and only the one case states them."""
+    cases = SceneCases(scene, (1, "test", 0), HonestModel.blank(), compared=False)
+    seen, add = list[list[AgentReport]](), CommandCenter.add
+    for case in (STATED, UNSTATED):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(CommandCenter, "add", lambda self, t_s, said: seen.append(said) or add(self, t_s, said))
+            cases.run(case)
+    stated, unstated = seen[: len(scene.times_s)], seen[len(scene.times_s) :]
+    assert {report.pose_std for reports in stated for report in reports} == {POSE_STD}
+    off = np.array([
+        [said.world_from_level.translation - true.world_from_level.translation
+         for said, true in zip(reports, scene.reports(time), strict=True)]
+        for time, reports in enumerate(unstated)
+    ])  # fmt: skip
+    assert np.ptp(off, axis=0).max() < 1e-9
+    assert 0.02 < np.std(off[0, :, :2]) < 0.6
+    assert np.abs(off[..., 2]).max() < 1e-9

@@ -5,20 +5,27 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
+from viewshed.networks.runtime import values_of
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.training.ground_prior import (
+    BASE,
+    BASE_UNIT_M,
     CHANNELS,
+    FOLD,
     GroundNet,
     Modes,
     exact_ground,
-    inputs_of,
-    lattice_features,
+    exported,
+    guessed,
     loss_of,
+    network_inputs,
     on_ground,
 )
 
@@ -33,29 +40,80 @@ def leveled() -> LeveledSweep:
 
 
 def with_points(leveled: LeveledSweep, points: list[tuple[float, float, float]]) -> LeveledSweep:
-    return dataclasses.replace(leveled, points=np.array(points, np.float32))
+    xyz = np.array(points, np.float32)
+    azimuth, range_m = np.arctan2(xyz[:, 1], xyz[:, 0]), np.hypot(xyz[:, 0], xyz[:, 1])
+    return dataclasses.replace(leveled, points=xyz, azimuth=azimuth, range_m=range_m)
 
 
-def test_features_of_a_node_are_its_returns_and_the_lowest_beam_that_passes_over_it(leveled: LeveledSweep) -> None:
+def unfolded(inputs: NDArray[np.float32]) -> NDArray[np.float32]:
+    return torch.pixel_shuffle(torch.tensor(inputs), FOLD)[0].numpy()
+
+
+def test_inputs_of_a_node_are_its_returns_and_the_lowest_beam_that_passes_over_it(leveled: LeveledSweep) -> None:
     assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.01)
     points = [(10.2, 3.3, 0.5), (10.4, 3.6, 0.1), (10.7, 3.2, 2.0), (40.5, -0.5, 0.0), (40.5, -0.5, 1.0)]
-    features = lattice_features(with_points(leveled, points))
-    assert features.shape == (5, 128, 128)
-    np.testing.assert_allclose(features[:4, 74, 67], [3.0, 0.5, 0.1, 2.0])
-    np.testing.assert_allclose(features[:4, 104, 63], [2.0, 1.0, 0.0, 1.0])
+    maps = unfolded(network_inputs(with_points(leveled, points)))
+    assert maps.shape == (CHANNELS, 128, 128)
+    np.testing.assert_allclose(maps[:5, 74, 67], [1.0, 0.5, 0.1, 2.0, np.log(4.0) / 3], atol=0.02)
+    np.testing.assert_allclose(maps[:5, 104, 63], [1.0, 1.0, 0.0, 1.0, np.log(3.0) / 3], atol=0.02)
+    assert not maps[:5, 20, 20].any()
     # The beam to z = 0 at 40.5 m passes over x = 20.5 m at half of its way; over nothing behind its end.
-    assert features[4, 84, 63] == pytest.approx(1.8 * (1 - 20.5 / 40.5), abs=0.02)
-    assert np.isinf(features[4, 103:, 63]).all()
-    assert np.isinf(features[4, 84, 40])
+    assert maps[5, 84, 63] == pytest.approx(1.8 * (1 - 20.5 / 40.5), abs=0.03)
+    assert maps[6, 84, 63] == 1.0
+    assert not maps[6, 103:, 63].any()
+    assert maps[6, 84, 40] == 0.0
+    assert np.array_equal(maps[7] > 0, leveled.ground.seen)
+    np.testing.assert_allclose(maps[9:, 84, 63], [20.5 / 64, 0.9, 1.0], atol=0.01)
     # A return alone is the second-lowest as well.
-    alone = lattice_features(with_points(leveled, points[:1]))
-    np.testing.assert_allclose(alone[:4, 74, 67], [1.0, 0.5, 0.5, 0.5])
+    alone = unfolded(network_inputs(with_points(leveled, points[:1])))
+    np.testing.assert_allclose(alone[1:4, 74, 67], 0.5, atol=0.02)
+
+
+def test_the_base_goes_on_with_the_slope_of_what_is_seen_and_levels_off() -> None:
+    """Seen on rings of 4 to 30 m: a slope of 5 % along x, with a mound of one meter to the left."""
+    middles = np.arange(128) - 63.5
+    x_m, y_m = np.meshgrid(middles, middles, indexing="ij")
+    range_m = np.hypot(x_m, y_m)
+    seen = (np.sin(range_m) > 0.4) & (range_m > 4) & (range_m < 30)
+    heights_m = (0.05 * x_m + np.exp(-(x_m**2 + (y_m - 20.0) ** 2) / 50.0)).astype(np.float32)
+    none = np.zeros(0, np.float32)
+    folded = _core.guess_inputs(np.zeros((0, 3), np.float32), none, none, heights_m, seen, 64.0, 1.8)
+    base_m = BASE_UNIT_M * unfolded(folded)[BASE]
+    np.testing.assert_allclose(base_m[seen], heights_m[seen], atol=1e-5)
+    assert np.abs(base_m - heights_m)[range_m < 28].max() < 0.15
+    ahead = (np.abs(y_m) < 6) & (range_m > 32) & (range_m < 58)
+    assert np.abs(base_m - 0.05 * x_m)[ahead].max() < 0.2
+    # The slope fades beyond 60 m: at the corners 90 m away a fifth of the way is left out at least.
+    assert base_m[127, 0] < 0.05 * 63.5 * 0.93
+
+
+def test_what_runs_without_torch_gives_the_quantiles_of_the_modes(leveled: LeveledSweep) -> None:
+    torch.manual_seed(1)
+    net = GroundNet(FOLD, (8, 12, 16, 16)).eval()
+    torch.nn.init.normal_(net.unfold[0].weight, std=0.5)
+    for norm in (module for module in net.modules() if isinstance(module, torch.nn.BatchNorm2d)):
+        torch.nn.init.uniform_(norm.running_mean, -0.3, 0.3)
+        torch.nn.init.uniform_(norm.running_var, 0.5, 2.0)
+    maps = torch.tensor(unfolded(network_inputs(leveled)))[None]
+    with torch.no_grad():
+        modes = Modes.of(net(maps))
+    low_m, median_m, high_m = (modes.quantile(share)[0].numpy() for share in (0.16, 0.5, 0.84))
+    assert median_m.std() > 0.2
+    ground, seen = guessed(leveled, values_of(exported(net))).ground, leveled.ground.seen
+    base_m, over_m = BASE_UNIT_M * maps[0, BASE].numpy(), maps[0, 5].numpy() + 0.1
+    passed = (maps[0, 6].numpy() > 0) & ~seen
+    expected = base_m + np.where(passed, np.minimum(median_m, over_m), median_m)
+    np.testing.assert_allclose(ground.heights_m[~seen], expected[~seen], atol=0.02)
+    assert (median_m > over_m)[passed].any()
+    np.testing.assert_allclose(ground.std_m[~seen], ((high_m - low_m) / 2)[~seen], atol=0.05)
+    np.testing.assert_array_equal(ground.heights_m[seen], leveled.ground.heights_m[seen])
+    np.testing.assert_allclose(ground.std_m[seen], 0.05)
 
 
 def test_modes_are_a_distribution() -> None:
     outputs = torch.tensor([0.5, 0.3, -1.0, 0.2, 0.4]).reshape(1, 5, 1, 1)
     modes = Modes.of(outputs)
-    assert float(modes.second_m) < float(modes.first_m) == 2.0
+    assert float(modes.second_m) < float(modes.first_m) == 0.5
     heights = torch.linspace(-60.0, 60.0, 240_001, dtype=torch.float64)
     density = torch.exp(modes.log_likelihood(heights.reshape(-1, 1, 1))).reshape(-1).numpy()
     step = 120.0 / 240_000
@@ -73,8 +131,8 @@ def test_modes_are_a_distribution() -> None:
 def test_the_network_answers_for_every_node_and_learns(leveled: LeveledSweep, nodes: int) -> None:
     torch.manual_seed(0)
     net = GroundNet(4, (8, 12, 16, 16))
-    features = torch.tensor(lattice_features(leveled))[None, :, :nodes, :nodes]
-    inputs = inputs_of(features, torch.tensor([1.8]), nodes / 2)
+    half_m = torch.tensor([nodes / 2])
+    inputs = torch.tensor(unfolded(network_inputs(leveled)))[None, :, :nodes, :nodes]
     assert inputs.shape == (1, CHANNELS, nodes, nodes)
     assert torch.isfinite(inputs).all()
     ground = torch.full((1, nodes, nodes), 0.7)
@@ -82,7 +140,7 @@ def test_the_network_answers_for_every_node_and_learns(leveled: LeveledSweep, no
     optimizer = torch.optim.Adam(net.parameters(), 1e-2)
     losses = []
     for _ in range(12):
-        loss = loss_of(net(inputs), ground, nodes / 2)
+        loss = loss_of(net(inputs), ground, half_m)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <vector>
 
 #include "ego_vehicle.hpp"
@@ -20,9 +19,6 @@ constexpr float ON_PLANE_M = 0.2f;
 
 // Returns that show a plane steeper than the ground's.
 constexpr std::size_t TILT_SAMPLE = 2500;
-
-// A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known.
-constexpr double LEVEL_TILT = 6.0 * std::numbers::pi / 180.0;
 
 // Least height of a sensor above the ground that was estimated.
 constexpr double LEAST_HEIGHT_M = 0.05;

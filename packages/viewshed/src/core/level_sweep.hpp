@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <numbers>
 #include <optional>
 
 #include "arrays.hpp"
@@ -9,6 +10,9 @@
 #include "range_image.hpp"
 
 namespace viewshed {
+
+// A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known.
+constexpr double LEVEL_TILT = 6.0 * std::numbers::pi / 180.0;
 
 // Rows of a rotation (3, 3).
 using Rotation = std::array<double, 9>;

@@ -32,6 +32,8 @@ std::atomic<std::size_t> thread_count{threads_at_first()};
 
 // Parts to be done. Whoever comes takes the next one; who comes late finds none left and touches nothing else.
 struct Job {
+    Job(const std::function<void(std::size_t)>* part, std::size_t parts) : part(part), parts(parts) {}
+
     const std::function<void(std::size_t)>* part;
     std::size_t parts;
     std::atomic<std::size_t> next{0}, done{0};

@@ -493,7 +493,9 @@ std::optional<Rings> rings_by_order(View2<const float> points) {
 RingAssignment recover_rings(View2<const float> points, std::optional<View1<const std::int16_t>> known,
                              const BeamTable* table) {
     const Directions seen = directions_of(points);
-    auto [rings, source] = find_rings(points, seen, known, table);
+    auto found = find_rings(points, seen, known, table);
+    Rings& rings = found.first;
+    const RingSource source = found.second;
     const std::size_t count = points.rows, columns = measure_columns(seen, rings, source, table);
     // The column of each return, and which are alone in their pixel.
     Buffer<std::int32_t> column(count);

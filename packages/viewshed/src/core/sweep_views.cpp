@@ -176,22 +176,6 @@ bool SweepView::is_covered(Point3 p) const {
     return false;
 }
 
-bool SweepView::is_pierced(Point3 p) const {
-    const Pixel pixel = pixel_of(p);
-    if (pixel.ring < 0) return false;
-    const float* row = ring(std::size_t(pixel.ring));
-    const float same_m = SAME_M + SAME_SHARE * pixel.range_m;
-    const float own_m = row[pixel.column];
-    if (!(own_m < NONE && own_m > pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m)) return false;
-    const auto ends_here = [&](int step) {
-        for (int k = 1; k <= BESIDE; ++k) {
-            if (std::fabs(row[wrapped(pixel.column + step * k)] - pixel.range_m) < same_m) return true;
-        }
-        return false;
-    };
-    return ends_here(-1) && ends_here(1);
-}
-
 float SweepView::range_difference(Point3 p) const {
     const Pixel pixel = pixel_of(p);
     if (pixel.ring < 0) return std::numeric_limits<float>::quiet_NaN();

@@ -69,9 +69,6 @@ public:
     // Whether an obstacle stands before p: a car whose windows return no beam hides what is behind them.
     bool is_covered(Point3 p) const;
 
-    // Whether the one beam at p passes on while beams on both sides of it end there.
-    bool is_pierced(Point3 p) const;
-
     // The difference of range from this sweep's surface to p, in the sensor's frame, between the two beams beside p; NaN
     // where they do not end on one surface near p.
     float range_difference(Point3 p) const;

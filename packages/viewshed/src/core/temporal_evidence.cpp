@@ -24,6 +24,10 @@ constexpr float FARTHEST_M = 45.0f;
 // The speed of a sector is that of the return at this rank among its fastest.
 constexpr std::size_t RANK = 6;
 
+// The area of what appears or vanishes counts by the speed that this takes: none at a speed that things drive, all from
+// a speed on that nothing does.
+constexpr float DRIVEN_MPS = 15.0f, SUDDEN_MPS = 40.0f;
+
 // Obstacles that a sector must have for a share of them, or a median, to mean anything.
 constexpr std::size_t LEAST_OBSTACLES = 10;
 
@@ -51,23 +55,21 @@ int sector_of(const SweepView& view, Point3 p, int sectors) {
 struct Followed {
     int sector;
     float speed_mps, area_m2;
-    bool is_lost, is_pierced;
+    bool is_lost;
 };
 
 // Follow an obstacle through other sweeps, the nearest in time first, while they find it where it is. The first that finds
 // free passage there tells how fast it must have come from the nearest cover, or gone there.
 Followed follow(const SweepView& own, Point3 p, const std::vector<Other>& others) {
-    Followed followed{0, 0.0f, 0.0f, false, false};
+    Followed followed{0, 0.0f, 0.0f, false};
     for (std::size_t k = 0; k < others.size(); ++k) {
         const Point3 there = others[k].transform(p);
         const Seen seen = others[k].view->look_at(there);
-        if (k == 0) {
-            followed.is_lost = seen == Seen::SILENT;
-            followed.is_pierced = seen == Seen::OCCUPIED && others[k].view->is_pierced(there);
-            if (seen == Seen::FREE) followed.area_m2 = own.area_of_pixel(p);
-        }
+        if (k == 0) followed.is_lost = seen == Seen::SILENT;
         if (seen == Seen::FREE) {
             followed.speed_mps = others[k].view->distance_to_cover(there) / others[k].gap_s;
+            const float sudden = (followed.speed_mps - DRIVEN_MPS) / (SUDDEN_MPS - DRIVEN_MPS);
+            if (k == 0) followed.area_m2 = own.area_of_pixel(p) * std::clamp(sudden, 0.0f, 1.0f);
             return followed;
         }
         if (seen != Seen::OCCUPIED) return followed;
@@ -78,8 +80,7 @@ Followed follow(const SweepView& own, Point3 p, const std::vector<Other>& others
 }  // namespace
 
 void follow_all(const SweepView& view, const std::vector<Other>& others, const SweepView& around,
-                const Transform& around_from_view, View1<float> speed_mps, View1<float> area_m2, View1<float> lost,
-                View1<float> pierced) {
+                const Transform& around_from_view, View1<float> speed_mps, View1<float> area_m2, View1<float> lost) {
     // 1. Each obstacle by itself.
     const std::vector<Point3>& obstacles = view.obstacles();
     const int sectors = int(speed_mps.size);
@@ -99,27 +100,23 @@ void follow_all(const SweepView& view, const std::vector<Other>& others, const S
     // 2. The sectors.
     std::vector<std::vector<float>> speeds(speed_mps.size);
     std::fill(area_m2.begin(), area_m2.end(), 0.0f);
-    std::vector<std::size_t> every(speed_mps.size, 0), losses(speed_mps.size, 0), holes(speed_mps.size, 0);
+    std::vector<std::size_t> every(speed_mps.size, 0), losses(speed_mps.size, 0);
     for (const Followed& one : followed) {
         if (one.sector < 0) continue;
         const auto s = std::size_t(one.sector);
         ++every[s];
         losses[s] += one.is_lost;
-        holes[s] += one.is_pierced;
         area_m2[s] += one.area_m2 * float(view.obstacle_step());
         if (one.speed_mps > 0.0f) speeds[s].push_back(one.speed_mps);
     }
     for (std::size_t s = 0; s < speed_mps.size; ++s) {
         std::vector<float>& of_sector = speeds[s];
-        speed_mps[s] = lost[s] = pierced[s] = 0.0f;
+        speed_mps[s] = lost[s] = 0.0f;
         if (of_sector.size() >= RANK) {
             std::nth_element(of_sector.begin(), of_sector.end() - RANK, of_sector.end());
             speed_mps[s] = *(of_sector.end() - RANK);
         }
-        if (every[s] >= LEAST_OBSTACLES) {
-            lost[s] = float(losses[s]) / float(every[s]);
-            pierced[s] = float(holes[s]) / float(every[s]);
-        }
+        if (every[s] >= LEAST_OBSTACLES) lost[s] = float(losses[s]) / float(every[s]);
     }
 }
 

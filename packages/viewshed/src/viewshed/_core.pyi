@@ -96,6 +96,22 @@ def ground_of_lows(
 def fill_ground(
     walked_m: NDArray[np.float32], accepted: NDArray[np.bool_], plane: NDArray[np.float32], half_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
+def guess_inputs(
+    points: NDArray[np.float32],
+    azimuth: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    heights_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+    sensor_height_m: float,
+) -> NDArray[np.float32]: ...
+def guessed_ground(
+    outputs: NDArray[np.float32],
+    inputs: NDArray[np.float32],
+    heights_m: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    half_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def free_plane(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]: ...
 def held_ground(
     heights_m: NDArray[np.float32],
@@ -144,6 +160,8 @@ def level_points(
     ground_m: NDArray[np.float32],
     half_extent_m: float,
 ) -> _LevelPoints: ...
+LEVEL_TILT: float
+
 def level_sweep(
     points: NDArray[np.float32],
     ring: NDArray[np.int16] | None,
@@ -528,45 +546,6 @@ def plausible_rows(rows: NDArray[np.float32], columns: int) -> bool: ...
 def move_points(points: NDArray[np.float32], rotation: NDArray[np.float64], shift: NDArray[np.float64]) -> None: ...
 def unpack_lzf(packed: NDArray[np.uint8], unpacked: NDArray[np.uint8]) -> int: ...
 
-# integrity_evidence.cpp
-
-_Counts = tuple[NDArray[np.int32], NDArray[np.int32]]
-
-def beam_image(
-    points: NDArray[np.float32],
-    ring: NDArray[np.int16],
-    column: NDArray[np.int32],
-    rows: NDArray[np.int32],
-    height_m: NDArray[np.float32],
-    rings: int,
-    columns: int,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
-def count_chosen(points: NDArray[np.float32], chosen: NDArray[np.bool_], sectors: int) -> _Counts: ...
-def count_holes(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> _Counts: ...
-def count_specks(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> _Counts: ...
-def count_double_returns(
-    range_m: NDArray[np.float32], farthest_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
-) -> _Counts: ...
-def measure_noise(
-    range_m: NDArray[np.float32], height_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int, bands: int
-) -> NDArray[np.float32]: ...
-def measure_steps(
-    range_m: NDArray[np.float32], height_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
-) -> NDArray[np.float32]: ...
-def measure_breaks(range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int) -> NDArray[np.float32]: ...
-def measure_empty_runs(
-    range_m: NDArray[np.float32], sector: NDArray[np.int16], sectors: int
-) -> NDArray[np.float32]: ...
-def find_off_beam(
-    points: NDArray[np.float32],
-    ring: NDArray[np.int16],
-    column: NDArray[np.int32],
-    origin_m: NDArray[np.float64],
-    rows: NDArray[np.int32],
-    columns: int,
-) -> NDArray[np.bool_]: ...
-def measure_range_offset(points: NDArray[np.float32], sensor_height_m: float, sectors: int) -> NDArray[np.float32]: ...
-
 # temporal_evidence.cpp
 
 class SweepView:
@@ -593,7 +572,7 @@ class SweepView:
         around: SweepView,
         around_from_self: NDArray[np.float32],
         sectors: int,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
     def jumps(
         self, views: Sequence[SweepView], transforms: NDArray[np.float32], gaps_s: NDArray[np.float32], sectors: int
     ) -> NDArray[np.float32]: ...

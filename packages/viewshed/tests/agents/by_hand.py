@@ -44,6 +44,9 @@ class HandView:
         """Return the probability."""
         return np.full(len(boxes), self.q)
 
+    def false_odds(self, boxes: NDArray[np.float64], kinds: NDArray[np.uint8]) -> None:
+        """Return nothing."""
+
     def hides_near(self, boxes: NDArray[np.float64], within_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return 0."""
         return np.zeros(len(boxes))
@@ -71,7 +74,7 @@ def model() -> EvidenceModel:
     rng = np.random.default_rng(0)
     kinds = np.full(50, ObjectKind.CAR, np.uint8)
 
-    def bins(box: NDArray[np.float64]) -> NDArray[np.int64]:
+    def bins(box: NDArray[np.float64]) -> NDArray[np.int32]:
         boxes = np.tile(box, (50, 1))
         boxes[:, :2] += rng.normal(0.0, 0.1, (50, 2))
         return cell_evidence(boxes, kinds, view(0.0))[1]

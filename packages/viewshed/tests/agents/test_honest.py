@@ -14,9 +14,9 @@ from viewshed.agents.honest import (
     honest_model,
     own_box_columns,
     reported_columns,
-    there_columns,
 )
 from viewshed.agents.many import AgentReport, object_reports
+from viewshed.agents.view_evidence import Surprises
 from viewshed.detections import Detections
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
@@ -37,7 +37,8 @@ def reports(seen: np.ndarray, surface: np.ndarray, rng: np.random.Generator) -> 
     return ObjectReports(
         seen, np.ones(seen.shape, bool), np.full(seen.shape, 0.9), rng.uniform(5, 45, seen.shape),
         np.zeros(agents, np.int64), np.full(count, 4.5), cells, np.where(seen[..., None], cells, 0.0),
-        np.full(seen.shape, 9.0), np.zeros(seen.shape, np.int64), np.full(count, 0.9),
+        np.full(seen.shape, 9.0), np.zeros(seen.shape, np.int64), np.full(seen.shape, -1),
+        np.full(seen.shape, np.nan),
     )  # fmt: skip
 
 
@@ -47,7 +48,6 @@ def test_weights_are_the_log_odds_of_the_bins() -> None:
     odds = np.array([-2.0, 0.0, 1.5])[columns[:, 0]] + np.array([-0.5, 0.5])[columns[:, 1] - 3]
     fitted = Weights.fit(columns, 5, rng.random(60000) < 1 / (1 + np.exp(-odds)))
     assert np.allclose(fitted(columns), odds, atol=0.1)
-    assert fitted(np.array([[-1, -1]]))[0] == pytest.approx(fitted.bias)
     with pytest.raises(ValueError, match="both classes"):
         Weights.fit(columns, 5, np.ones(60000, bool))
 
@@ -68,8 +68,9 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
         seen[:5] = np.eye(4, dtype=bool)[rng.integers(0, 4, 5)]
         one = np.eye(4, dtype=bool)[rng.integers(0, 4, 20)]
         elsewhere = reports(one, np.zeros((20, 4)), rng)
-        examples.append(HonestExamples.of(reports(seen, surface, rng), seen.sum(axis=1) > 1, elsewhere, elsewhere))
-    model = fit_honest(examples)
+        said = reports(seen, surface, rng)
+        examples.append(HonestExamples.of(said, seen.sum(axis=1) > 1, said, elsewhere, elsewhere))
+    model = fit_honest(examples, Surprises.blank())
     surface = np.array([[0.45, 0.02, 0.45, 0.0]])
     said = reports(np.array([[True, False, True, True]]), surface, rng)
     odds = model.reported(reported_columns(said)[0])[0] + model.of_others[2, 0]
@@ -79,8 +80,9 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     assert displaced[3] > 1.0
     assert displaced[0] < 0.0
     assert invented[3] > invented[0]
-    of_agents, _, whole = there_columns(said)
-    assert model.there(of_agents).sum() + model.there(whole).sum() - 4 * model.there.bias > 0.0
+    there = model.there(said)[0]
+    assert there[0] > 0.0 > there[1]  # a report speaks for an object, silence against it
+    assert (np.diff(model.found, axis=-1) >= 0).all()  # and never less where more is claimed
     again = HonestModel.from_json(model.to_json())
     assert np.allclose(again.reported.of_bins, model.reported.of_bins, atol=1e-3)
     with pytest.raises(ValueError, match="fit the model again"):
@@ -89,8 +91,9 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
 
 def test_the_model_in_the_box_asks_what_it_was_fitted_on() -> None:
     model, blank = honest_model(), HonestModel.blank()
-    for name in HonestModel.__slots__:
+    for name in ("reported", "invented", "displaced"):
         assert getattr(model, name).of_bins.shape == getattr(blank, name).of_bins.shape
+    assert (model.found.shape, model.views.pairs.shape) == (blank.found.shape, blank.views.pairs.shape)
     # Agreement of others counts, and so does their denial.
     assert model.of_others[4, 0] > model.of_others[1, 0] > model.of_others[1, 2]
 
@@ -103,9 +106,7 @@ def test_what_agents_say_and_could_have_seen() -> None:
     far = Rigid(np.eye(3), np.array([200.0, 0.0, 0.0]))
     blind = AgentReport(FovEstimate(GRID, view.visible_prob, state, world_from_level=far, agent="b"), Detections.none())
     boxes = found.moved(pose).boxes
-    said = object_reports(
-        [seen, blind], np.array([0, 2]), 3, boxes, np.array([[0, -1]], np.int32), np.zeros((1, 3), np.int64), np.ones(1)
-    )
+    said = object_reports([seen, blind], np.array([0, 2]), 3, boxes, np.array([[0, -1]], np.int32), np.zeros((1, 3, 3)))
     assert said.seen.tolist() == [[True, False, False]]
     assert said.able.tolist() == [[True, False, False]]  # b is too far, and the third says nothing
     assert said.cells[0, 0, 0] > 0.1  # its near side

@@ -7,8 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from viewshed.agents.claims import EDGES, RANGES_M, ClaimTable, claim_table
-from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, confirmed, joint_fov, match_agents
+from viewshed.agents.honest import honest_model
+from viewshed.agents.many import (
+    AgentReport,
+    CommandCenter,
+    CommonPicture,
+    chances,
+    confirmed,
+    joint_fov,
+    match_agents,
+)
 from viewshed.agents.registration import PoseStd
 from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.detections import Detections
@@ -92,8 +100,8 @@ def test_the_own_vehicle_is_no_missing_object() -> None:
     own = np.array([[0.0, 0.0, 0.8, 4.8, 2.0, 1.6, 0.0]])
     agent = AgentReport.of(AGENTS[0], Detections.none())
     assert agent.own_box is not None
-    assert agent.chance(own, claim_table())[0] == 0.0
-    assert AgentReport(AGENTS[0], Detections.none()).chance(CARS, claim_table()).min() > 0.5
+    assert chances([agent], own, honest_model())[0] == 0.0
+    assert chances([AgentReport(AGENTS[0], Detections.none())], CARS, honest_model()).min() > 0.5
 
 
 def test_detections_of_two_agents_are_matched_one_to_one() -> None:
@@ -132,7 +140,7 @@ def test_a_mast_that_says_nothing_for_a_time_is_judged_as_a_mast() -> None:
     center = CommandCenter(("a", "b"))
     both = center.add(0.0, [report(AGENTS[0], CARS), report(mast, CARS)])
     alone = center.add(0.5, [report(AGENTS[0], CARS)])
-    assert both.verdicts.elevated.tolist() == alone.verdicts.elevated.tolist() == [False, True]
+    assert both.elevated.tolist() == alone.elevated.tolist() == [False, True]
 
 
 def test_a_message_says_on_what_the_sensor_stands_and_how_well_its_place_is_known() -> None:
@@ -210,17 +218,14 @@ def test_a_second_view_confirms_only_where_a_trusted_agent_sees() -> None:
     assert (alone.state[:, 32:] == CellState.UNKNOWN).all()
 
 
-def test_claims_are_worth_what_was_found_and_never_less_where_more_is_claimed() -> None:
-    rng = np.random.default_rng(1)
-    prob = rng.random(20000)
-    boxes = np.tile(CARS[:1], (20000, 1))
-    hits = rng.random(20000) < 0.8 * prob
-    table = ClaimTable.fit(prob, boxes, rng.uniform(1.0, 50.0, 20000), np.zeros(20000), hits)
-    assert table.found.shape == (3, 2, len(RANGES_M) + 1, len(EDGES) + 1)
-    assert (np.diff(table.found, axis=-1) >= 0).all()
-    said = table(np.array([0.05, 0.6, 0.95]), CARS[[0, 0, 0]], np.array([5.0, 20.0, 40.0]), height=0)
-    assert np.allclose(said, [0.05, 0.48, 0.75], atol=0.06)
-    again = ClaimTable.from_json(table.to_json())
-    assert np.allclose(again.found, table.found, atol=1e-4)
-    with pytest.raises(ValueError, match="shares of shape"):
-        ClaimTable(np.zeros((2, 2)))
+def test_what_stands_on_a_deck_is_nothing_that_those_below_deny() -> None:
+    """One agent drives 6 m above two others: each reports what is on its own level, and nobody is a liar."""
+    raised = CARS + np.array([0.0, 0.0, 6.0, 0, 0, 0, 0]) + np.array([9.0, -9.0, 0, 0, 0, 0, 0])
+    pose = Rigid(np.eye(3), np.array([2.0, 1.0, 6.0]))
+    above = report(replace(view("c"), world_from_level=pose), raised)
+    center = CommandCenter(("a", "b", "c"))
+    for time in range(6):
+        picture = center.add(0.5 * time, [report(AGENTS[0], CARS), report(AGENTS[1], CARS), above])
+    assert not picture.deniers.any()
+    assert not picture.verdicts.suspects.any()
+    assert picture.verdicts.trust.min() > 0.8

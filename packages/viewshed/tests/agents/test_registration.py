@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.agents.test_view_checks import honest
+from tests.agents.test_view_evidence import honest
 
 from viewshed.agents.many import AgentReport, registered
 from viewshed.agents.registration import MOST_M, MOST_TURN, REACH, PoseStd, registered_poses

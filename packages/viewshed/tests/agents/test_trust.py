@@ -23,12 +23,10 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     if rng is not None:
         xy_m += rng.normal(0.0, STD_M, xy_m.shape)
     able, odds = (chance > 0) | seen, np.clip(chance, 0.01, 0.99)
-    contradicted = np.full(seen.shape, -np.log(2 * (1 - TrustRules().false_report)))
     there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
     return Reports(
-        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)), np.zeros((5, 3)),
-        np.zeros(seen.shape), contradicted, np.full(seen.shape, -3.0), there, np.zeros(count), xy_m,
-        np.full(seen.shape, STD_M), np.zeros(agents, bool),
+        np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)),
+        np.zeros((5, 3)), np.zeros(seen.shape), np.full(seen.shape, -3.0), there, xy_m, np.full(seen.shape, STD_M),
     )  # fmt: skip
 
 
@@ -51,7 +49,7 @@ def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
     assert verdicts.evidence[0] == pytest.approx(verdicts.evidence[1], abs=0.7)
     assert verdicts.evidence.max() < 0.7  # neither can be told from the other
     limits = TrustLimits.of(*(np.linspace(-1.0, 0.7, 999),) * 2, np.linspace(0.0, 1.0, 999))
-    accused = limits.accused(verdicts.evidence, verdicts.elevated, 0.01)
+    accused = limits.accused(verdicts.evidence, np.zeros(2, bool), 0.01)
     assert not accused.any()
     assert limits.disputed(verdicts, accused, 0.01).tolist() == [True, True]
 
@@ -114,13 +112,12 @@ def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
     assert after(4, [[1, 1, 1, 0]] * 3, seconds=60).evidence.max() > rules.most_of_object
 
 
-@pytest.mark.parametrize("whose", ["invented", "contradicted"])
-def test_objects_that_look_invented_convict_by_the_own_view_and_by_others(whose: str) -> None:
+def test_objects_that_look_invented_in_the_own_view_convict() -> None:
     trust, seen = Trust(3), np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
     reports = reports_of(seen, np.where(seen, 0.95, 0.0))
-    ratios = np.where(seen & (np.arange(3) == 1), 4.0, -2.0)
-    for _ in range(3):
-        verdicts = trust.add(replace(reports, **{whose: ratios}), 1.0)
+    ratios = np.where(seen & (np.arange(3) == 1), 6.0, -2.0)
+    for _ in range(12):
+        verdicts = trust.add(replace(reports, invented=ratios), 1.0)
     assert verdicts.evidence.argmax() == 1
     assert verdicts.suspects.tolist() == [False, True, False]
 
@@ -131,13 +128,53 @@ def test_a_forged_view_vouches_little_for_its_own_reports() -> None:
     reports = reports_of(seen, np.full(seen.shape, 0.95))
     found = []
     for own in (-6.0, 0.0, 6.0):
-        trust, ratios = Trust(4), np.where(seen, 3.0, 0.0)
+        trust = Trust(4)
         for _ in range(3):
-            verdicts = trust.add(replace(reports, invented=np.where(seen, own, 0.0), contradicted=ratios), 1.0)
+            verdicts = trust.add(replace(reports, invented=np.where(seen, own, 0.0)), 1.0)
         found.append(verdicts.evidence[0])
-    assert found[0] > 0.75 * found[1]  # a view that agrees takes little away
+    assert found[0] > 0.5 * found[1]  # a view that agrees takes little away
     assert found[2] > found[1]  # one that does not adds to it
     assert verdicts.suspects.tolist() == [True, False, False, False]
+
+
+def compared(pairs: dict[tuple[int, int], float], own: dict[int, float], agents: int = 4) -> tuple[np.ndarray, ...]:
+    """Return surprises in nats of pairs and of single views; where none is given nothing is compared or odd."""
+    of_pairs, of_own = np.full((agents, agents, 2), np.nan), np.zeros((agents, 3))
+    for (one, other), nats in pairs.items():
+        of_pairs[one, other, 0] = nats
+    for one, nats in own.items():
+        of_own[one, 2] = nats
+    return of_pairs, of_own
+
+
+def test_a_view_that_contradicts_two_others_takes_the_trust_in_its_reports() -> None:
+    trust = Trust(4)
+    for _ in range(8):
+        verdicts = trust.add(silent(4), 0.5, compared({(2, 0): 4.5, (2, 1): 4.5, (3, 2): 4.5}, {}))
+    assert verdicts.suspects.tolist() == [False, False, True, False]
+    assert verdicts.trust[2] < 0.5
+    assert (verdicts.trust[[0, 1, 3]] > 0.85).all()
+    assert verdicts.against[2] == pytest.approx([4.5, 4.5, 0.0, 4.5], abs=0.2)
+
+
+def test_two_views_that_contradict_each_other_are_disputed_until_one_contradicts_itself() -> None:
+    trust = Trust(4)
+    for _ in range(8):
+        verdicts = trust.add(silent(4), 0.5, compared({(2, 0): 4.5}, {}))
+    assert verdicts.suspects.tolist() == [True, False, True, False]
+    for _ in range(8):
+        verdicts = trust.add(silent(4), 0.5, compared({(2, 0): 4.5}, {2: 4.0}))
+    assert verdicts.suspects.tolist() == [False, False, True, False]
+
+
+def test_what_opened_at_once_is_remembered_and_fades() -> None:
+    trust, quiet = Trust(3), (np.full((3, 3, 2), np.nan), np.zeros((3, 3)))
+    jump = quiet[1].copy()
+    jump[1, 0] = 4.8
+    first = trust.add(silent(3), 0.5, (quiet[0], jump)).evidence[1]
+    for _ in range(10):
+        later = trust.add(silent(3), 0.5, quiet).evidence[1]
+    assert later == pytest.approx(first * 0.5**0.5, rel=0.05)  # half of it is left after 10 s
 
 
 @pytest.mark.parametrize("ratio", [-3.0, 5.0])
@@ -166,7 +203,7 @@ def test_agents_may_come_in_any_order() -> None:
     seen[:, 0] = True
     order = np.array([2, 0, 3, 1])
     reports = reports_of(seen, chance, rng)
-    names = ("seen", "able", "sees", "reported", "invented", "contradicted", "displaced", "there", "xy_m", "std_m")
+    names = ("seen", "able", "sees", "reported", "invented", "displaced", "there", "xy_m", "std_m")
     turned = replace(reports, **{name: getattr(reports, name)[:, order] for name in names})
     one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
     assert np.allclose(one.evidence[order], other.evidence)

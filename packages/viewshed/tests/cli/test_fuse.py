@@ -41,6 +41,18 @@ def test_agents_of_a_recording_are_put_together(drive: Path, tmp_path: Path) -> 
     assert any(len(one["reported_by"]) == 2 for one in rows[-1]["objects"])
     with Image.open(tmp_path / "fused" / "fused_0003.png") as picture:
         assert len(np.unique(np.asarray(picture.convert("L")))) > 10
+    page = (tmp_path / "fused" / "fused.html").read_text()
+    assert page.count("<polyline") == 2  # the trust in each agent
+    assert "http" not in page.replace("http-equiv", "")  # one file, no network
+
+
+def test_poses_are_as_certain_as_is_said_or_refused(drive: Path, tmp_path: Path) -> None:
+    words = ("fuse", drive, "--results", "jsonl", "--out", tmp_path / "poses")
+    assert run(*words, "--pose-std", "0.2,0.5")[0] == 0
+    for wrong in ("0.2", "-1,0", "a,b", "nan,1"):
+        code, _, err = run(*words, "--pose-std", wrong)
+        assert code == 2
+        assert f"--pose-std must be METERS,DEGREES, both 0 or more, got '{wrong}'; as 0.2,0.5" in err
 
 
 def test_a_replay_puts_agents_together_and_names_who_was_forged(drive: Path, tmp_path: Path) -> None:

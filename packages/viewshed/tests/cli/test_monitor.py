@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,7 @@ from tests.networks.made import card, nearby
 from viewshed import Sweep, write_sweep
 from viewshed.cli import main
 from viewshed.cli._verdicts import stream_monitor
-from viewshed.io.samples import junction_path
-from viewshed.monitor import load_monitor, load_sweep_monitor, save_sweep_monitor
-from viewshed.monitor.sweep_monitor import shipped_monitor
+from viewshed.monitor import load_calibration, load_monitor
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import Stage, UNet
 
@@ -82,32 +79,43 @@ def test_fit_says_what_it_did(place: Path, tmp_path: Path) -> None:
     assert (monitor.facts["passes"], monitor.facts["target"], monitor.grid.cells) == ("5", "car", 32)
 
 
-def test_worse_drives_calibrate_only_what_is_inconsistent(place: Path, tmp_path: Path) -> None:
-    files = [str(place / f"benign{number:02}.npz") for number in range(12)]
-    worse = [word for file in files[8:] for word in ("--worse", file)]
-    out = tmp_path / "made.npz"
-    words = ["monitor", "calibrate", *files[:8], *worse, "--rate", "0.2", "--grid", "32x16", "--out", str(out)]
-    code, said, err = run(*words)
-    assert (code, err) == (0, "")
-    assert f"{out}: calibrated on 12 sweeps of 12 scenes" in said
-    made = load_sweep_monitor(out)
-    (group,) = made.benign
-    assert (len(made.inconsistent.scores[group]), len(made.degraded.scores[group])) == (12, 8)
-    # Twelve sweeps of a tenth of a second each: at 10 Hz one in thirteen.
-    assert "over time, at 10 Hz: expected false alarms at most 2.77e+03 an hour" in said
+def _drive(place: Path, name: str, seconds: float, seed: int) -> Path:
+    drive = place / name
+    words = ("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", seconds, "--seed", seed, "--to", drive)
+    assert run(*words)[0] == 0
+    return drive
 
 
-def test_false_alarms_an_hour_are_chosen_or_refused(place: Path, tmp_path: Path) -> None:
-    files = [str(place / f"benign{number:02}.npz") for number in range(12)]
-    out = tmp_path / "made.npz"
-    words = ["monitor", "calibrate", *files, "--rate", "0.2", "--grid", "32x16", "--out", str(out), "--per-hour"]
-    code, said, err = run(*words, "6000")
+@pytest.mark.slow
+def test_an_own_vehicle_is_calibrated_from_a_minute_and_fewer_alarms_need_more(tmp_path: Path) -> None:
+    drive, out = _drive(tmp_path, "drive.mcap", 62, 4), tmp_path / "made.npz"
+    code, said, err = run("monitor", "calibrate", drive, "--out", out)
     assert (code, err) == (0, "")
-    assert "over time, at 10 Hz: expected false alarms at most 6e+03 an hour" in said
-    assert stream_monitor(out).detector.limit == load_sweep_monitor(out).runs.detector(6000, 10.0).limit
-    code, _, err = run(*words, "1")
+    assert "calibrated on 620 sweeps of 1 drives" in said
+    assert load_calibration(out).hours * 60 == pytest.approx(62 / 60, abs=0.02)
+    assert stream_monitor(out).limit == load_calibration(out).limit(stream_monitor(out).per_hour)
+    code, _, err = run("monitor", "calibrate", drive, "--out", out, "--per-hour", 1)
     assert code == 2
-    assert "1 false alarms an hour need 1 h of benign runs, got 0.000333 h; ask for 2.78e+03 or more" in err
+    assert "1 false alarms an hour need 60 minutes of benign driving, got 1.0" in err
+
+
+def test_less_than_a_minute_is_refused(tmp_path: Path) -> None:
+    code, _, err = run("monitor", "calibrate", _drive(tmp_path, "short.mcap", 1.0, 4), "--out", tmp_path / "no.npz")
+    assert code == 2
+    assert "benign drives must last 1 minute at least, got 0.017; give more" in err
+
+
+def test_an_empty_sweep_is_an_alarm_and_no_error(place: Path) -> None:
+    code, said, err = run("monitor", "check", place / "empty.npz")
+    assert (code, err) == (0, "")
+    assert said.startswith("empty.npz: INCONSISTENT")
+    assert "the sweep has 0 usable returns" in said
+
+
+def test_one_sweep_says_that_it_cannot_tell(place: Path) -> None:
+    code, said, _ = run("monitor", "check", place / "calm.npz")
+    assert code == 0
+    assert said.startswith("calm.npz: nothing found; one sweep cannot tell")
 
 
 def test_check_alarms_where_returns_are_gone(place: Path) -> None:
@@ -173,11 +181,3 @@ def test_what_does_not_fit_is_one_line(place: Path, tmp_path: Path) -> None:
     code, _, err = run(*_fit(place, "--out", str(place / "benign00.npz")))
     assert code == 2
     assert "is an input and would be replaced" in err
-
-
-def test_a_monitor_that_needs_the_estimate_is_given_it(tmp_path: Path) -> None:
-    path = tmp_path / "monitor.npz"
-    save_sweep_monitor(replace(shipped_monitor(), estimates=("shadow_map",)), path)
-    code, out, err = run("estimate", junction_path(), "--monitor-file", path, "--out", tmp_path, "--results", "npz")
-    assert (code, err) == (0, "")
-    assert "judged without earlier sweeps" in out

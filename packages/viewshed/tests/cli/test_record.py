@@ -20,11 +20,9 @@ from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
 from viewshed.cli._profile import PipelineSettings
 from viewshed.cli._record import Awaited, Listener
-from viewshed.cli.monitor import _benign, _Source
-from viewshed.grid import GRIDS
 from viewshed.io.samples import junction_path
 from viewshed.monitor import IntegrityReport
-from viewshed.monitor.sweep_monitor import shipped_monitor
+from viewshed.monitor.evidence import EVIDENCE
 from viewshed.pipeline import Answer, ReactionState
 from viewshed.pipeline.reactions import RULES
 from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
@@ -269,21 +267,20 @@ def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tm
         assert (code, err) == (0, "")
         said.append(re.findall(r"(?:nothing|INCONSISTENT|DEGRADED)\b.*?(?=; \d+\.\d kB$|$)", out, re.MULTILINE))
     assert len(said[0]) == 12
-    assert [line.count("judged without earlier sweeps") for line in said[0]] == [1] * 10 + [0] * 2
+    assert [line.count("one sweep cannot tell") for line in said[0]] == [1] * 10 + [0] * 2
     assert all(each == said[0] for each in said[1:])
 
 
 def test_a_picture_shows_the_evidence_as_it_was_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is measured of a sweep alone, without what is held over sweeps, is another picture."""
+    """What is measured of a sweep alone, without its past, is another picture."""
     drive = tmp_path / "drive.mcap"
     assert run("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", 0.8, "--seed", 4, "--to", drive)[0] == 0
     shown: list[IntegrityReport] = []
     drawn = viewshed.show.plot.monitor_picture
 
     def draw(panel: Any, report: IntegrityReport, names: Any, surprises: Any) -> bytes:
-        score = shipped_monitor().score
-        assert score(report.evidence).inconsistent == report.score
-        np.testing.assert_array_equal(surprises, score.scale(report.evidence[None])[0])
+        assert tuple(names) == tuple(EVIDENCE)
+        np.testing.assert_array_equal(surprises, report.evidence)
         shown.append(report)
         return drawn(panel, report, names, surprises)
 
@@ -294,13 +291,3 @@ def test_a_picture_shows_the_evidence_as_it_was_scored(tmp_path: Path, monkeypat
     assert out.splitlines()[0].startswith("drive.mcap 00007: ")
     assert len(shown) == 9
     assert (tmp_path / "explained.png").read_bytes() == (tmp_path / "found" / "drive.mcap 00007.png").read_bytes()
-
-
-def test_a_calibration_knows_the_earlier_sweeps_of_agents_that_take_turns(tmp_path: Path) -> None:
-    drive, failures = tmp_path / "drive.mcap", Failures()
-    words = ("record", "sim", "--preset", "ugv", "--agents", 2, "--seconds", 1.2, "--seed", 4, "--to", drive)
-    assert run(*words)[0] == 0
-    benign = list(_benign(_Source((str(drive),), None, "auto"), GRIDS["road"], shipped_monitor(), failures))
-    assert failures.count == 0
-    assert [sum(each.group.earlier == earlier for each in benign) for earlier in ("none", "posed")] == [10, 6]
-    assert len({each.scene for each in benign}) == 2

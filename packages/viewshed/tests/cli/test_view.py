@@ -16,11 +16,6 @@ from viewshed import Sweep, read_sweep, write_sweep
 from viewshed.cli._outputs import Named
 from viewshed.cli.replay import Pacer
 from viewshed.io.samples import junction_path
-from viewshed.monitor import SweepMonitor, save_sweep_monitor
-from viewshed.monitor.calibration import Group
-from viewshed.monitor.evidence import EVIDENCE, SECTORS
-from viewshed.monitor.score import EvidenceScore, SurpriseScale, features_of
-from viewshed.monitor.sweep_monitor import BenignSweep, Rates
 
 recordings: Any = import_module("recording_files")
 
@@ -82,26 +77,15 @@ def test_a_bad_file_costs_a_line(drive: list[Path], tmp_path: Path) -> None:
     assert _names(page) == ["sweep <0>"]
 
 
-def test_the_monitor_of_all_evidence_is_shown(drive: list[Path], tmp_path: Path) -> None:
-    rng, kinds = np.random.default_rng(0), len(EVIDENCE)
-    evidence = rng.exponential(1.0, (60, kinds, SECTORS)).astype(np.float32)
-    count = features_of(kinds)
-    zeros, ones, none = np.zeros(count, np.float32), np.ones(count, np.float32), np.zeros(2, np.float32)
-    weights = np.zeros((count, 2), np.float32)
-    weights[:kinds, 0] = 1.0
-    outputs = np.eye(2, dtype=np.float32)
-    scale = SurpriseScale.fit(evidence)
-    score = EvidenceScore(tuple(EVIDENCE), scale, zeros, ones, weights, none, outputs, none)
-    benign = [BenignSweep(f"{k}", Group("VLP-16", "none"), each) for k, each in enumerate(evidence)]
-    save_sweep_monitor(SweepMonitor.calibrate(score, benign, rng, rates=Rates(0.1, 0.1)), tmp_path / "monitor.npz")
+def test_the_monitor_of_streams_is_shown(drive: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "run.html"
-    code, _, err = run("view", *drive[:2], "--html", page, "--monitor-file", tmp_path / "monitor.npz")
+    code, _, err = run("view", *drive[:2], "--html", page, "--monitor")
     assert code == 0, err
     for text in re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")):
         about = json.loads(text)
         assert about["method"] == "shadow_map"
         assert (about["score"] > about["limit"]) == any("inconsistent" in each["verdict"] for each in about["alarms"])
-        assert any("was not calibrated" in note for note in about["notes"])
+        assert any("one sweep cannot tell" in note for note in about["notes"])
 
 
 def test_a_file_for_rerun(drive: list[Path], tmp_path: Path) -> None:

@@ -1,17 +1,33 @@
 """The detector on deviations that are known by hand, and its promise about false alarms on random ones."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.monitor.benign import check_refusals
 from tests.monitor.by_hand import GRID, estimate_of
 
 from viewshed import BevGrid
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import polar_of_cells
 from viewshed.monitor import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
+
+
+def check_refusals(path: Path, load: Callable[[Path], object], step: int, flips: int) -> float:
+    """Cut a file of a monitor and change its bytes; return the share that is refused, each in one line."""
+    whole, rng, told = path.read_bytes(), np.random.default_rng(0), list[str]()
+    damaged = [whole[:k] for k in range(0, len(whole), step)] + [b"", b"monitor"]
+    places = rng.integers(0, len(whole), flips)
+    damaged += [whole[:k] + bytes([whole[k] ^ int(rng.integers(1, 256))]) + whole[k + 1 :] for k in places]
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            load(path)
+        except ValueError as error:
+            told.append(str(error))
+    assert all(line.startswith(f"{path} must be a whole monitor file") and "\n" not in line for line in told)
+    return len(told) / len(damaged)
 
 
 def _benign(count: int, seed: int) -> list[FovEstimate]:

@@ -1,184 +1,153 @@
-"""The monitor of a stream: earlier sweeps, times that are no times, agents apart, alarms over time."""
+"""The monitor of streams: attacks begin an alarm, which is latched; odd times, sensors and sweeps."""
 
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
-from tests.monitor.benign import KINDS, score_by_hand
+from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 
-from viewshed import BevGrid, Sweep
-from viewshed.geometry import Rigid
-from viewshed.monitor import SweepMonitor
-from viewshed.monitor.evidence import MonitoredSweep
-from viewshed.monitor.over_time import EDetector
-from viewshed.monitor.score import measure_all
-from viewshed.monitor.stream_monitor import StreamMonitor
-from viewshed.monitor.sweep_monitor import EARLIER_SWEEPS, BenignSweep, Rates, group_of
+from viewshed import Sweep
+from viewshed.monitor import Calibration, StreamMonitor
+from viewshed.monitor.calibration import CALM_SWEEPS
+from viewshed.monitor.evidence import EARLIER_SWEEPS
+from viewshed.monitor.stream_monitor import ALONE, EvidenceStream, StreamReport
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.preprocess.sensor_identification import SensorId
-from viewshed.sensors import lidar_model
 
-
-def _leveled(seed: int, t_ns: int | None = None, *, agent: str = "ego", crowded: bool = False) -> LeveledSweep:
-    rng = np.random.default_rng(seed)
-    azimuth, range_m = rng.uniform(-np.pi, np.pi, 300), rng.uniform(4, 30, 300)
-    if crowded:
-        azimuth[:200] = rng.uniform(0.5, 0.6, 200)
-    xyz = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), rng.uniform(-1.8, 1.0, 300)])
-    sweep = Sweep(
-        xyz.astype(np.float32), sensor_height_m=1.8, t_ns=t_ns, world_from_sensor=Rigid.identity(),
-        infer_sensor=False, agent=agent,
-    )  # fmt: skip
-    return level(sweep, BevGrid(40, 20.0))
+SWEEPS = 40
 
 
 @cache
-def _monitor() -> SweepMonitor:
-    sweeps = []
-    for scene in range(60):
-        earlier = tuple(_leveled(100 * scene + k) for k in range(EARLIER_SWEEPS))
-        for history in ((), earlier):
-            monitored = MonitoredSweep(_leveled(100 * scene + 50), history)
-            evidence = np.stack([kind.measure(monitored) for kind in KINDS.values()])
-            sweeps.append(BenignSweep(str(scene), group_of(monitored), evidence))
-    score = score_by_hand(np.stack([sweep.evidence.astype(np.float32) for sweep in sweeps[1::2]]))
-    return SweepMonitor.calibrate(score, sweeps, np.random.default_rng(0), rates=Rates(0.05, 0.05, 0.1))
+def _drive(seed: int, agent: str = "ego") -> tuple[LeveledSweep, ...]:
+    """Sweeps of a sensor that drives through the yard at 2 m/s, with noise."""
+    rng = np.random.default_rng(seed)
+    sweeps = (look(YARD, number, 0.2 * number, rng).replace(agent=agent) for number in range(SWEEPS))
+    return tuple(level(sweep, GRID) for sweep in sweeps)
 
 
-def _stream(**options: float) -> StreamMonitor:
-    return StreamMonitor(_monitor(), EDetector(1000.0), evidence=KINDS, **options)  # type: ignore[arg-type]
+def _attacked(number: int, *, seed: int = 9) -> LeveledSweep:
+    """The sweep of a number, with a plate that stands ahead of the sensor."""
+    plate = replace(PLATE, x_m=PLATE.x_m + 0.2 * SWEEPS)
+    return level(look((*YARD, plate), number, 0.2 * number, np.random.default_rng(seed)), GRID)
 
 
-def _time_ns(number: float) -> int:
-    return 10**18 + round(number * 1e8)
+@cache
+def _calibration() -> Calibration:
+    streams = []
+    for seed in range(16):
+        stream, found = EvidenceStream(), []
+        for sweep in _drive(seed):
+            found.append(stream.measure(sweep))
+            stream.add(sweep)
+        streams.append(np.stack(found))
+    return Calibration.fit(streams, hz=10.0)
 
 
-def test_the_sixth_sweep_is_judged_with_five_earlier_ones_about_a_tenth_of_a_second_apart() -> None:
-    for every in (1.0, 0.5):  # 10 Hz, and 20 Hz of which every second is used
-        stream, notes = _stream(), []
-        sweeps = [_leveled(7000 + k, _time_ns(k * every)) for k in range(12)]
-        reports = [stream.check(sweep) for sweep in sweeps]
-        notes = [report.now.notes for report in reports]
-        first = next(k for k, note in enumerate(notes) if not note)
-        assert first == EARLIER_SWEEPS / every
-        used = sweeps[:first] if every == 1.0 else sweeps[:first:2]
-        expected = _monitor().check(MonitoredSweep(sweeps[first], tuple(used)), KINDS)
-        assert reports[first].now.score == expected.score
+def _monitor(**options: float) -> StreamMonitor:
+    return StreamMonitor(_calibration(), 60.0, **options)  # type: ignore[arg-type]
 
 
-def test_a_report_has_the_evidence_that_was_scored_what_is_held_included() -> None:
-    kinds = {**KINDS, "change": replace(KINDS["change"], over_time=True)}
-    stream = StreamMonitor(_monitor(), EDetector(1000.0), evidence=kinds)
-    sweeps = [_leveled(7000 + k, _time_ns(k)) for k in range(8)]
-    reports = [stream.check(sweep) for sweep in sweeps]
-    for report in reports:
-        assert _monitor().score(report.now.evidence).inconsistent == report.now.score
-    alone = [measure_all(MonitoredSweep(sweeps[k], tuple(sweeps[k - EARLIER_SWEEPS : k])), kinds) for k in (5, 6, 7)]
-    assert_array_equal(reports[7].now.evidence[[0, 2]], alone[-1][[0, 2]])
-    assert_array_equal(reports[7].now.evidence[1], np.max([each[1] for each in alone], axis=0))
+def _after(monitor: StreamMonitor, count: int = SWEEPS) -> list[StreamReport]:
+    return [monitor.check(sweep) for sweep in _drive(50)[:count]]
+
+
+@pytest.mark.slow
+def test_an_attack_begins_an_alarm_there_which_is_latched_and_ends() -> None:
+    monitor = _monitor()
+    calm = _after(monitor, 30)
+    assert sum(report.alarm for report in calm) <= 2
+    found = monitor.check(_attacked(30), GRID)
+    assert found.alarm
+    assert found.now.inconsistent
+    assert found.delay_s == 0.0
+    assert found.now.suspect[sector_at(7.0)]
+    assert not found.now.suspect[sector_at(170.0)]
+    assert found.now.p_value < 1e-2
+    assert "m²" in found.now.reasons[0] or "m/s" in found.now.reasons[0]
+    assert found.now.suspect_m2 > 0.0
+    # One honest sweep later it is still on, after enough of them it is not.
+    later = [monitor.check(sweep) for sweep in _drive(50)[31:]]
+    assert later[0].alarm
+    assert later[0].delay_s == pytest.approx(0.1)
+    assert later[0].doubtful_sweeps == 2
+    assert later[0].suspect[sector_at(7.0)]
+    assert not later[8].now.inconsistent
+
+
+@pytest.mark.slow
+def test_what_lasts_becomes_the_world() -> None:
+    monitor = _monitor()
+    _after(monitor, 20)
+    shifted = [
+        level(s.sweep.replace(points=s.sweep.points + np.float32([0.0, 0.0, 0.6]), t_ns=(20 + k) * 10**8), GRID)
+        for k, s in enumerate((*_drive(50), *_drive(51)))
+    ]
+    alarms = [monitor.check(sweep).alarm for sweep in shifted]
+    assert all(alarms[: EARLIER_SWEEPS + CALM_SWEEPS])
+    assert not alarms[-1]
+
+
+def test_empty_and_blinded_sweeps_are_alarms_even_alone() -> None:
+    monitor = _monitor()
+    near = np.random.default_rng(0).normal(0.0, 0.06, (9000, 3)).astype(np.float32)
+    for points, reason in ((np.zeros((0, 3), np.float32), "0 usable returns"), (near, "within 0.7 m")):
+        report = monitor.fresh().check(level(Sweep(points, t_ns=0), GRID))
+        assert report.alarm
+        assert report.now.suspect.all()
+        assert any(reason in one for one in report.now.reasons)
+        assert not report.now.notes
+
+
+def test_one_sweep_alone_says_that_it_cannot_tell() -> None:
+    reports = _after(_monitor(), EARLIER_SWEEPS + 1)
+    assert [report.now.notes for report in reports] == [(ALONE,)] * EARLIER_SWEEPS + [()]
+    assert np.isnan([report.now.p_value for report in reports[:EARLIER_SWEEPS]]).all()
+    assert not any(report.alarm for report in reports[:EARLIER_SWEEPS])
 
 
 @pytest.mark.parametrize(
-    ("time", "note"),
+    ("time_ns", "note"),
     [
-        (5.0, "time repeats that of the sweep before: the stream begins anew"),
-        (2.0, "time went back by 0.3 s: the stream begins anew"),
-        (20.0, "time jumped by 1.5 s: the stream begins anew"),
-        (None, "the sweep has no time: it is judged without earlier sweeps"),
+        (5 * 10**8, "time repeats that of the sweep before: the stream begins anew"),
+        (2 * 10**8, "time went back by 0.3 s: the stream begins anew"),
+        (20 * 10**9, "time jumped by 19.5 s: the stream begins anew"),
     ],
 )
-def test_a_stream_whose_time_is_none_begins_anew_and_says_so(time: float | None, note: str) -> None:
-    stream = _stream()
-    for k in range(6):
-        assert stream.check(_leveled(7000 + k, _time_ns(k))).notes == ()
-    broken = stream.check(_leveled(7100, None if time is None else _time_ns(time)))
-    assert broken.notes == (note,)
-    assert "evidence over time abstains" in broken.now.notes[0]
-    if time is not None:
-        assert stream.check(_leveled(7101, _time_ns(time + 1))).notes == ()
+def test_a_stream_whose_time_is_none_begins_anew_and_says_so(time_ns: int, note: str) -> None:
+    monitor = _monitor()
+    _after(monitor, 6)
+    odd = level(_drive(50)[6].sweep.replace(t_ns=time_ns), GRID)
+    report = monitor.check(odd)
+    assert report.notes == (note,)
+    assert report.now.notes == (ALONE,)
+
+
+def test_after_a_gap_the_past_stays_but_nothing_is_compared() -> None:
+    monitor = _monitor()
+    _after(monitor, 12)
+    late = monitor.check(level(_drive(50)[12].sweep.replace(t_ns=3 * 10**9), GRID))
+    assert late.notes == ()
+    assert late.now.notes == ()
+    assert np.isnan(late.now.evidence[list(_calibration().names).index("seen_through")]).all()
+
+
+def test_agents_are_apart_bounded_and_bad_settings_refused() -> None:
+    monitor = _monitor(agents=2)
+    for name in "abc":
+        monitor.check(level(look(YARD).replace(agent=name), GRID))
+    assert list(monitor._agents) == ["b", "c"]
+    monitor.reset("b")
+    assert list(monitor._agents) == ["c"]
+    with pytest.raises(ValueError, match="agents must be 1 at least, got 0"):
+        _monitor(agents=0)
+    with pytest.raises(ValueError, match="jump_s must be positive, got 0"):
+        _monitor(jump_s=0.0)
 
 
 def test_another_sensor_begins_anew() -> None:
-    stream = _stream()
-    stream.check(_leveled(1, _time_ns(0)))
-    other = replace(_leveled(2, _time_ns(1)), sensor_id=SensorId(None, lidar_model("VLP-16")))
-    expected = "the sensor changed from unknown sensor without rings to VLP-16 without rings: the stream begins anew"
-    assert stream.check(other).notes == (expected,)
-
-
-def test_a_lasting_attack_alarms_with_its_delay_and_agents_are_apart() -> None:
-    stream = _stream()
-    for k in range(8):
-        for agent in ("one", "two"):
-            assert not stream.check(_leveled(8000 + k, _time_ns(k), agent=agent)).alarm
-    for k in range(8, 20):
-        attacked = stream.check(_leveled(8000 + k, _time_ns(k), agent="one", crowded=True))
-        calm = stream.check(_leveled(8000 + k, _time_ns(k), agent="two"))
-        assert attacked.now.inconsistent
-        assert not calm.alarm
-        if attacked.alarm:
-            break
-    assert attacked.alarm
-    assert attacked.wealth >= attacked.limit == 1000.0
-    assert k - 8 <= 5
-    # Doubt may have begun a little before the attack, never after it.
-    assert (k - 8) * 0.1 - 1e-6 <= attacked.delay_s <= (k - 8) * 0.1 + 0.5
-    assert attacked.delay_s == pytest.approx(0.1 * (attacked.doubtful_sweeps - 1))
-
-
-def test_agents_are_bounded_and_bad_settings_refused() -> None:
-    stream = _stream(agents=2)
-    for k in range(5):
-        stream.check(_leveled(9000 + k, _time_ns(k), agent=f"agent {k}"))
-    assert list(stream._agents) == ["agent 3", "agent 4"]
-    with pytest.raises(ValueError, match="agents must be 1 at least, got 0"):
-        _stream(agents=0)
-    with pytest.raises(ValueError, match="every_s and jump_s must be positive, got"):
-        _stream(every_s=0.0)
-
-
-def test_a_sweep_that_cannot_be_checked_leaves_the_stream_as_it_was() -> None:
-    stream = _stream()
-    for k in range(5):
-        stream.check(_leveled(7000 + k, _time_ns(k)))
-    empty = level(Sweep(np.zeros((0, 3), np.float32), t_ns=_time_ns(5), infer_sensor=False), BevGrid(40, 20.0))
-    with pytest.raises(ValueError, match="sweep must have usable returns"):
-        stream.check(empty)
-    assert stream.check(_leveled(7005, _time_ns(5))).now.notes == ()
-
-
-def test_evidence_of_a_sweep_that_could_not_be_judged_is_not_held() -> None:
-    kinds = {**KINDS, "change": replace(KINDS["change"], over_time=True)}
-    stream, undisturbed = (StreamMonitor(_monitor(), EDetector(1000.0), evidence=kinds) for _ in range(2))
-    for k in range(7):
-        sweep = _leveled(7000 + k, _time_ns(k))
-        stream.check(sweep)
-        undisturbed.check(sweep)
-    stream.monitor = replace(_monitor(), score=_NoScore())  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="evidence gives no score"):
-        stream.check(_leveled(7500, _time_ns(7), crowded=True))
-    stream.monitor = _monitor()
-    one, other = (each.check(_leveled(7007, _time_ns(7))) for each in (stream, undisturbed))
-    assert_array_equal(one.now.evidence, other.now.evidence)
-    assert one.wealth == other.wealth
-
-
-class _NoScore:
-    """A score that raises."""
-
-    names = tuple(KINDS)
-
-    def __call__(self, evidence: object) -> object:
-        raise ValueError("evidence gives no score")
-
-
-def test_after_a_reset_the_next_sweep_is_judged_by_itself() -> None:
-    stream = _stream()
-    for k in range(6):
-        stream.check(_leveled(7000 + k, _time_ns(k)))
-    stream.reset("another")
-    assert not stream.check(_leveled(7006, _time_ns(6))).now.notes
-    stream.reset()
-    assert any("judged without earlier sweeps" in note for note in stream.check(_leveled(7007, _time_ns(7))).now.notes)
+    monitor = _monitor()
+    monitor.check(level(look(YARD, 0), GRID))
+    other = look(YARD, 1)
+    assert other.model is not None
+    report = monitor.check(level(other.replace(model=replace(other.model, name="another")), GRID))
+    assert report.notes == (f"the sensor changed from {other.model.name} to another: the stream begins anew",)

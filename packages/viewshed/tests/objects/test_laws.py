@@ -12,10 +12,10 @@ from tests.objects.scripted import ScriptedView, everywhere
 from viewshed.arrays import F64
 from viewshed.detections import Detections
 from viewshed.geometry import Rigid
-from viewshed.objects.published import PublishedRules
 from viewshed.objects.tracker import ExistenceRules, Rules, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import SeesAll
+from viewshed_lab.studies.tracks.published import PublishedRules
 
 RULES: dict[str, Rules] = {
     "existence": ExistenceRules(),

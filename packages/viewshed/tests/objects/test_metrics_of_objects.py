@@ -10,7 +10,7 @@ from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric
 from stonesoup.types.state import State
 
 from viewshed.arrays import F64
-from viewshed.objects.metrics import IdSwitches, existence_error, gospa, match_objects, ospa_m, published_ospa
+from viewshed.objects.metrics import IdSwitches, existence_error, gospa, match_objects, ospa_m
 
 POINTS = st.integers(0, 7).flatmap(lambda n: arrays(np.float64, (n, 2), elements=st.floats(-8, 8, width=32)))
 
@@ -54,17 +54,6 @@ def test_both_are_distances(tracks: F64, truths: F64, others: F64) -> None:
         assert distance(tracks, tracks) == 0.0
         assert distance(tracks, truths) == pytest.approx(distance(truths, tracks))
         assert distance(tracks, others) <= distance(tracks, truths) + distance(truths, others) + 1e-9
-
-
-@pytest.mark.parametrize(
-    ("false", "published", "ospa"), [(0, 0.18, 0.18), (1, 1.26, 0.26), (2, 2.32, 0.32), (5, 5.45, 0.45)]
-)
-def test_what_the_published_evaluation_calls_ospa_is_not(false: int, published: float, ospa: float) -> None:
-    truths = np.stack([10.0 * np.arange(10), np.zeros(10), np.zeros(10)], axis=1)
-    ghosts = np.stack([10.0 * np.arange(false), np.full(false, 50.0), np.zeros(false)], axis=1)
-    tracks = np.concatenate([truths + np.array([0.0, 0.18, 0.0]), ghosts])
-    assert published_ospa(tracks, truths) == pytest.approx(published, abs=0.01)
-    assert ospa_m(tracks, truths) == pytest.approx(ospa, abs=0.01)
 
 
 def test_gospa_tells_its_parts_apart() -> None:

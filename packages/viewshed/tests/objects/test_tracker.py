@@ -15,10 +15,10 @@ from viewshed.objects.existence import (
     shares_found,
 )
 from viewshed.objects.kalman import Motion
-from viewshed.objects.published import PublishedRules
 from viewshed.objects.tracker import ExistenceRules, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import SeesAll
+from viewshed_lab.studies.tracks.published import PublishedRules
 
 
 def _drive(tracker: Tracker, sweeps: int, *, start: int = 0, y: float = 0.0, speed: float = 10.0) -> Tracks:

@@ -45,7 +45,7 @@ def all_free() -> FovEstimate:
 
 
 LEVELS = st.lists(st.integers(0, 3), min_size=1, max_size=40)
-RULES = st.builds(ReactionRules, st.integers(1, 6), st.integers(1, 5), st.integers(0, 3))
+RULES = st.builds(ReactionRules, st.integers(1, 6), st.integers(0, 3), st.sampled_from([0.0, 0.5, 1.0]))
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=40), RULES)
@@ -120,7 +120,7 @@ def test_after_a_stale_view_caution_is_what_it_was_before_and_falls_by_steps() -
 
 
 def test_sectors_of_an_alarm_that_is_over_are_trusted_in_the_next_one() -> None:
-    rules, behind = ReactionRules(recover_sweeps=1, persist_sweeps=9, widen_sectors=0), ~FRONT
+    rules, behind = ReactionRules(recover_sweeps=1, widen_sectors=0, most_suspect=1.0), ~FRONT
     over = states_after([2, 0, 0, 0], rules)[-1]
     again = react(Finding(inconsistent=True, suspect=behind), over, rules)
     assert np.array_equal(again.suspect, behind)
@@ -128,9 +128,13 @@ def test_sectors_of_an_alarm_that_is_over_are_trusted_in_the_next_one() -> None:
     assert ahead.suspect.all()
 
 
-def test_a_known_place_is_withdrawn_and_what_lasts_leaves_only_what_is_confirmed() -> None:
-    rules = ReactionRules(recover_sweeps=2, persist_sweeps=2, widen_sectors=1)
-    first, second = states_after([2, 2], rules)
+def test_a_known_place_is_withdrawn_and_more_than_half_leaves_only_what_is_confirmed() -> None:
+    rules = ReactionRules(recover_sweeps=2, widen_sectors=1)
+    first, still = states_after([2, 2], rules)
+    most = Finding(inconsistent=True, suspect=np.arange(SECTORS) < SECTORS // 2 + 1)
+    assert react(most, first, rules).caution == Caution.CONFIRMED
+    second = react(found(3), first, rules)
+    assert still.caution == Caution.WIDEN, "one ghost, however long, costs its sectors alone"
     assert (first.caution, second.caution) == (Caution.WIDEN, Caution.CONFIRMED)
     # x forward is i, y left is j: 0° to 20°, and 5° on both sides, ahead of the sensor.
     left = withdraw(all_free(), first, None, rules)
@@ -143,7 +147,7 @@ def test_a_known_place_is_withdrawn_and_what_lasts_leaves_only_what_is_confirmed
 
 
 def test_a_suspect_place_stays_withdrawn_until_caution_falls() -> None:
-    rules = ReactionRules(recover_sweeps=3, persist_sweeps=9, widen_sectors=0)
+    rules = ReactionRules(recover_sweeps=3, widen_sectors=0)
     states = states_after([2, 0, 0, 0, 0], rules)
     assert [int(state.caution) for state in states] == [2, 2, 2, 1, 1]
     assert [bool(withdraw(all_free(), state, None, rules).visible().all()) for state in states] == [False] * 3 + [
@@ -151,11 +155,11 @@ def test_a_suspect_place_stays_withdrawn_until_caution_falls() -> None:
     ] * 2
 
 
-def test_a_worse_view_asks_others_and_an_unknown_place_or_a_lasting_doubt_leaves_what_is_confirmed() -> None:
+def test_a_worse_view_asks_others_and_an_unknown_place_or_an_accusation_leaves_what_is_confirmed() -> None:
     assert react(found(1), ReactionState()).caution == Caution.ASK
     assert react(found(3), ReactionState()).caution == Caution.CONFIRMED
-    lasting = Finding(inconsistent=True, lasting=True, suspect=FRONT)
-    assert react(lasting, ReactionState()).caution == Caution.CONFIRMED
+    accused = Finding(inconsistent=True, accused=True, suspect=FRONT)
+    assert react(accused, ReactionState()).caution == Caution.CONFIRMED
 
 
 def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
@@ -174,7 +178,7 @@ def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
 
 
 def test_rules_are_checked() -> None:
-    with pytest.raises(ValueError, match="recover_sweeps and persist_sweeps must be 1 or more"):
+    with pytest.raises(ValueError, match="recover_sweeps must be 1 or more"):
         ReactionRules(recover_sweeps=0)
 
 

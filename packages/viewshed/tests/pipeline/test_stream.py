@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -42,11 +41,11 @@ class Alarms:
     def fresh(self) -> "Alarms":
         return self
 
-    def check(self, leveled: LeveledSweep, estimates: Mapping[str, FovEstimate]) -> StreamReport:
+    def check(self, leveled: LeveledSweep) -> StreamReport:
         self.count += 1
         suspect = np.arange(SECTORS) == 40
         now = IntegrityReport("by hand", float(self.count in self.numbers), 0.5, suspect=suspect)
-        return StreamReport(now, False, 0.0, 100.0, 0.0, ("noted",) if now.inconsistent else ())
+        return StreamReport(now, now.inconsistent, 0.0, now.suspect, ("noted",) if now.inconsistent else ())
 
 
 def alarming(*numbers: int) -> StreamMonitor:

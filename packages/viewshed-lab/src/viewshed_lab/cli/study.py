@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from viewshed.cli._options import EngineName, Workers
+from viewshed.cli._options import EngineName, MonitorFile, Workers
 from viewshed_lab.cli.evaluate import crossview
 
 if TYPE_CHECKING:
-    from viewshed_lab.studies.monitor.plan import MonitorPlan
     from viewshed_lab.studies.plan import Plan
     from viewshed_lab.studies.runner import Progress
     from viewshed_lab.studies.store import ResultStore
@@ -145,46 +144,70 @@ def deviation(
 
 @study_app.command()
 def monitor(
-    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
     out: Out = None,
-    only: Annotated[
-        str | None,
-        typer.Option(metavar="STEPS", help="Only these steps, separated by commas: drives, published, score, page."),
-    ] = None,
-    workers: Workers = None,
-    engine: EngineName = "local",
+    preset: Annotated[str, typer.Option(help="Which streams: shipped.")] = "shipped",
+    run: Run = True,
     page: Pages = None,
-    recorded: Annotated[
-        Path | None, typer.Option(metavar="INDEX", help="Index of measured sweeps that are tried as well.")
+    traces: Annotated[
+        list[Path] | None, typer.Option(help="Public traces of spoofed drives, .tar.xz, see study spoofing.")
     ] = None,
 ) -> None:
-    """The monitor of all evidence: what it finds, and false alarms.
+    """Alarms of streams: calibrate on some styles of worlds, report on others.
 
-    Drives are attacked and corrupted, and a score is trained on them.
+    Writes the calibration (monitor.npz) and the page. A stopped run goes on with the next stream.
 
-    Example: viewshed study monitor --preset tiny --out study
+    Example: viewshed study monitor --out study
     """
-    from viewshed_lab._jobs import engine_named
-    from viewshed_lab.studies.monitor.archive import FOLDER
-    from viewshed_lab.studies.monitor.jobs import run_study
+    from viewshed.monitor import Calibration, StreamMonitor, save_calibration
     from viewshed_lab.studies.monitor.page import files_of
-    from viewshed_lab.studies.monitor.plan import STEPS, MonitorPlan
+    from viewshed_lab.studies.monitor.plan import MonitorPlan
+    from viewshed_lab.studies.monitor.streams import read_streams, run_streams
+    from viewshed_lab.studies.monitor.traces import call_trace
 
-    steps = _steps(only, STEPS)
+    plan, folder = MonitorPlan.load(preset), _folder(out, "monitor")
+    if run:
+        run_streams(plan, folder / "streams", typer.echo)
+    streams = list(read_streams(folder / "streams", "calibration"))
+    made = Calibration.fit(
+        [one.benign for one in streams], plan.hz, places=[one.style for one in streams],
+        facts={"per_hour": "6", "streams": f"{len(streams)} simulated, {plan.seconds:g} s each"},
+    )  # fmt: skip
+    save_calibration(made, folder / "monitor.npz")
+    called = [one for trace in traces or () for one in call_trace(trace, StreamMonitor(made))]
+    _show(page or folder, files_of(plan, made, read_streams(folder / "streams", "report"), called))
 
-    def work(store: ResultStore[MonitorPlan], on_progress: Progress) -> Iterator[str]:
-        yield from run_study(store, engine_named(engine, workers), steps, on_progress)
-        if recorded is not None:
-            from viewshed_lab.studies.monitor.recorded import measure_recorded
 
-            measure_recorded(recorded, store.folder / FOLDER, store.plan)
+@study_app.command()
+def spoofing(
+    traces: Annotated[list[Path], typer.Argument(metavar="TRACE...", help="blackout.tar.xz, noise.tar.xz, …")],
+    monitor_file: MonitorFile = None,
+    out: Annotated[Path, typer.Option(help="Page to write.")] = Path("spoofing.md"),
+) -> None:
+    """Which sweeps of public traces of spoofed drives the monitor calls.
 
-    _run(MonitorPlan.load(preset), _folder(out, "monitor"), page, work, files_of if "page" in steps else None)
+    Real sweeps of one car; which are spoofed is inferred from the data.
+
+    Example: viewshed study spoofing blackout.tar.xz noise.tar.xz
+    """
+    from viewshed.cli._verdicts import stream_monitor
+    from viewshed_lab._results import write_page
+    from viewshed_lab.studies.monitor.page import trace_page
+    from viewshed_lab.studies.monitor.traces import call_trace
+
+    watching = stream_monitor(monitor_file)
+    called = [one for trace in traces for one in call_trace(trace, watching)]
+    write_page(out, trace_page(called, watching.limit, watching.per_hour))
+    spoofed = [one for one in called if one.is_spoofed]
+    honest = [one for one in called if not one.is_spoofed]
+    typer.echo(
+        f"{sum(one.inconsistent for one in spoofed)} of {len(spoofed)} spoofed sweeps called,"
+        f" {sum(one.inconsistent for one in honest)} of {len(honest)} honest ones; look at {out}"
+    )
 
 
 @study_app.command()
 def agents(
-    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, full.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, short, small, full.")] = "small",
     out: Out = None,
     only: Annotated[
         str | None, typer.Option(metavar="STEPS", help="Only these steps, separated by commas: scenes, runs, page.")
@@ -207,6 +230,23 @@ def agents(
     steps = _steps(only, STEPS)
     work = partial(run_study, engine=engine_named(engine, workers), steps=steps)
     _run(AgentsPlan.load(preset), _folder(out, "agents"), page, work, files_of if "page" in steps else None)
+
+
+@study_app.command()
+def cases(
+    scenes: Annotated[int, typer.Option(min=1, help="Scenes of each case; four take some minutes.")] = 4,
+    page: Annotated[Path, typer.Option(help="Markdown page to write.")] = Path("cases.md"),
+) -> None:
+    """The four cases of the publication: a robot, a mast beside a car, perception, trust of many agents.
+
+    Example: viewshed study cases --scenes 2
+    """
+    from viewshed._files import write_atomic
+    from viewshed_lab.studies.published_cases import cases_page
+
+    text = cases_page(scenes, progress=lambda title: typer.echo(f"{title} …"))
+    write_atomic(page, text.encode())
+    typer.echo(f"Look at {page}")
 
 
 @study_app.command()
@@ -291,6 +331,9 @@ def guarantees(
     run: Run = True,
     page: Pages = None,
     ship: Annotated[Path | None, typer.Option(metavar="FILE", help="File of calibrations to write as well.")] = None,
+    survey: Annotated[
+        Path | None, typer.Option(metavar="LOG", help="Folder of an Argoverse 2 log with its map, to judge the masks.")
+    ] = None,
 ) -> None:
     """What cannot be over-claimed: certificates, attacks, masks.
 
@@ -306,6 +349,8 @@ def guarantees(
     folder = _folder(out, "guarantees")
     if run:
         jobs.run_study(folder, jobs.SIZES[preset], lambda line: typer.echo(line, err=True))
+    if survey is not None:
+        jobs.judge_by_survey(folder, survey)
     if ship is not None:
         jobs.ship(folder, ship)
     _show(page or folder, files_of(folder))

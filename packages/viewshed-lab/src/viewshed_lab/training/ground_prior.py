@@ -1,8 +1,9 @@
 """A network that guesses the ground which no beam met, and how sure it is of that: one guess for each lattice node.
 
-It is given what the returns of a sweep show on the lattice of the ground, and the lowest beam that passes over each
-node: the ground lies below that. It answers with two modes a node, for beyond an edge the ground goes on or falls away.
-The estimators count beams over the heights that it gives (:func:`on_ground`).
+It is given what the returns of a sweep show on the lattice of the ground, a plane and averages through the ground that
+is seen (the base), and the lowest beam that passes over each node: the ground lies below that. It answers with two
+modes a node, counted from the base, for beyond an edge the ground goes on or falls away. What goes in and what is made
+of the answer is native (``core/ground_guess.cpp``); the estimators count beams over the heights that it gives.
 """
 
 from __future__ import annotations
@@ -11,31 +12,29 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import onnx
 import torch
-from numba import njit
 from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional
 
+from viewshed import _core
 from viewshed.arrays import F32, Mask
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
+from viewshed.networks.runtime import Call
 from viewshed.preprocess.ground import lattice_nodes
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.sim.terrain import Terrain
 
-FEATURES = ("returns", "second_lowest_m", "lowest_m", "highest_m", "passing_m")
-"""Of each node: how many returns, z of three of them, z of the lowest beam that passes over it; +inf for none."""
+CHANNELS, FOLD = 12, 4
+"""Maps of the inputs, and nodes a side that the native pass folds into one position."""
 
-CHANNELS = 9
+HEIGHTS, BASE, BASE_UNIT_M = [1, 2, 3, 5, 8, 10], 8, 4.0
+"""Channels of the inputs that are heights, whatever their unit; that of the base, and its unit."""
 
-_BINS, _REACH_NODES = 1024, 100
-"""Azimuths and ranges, in nodes, for which the lowest passing beam is kept."""
-
-_MOST_M, _UNIT_M = 15.0, 4.0
-"""Heights beyond the first number are cut off; the network counts in units of the second."""
-
-_LEAST_LOG_M, _MOST_LOG_M = -5.0, 3.0
+_LEAST_LOG_M, _MOST_LOG_M = -3.0, 3.0
 """Bounds of the logarithm of a mode's mean deviation."""
 
 _HALVINGS = 24
@@ -62,9 +61,8 @@ class Modes(NamedTuple):
     def of(cls, outputs: Tensor) -> Modes:
         """Return the modes that outputs (B, 5, n, n) of the network stand for."""
         mean, below, *spreads, odds = outputs.unbind(1)
-        first_m = _UNIT_M * mean
         first, second = (torch.exp(spread.clamp(_LEAST_LOG_M, _MOST_LOG_M)) for spread in spreads)
-        return cls(first_m, first_m - _UNIT_M * functional.softplus(below), first, second, torch.sigmoid(odds))
+        return cls(mean, mean - functional.softplus(below), first, second, torch.sigmoid(odds))
 
     def log_likelihood(self, ground_m: Tensor) -> Tensor:
         """Return the logarithm of the density (…, n, n) of heights (…, n, n)."""
@@ -72,11 +70,11 @@ class Modes(NamedTuple):
             (self.first_share, self.first_m, self.first_spread_m),
             (1.0 - self.first_share, self.second_m, self.second_spread_m),
         )
-        logs = [
-            torch.log(share.clamp_min(1e-7)) - torch.log(2 * spread) - (ground_m - mean).abs() / spread
+        first, second = (
+            torch.log(share.clamp_min(1e-7) / (2 * spread)) - (ground_m - mean).abs() / spread
             for share, mean, spread in pairs
-        ]
-        return torch.logaddexp(*logs)
+        )
+        return torch.logaddexp(first, second)
 
     def quantile(self, share: float) -> Tensor:
         """Return the height (…, n, n) below which the ground lies with a probability."""
@@ -121,7 +119,7 @@ class GroundNet(nn.Module):
         widths: channels of each level, the finest first.
     """
 
-    def __init__(self, fold: int = 4, widths: tuple[int, ...] = (40, 48, 64, 80)) -> None:
+    def __init__(self, fold: int = FOLD, widths: tuple[int, ...] = (32, 48, 64, 96)) -> None:
         super().__init__()
         self.shape = {"fold": fold, "widths": widths}
         self.fold = nn.Sequential(
@@ -130,10 +128,12 @@ class GroundNet(nn.Module):
         )  # fmt: skip
         self.down = nn.ModuleList(_Block(a, b) for a, b in zip((widths[0], *widths[:-1]), widths, strict=True))
         self.up = nn.ModuleList(_Block(a + b, b) for a, b in zip(widths[:0:-1], widths[-2::-1], strict=True))
-        self.unfold = nn.Sequential(nn.Conv2d(widths[0], 5 * fold**2, 1), nn.PixelShuffle(fold))
+        last = nn.Conv2d(widths[0], 5 * fold**2, 1)
+        nn.init.normal_(last.weight, std=0.01)  # begins with the base
+        self.unfold = nn.Sequential(last, nn.PixelShuffle(fold))
 
     def forward(self, given: Tensor) -> Tensor:
-        """Return outputs (B, 5, n, n) for inputs (B, CHANNELS, n, n) of :func:`inputs_of`."""
+        """Return outputs (B, 5, n, n) for inputs (B, CHANNELS, n, n) that are not folded."""
         x, beside = self.fold(given), []
         for level, block in enumerate(self.down):
             x = block(functional.max_pool2d(x, 2) if level else x)
@@ -144,39 +144,96 @@ class GroundNet(nn.Module):
         return outputs
 
 
-def lattice_features(leveled: LeveledSweep) -> F32:
-    """Return ``FEATURES`` (5, n, n) float32 of a leveled sweep on the lattice of its ground, z of its level frame."""
-    nodes = lattice_nodes(leveled.ground.half_extent_m)
-    out = np.empty((len(FEATURES), nodes, nodes), np.float32)
-    _fill_features(leveled.points, leveled.sensor_height_m, leveled.ground.half_extent_m, out)
-    return out
+def network_inputs(leveled: LeveledSweep) -> F32:
+    """Return the inputs (1, CHANNELS · FOLD², n / FOLD, n / FOLD) of the network for a leveled sweep, folded.
+
+    They are maps of the lattice, z of them above the base, a plane and averages through the ground that returns show
+    (``core/ground_guess.cpp``): any return; z of the second-lowest, lowest and highest one; how many; z of the lowest
+    beam that passes over a node, and whether one does; whether the ground is seen; the base; range, height of the
+    sensor, side of a node.
+    """
+    heights_m, seen = _shown(leveled)
+    return _core.guess_inputs(
+        leveled.points, leveled.azimuth, leveled.range_m, heights_m, seen, leveled.ground.half_extent_m,
+        leveled.sensor_height_m,
+    )  # fmt: skip
 
 
-def inputs_of(features: Tensor, sensor_height_m: Tensor, half_extent_m: float) -> Tensor:
-    """Return inputs (B, CHANNELS, n, n) of the network.
+def guessed(leveled: LeveledSweep, run: Call) -> LeveledSweep:
+    """Return a leveled sweep on the ground that a network guesses, as seen where returns show it.
 
     Args:
-        features: (B, 5, n, n) of :func:`lattice_features`.
-        sensor_height_m: (B,) above the ground below the sensor.
-        half_extent_m: half the side of the lattice.
+        leveled: the sweep.
+        run: what runs the network of :func:`exported` (:func:`viewshed.networks.runtime.values_of`).
     """
-    count, *heights, passing = features.unbind(1)
-    seen, passed = (count > 0).float(), torch.isfinite(passing).float()
-    scaled = [torch.where(seen > 0, z, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M for z in heights]
-    bound = torch.where(passed > 0, passing, 0.0).clamp(-_MOST_M, _MOST_M) / _UNIT_M
-    line = (torch.arange(count.shape[-1]) + 0.5) / count.shape[-1] * 2 - 1
-    range_m = torch.hypot(line[:, None], line[None]) * half_extent_m
-    beside = (range_m / 64.0).expand_as(count), (sensor_height_m[:, None, None] / 2.0).expand_as(count)
-    return torch.stack([seen, *scaled, torch.log1p(count) / 3.0, bound, passed, *beside], 1)
+    inputs, (heights_m, seen) = network_inputs(leveled), _shown(leveled)
+    outputs = run({"inputs": inputs}, ["outputs"])[0]
+    return on_ground(leveled, *_core.guessed_ground(outputs, inputs, heights_m, seen, leveled.ground.half_extent_m))
 
 
-def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: float) -> Tensor:
-    """Return the mean negative log-likelihood of heights (B, n, n), nodes nearer to the sensor weighted more.
+def exported(net: GroundNet) -> bytes:
+    """Return the network between folding and unfolding in ONNX, batch normalization folded into the convolutions."""
+    nodes: list[onnx.NodeProto] = []
+    constants: list[onnx.TensorProto] = []
+
+    def constant(values: NDArray[Any]) -> str:
+        constants.append(numpy_helper.from_array(np.ascontiguousarray(values, np.float32), f"c{len(constants)}"))
+        return str(constants[-1].name)
+
+    def node(kind: str, inputs: list[str], name: str = "", **settings: Any) -> str:
+        name = name or f"n{len(nodes)}"
+        nodes.append(helper.make_node(kind, inputs, [name], name, **settings))
+        return name
+
+    def conv(x: str, layers: nn.Sequential, first: int) -> str:
+        convolution, norm = layers[first], layers[first + 1]
+        scale = (norm.weight / torch.sqrt(norm.running_var + norm.eps)).detach().numpy()
+        weight = convolution.weight.detach().numpy() * scale[:, None, None, None]
+        bias = norm.bias.detach().numpy() - norm.running_mean.numpy() * scale
+        pads = [weight.shape[-1] // 2] * 4
+        return node("Relu", [node("Conv", [x, constant(weight), constant(bias)], pads=pads)])
+
+    def block(x: str, layers: nn.Sequential) -> str:
+        return conv(conv(x, layers, 0), layers, 3)
+
+    x, beside = conv("inputs", net.fold, 1), []
+    for level, layers in enumerate(net.down):
+        x = block(node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2]) if level else x, layers)
+        beside.append(x)
+    twice = constant(np.array([1, 1, 2, 2]))
+    as_torch = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
+    for layers, skipped in zip(net.up, beside[-2::-1], strict=True):
+        x = block(node("Concat", [node("Resize", [x, "", twice], **as_torch), skipped], axis=1), layers)
+    last = net.unfold[0]
+    node("Conv", [x, constant(last.weight.detach().numpy()), constant(last.bias.detach().numpy())], "outputs")
+    maps = {"inputs": CHANNELS * net.shape["fold"] ** 2, "outputs": len(last.bias)}
+    given, answer = (
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, count, "rows", "columns"])
+        for name, count in maps.items()
+    )
+    graph = helper.make_graph(nodes, "ground", [given], [answer], constants)
+    model = helper.make_model(
+        graph, producer_name="viewshed", ir_version=9, opset_imports=[helper.make_opsetid("", 17)]
+    )
+    onnx.checker.check_model(model)
+    return model.SerializeToString()
+
+
+def _shown(leveled: LeveledSweep) -> tuple[F32, Mask]:
+    """Return heights (n, n) of the estimated ground, and where returns show it."""
+    ground = leveled.ground  # of fewer nodes where it is not seen at all
+    times = lattice_nodes(ground.half_extent_m) // len(ground.seen)
+    heights_m, seen = (each.repeat(times, 0).repeat(times, 1) for each in (ground.heights_m, ground.seen))
+    return heights_m, seen
+
+
+def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:
+    """Return the mean negative log-likelihood of heights (B, n, n) above the base, near nodes weighted more.
 
     Nodes whose height is NaN do not count.
     """
     line = (torch.arange(ground_m.shape[-1]) + 0.5) / ground_m.shape[-1] * 2 - 1
-    weight = 1.0 / (1.0 + torch.hypot(line[:, None], line[None]) * half_extent_m / 20.0)
+    weight = 1.0 / (1.0 + torch.hypot(line[:, None], line[None]) * half_extent_m[:, None, None] / 20.0)
     known = torch.isfinite(ground_m)
     likelihood = Modes.of(outputs).log_likelihood(torch.where(known, ground_m, 0.0))
     counted = (weight * known).expand_as(ground_m)
@@ -210,43 +267,3 @@ def on_ground(
     heights, std = arrays
     ground = HeightMap(heights, old.half_extent_m, seen, old.plane, old.support, std)
     return replace(leveled, ground=ground, height_m=leveled.points[:, 2] - ground.at(leveled.points))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_features(points: Any, sensor_m: Any, half_m: Any, out: Any) -> None:  # pragma: no cover - compiled
-    nodes = out.shape[1]
-    per_m = nodes / (2 * half_m)
-    count, second, lowest, highest, passing = out[0], out[1], out[2], out[3], out[4]
-    count[:], second[:], lowest[:], highest[:] = 0.0, np.inf, np.inf, -np.inf
-    # 1. Returns by node; and by azimuth the least slope of those that end a node or more beyond a range.
-    slopes = np.full((_BINS, _REACH_NODES + 1), np.inf, np.float32)
-    for k in range(points.shape[0]):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        i, j = int(np.floor((x + half_m) * per_m)), int(np.floor((y + half_m) * per_m))
-        if 0 <= i < nodes and 0 <= j < nodes:
-            count[i, j] += 1
-            second[i, j] = min(second[i, j], max(lowest[i, j], z))
-            lowest[i, j], highest[i, j] = min(lowest[i, j], z), max(highest[i, j], z)
-        range_m = np.sqrt(x * x + y * y)
-        beyond = min(int(range_m * per_m) - 2, _REACH_NODES)
-        if beyond >= 0:
-            a = min(int((np.arctan2(y, x) / (2 * np.pi) + 0.5) * _BINS), _BINS - 1)
-            slopes[a, beyond] = min(slopes[a, beyond], (z - sensor_m) / range_m)
-    for a in range(_BINS):
-        for b in range(_REACH_NODES - 1, -1, -1):
-            slopes[a, b] = min(slopes[a, b], slopes[a, b + 1])
-    # 2. The lowest beam over each node: of the azimuths that its middle spans.
-    for i in range(nodes):
-        for j in range(nodes):
-            if count[i, j] == 1:
-                second[i, j] = lowest[i, j]
-            x, y = (i + 0.5) / per_m - half_m, (j + 0.5) / per_m - half_m
-            range_m, least = np.sqrt(x * x + y * y), np.float32(np.inf)
-            b = int(range_m * per_m)
-            if b <= _REACH_NODES:
-                middle, wide = np.arctan2(y, x), 0.35 / per_m / max(range_m, 0.5 / per_m)
-                first = int(np.floor(((middle - wide) / (2 * np.pi) + 0.5) * _BINS))
-                last = int(np.floor(((middle + wide) / (2 * np.pi) + 0.5) * _BINS))
-                for a in range(first, last + 1):
-                    least = min(least, slopes[a % _BINS, b])
-            passing[i, j] = sensor_m + least * range_m

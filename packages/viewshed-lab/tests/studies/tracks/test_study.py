@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from viewshed.detections import Detections
-from viewshed.objects.published import PublishedRules
 from viewshed.objects.sensor_view import SensorView
 from viewshed.objects.single import shipped_model
 from viewshed.objects.views import SeesAll
@@ -22,6 +21,7 @@ from viewshed_lab.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_s
 from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
 from viewshed_lab.studies.tracks.page import files_of
 from viewshed_lab.studies.tracks.plan import TracksPlan
+from viewshed_lab.studies.tracks.published import PublishedRules
 
 TINY = TracksPlan.load("tiny")
 

@@ -13,6 +13,7 @@
 namespace viewshed {
 
 void bind_level_sweep(nb::module_& m) {
+    m.attr("LEVEL_TILT") = LEVEL_TILT;
     using RotationArray = nb::ndarray<const double, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
     m.def(
         "level_sweep",

@@ -25,7 +25,6 @@ NB_MODULE(_core, m) {
     viewshed::bind_object_candidates(m);
     viewshed::bind_shape_classifier(m);
     viewshed::bind_history(m);
-    viewshed::bind_integrity_evidence(m);
     viewshed::bind_features(m);
     viewshed::bind_mc_dropout(m);
     viewshed::bind_ray_trace(m);

@@ -28,7 +28,6 @@ void bind_boxes(nb::module_& m);
 void bind_object_candidates(nb::module_& m);
 void bind_shape_classifier(nb::module_& m);
 void bind_history(nb::module_& m);
-void bind_integrity_evidence(nb::module_& m);
 void bind_features(nb::module_& m);
 void bind_mc_dropout(nb::module_& m);
 void bind_ray_trace(nb::module_& m);

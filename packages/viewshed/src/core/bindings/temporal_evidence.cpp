@@ -94,18 +94,17 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 const Transform placed = transform_of(around_from_self);
-                Buffer<float> speed_mps(sectors), area_m2(sectors), lost(sectors), pierced(sectors);
+                Buffer<float> speed_mps(sectors), area_m2(sectors), lost(sectors);
                 {
                     nb::gil_scoped_release unlocked;
-                    follow_all(self, others, around, placed, speed_mps, area_m2, lost, pierced);
+                    follow_all(self, others, around, placed, speed_mps, area_m2, lost);
                 }
-                return nb::make_tuple(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)),
-                                      array(std::move(pierced)));
+                return nb::make_tuple(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)));
             },
             "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
             "sectors"_a,
             "Speed m/s that obstacles need to be found as these views found them, area m2 that the first of them saw "
-            "through, shares lost and pierced in it (sectors,), by azimuth about the sweep `around`.")
+            "through and that needs too much, share lost in it (sectors,), by azimuth about the sweep `around`.")
         .def(
             "jumps",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms,

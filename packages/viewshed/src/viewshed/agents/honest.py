@@ -1,17 +1,17 @@
-"""What honest agents report, and what they do not: likelihoods from scenes in which nobody lies.
+"""What honest agents do: how often they report an object, what their views show of it, how their views compare.
 
-Detectors miss cars, find hedges, and put centers half a meter off. So that one agent reports what another does not is
-no contradiction by itself; it is one where an honest agent would hardly ever do so. There are five questions, each
-answered by weights of bins that add up (logistic regression):
+Detectors miss cars, find hedges, and put centers half a meter off; views differ at every crest. So that one agent
+contradicts another is evidence only as far as honest agents hardly ever do so. Tables from scenes in which nobody lies,
+on ground of all kinds:
 
-- *reported*: others report an object; would an honest agent with this view report it as well? What counts: how many
-  report it and how many see the place and are silent, what the agent's view claims before and in the box, range, size,
-  its next own detection, and whether it reported the object before.
-- *invented*: only one agent reports an object; does its view look as at objects that honest agents alone report, or as
-  at any place of that range?
-- *contradicted*: the same of the views of all others. The two are apart, for an agent that lies may forge its own view.
-- *displaced*: does the box of a report lie on the surfaces of the agent's own view, or as boxes do that were moved?
-- *there*: given who reports an object and who does not, is it one?
+- ``found``: P(report | object, probability of visible, range, size), of an object in truth;
+- ``false``: P(report | no object), of what another agent reports and is none;
+- *reported*: log-odds that an agent reports what others report, by all that its own view shows of it, by its next own
+  detection, and by whether it reported the object before;
+- *invented*: log-ratio that the cells of a box are those of a place where nobody reports anything, over those of what
+  honest agents alone report;
+- *displaced*: log-ratio that the cells of a box are those of one that was moved, over those of an honest one;
+- ``views``: how rare numbers of comparisons of views are.
 
 No lie is needed to fit them: what is put elsewhere, or moved, is an honest box put elsewhere.
 """
@@ -19,8 +19,8 @@ No lie is needed to fit them: what is put elsewhere, or moved, is an honest box 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib import resources
 from typing import Any, Self
@@ -28,102 +28,92 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.agents.view_checks import HEIGHTS
+from viewshed.agents.report import HEIGHTS
+from viewshed.agents.view_evidence import Surprises
 from viewshed.arrays import F64, Mask
 from viewshed.objects.cells import BoxCells
-
-Columns = NDArray[np.int32]
+from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, evenly
 
 LEAST_SEEN, SEEN_AT_0_M, SEEN_PER_M = 0.5, 0.43, 0.008
-"""From these probabilities of visible on an agent is expected to see an object: at least, by a line in range.
-
-Claims err with the range. In the first set of scenes of docs/results/agents.md nine in ten objects that are claimed
-with .5 or more are expected so, and .011 of them gave fewer than five returns. The best table by range, height and
-probability, chosen on these very scenes, would reach .010.
-"""
-
-MOST_BEFORE = 3
-"""Most earlier reports of an object that are counted; more say no more."""
+"""From these probabilities of visible on an agent is expected to see an object: at least, by a line in range."""
 
 NO_DETECTION_M = 99.0
 """Distance to the next detection of an agent that has none."""
 
-_COLUMNS = {name: column for column, name in enumerate(BoxCells._fields)}
-"""Where each measure of cells is."""
-
-_BOUNDS: dict[str, tuple[float, ...]] = {
-    "visible": (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98),
-    "range_m": (6.0, 10.0, 15.0, 25.0, 35.0, 43.0),
-    "size_m": (1.3, 2.4, 6.0),
-    "apart_m": (1.5, 2.5, 3.5, 5.0, 8.0),
-    "surface": (0.001, 0.03, 0.08, 0.15, 0.25, 0.4),
-    "free": (0.05, 0.15, 0.3, 0.5, 0.7, 0.9),
-    "hidden": (0.05, 0.2, 0.5, 0.8, 0.95),
-    "ring": (0.001, 0.03, 0.08, 0.15, 0.3),
-    "ring_free": (0.2, 0.4, 0.6, 0.8, 0.95),
-    "near_free": (0.05, 0.2, 0.4, 0.7, 0.95),
-    "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
-}
-"""Bounds of the bins of each measure."""
+MOST_BEFORE, MOST_SILENT = 3, 2
+"""Most earlier reports of an object, and most times in a row without one since, that are counted."""
 
 MOST_OTHERS, MOST_DENIERS = 4, 2
 """More agents that report an object, or see its place and are silent, are as good as these."""
 
-_RIDGE = 3.0
-"""Prior of the weights: bins that are rarely seen stay near 0."""
+SMALL_M = 2.4
+"""Objects shorter than this are people and bicycles, which give few returns."""
 
-_STEPS = 15
+_COLUMNS = {name: column for column, name in enumerate(BoxCells._fields)}
+
+_BOUNDS: dict[str, tuple[float, ...]] = {
+    "visible": (0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98),
+    "range_m": (6.0, 10.0, 15.0, 25.0, 35.0, 43.0),
+    "size_m": (1.3, SMALL_M, 6.0),
+    "kept": (0.3, 0.7, 1.4),
+    "apart_m": (1.5, 2.5, 3.5, 5.0, 8.0),
+} | CELL_BOUNDS
+"""Bounds of the bins of each measure."""
+
+_LEAST_SURFACE = 0.03
+"""Whether a surface still stands is asked of those that filled such a share of a box."""
+
+_KNOWN = (0.02, 0.9)
+"""Whether an object exists, no report and no silence says more than with these chances."""
+
+_FEW = 20.0
+"""A bin counts as if this number more had been seen, at the share of all like bins."""
 
 _FILE = "honest.json"
-
-_CONTRASTS = ("invented", "contradicted", "displaced")
-"""Questions whose examples of one class are made up, as many as one likes: both classes weigh the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectReports:
-    """What A agents say of J objects at one time, and what their views claim there.
+    """What A agents say of J objects at one time, and what their views claim there."""
 
-    Attributes:
-        seen: (J, A) bool, who reports the object.
-        able: (J, A) bool, who could: it speaks now, the object is near enough and is not its own vehicle.
-        visible: (J, A) probability that the object could be seen, as the agent claims.
-        range_m: (J, A) from the agent's sensor.
-        height: (A,) where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast.
-        size_m: (J,) longer side of the object.
-        cells: (J, A, 8) ``BoxCells`` of the object's box in the agent's view.
-        own_cells: (J, A, 8) the same of the agent's own box; 0 where it reports none.
-        apart_m: (J, A) from the object to the agent's next detection of another object.
-        before: (J, A) how often the agent reported the object before.
-        existence: (J,) of the object's track.
-    """
+    seen: Mask  # (J, A) bool, who reports the object
+    able: Mask  # (J, A) bool, who could: it speaks now, and the object is near, on its level and not its own vehicle
+    visible: F64  # (J, A) probability that the object could be seen, as the agent claims
+    range_m: F64  # (J, A) from the agent's sensor
+    height: NDArray[np.int64]  # (A,) where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast
+    size_m: F64  # (J,) longer side of the object
+    cells: F64  # (J, A, 8) ``BoxCells`` of the object's box in the agent's view
+    own_cells: F64  # (J, A, 8) the same of the agent's own box; 0 where it reports none
+    apart_m: F64  # (J, A) from the object to the agent's next detection of another object
+    before: NDArray[np.int64]  # (J, A) how often the agent reported the object before
+    silent: NDArray[np.int64]  # (J, A) how often in a row it did not since its last report; -1 before the first one
+    surface: F64  # (J, A) share of surface that its view held there at its last report; NaN before the first one
 
-    seen: Mask
-    able: Mask
-    visible: F64
-    range_m: F64
-    height: NDArray[np.int64]
-    size_m: F64
-    cells: F64
-    own_cells: F64
-    apart_m: F64
-    before: NDArray[np.int64]
-    existence: F64
+    @property
+    def sizes_m(self) -> F64:
+        """(J, A) longer side of the object, for each agent alike."""
+        return np.broadcast_to(self.size_m[:, None], self.seen.shape)
 
     @property
     def sees(self) -> Mask:
-        """(J, A) bool, who could report the object and claims to see it."""
-        return self.able & is_expected(self.visible, self.range_m)
+        """(J, A) bool, who could report the object and claims to see it: its view shows it, or the place without it.
+
+        Who is silent though its view holds a surface there does not deny what others report.
+        """
+        holds = self.cells[..., _COLUMNS["surface"]] > _LEAST_SURFACE
+        return self.able & is_expected(self.visible, self.range_m) & (self.seen | ~holds)
 
     def others(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return how many others report each object, and how many deny it: (J, A) each."""
         reporters, deniers = self.seen.astype(np.int64), (self.sees & ~self.seen).astype(np.int64)
         return reporters.sum(axis=1, keepdims=True) - reporters, deniers.sum(axis=1, keepdims=True) - deniers
 
-    def take(self, chosen: Mask) -> Self:
-        """Return some of the objects, by a mask (J,)."""
-        arrays = (getattr(self, name) if name == "height" else getattr(self, name)[chosen] for name in self.__slots__)
-        return type(self)(*arrays)
+    @property
+    def bins(self) -> tuple[NDArray[np.intp], ...]:
+        """Where ``found`` and ``false`` hold each agent's share (J, A)."""
+        small = np.broadcast_to((self.size_m < SMALL_M)[:, None], self.range_m.shape)
+        height = np.broadcast_to(self.height, self.range_m.shape)
+        return _share_bins(height, small, self.range_m, self.visible)
 
 
 def is_expected(visible: F64, range_m: F64) -> Mask:
@@ -135,55 +125,56 @@ def is_expected(visible: F64, range_m: F64) -> Mask:
     return np.asarray(visible >= np.maximum(LEAST_SEEN, SEEN_AT_0_M + SEEN_PER_M * range_m))
 
 
-class _Bins:
-    """Columns of features: each is a bin of one measure or of several together."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape, self.size = shape, 0
-        self._columns: list[NDArray[Any]] = []
-
-    def add(self, *codes: tuple[NDArray[Any], int]) -> None:
-        """Add a feature: the bins of measures together, each with their number."""
-        code: NDArray[Any] = np.zeros(self.shape, np.int32)
-        count = 1
-        for bins, of in codes:
-            code, count = code * of + bins, count * of
-        self._columns.append(code + self.size)
-        self.size += count
-
-    def columns(self) -> Columns:
-        """Return the columns (…, F) of all features."""
-        return np.stack(self._columns, axis=-1).astype(np.int32)
+def _share_bins(height: Any, small: Any, range_m: F64, visible: F64) -> tuple[NDArray[np.intp], ...]:
+    of = Bins((), _BOUNDS).of
+    return (
+        np.asarray(height, np.intp), np.asarray(small, np.intp), of("range_m", range_m)[0], of("visible", visible)[0],
+    )  # fmt: skip
 
 
-def _bin(name: str, values: F64) -> tuple[NDArray[np.intp], int]:
-    bounds = _BOUNDS[name]
-    return np.searchsorted(np.array(bounds), values, side="right"), len(bounds) + 1
+_SHARES = (HEIGHTS, 2, len(_BOUNDS["range_m"]) + 1, len(_BOUNDS["visible"]) + 1)
 
 
-def _add_cells(bins: _Bins, cells: F64, range_m: F64, size_m: F64, height: NDArray[np.int64]) -> None:
-    """Add what the cells of a view say of a box."""
-    surface, free = _bin("surface", cells[..., _COLUMNS["surface"]]), _bin("free", cells[..., _COLUMNS["free"]])
-    ranges = _bin("range_m", range_m)
-    kind = (np.broadcast_to(height, range_m.shape).astype(np.int32), HEIGHTS)
-    bins.add(ranges, _bin("size_m", np.broadcast_to(size_m[:, None], range_m.shape)), kind)
-    bins.add(surface, kind)
-    bins.add(ranges, surface)
-    bins.add(surface, free)
+def fit_shares(bins: Sequence[NDArray[np.intp]], reported: NDArray[Any]) -> F64:
+    """Return the share of N cases that were reported, by their bins; it never falls with the claimed visibility."""
+    total, hits = np.zeros(_SHARES), np.zeros(_SHARES)
+    np.add.at(total, tuple(bins), 1.0)
+    np.add.at(hits, tuple(bins), np.asarray(reported, np.float64))
+    # A bin leans on all heights and ranges alike, and those on all.
+    usual = (hits.sum(axis=(0, 2), keepdims=True) + 1.0) / (total.sum(axis=(0, 2), keepdims=True) + 2.0)
+    usual = (hits.sum(axis=0, keepdims=True) + _FEW * usual) / (total.sum(axis=0, keepdims=True) + _FEW)
+    return np.asarray(np.maximum.accumulate((hits + _FEW * usual) / (total + _FEW), axis=-1))
+
+
+def _cell_bins(reports: ObjectReports, cells: F64) -> tuple[Bins, tuple[NDArray[Any], int]]:
+    """Return bins of what the cells (J, A, 8) of boxes say, and those of the sensor's height."""
+    shape = reports.seen.shape
+    bins = Bins(shape, _BOUNDS)
+    surface, free = (bins.of(name, cells[..., _COLUMNS[name]]) for name in ("surface", "free"))
+    ranges, size = (bins.of(*each) for each in (("range_m", reports.range_m), ("size_m", reports.sizes_m)))
+    kind = (np.broadcast_to(reports.height, shape).astype(np.int32), HEIGHTS)
+    for codes in ((ranges, size, kind), (surface, kind), (ranges, surface), (surface, free)):
+        bins.add(*codes)
     for name in ("hidden", "ring", "near_free", "first_m", "ring_free"):
-        bins.add(_bin(name, cells[..., _COLUMNS[name]]))
+        bins.add(bins.of(name, cells[..., _COLUMNS[name]]))
+    return bins, kind
 
 
 def reported_columns(reports: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *reported*, without the numbers of others, and how many columns there are."""
-    bins = _Bins(reports.seen.shape)
-    _add_cells(bins, reports.cells, reports.range_m, reports.size_m, reports.height)
-    kind = (np.broadcast_to(reports.height, reports.seen.shape).astype(np.int32), HEIGHTS)
-    bins.add(_bin("visible", reports.visible), _bin("surface", reports.cells[..., _COLUMNS["surface"]]))
-    bins.add((np.minimum(reports.before, MOST_BEFORE), MOST_BEFORE + 1), kind)
-    bins.add(
-        _bin("apart_m", reports.apart_m), _bin("size_m", np.broadcast_to(reports.size_m[:, None], reports.seen.shape))
-    )
+    bins, kind = _cell_bins(reports, reports.cells)
+    before, silent = np.minimum(reports.before, MOST_BEFORE), np.clip(reports.silent, 0, MOST_SILENT)
+    past = (before * (MOST_SILENT + 1) + silent, (MOST_BEFORE + 1) * (MOST_SILENT + 1))
+    surface = bins.of("surface", reports.cells[..., _COLUMNS["surface"]])
+    bins.add(bins.of("visible", reports.visible), surface)
+    # Whether the surface still stands that was there when the agent reported the object.
+    now = reports.cells[..., _COLUMNS["surface"]]
+    kept, count = bins.of("kept", now / np.maximum(np.nan_to_num(reports.surface), 1e-3))
+    held = (np.where(np.nan_to_num(reports.surface) > _LEAST_SURFACE, kept, count), count + 1)
+    bins.add(past, kind)
+    bins.add(past, surface)
+    bins.add(past, held)
+    bins.add(bins.of("apart_m", reports.apart_m), bins.of("size_m", reports.sizes_m))
     return bins.columns(), bins.size
 
 
@@ -195,123 +186,27 @@ def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any
 
 def own_box_columns(reports: ObjectReports) -> tuple[Columns, int]:
     """Return the columns (J, A, F) of *invented* and *displaced*: what the agent's own view says of its own box."""
-    bins = _Bins(reports.seen.shape)
-    _add_cells(bins, reports.own_cells, reports.range_m, reports.size_m, reports.height)
+    bins, _ = _cell_bins(reports, reports.own_cells)
     return bins.columns(), bins.size
-
-
-def contradicted_columns(reports: ObjectReports) -> tuple[Columns, int]:
-    """Return the columns (J, A, F) of *contradicted*: what the views of others show where they claim to see."""
-    bins = _Bins(reports.seen.shape)
-    others = ~np.eye(reports.seen.shape[1], dtype=np.bool_)[None] & reports.sees[:, None]
-    count = others.sum(axis=2)
-    bins.add((np.minimum(count, 3), 4))
-    for name in ("free", "surface", "near_free"):
-        most = np.where(others, reports.cells[:, None, :, _COLUMNS[name]], 0.0).max(axis=2, initial=0.0)
-        binned, size = _bin(name, most)
-        bins.add((np.where(count > 0, 1 + binned, 0), size + 1))
-    return bins.columns(), bins.size
-
-
-def there_columns(reports: ObjectReports) -> tuple[Columns, int, Columns]:
-    """Return the columns (J, A, F) of *there* for each agent, how many there are, and those (J, F') of the object.
-
-    Those of agents that could not report the object are -1.
-    """
-    bins, seen = _Bins(reports.seen.shape), (reports.seen.astype(np.int32), 2)
-    size = _bin("size_m", np.broadcast_to(reports.size_m[:, None], reports.seen.shape))
-    kind = (np.broadcast_to(reports.height, reports.seen.shape).astype(np.int32), HEIGHTS)
-    bins.add(seen, _bin("visible", reports.visible), kind)
-    bins.add(seen, _bin("surface", reports.cells[..., _COLUMNS["surface"]]))
-    bins.add(seen, _bin("range_m", reports.range_m), size)
-    bins.add(seen, (np.minimum(reports.before, MOST_BEFORE), MOST_BEFORE + 1))
-    bins.add(seen, _bin("near_free", reports.cells[..., _COLUMNS["near_free"]]))
-    of_agents = np.where((reports.able | reports.seen)[..., None], bins.columns(), -1).astype(np.int32)
-    count = bins.size
-    whole = _Bins(reports.size_m.shape)
-    whole.size = count
-    whole.add(_bin("size_m", reports.size_m))
-    whole.add((np.searchsorted([0.2, 0.5, 0.8, 0.95], reports.existence), 5))
-    return of_agents, whole.size, whole.columns()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Weights:
-    """Log-odds that add up.
-
-    Attributes:
-        of_bins: (W,) weights.
-        bias: that is always added.
-    """
-
-    of_bins: F64
-    bias: float
-
-    def __call__(self, columns: Columns) -> F64:
-        """Return the log-odds (…,) of features with columns (…, F); columns of -1 add nothing."""
-        padded = np.append(self.of_bins, 0.0)
-        total: F64 = padded[columns].sum(axis=-1) + self.bias
-        return total
-
-    @classmethod
-    def fit(cls, columns: Columns, count: int, label: NDArray[Any], share: F64 | None = None) -> Self:
-        """Return the weights of N rows of columns (N, F) out of ``count``, by logistic regression with a ridge.
-
-        Args:
-            columns: -1 is no column.
-            count: of all columns.
-            label: (N,) bool.
-            share: (N,) weights of the rows; None is 1 each.
-
-        Raises:
-            ValueError: there is no row of one of the classes.
-        """
-        label, rows = np.asarray(label, np.float64), np.asarray(columns)
-        if not 0 < label.sum() < len(label):
-            raise ValueError(f"rows must be of both classes, got {int(label.sum())} of {len(label)} of one")
-        share = np.ones(len(label)) if share is None else share
-        # A further column is that of the bias, the one after it stands for no column.
-        rows = np.column_stack([np.where(rows < 0, count + 1, rows), np.full(len(rows), count)])
-        size = count + 2
-        ridge = np.full(size, _RIDGE)
-        ridge[count], ridge[count + 1] = 1e-6, 1e12
-        weights = np.zeros(size)
-        for _ in range(_STEPS):
-            prob = 1.0 / (1.0 + np.exp(-weights[rows].sum(axis=1)))
-            error, worth = share * (label - prob), share * prob * (1.0 - prob)
-            slope, curve = -ridge * weights, np.zeros(size * size)
-            for place, one in enumerate(rows.T):
-                slope += np.bincount(one, error, size)
-                # Newton's matrix of one-hot rows: how often two columns occur together.
-                for other in rows.T[place:]:
-                    pair = np.bincount(one * size + other, worth, size * size).reshape(size, size)
-                    curve += (pair if other is one else pair + pair.T).ravel()
-            weights = weights + np.linalg.solve(curve.reshape(size, size) + np.diag(ridge), slope)
-        return cls(weights[:count], float(weights[count]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestModel:
-    """What honest agents report; see the module.
+    """What honest agents do; see the module."""
 
-    Attributes:
-        reported: log-odds that an agent reports what others report; the last columns are those of the others.
-        invented: log-ratio of places elsewhere over what honest agents alone report, in their own views.
-        contradicted: the same in the views of others.
-        displaced: log-ratio of boxes that were moved over honest ones.
-        there: log-odds that an object is one.
-    """
-
-    reported: Weights
-    invented: Weights
-    contradicted: Weights
-    displaced: Weights
-    there: Weights
+    found: F64  # (heights, sizes, ranges, visibilities) chance that an agent reports an object
+    false: F64  # the same that it reports what is none
+    reported: Weights  # log-odds that an agent reports what others report; the last columns are those of the others
+    invented: Weights  # log-ratio of places elsewhere over what honest agents alone report
+    displaced: Weights  # log-ratio of boxes that were moved over honest ones
+    views: Surprises  # how rare numbers of comparisons of views are
 
     @classmethod
     def blank(cls) -> Self:
-        """Return a model that knows nothing: all weights are 0."""
-        return cls(*(Weights(np.zeros(count), 0.0) for count in _counts().values()))
+        """Return a model that knows nothing: reports are as likely as not, and no comparison is rare."""
+        half, counts = np.full(_SHARES, 0.5), _counts()
+        questions = (Weights(np.zeros(count), 0.0) for count in counts)
+        return cls(half, half, *questions, Surprises.blank())
 
     @property
     def of_others(self) -> F64:
@@ -319,13 +214,25 @@ class HonestModel:
         count = (MOST_OTHERS + 1) * (MOST_DENIERS + 1)
         return self.reported.of_bins[-count:].reshape(MOST_OTHERS + 1, MOST_DENIERS + 1)
 
+    def chance(self, visible: F64, boxes: F64, range_m: F64, *, height: int) -> F64:
+        """Return the chance (K,) that an honest agent reports an object in each box, by what it claims to see of it."""
+        small = boxes[:, 3:5].max(axis=1, initial=0.0) < SMALL_M
+        return np.asarray(self.found[_share_bins(np.full(len(boxes), height), small, range_m, visible)])
+
+    def there(self, reports: ObjectReports) -> F64:
+        """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one."""
+        found, false = np.clip(self.found[reports.bins], *_KNOWN), np.clip(self.false[reports.bins], *_KNOWN)
+        odds = np.where(reports.seen, np.log(found / false), np.log((1.0 - found) / (1.0 - false)))
+        return np.where(reports.able | reports.seen, odds, 0.0)
+
     def to_json(self) -> str:
         """Return the model as text."""
-        table = {
-            name: {"of_bins": getattr(self, name).of_bins.round(3).tolist(), "bias": round(getattr(self, name).bias, 3)}
-            for name in self.__slots__
-        }
-        return json.dumps({"bounds": _BOUNDS} | table) + "\n"
+        table: dict[str, Any] = {"bounds": _BOUNDS, "views": self.views.to_json()}
+        table |= {name: getattr(self, name).round(4).tolist() for name in ("found", "false")}
+        for name in _QUESTIONS:
+            weights = getattr(self, name)
+            table[name] = {"of_bins": weights.of_bins.round(3).tolist(), "bias": round(weights.bias, 3)}
+        return json.dumps(table) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> Self:
@@ -337,7 +244,12 @@ class HonestModel:
         table = json.loads(text)
         if table["bounds"] != {name: list(bounds) for name, bounds in _BOUNDS.items()}:
             raise ValueError("bounds must be those of this version; fit the model again")
-        return cls(*(Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in cls.__slots__))
+        questions = (Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in _QUESTIONS)
+        found, false = (np.array(table[name], np.float64) for name in ("found", "false"))
+        return cls(found, false, *questions, Surprises.from_json(table["views"]))
+
+
+_QUESTIONS = ("reported", "invented", "displaced")
 
 
 @lru_cache(maxsize=1)
@@ -348,31 +260,25 @@ def honest_model() -> HonestModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HonestExamples:
-    """Rows that a model is fitted on, of one scene in which nobody lies.
+    """Rows that a model is fitted on, of one time of a scene in which nobody lies."""
 
-    Attributes:
-        reported: columns (N, F + 1) with those of others, then whether the agent reported the object.
-        invented: columns (N, F), then whether the place is one elsewhere.
-        contradicted: the same.
-        displaced: columns (N, F), then whether the box was moved.
-        there: columns (N, A F + F'), then whether the track is an object.
-    """
-
-    reported: Columns
-    invented: Columns
-    contradicted: Columns
-    displaced: Columns
-    there: Columns
+    found: Columns  # bins (N, 4) of objects in truth near agents, then whether the agent reported them
+    false: Columns  # the same of what another agent reports and is no object
+    reported: Columns  # columns (N, F + 1) with those of others, then whether the agent reported the object
+    invented: Columns  # columns (N, F), then whether the place is one elsewhere
+    displaced: Columns  # columns (N, F), then whether the box was moved
 
     @classmethod
     def of(
-        cls, reports: ObjectReports, is_object: Mask, elsewhere: ObjectReports, moved: ObjectReports
-    ) -> HonestExamples:
+        cls, reports: ObjectReports, is_object: Mask, objects: ObjectReports, elsewhere: ObjectReports,
+        moved: ObjectReports,
+    ) -> HonestExamples:  # fmt: skip
         """Return the examples of one time.
 
         Args:
-            reports: of honest agents, about the objects that somebody reports.
+            reports: of honest agents, about what somebody reports.
             is_object: (J,) bool, which are objects in truth.
+            objects: the same agents, about all objects in truth.
             elsewhere: places at which nobody reports anything, as if each were reported by one agent (``seen``).
             moved: boxes of detections that were moved, as if they were reported there.
         """
@@ -380,59 +286,52 @@ class HonestExamples:
         columns, count = reported_columns(reports)
         chosen = reports.able & (reporters > 0)
         reported = np.concatenate([columns, count + others_column(reporters, deniers)[..., None]], axis=-1)
-        alone = reports.seen & (reporters == 0)
-        of_agents, _, whole = there_columns(reports)
+        clutter = chosen & ~is_object[:, None]
         return cls(
+            _labeled(np.stack(objects.bins, axis=-1)[objects.able], objects.seen[objects.able]),
+            _labeled(np.stack(reports.bins, axis=-1)[clutter], reports.seen[clutter]),
             _labeled(reported[chosen], reports.seen[chosen]),
-            _contrasted(own_box_columns, (reports, alone), (elsewhere, elsewhere.seen)),
-            _contrasted(contradicted_columns, (reports, alone), (elsewhere, elsewhere.seen)),
-            _contrasted(own_box_columns, (reports, reports.seen), (moved, moved.seen)),
-            _labeled(np.concatenate([of_agents.reshape(len(whole), -1), whole], axis=1), is_object),
-        )  # fmt: skip
+            _contrasted((reports, reports.seen & (reporters == 0)), (elsewhere, elsewhere.seen)),
+            _contrasted((reports, reports.seen), (moved, moved.seen)),
+        )
 
 
-def fit_honest(examples: Sequence[HonestExamples]) -> HonestModel:
+def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestModel:
     """Return the model of many scenes.
 
     Raises:
         ValueError: there are too few.
     """
-    rows = {name: np.concatenate([getattr(one, name) for one in examples]) for name in HonestExamples.__slots__}
-    fitted = {}
-    for name, count in _counts().items():
+    rows = {each.name: np.concatenate([getattr(one, each.name) for one in examples]) for each in fields(HonestExamples)}
+    shares = [fit_shares(tuple(rows[name][:, :-1].T), rows[name][:, -1]) for name in ("found", "false")]
+    fitted = []
+    for name, count in zip(_QUESTIONS, _counts(), strict=True):
         columns, label = rows[name][:, :-1], rows[name][:, -1]
-        even = np.where(label == 1, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1)) * len(label)
-        fitted[name] = Weights.fit(columns, count, label, even if name in _CONTRASTS else None)
-    return HonestModel(**fitted)
+        # Of what is made up there is as much as one likes: both classes weigh the same.
+        fitted.append(Weights.fit(columns, count, label, None if name == "reported" else evenly(label)))
+    return HonestModel(*shares, *fitted, views)
 
 
-def _contrasted(
-    columns_of: Callable[[ObjectReports], tuple[Columns, int]], honest: tuple[ObjectReports, Mask],
-    other: tuple[ObjectReports, Mask],
-) -> Columns:  # fmt: skip
-    """Return the labeled columns (N, F + 1) of some honest reports (label 0) and of some made-up ones (label 1)."""
+def _contrasted(honest: tuple[ObjectReports, Mask], other: tuple[ObjectReports, Mask]) -> Columns:
+    """Return the labeled columns (N, F + 1) of some honest boxes (label 0) and of some made-up ones (label 1)."""
     rows = (
-        _labeled(columns_of(reports)[0][chosen], np.full(int(chosen.sum()), label))
+        _labeled(own_box_columns(reports)[0][chosen], np.full(int(chosen.sum()), label))
         for label, (reports, chosen) in enumerate((honest, other))
     )
     return np.concatenate(list(rows))
 
 
-def _labeled(columns: Columns, label: NDArray[Any]) -> Columns:
+def _labeled(columns: NDArray[Any], label: NDArray[Any]) -> Columns:
     return np.column_stack([columns, np.asarray(label, np.int32)]).astype(np.int32)
 
 
 @lru_cache(maxsize=1)
-def _counts() -> dict[str, int]:
+def _counts() -> tuple[int, int, int]:
     """Return how many columns each question has."""
     nothing = ObjectReports(
         *(np.zeros((0, 1), np.bool_),) * 2, *(np.zeros((0, 1)),) * 2, np.zeros(1, np.int64), np.zeros(0),
-        *(np.zeros((0, 1, len(BoxCells._fields))),) * 2, np.zeros((0, 1)), np.zeros((0, 1), np.int64), np.zeros(0),
+        *(np.zeros((0, 1, len(BoxCells._fields))),) * 2, np.zeros((0, 1)), *(np.zeros((0, 1), np.int64),) * 2,
+        np.zeros((0, 1)),
     )  # fmt: skip
-    return {
-        "reported": reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1),
-        "invented": own_box_columns(nothing)[1],
-        "contradicted": contradicted_columns(nothing)[1],
-        "displaced": own_box_columns(nothing)[1],
-        "there": there_columns(nothing)[1],
-    }
+    own = own_box_columns(nothing)[1]
+    return reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1), own, own

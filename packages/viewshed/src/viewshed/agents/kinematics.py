@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.agents.many import AgentReport
+from viewshed.agents.report import AgentReport
 
 MOST_MPS = 70.0
 """No agent drives faster."""

@@ -6,7 +6,8 @@ a prior from the covariance, a likelihood from the surfaces that meet, and the m
 Olson, 2009). What is left of a pose that is off is for the checks of views to find.
 
 **Nobody buys freedom by stating large errors.** No pose moves by more than :data:`REACH` standard deviations, and
-those that are stated count up to :data:`MOST_M` and :data:`MOST_TURN`. Agents that state no errors stay where they are.
+those that are stated count up to :data:`MOST_M` and :data:`MOST_TURN`. Agents that state that they have none stay where
+they are.
 """
 
 from __future__ import annotations
@@ -98,7 +99,10 @@ class PoseStd:
 
 
 EXACT = PoseStd()
-"""Of a pose without errors, or of one whose errors are not stated."""
+"""Of a pose without errors."""
+
+UNSTATED = PoseStd(0.1, float(np.radians(0.3)))
+"""Of a pose of which nobody states how certain it is: no localization is exact."""
 
 
 def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> list[Rigid]:

@@ -22,8 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from viewshed.agents.joint_fov import JointFov, joint_fov
 from viewshed.agents.kinematics import Kinematics
-from viewshed.agents.many import LEAST_TRUST, AgentReport, CommandCenter, CommonPicture, JointFov, joint_fov
+from viewshed.agents.many import LEAST_TRUST, CommandCenter, CommonPicture
+from viewshed.agents.report import AgentReport
 from viewshed.agents.trust import trust_limits
 from viewshed.arrays import Mask
 from viewshed.geometry import Rigid
@@ -59,20 +61,13 @@ FALSE_RATE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What a center makes of the reports of one time.
+    """What a center makes of the reports of one time."""
 
-    Attributes:
-        picture: joint tracks, and what is believed of them and of the agents.
-        accused: (A,) bool, agents that lie by the shipped limits.
-        disputed: (A,) bool, agents of which one lies; it is unknown which.
-        missing: agents that were heard lately and have no report in the round.
-        refused: reports of each agent that were refused so far, for poses that no vehicle can have; no entry for none.
-    """
-
-    picture: CommonPicture
-    accused: Mask
-    disputed: Mask
-    missing: tuple[str, ...] = ()
+    picture: CommonPicture  # joint tracks, and what is believed of them and of the agents
+    accused: Mask  # (A,) bool, agents that lie by the shipped limits
+    disputed: Mask  # (A,) bool, agents of which one lies; it is unknown which
+    missing: tuple[str, ...] = ()  # agents that were heard lately and have no report in the round
+    # reports of each agent that were refused so far, for poses that no vehicle can have; no entry for none
     refused: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -136,7 +131,6 @@ class Round:
         agents = {
             agent: {
                 "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
-                "suspicion": round(float(picture.suspicion[n]), 3),
                 "accused": bool(self.accused[n]), "disputed": bool(self.disputed[n]),
                 "refused": self.refused.get(agent, 0),
             }
@@ -161,25 +155,19 @@ def judged(picture: CommonPicture) -> tuple[Mask, Mask]:
     """Return who is accused and who is disputed (A,), at the smallest rate of the shipped limits, 1 % at least."""
     limits, verdicts = trust_limits(), picture.verdicts
     rate = max(FALSE_RATE, limits.least_rate)
-    accused = limits.accused(picture.suspicion, verdicts.elevated, rate)
+    accused = limits.accused(verdicts.evidence, picture.elevated, rate)
     return accused, limits.disputed(verdicts, accused, rate)
 
 
 @dataclass(slots=True)
 class _Heard:
-    """What is remembered of an agent that was heard.
+    """What is remembered of an agent that was heard."""
 
-    Attributes:
-        since_s: since when it has not been silent for :data:`HEARD_S`.
-        last_s: when it was heard last.
-        ahead_s: how far its reports of the last :data:`CLOCK_S` were ahead of the center's clock, and when they came.
-        kinematics: of its poses.
-    """
-
-    since_s: float
-    last_s: float
+    since_s: float  # since when it has not been silent for :data:`HEARD_S`
+    last_s: float  # when it was heard last
+    # how far its reports of the last :data:`CLOCK_S` were ahead of the center's clock, and when they came
     ahead_s: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=256))
-    kinematics: Kinematics = field(default_factory=Kinematics)
+    kinematics: Kinematics = field(default_factory=Kinematics)  # of its poses
 
     def corrected_s(self, t_s: float, arrived_s: float, slack_s: float) -> float:
         """Return a time of its clock by the center's clock."""
@@ -192,17 +180,12 @@ class _Heard:
 
 @dataclass(slots=True, eq=False)
 class _OpenRound:
-    """Reports of one time, while more may come.
+    """Reports of one time, while more may come."""
 
-    Attributes:
-        reports: report of each agent.
-        times_s: of each agent, by the center's clock and as it states it.
-        passed: agents of which no report of this time will come any more.
-    """
-
-    reports: dict[str, AgentReport] = field(default_factory=dict)
+    reports: dict[str, AgentReport] = field(default_factory=dict)  # report of each agent
+    # of each agent, by the center's clock and as it states it
     times_s: list[tuple[float, float]] = field(default_factory=list)
-    passed: set[str] = field(default_factory=set)
+    passed: set[str] = field(default_factory=set)  # agents of which no report of this time will come any more
 
     @property
     def t_s(self) -> float:

@@ -1,34 +1,34 @@
-"""Which agents lie: the likelihood of all that they report, under each small set of agents that might.
+"""Which agents lie: the likelihood of all that they report and claim, under each small set of agents that might.
 
 Whom to believe cannot be decided agent by agent: that one contradicts another speaks against both alike. So the
-hypotheses are sets of liars, none of them, each one, each pair, and each explains all reports at once. An object that
-three agents report and a fourth denies is explained best by the fourth alone; where two contradict each other and no
-third could see, "the one lies" and "the other lies" explain it about as well, and nobody is convicted: it is
-*disputed*.
+hypotheses are sets of liars, none of them, each one, each pair, and each explains all reports and views at once. An
+object that three agents report and a fourth denies is explained best by the fourth alone; where two contradict each
+other and no third could see, "the one lies" and "the other lies" explain it about as well, and nobody is convicted: it
+is *disputed*.
 
-**Model.** What an honest agent reports follows the measured errors of views and detectors
-(:mod:`viewshed.agents.honest`): whether it reports what other honest agents report and deny, whether it alone reports
-an object (*invented* by its own view, *contradicted* by others'), whether its box lies on the surfaces of its own view
-(*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to agree with its lies, so
-it vouches for them within a bound only. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag,
-1975). A liar does the same, but about a share :attr:`TrustRules.lie` of the objects it lies, for as long as they are
-there: then every report is as likely as none. So whoever is honest about many objects is not cleared of the one.
+**Objects.** What an honest agent reports follows :mod:`viewshed.agents.honest`: whether it reports what other honest
+agents report and deny, whether it alone reports an object (*invented* by its own view), whether its box lies on the
+surfaces of its own view (*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to
+agree with its lies, so it vouches for them within a bound only. Each agent is judged given the other honest ones: a
+pseudo-likelihood (Besag, 1975). About an
+object that it lies about, a liar says one thing as likely as the other.
 
-**Dependence.** Frames are no independent witnesses: an agent that misses an object misses it in the next frame as well.
-So the log-likelihood of an object counts by the time that passed, as one report a second; what one object says is
-bounded by :attr:`TrustRules.most_of_object`, and against a hypothesis only the few objects count that say most
-(:attr:`TrustRules.objects`): an honest agent whose detector is poor errs mildly about many, a liar grossly about some.
-What is older fades.
+**Views.** A comparison of two views (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail speaks
+for all hypotheses in which one of the two lies; one of a view with its past or with all others for those in which its
+agent does.
 
-**Probabilities.** What objects say depends on each other: who misses one behind a bush misses the next one there too.
-Log-likelihoods that add up make up their mind too soon, so they are divided by :attr:`TrustRules.temper` before they
-become probabilities (a tempered posterior; Grünwald 2012). It is the smallest whole number with which at most one in
-twenty honest agents is ever trusted less than .5, in the first 60 calibration scenes of docs/results/agents.md.
+**Dependence.** Frames are no independent witnesses. The chance of a report is given the agent's own last ones, and
+counts once in :attr:`TrustRules.look_s`; what one object says is bounded by :attr:`TrustRules.most_of_object`, and
+against a hypothesis only the few objects count that say most (:attr:`TrustRules.objects`): an honest agent whose
+detector is poor errs mildly about many, a liar grossly about some. Comparisons count by their mean over a second, and
+what opened or closed at once is remembered. What is older fades.
+
+**Probabilities.** Log-likelihoods that add up make up their mind too soon, so they are divided by
+:attr:`TrustRules.temper` before they become probabilities (a tempered posterior; Grünwald 2012).
 
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
-it does not: the ratio of universal inference (Wasserman, Ramdas, Balakrishnan 2020), an e-value if the likelihoods were
-exact. They are pseudo-likelihoods of measured errors, so accusations are calibrated on benign scenes
-(:class:`TrustLimits`), together with what claimed views say (:mod:`viewshed.agents.suspicion`).
+it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of it among benign scenes of all terrain
+(:class:`TrustLimits`).
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed.agents.view_evidence import OWN, PAIR
 from viewshed.arrays import F64, Mask
 
 MOST_LIARS = 2
@@ -54,42 +55,33 @@ MOST_LIARS = 2
 class TrustRules:
     """What honest agents and liars are taken to do.
 
-    Attributes:
-        false_report: chance that an honest agent reports an object that nobody else does where others see.
-        lie: share of the objects about which a liar lies.
-        prior: chance that an agent is a liar, before it reports anything.
-        least: no report, and no silence, of an honest agent is less likely: what is rare is known no better.
-        most_ratio: bound in nats of what views say about an invented or a displaced box; half as much for a report.
-        agreeing: share of the liars' boxes that agree with the liars' views, which may be forged as well.
-        disc_m: radius of the disc over which a lie puts an object.
-        astray: outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part).
-        objects: most objects that count against a hypothesis, those that say most.
-        most_of_object: bound in nats of what one object says against a hypothesis.
-        half_life_s: after this time a report counts half.
-        temper: log-likelihoods are divided by this before they become probabilities.
-
     Raises:
         ValueError: a number is out of range.
     """
 
-    false_report: float = 0.2
-    lie: float = 0.05
-    prior: float = 0.1
+    false_report: float = 0.2  # chance that an honest agent reports an object that nobody else does where others see
+    lie: float = 0.05  # share of the objects about which a liar lies
+    prior: float = 0.1  # chance that an agent is a liar, before it reports anything
+    # no report, and no silence, of an honest agent is less likely: what is rare is known no better
     least: float = 0.005
-    most_ratio: float = 6.0
-    agreeing: float = 0.5
-    disc_m: float = 4.0
+    most_ratio: float = 6.0  # bound in nats of what views say about an invented or a displaced box
+    same: float = 0.25  # share of what a box holds that counts each time: mostly it is the same fact as the last time
+    agreeing: float = 0.5  # share of the liars' boxes that agree with the liars' views, which may be forged as well
+    disc_m: float = 4.0  # radius of the disc over which a lie puts an object
+    # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
     astray: float = 0.4
-    objects: int = 4
-    most_of_object: float = 20.0
-    half_life_s: float = 10.0
-    temper: float = 4.0
+    objects: int = 4  # most objects that count against a hypothesis, those that say most
+    most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
+    look_s: float = 0.5  # reports of one object count once in this time: honest chances are those of looks so far apart
+    half_life_s: float = 10.0  # after this time a report counts half
+    mean_s: float = 1.0  # time over which comparisons of views are averaged
+    temper: float = 4.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lie", "prior", "least", "agreeing", "astray"):
+        for name in ("false_report", "lie", "prior", "least", "same", "agreeing", "astray"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
-        for name in ("most_ratio", "disc_m", "objects", "most_of_object", "half_life_s", "temper"):
+        for name in ("most_ratio", "disc_m", "objects", "most_of_object", "look_s", "half_life_s", "mean_s", "temper"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name):g}")
 
@@ -98,49 +90,29 @@ class TrustRules:
 class Reports:
     """What A agents say of J objects at one time; each of the objects is reported by somebody.
 
-    Attributes:
-        ids: (J,) int64, the same for one object over time.
-        seen: (J, A) bool, who reports it.
-        able: (J, A) bool, who could.
-        sees: (J, A) bool, who could and claims to see it, so that its silence denies the object.
-        reported: (J, A) log-odds that an honest agent reports what others report, but for how many they are.
-        of_others: (others, deniers) log-odds by the numbers of others that report an object and that deny it.
-        invented: (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view.
-        contradicted: (J, A) the same in the views of others.
-        displaced: (J, A) log-ratio of a box that was moved over one of an honest agent.
-        there: (J, A) log-odds that each agent's report or silence adds to those that the object is one.
-        prior: (J,) log-odds that it is one, without them.
-        xy_m: (J, A, 2) where it is reported, in the world; NaN where it is not.
-        std_m: (J, A) standard deviation of an honest report's position along each axis.
-        elevated: (A,) bool, whose sensors look over the traffic.
-
     Raises:
         ValueError: the shapes do not fit, or a number is missing.
     """
 
-    ids: NDArray[np.int64]
-    seen: Mask
-    able: Mask
-    sees: Mask
-    reported: F64
-    of_others: F64
-    invented: F64
-    contradicted: F64
-    displaced: F64
-    there: F64
-    prior: F64
-    xy_m: F64
-    std_m: F64
-    elevated: Mask
+    ids: NDArray[np.int64]  # (J,) int64, the same for one object over time
+    seen: Mask  # (J, A) bool, who reports it
+    able: Mask  # (J, A) bool, who could
+    sees: Mask  # (J, A) bool, who could and claims to see it, so that its silence denies the object
+    reported: F64  # (J, A) log-odds that an honest agent reports what others report, but for how many they are
+    of_others: F64  # (others, deniers) log-odds by the numbers of others that report an object and that deny it
+    invented: F64  # (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view
+    displaced: F64  # (J, A) log-ratio of a box that was moved over one of an honest agent
+    there: F64  # (J, A) log-odds that each agent's report or silence adds to those that the object is one
+    xy_m: F64  # (J, A, 2) where it is reported, in the world; NaN where it is not
+    std_m: F64  # (J, A) standard deviation of an honest report's position along each axis
 
     def __post_init__(self) -> None:
         shape = self.seen.shape
-        if self.ids.shape != shape[:1] or self.prior.shape != shape[:1] or self.xy_m.shape != (*shape, 2):
+        if self.ids.shape != shape[:1] or self.xy_m.shape != (*shape, 2):
             raise ValueError(
-                f"reports of {len(self.ids)} objects must have prior (J,), seen (J, A) and xy_m (J, A, 2), got"
-                f" {self.prior.shape}, {shape} and {self.xy_m.shape}"
+                f"reports of {len(self.ids)} objects must have seen (J, A) and xy_m (J, A, 2), got {shape}"
             )
-        for name in ("able", "sees", "reported", "invented", "contradicted", "displaced", "there", "std_m"):
+        for name in ("able", "sees", "reported", "invented", "displaced", "there", "std_m"):
             values = getattr(self, name)
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be {shape} finite numbers, got {values.shape}")
@@ -152,30 +124,24 @@ class Reports:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdicts:
-    """What is believed of each of A agents, and of each of J objects.
+    """What is believed of each of A agents, and of each of J objects."""
 
-    Attributes:
-        evidence: (A,) natural logarithm of the e-value against "this agent is honest".
-        doubt: how much better the best hypothesis with a liar explains the reports than "all are honest", in nats.
-        trust: (A,) probability that the agent is honest.
-        ids: (J,) of the objects of the last reports.
-        existence: (J,) probability that each exists, whoever lies.
-        suspects: (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars.
-        elevated: (A,) bool, whose sensors look over the traffic.
-    """
+    evidence: F64  # (A,) natural logarithm of the likelihood ratio against "this agent is honest"
+    doubt: float  # how much better the best hypothesis with a liar explains all than "all are honest", in nats
+    trust: F64  # (A,) probability that the agent is honest
+    ids: NDArray[np.int64]  # (J,) of the objects of the last reports
+    existence: F64  # (J,) probability that each exists, whoever lies
+    suspects: Mask  # (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars
+    against: F64  # (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do
 
-    evidence: F64
-    doubt: float
-    trust: F64
-    ids: NDArray[np.int64]
-    existence: F64
-    suspects: Mask
-    elevated: Mask
+
+_AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
+"""What a view does once, so that its mean over a second would lose it."""
 
 
 @dataclass(slots=True)
 class Trust:
-    """Follows what a number of agents report; see the module for the model.
+    """Follows what a number of agents report and claim; see the module for the model.
 
     Args:
         agents: how many there are.
@@ -187,19 +153,21 @@ class Trust:
     _lies: Mask = field(init=False, repr=False)
     _share_of_lies: F64 = field(init=False, repr=False)
     _of_objects: dict[int, F64] = field(default_factory=dict, repr=False)
+    _pairs: F64 = field(init=False, repr=False)
+    _own: F64 = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.agents < 1:
             raise ValueError(f"agents must be at least one, got {self.agents}")
-        self._lies = hypotheses(self.agents)
+        self._follow(self.agents)
+        self._pairs, self._own = np.zeros((self.agents, self.agents, len(PAIR))), np.zeros((self.agents, len(OWN)))
+
+    def _follow(self, agents: int) -> None:
+        self.agents, self._lies = agents, hypotheses(agents)
         # Chance (H, H) that the liars of a hypothesis lie about an object as a set of agents, and all others do not.
         liars, among = self._lies.sum(axis=1), ~(self._lies[None] & ~self._lies[:, None]).any(axis=2)
         shares = self.rules.lie ** liars[None] * (1 - self.rules.lie) ** (liars[:, None] - liars[None])
         self._share_of_lies = np.where(among, shares, 0.0)
-
-    def reset(self) -> None:
-        """Forget all reports."""
-        self._of_objects.clear()
 
     def regroup(self, kept: Sequence[int]) -> None:
         """Follow other agents: who stays keeps its record, who comes begins at the prior.
@@ -214,8 +182,7 @@ class Trust:
             numbers.setdefault(stays.intersection(np.flatnonzero(line).tolist()), []).append(number)
         logs = {liars: known[:, columns].max(axis=1) for liars, columns in numbers.items()}
         nobody = logs[frozenset()]
-        self.agents = len(kept)
-        self.__post_init__()
+        self._follow(len(kept))
         columns = []
         for line in self._lies:
             # A new agent has reported nothing yet: it explains as much as if it were honest.
@@ -229,13 +196,17 @@ class Trust:
         carried = np.stack(columns, axis=1)
         carried -= carried.max(axis=1, initial=-np.inf, keepdims=True)
         self._of_objects = dict(zip(self._of_objects, carried, strict=True))
+        # The last row and column are those of who comes.
+        self._pairs = np.pad(self._pairs, ((0, 1), (0, 1), (0, 0)))[np.ix_(kept, kept)]
+        self._own = np.pad(self._own, ((0, 1), (0, 0)))[list(kept)]
 
-    def add(self, reports: Reports, seconds: float) -> Verdicts:
+    def add(self, reports: Reports, seconds: float, views: tuple[F64, F64] | None = None) -> Verdicts:
         """Return what is believed after the next reports.
 
         Args:
             reports: of all agents.
-            seconds: since the reports before; at most one second of them counts.
+            seconds: since the reports before.
+            views: surprises of comparisons of views (A, A, 2) and (A, 3), NaN where nothing was compared.
 
         Raises:
             ValueError: there are other agents, or no time has passed.
@@ -247,10 +218,20 @@ class Trust:
             )
         # What is older fades; an object that says nothing any more is forgotten.
         fade = 0.5 ** (seconds / self.rules.half_life_s)
+        weight = min(seconds / self.rules.look_s, 1.0)
         faded = {number: fade * known for number, known in self._of_objects.items()}
         self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
-        for number, logs in zip(reports.ids.tolist(), min(seconds, 1.0) * self._likelihoods(reports), strict=True):
+        for number, logs in zip(reports.ids.tolist(), weight * self._likelihoods(reports), strict=True):
             self._of_objects[number] = self._of_objects.get(number, 0.0) + logs - logs.max()
+        if views is not None:
+            part = -np.expm1(-seconds / self.rules.mean_s)
+            pairs, own = (
+                np.where(np.isfinite(new), new, old) for new, old in zip(views, (self._pairs, self._own), strict=True)
+            )
+            self._pairs = self._pairs + part * (pairs - self._pairs)
+            steady = self._own + part * (own - self._own)
+            at_once = np.maximum(fade * self._own, np.where(np.isfinite(views[1]), views[1], 0.0))
+            self._own = np.where(_AT_ONCE, at_once, steady)
         return self._verdicts(reports)
 
     def _likelihoods(self, reports: Reports) -> F64:
@@ -263,15 +244,17 @@ class Trust:
         most = np.array(reports.of_others.shape) - 1
         odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
         chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
-        # A lie's box may agree with its own view as an honest one does, for the view may be forged; not with others'.
-        displaced, invented = (self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented))
-        invented = invented + np.clip(reports.contradicted, -rules.most_ratio / 2, rules.most_ratio)[:, None]
-        # Who alone reports an object errs seldom where others see; where they do not, it is as likely as not.
-        alone = np.where(denied > 0, np.log(rules.false_report), np.log(0.5)) - invented
+        # A lie's box may agree with its own view as an honest one does, for the view may be forged.
+        displaced, invented = (
+            rules.same * self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented)
+        )
+        # Who alone reports an object errs seldom where others see; where they do not, it is as good as silence.
+        silence = np.log1p(-rules.false_report)
+        alone = np.where(denied > 0, np.log(rules.false_report), silence) - invented
         with_others = np.where(
             seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
         )
-        by_itself = np.where(seen, alone, np.log1p(-rules.false_report))
+        by_itself = np.where(seen, alone, silence)
         # Those who lie together agree on a place as well.
         lied = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
         logs = np.where(honest, np.where(others > 0, with_others, by_itself), lied)
@@ -302,6 +285,14 @@ class Trust:
         ratio = self.rules.disc_m**2 / (2.0 * variance) * np.exp(-apart_m2 / (2.0 * variance))
         return np.where(some, np.log((1.0 - self.rules.astray) * ratio + self.rules.astray), 0.0)
 
+    def _of_views(self) -> tuple[F64, F64]:
+        """Return what views say against both of two agents (A, A), against one on the diagonal, and for each set."""
+        against = self._pairs.sum(axis=2)
+        against = np.triu(against + against.T, 1)
+        touched = self._lies[:, :, None] | self._lies[:, None]
+        gain = np.where(touched, against, 0.0).sum(axis=(1, 2)) + self._lies @ self._own.sum(axis=1)
+        return against + against.T + np.diag(self._own.sum(axis=1)), gain
+
     def _verdicts(self, reports: Reports) -> Verdicts:
         """Return what is believed of the agents, and of the objects of the last reports."""
         known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
@@ -313,7 +304,8 @@ class Trust:
         largest = np.maximum(np.abs(gain).max(axis=1, initial=0.0, keepdims=True), 1e-9)
         gain *= bound * np.tanh(largest / bound) / largest
         most = np.sort(np.maximum(gain, 0.0), axis=0)[::-1][: self.rules.objects]
-        logs = most.sum(axis=0) + np.minimum(gain, 0.0).sum(axis=0)
+        against, of_views = self._of_views()
+        logs = most.sum(axis=0) + np.minimum(gain, 0.0).sum(axis=0) + of_views
         # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
         evidence = np.empty(self.agents)
         for agent in range(self.agents):
@@ -327,11 +319,10 @@ class Trust:
         best = logs >= logs.max() - 1.0
         best &= liars == liars[best].min()
         # An object is one by what those say who are honest.
-        odds = reports.prior[:, None] + reports.there @ (~self._lies).T.astype(np.float64)
-        existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
+        existence = 1.0 / (1.0 + np.exp(-reports.there @ (~self._lies).T.astype(np.float64))) @ posterior
         return Verdicts(
             evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
-            self._lies[best].any(axis=0), reports.elevated,
+            self._lies[best].any(axis=0), against,
         )  # fmt: skip
 
 
@@ -339,28 +330,21 @@ class Trust:
 class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
-    The unit is the scene: whoever is accused must be more suspicious than the most suspicious agent of its kind, low or
-    elevated, of nearly all benign scenes; an elevated sensor misses what stands beneath it, and errs more. Each kind in
-    a scene gets its part of the rate (Bonferroni). If the scene at hand is one like the others (exchangeable), somebody
-    is accused in at most the stated share of benign scenes, however the agents of one scene depend on each other. That
-    promises more than a false discovery rate over agents (Benjamini and Hochberg, 1995), and needs fewer scenes: 199
-    for 1 % and two kinds, where one random agent of each scene, among five, needed 499.
-
-    Attributes:
-        low: (N,) how suspicious any low sensor of each benign scene is at most, over time, ascending.
-        elevated: (N,) the same against any elevated one.
-        doubt: (N,) largest doubt of each benign scene, ascending.
+    The unit is the scene: whoever is accused must have more evidence against it than any agent of its kind, low or
+    elevated, of nearly all benign scenes. Each kind in a scene gets its part of the rate (Bonferroni). If the scene at
+    hand is one like the others (exchangeable), somebody is accused in at most the stated share of benign scenes,
+    however the agents of one scene depend on each other.
     """
 
-    low: F64
-    elevated: F64
-    doubt: F64
+    low: F64  # (N,) largest evidence against any low sensor of each benign scene, over time, ascending
+    elevated: F64  # (N,) the same against any elevated one
+    doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
     def of(
         cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]
     ) -> TrustLimits:
-        """Return the limits of N benign scenes: the most suspicious agent of each kind, and the largest doubt.
+        """Return the limits of N benign scenes.
 
         Raises:
             ValueError: there are none, or a number is not finite.
@@ -370,7 +354,7 @@ class TrustLimits:
             shapes = ", ".join(str(one.shape) for one in columns)
             raise ValueError(f"low, elevated and doubt must be (N,) of benign scenes, got {shapes}")
         if not all(np.isfinite(one).all() for one in columns):
-            raise ValueError("suspicion and doubt must be finite; leave out scenes without reports")
+            raise ValueError("evidence and doubt must be finite; leave out scenes without reports")
         return cls(*(np.sort(one) for one in columns))
 
     def to_json(self) -> str:
@@ -388,15 +372,15 @@ class TrustLimits:
         """The smallest rate that the number of scenes supports, with sensors of both kinds."""
         return 2.0 / (len(self.doubt) + 1.0)
 
-    def accused(self, suspicion: F64, elevated: Mask, rate: float) -> Mask:
-        """Return who is accused (A,) by how suspicious each is (A,): somebody in at most this share of benign scenes.
+    def accused(self, evidence: F64, elevated: Mask, rate: float) -> Mask:
+        """Return who is accused (A,) by the evidence against each (A,): somebody in this share of benign scenes.
 
         Raises:
             ValueError: there are too few scenes for this rate.
         """
         kinds = len(np.unique(elevated))
         self._check(rate / max(kinds, 1))
-        of_low, of_elevated = (_p_values(benign, suspicion) for benign in (self.low, self.elevated))
+        of_low, of_elevated = (_p_values(benign, evidence) for benign in (self.low, self.elevated))
         return np.asarray(kinds * np.where(elevated, of_elevated, of_low) <= rate * (1.0 + 1e-9))
 
     def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:

@@ -243,7 +243,7 @@ class Run:
         summary = self.write(leveled, name, estimate, elapsed_ms)
         if self.monitor is None:
             return summary
-        return replace(summary, verdicts=stream_verdicts(self.monitor.check(leveled, {estimate.method: estimate})))
+        return replace(summary, verdicts=stream_verdicts(self.monitor.check(leveled)))
 
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[Summary]:
         """Estimate in batches and write in threads."""

@@ -156,7 +156,8 @@ class Center:
         Raises:
             ValueError: the sweep has no time or no pose.
         """
-        from viewshed.agents.many import AgentReport
+        from viewshed.agents.registration import UNSTATED
+        from viewshed.agents.report import AgentReport
         from viewshed.cli.fuse import line_of
 
         if estimate.t_ns is None or estimate.world_from_level is None:
@@ -164,7 +165,8 @@ class Center:
                 f"--fuse needs a time and a pose of each sweep, {estimate.agent} has one without; give --poses"
             )
         claimed = estimate if self._adversary is None else self._adversary.view(estimate)
-        done = self._rounds.add(1e-9 * estimate.t_ns, AgentReport.of(claimed, objects.detections))
+        report = AgentReport.of(claimed, objects.detections, UNSTATED, objects.ground)
+        done = self._rounds.add(1e-9 * estimate.t_ns, report)
         for line in self._rounds.notes:
             note(line)
         for each in done:

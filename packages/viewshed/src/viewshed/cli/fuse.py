@@ -19,13 +19,14 @@ from viewshed.cli._terminal import note
 from viewshed.cli.estimate import Files, Method
 
 if TYPE_CHECKING:
-    from viewshed.agents.many import AgentReport
+    from viewshed.agents.registration import PoseStd
+    from viewshed.agents.report import AgentReport
     from viewshed.agents.rounds import Round
     from viewshed.estimators import Estimator
     from viewshed.objects.detector import Detector
     from viewshed.sweep import Sweep
 
-FUSED = "fused.jsonl"
+FUSED, PAGE = "fused.jsonl", "fused.html"
 
 
 def fuse(
@@ -37,47 +38,56 @@ def fuse(
     slop: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Most seconds between sweeps that count as of the same time.")
     ] = 0.1,
-    results: Annotated[str, typer.Option(help="What is written: some of jsonl,png.")] = "jsonl,png",
+    pose_std: Annotated[
+        str | None, typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5. Unknown if not given.")
+    ] = None,
+    results: Annotated[str, typer.Option(help="What is written: some of jsonl,png,html.")] = "jsonl,png,html",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
 ) -> None:
     """Put together what several agents see; who contradicts whom.
 
     Agents are those of a recording, or one for each file; their sweeps need times and poses in one world. One line for
-    each time, all numbers in fused.jsonl, and the joint field of view as a picture.
+    each time, all numbers in fused.jsonl; pictures and a page of agents, what they see together, objects by belief, and
+    who contradicts whom.
 
     Example: viewshed fuse junction.mcap --out fused
     """
     from viewshed._files import write_atomic
-    from viewshed.agents.rounds import Rounds
+    from viewshed.agents.rounds import Round, Rounds
     from viewshed.objects.detector import Detector
+    from viewshed.show.fused import fused_page, fused_picture
 
-    kinds = parse_results(results, ("jsonl", "png"))
+    kinds, std = parse_results(results, ("jsonl", "png", "html")), parse_pose_std(pose_std)
     estimator = options.NetworkOptions().estimator(method, options.parse_grid(grid), "car")
     detector = Detector()
     jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
     make_folder(out)
-    failures, gathered, lines, times = Failures(), Rounds(), [], 0
+    failures, gathered = Failures(), Rounds()
+    done, pictures = list[Round](), list[bytes]()
     streams = [named_sweeps(reading, [job], [name], failures) for job, name in zip(jobs, names, strict=True)]
     for t_s, sweeps in rounds(streams, slop, failures):
-        reports = [report_of(sweep, estimator, detector) for sweep in sweeps]
-        done = gathered.together(t_s, reports)
+        reports = [report_of(sweep, estimator, detector, std) for sweep in sweeps]
+        one = gathered.together(t_s, reports)
         for line in gathered.notes:
             note(line)
-        if done is None:
+        if one is None:
             failures.report(f"{t_s:.2f} s", ValueError("no report of this time could be put together with others"))
             continue
-        typer.echo(line_of(done))
-        lines.append(json.dumps(done.numbers()))
+        typer.echo(line_of(one))
+        done.append(one)
+        if {"png", "html"} & set(kinds):
+            pictures.append(fused_picture(one))
         if "png" in kinds:
-            write_atomic(out / f"fused_{times:04}.png", picture_of(done))
-        times += 1
-    if "jsonl" in kinds and times:
-        write_atomic(out / FUSED, "".join(f"{line}\n" for line in lines).encode())
-    if times:
-        typer.echo(f"{times} times → {out}")
-    if failures.count or not times:
-        if not times and not failures.count:
+            write_atomic(out / f"fused_{len(done) - 1:04}.png", pictures[-1])
+    if "jsonl" in kinds and done:
+        write_atomic(out / FUSED, "".join(f"{json.dumps(one.numbers())}\n" for one in done).encode())
+    if "html" in kinds and done:
+        write_atomic(out / PAGE, fused_page(done, pictures, f"{len(done[-1].picture.agents)} agents fused"))
+    if done:
+        typer.echo(f"{len(done)} times → {out}")
+    if failures.count or not done:
+        if not done and not failures.count:
             raise ValueError("sweeps must have times and poses to be put together, got none that do")
         raise typer.Exit(2)
 
@@ -108,16 +118,36 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
             yield named.sweep.t_ns, number, place, named
 
 
-def report_of(sweep: Sweep, estimator: Estimator, detector: Detector) -> AgentReport:
+def parse_pose_std(words: str | None) -> PoseStd | None:
+    """Return the standard deviations in METERS,DEGREES; None where they are not given.
+
+    Raises:
+        ValueError: these are not two numbers that can be.
+    """
+    from math import radians
+
+    from viewshed.agents.registration import PoseStd
+
+    if words is None:
+        return None
+    try:
+        place_m, yaw_deg = (float(part) for part in words.split(","))
+        return PoseStd(place_m, radians(yaw_deg))
+    except ValueError as error:
+        raise ValueError(f"--pose-std must be METERS,DEGREES, both 0 or more, got {words!r}; as 0.2,0.5") from error
+
+
+def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: PoseStd | None = None) -> AgentReport:
     """Return what the agent of a sweep reports."""
     from dataclasses import replace
 
-    from viewshed.agents.many import AgentReport
+    from viewshed.agents.registration import UNSTATED
+    from viewshed.agents.report import AgentReport
     from viewshed.preprocess.leveling import leveled_on
 
     leveled = leveled_on(sweep, estimator.grid)
     estimate = replace(estimator.estimate(leveled), agent=sweep.agent)
-    return AgentReport.of(estimate, detector.detect(leveled))
+    return AgentReport.of(estimate, detector.detect(leveled), pose_std or UNSTATED, leveled.ground)
 
 
 def line_of(done: Round) -> str:
@@ -129,9 +159,3 @@ def line_of(done: Round) -> str:
     )  # fmt: skip
     objects = f"{picture.believed.sum()} of {len(picture.tracks)} objects believed"
     return f"{picture.t_s:.2f} s: {objects}{verdicts}"
-
-
-def picture_of(done: Round) -> bytes:
-    """Return the PNG of the joint field of view, about the middle of the agents."""
-    title = f"joint view of {len(done.reports)} agents, {done.picture.t_s:.2f} s"
-    return done.joint.estimate(done.t_ns).plot(title=title)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -16,8 +16,8 @@ from viewshed.cli._options import AUTO, MonitorFile, Passes, Reading, Seed, Weig
 from viewshed.cli._outputs import Failures, free_name, make_folder, refuse_inputs, stem_of, with_bar
 from viewshed.cli._places import chosen_files, place_of_result
 from viewshed.cli._stream import placed_sweeps, poses_of
-from viewshed.cli._terminal import BAD_INPUTS, complain
-from viewshed.cli._verdicts import HZ, Drives, monitor_of, stream_monitor, stream_verdicts, verdicts
+from viewshed.cli._terminal import BAD_INPUTS
+from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts
 
 if TYPE_CHECKING:
     from viewshed.arrays import F32
@@ -26,12 +26,13 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
     from viewshed.grid import BevGrid
     from viewshed.monitor import DeviationMonitor, IntegrityReport, StreamMonitor
-    from viewshed.monitor.calibration import Promise
     from viewshed.monitor.stream_monitor import StreamReport
-    from viewshed.monitor.sweep_monitor import BenignSweep, SweepMonitor
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.sweep import Sweep
 
+
+HZ = 10.0
+"""Sweeps a second of drives without times."""
 
 monitor_app = typer.Typer(help="Say whether a sweep is inconsistent or degraded, where and why.")
 
@@ -87,76 +88,39 @@ def fit(
 def calibrate(
     sources: options.Sources,
     out: Annotated[Path, typer.Option(help="File of the monitor.")] = Path("monitor.npz"),
-    rate: Annotated[
-        float, typer.Option(help="Share of benign sweeps that may be called inconsistent, or degraded.")
-    ] = 0.01,
-    per: Annotated[str, typer.Option(help="What the rate counts: sweep, or scene (a drive of 20 s).")] = "sweep",
-    confident: Annotated[
-        bool, typer.Option("--confident", help="Keep the rate with probability .9, not only on average.")
-    ] = False,
-    correct: Annotated[
-        bool,
-        typer.Option("--correct", help="Correct the simulated calibration by these few scenes; do not replace it."),
-    ] = False,
-    worse: Annotated[
-        list[str] | None,
-        typer.Option(help="More sources, in bad weather or with faults: they count for inconsistent alone."),
-    ] = None,
     per_hour: Annotated[
         float | None,
-        typer.Option(help="False alarms an hour over time; as few as these drives support, but not below 1."),
+        typer.Option(help="False alarms an hour; as few as these drives support if not given, but not below 1."),
     ] = None,
     monitor_file: MonitorFile = None,
     split: options.Split = None,
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random; 0 if not given.")] = None,
 ) -> None:
-    """Calibrate the monitor on sweeps that nobody attacked.
+    """Calibrate the monitor on an own vehicle's drives, a minute or more, that nobody attacked.
 
-    The rate of false alarms then holds on more like these. What counts is scenes, not sweeps: each file is one, and
-    each 20 s of a recording or of a scene of a data set. Those of one recording are alike; the rate then holds for that
-    place and time. Inconsistent is calibrated on all of them, degraded on those that are not given by --worse. Alarms
-    over time keep --per-hour on sweeps that come ten times a second: one an hour needs an hour of drives.
+    How rare a change of the evidence is stays as it was calibrated before; how often an hour it alarms is then that of
+    these drives. N false alarms an hour need 60 / N minutes of driving. Sweeps count as ten a second unless they have
+    times.
 
-    Example: viewshed monitor calibrate benign --rate .05 --out monitor.npz
+    Example: viewshed monitor calibrate my_drives --per-hour 10 --out monitor.npz
     """
-    import numpy as np
+    from viewshed.monitor import Calibration, load_calibration, save_calibration, shipped_calibration
 
-    from viewshed.monitor.sweep_monitor import Rates, SweepMonitor, save_sweep_monitor
-
-    if per not in ("sweep", "scene"):
-        raise ValueError(f"--per must be sweep or scene, got {per!r}")
-    if correct and per == "scene":
-        raise ValueError("--per scene must go with scenes that replace the calibration, got --correct; leave one out")
-    refuse_inputs((out,), map(Path, (*sources, *(worse or ()))))
-    base, rng = monitor_of(monitor_file), np.random.default_rng(seed or 0)
+    refuse_inputs((out,), map(Path, sources))
+    base = shipped_calibration() if monitor_file is None else load_calibration(monitor_file)
     failures = Failures()
-
-    def measured(places: Iterable[str]) -> Iterator[BenignSweep]:
-        several = _Source(tuple(places), split, sensor, failures=failures)
-        return _benign(several, options.parse_grid(grid), base, failures)
-
-    benign = [replace(sweep, clear=clear) for places, clear in ((sources, True), (worse or (), False))
-              for sweep in measured(places)]  # fmt: skip
-    rates = Rates(rate, rate)
-    promise: Promise = "confident" if confident else "expected"
-    if correct:
-        made = base.corrected(benign, rng, rates=rates, promise=promise)
-    else:
-        made = SweepMonitor.calibrate(
-            base.score, benign, rng, rates=rates, promise=promise, per="drive" if per == "scene" else "sweep",
-            estimates=base.estimates, facts=base.facts,
-        )  # fmt: skip
-    made = replace(made, per_hour=per_hour)
-    made.detector(hz=HZ)
-    save_sweep_monitor(made, out)
-    for warning in made.warnings:
-        complain(f"warning: {warning}")
-    scenes = len({sweep.scene for sweep in benign})
-    typer.echo(f"{out}: calibrated on {len(benign)} sweeps of {scenes} scenes")
-    for line in made.promises():
-        typer.echo(f"  {line}")
+    streams, hz = _measured(
+        _Source(tuple(sources), split, sensor, failures=failures), options.parse_grid(grid), failures
+    )
+    made = Calibration.fit(streams, hz, base=base)
+    wanted = max(made.least_per_hour, 1.0) if per_hour is None else per_hour
+    limit = made.limit(wanted)
+    save_calibration(replace(made, facts={"per_hour": repr(wanted)}), out)
+    typer.echo(f"{out}: calibrated on {sum(map(len, streams))} sweeps of {len(streams)} drives")
+    typer.echo(f"  {made.promise(wanted)}")
+    above = int((made.peaks > limit).sum())
+    typer.echo(f"  {above} alarms in these drives; where they were attacked they hardly count, up to 5 % of the sweeps")
     if failures.count:
         raise typer.Exit(2)
 
@@ -279,42 +243,40 @@ class _Source:
                 for number, sweep in enumerate(placed_sweeps(reading, jobs, job, poses, count)):
                     count += 1
                     name = f"{path.name} {number:05}" if several or number else path.name
-                    yield Seen(str(path) if poses is None else place, name, sweep)
+                    # Files of a sweep each are one stream if their times say so.
+                    is_stream = poses is not None or (not several and sweep.t_ns is not None)
+                    yield Seen(place if is_stream else str(path), name, sweep)
             except BAD_INPUTS as error:
                 if self.failures is None:
                     raise
                 self.failures.report(path, error)
 
 
-def _benign(sources: _Source, grid: BevGrid, base: SweepMonitor, failures: Failures) -> Iterator[BenignSweep]:
-    """Yield what all evidence measures of each sweep that can be read and leveled."""
-    from viewshed.monitor.evidence import EVIDENCE
-    from viewshed.monitor.score import HELD_SWEEPS, held, measure_all
-    from viewshed.monitor.sweep_monitor import EARLIER_SWEEPS, BenignSweep, group_of
+def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> tuple[list[F32], float]:
+    """Return the evidence (T, E, SECTORS) of each drive, as a stream measures it, and its sweeps a second."""
+    import numpy as np
+
+    from viewshed.monitor.stream_monitor import EvidenceStream
     from viewshed.preprocess.leveling import level
 
-    if base.estimates:
-        raise ValueError(f"a monitor with estimates of {', '.join(base.estimates)} must be calibrated in Python")
-    agents: dict[str, tuple[Drives, list[F32]]] = {}
-    over_time = [kind.over_time for kind in EVIDENCE.values()]
+    streams: list[list[F32]] = []
+    gaps_ns: list[int] = []
+    stream, scene, last_ns = EvidenceStream(), "", None
     for seen in sources:
-        drives, recent = agents.setdefault(seen.sweep.agent, (Drives(), []))
         try:
-            monitored = drives.next(level(seen.sweep, grid), f"{seen.scene} {seen.sweep.agent}")
-            if len(monitored.earlier) < EARLIER_SWEEPS:
-                monitored = replace(monitored, earlier=())
-            group, measured = group_of(monitored), measure_all(monitored)
-            if not drives.goes_on or group.earlier != "posed":
-                recent.clear()
-            if group.earlier == "posed":
-                # As in a stream. Sweeps with fewer before them than are carried over are as in no other place of it.
-                recent[:] = [*recent, measured][-HELD_SWEEPS:]
-                if len(recent) < HELD_SWEEPS:
-                    continue
-                measured = held(recent, over_time)
-            yield BenignSweep(drives.scene(monitored.leveled), group, measured)
+            leveled = level(seen.sweep, grid)
+            if seen.scene != scene or stream.why_anew(leveled):
+                stream, scene, last_ns = EvidenceStream(), seen.scene, None
+                streams.append([])
+            streams[-1].append(stream.measure(leveled))
+            stream.add(leveled)
+            now_ns = leveled.sweep.t_ns
+            gaps_ns += [now_ns - last_ns] if now_ns is not None and last_ns is not None else []
+            last_ns = now_ns
         except BAD_INPUTS as error:
             failures.report(seen.name, error)
+    hz = 1e9 / float(np.median(gaps_ns)) if gaps_ns else HZ
+    return [np.stack(one) for one in streams if one], hz
 
 
 class _Watching(Protocol):
@@ -333,8 +295,8 @@ class _Watching(Protocol):
 
 def _watching(file: Path | None, grid: BevGrid, weights: str | None, out: Path | None) -> _Watching:
     """Return the monitor in a file at work, whichever kind it is; None is the shipped one."""
+    from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME, load_monitor
-    from viewshed.monitor.sweep_monitor import kind_of_monitor
 
     if file is not None and kind_of_monitor(file) == NAME:
         fitted = load_monitor(file)
@@ -388,12 +350,12 @@ class SweepRun:
             self.checked += 1
             self.inconsistent += report.now.inconsistent
             self.degraded += report.now.degraded
-            self.alarms += report.alarm
+            self.alarms += report.doubtful_sweeps == 1
 
     def summary(self) -> str:
         """Return how many sweeps were checked and what was found, in a line."""
-        over_time = f", {self.alarms} alarms over time" if self.alarms else ""
-        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{over_time}"
+        alarms = f", {self.alarms} alarms" if self.alarms else ""
+        return f"{self.checked} sweeps, {self.inconsistent} inconsistent, {self.degraded} degraded{alarms}"
 
     def picture(self, leveled: LeveledSweep, report: IntegrityReport, line: str) -> bytes:
         """Return the PNG of a report: suspect sectors on the map of the default estimate, and the evidence scored."""
@@ -402,9 +364,9 @@ class SweepRun:
         from viewshed.show.plot import Panel, monitor_picture
 
         self.estimator = self.estimator or load_estimator(grid=BevGrid(256, leveled.ground.half_extent_m))
-        estimate, score = self.estimator.estimate(leveled), self.monitor.monitor.score
+        estimate = self.estimator.estimate(leveled)
         panel = Panel(estimate, line, leveled, estimate.threshold)
-        return monitor_picture(panel, report, score.names, score.scale(report.evidence[None])[0])
+        return monitor_picture(panel, report, self.monitor.calibration.names, report.evidence)
 
 
 @dataclass(slots=True)

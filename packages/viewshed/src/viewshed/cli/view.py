@@ -238,8 +238,8 @@ def _serve(
 def _monitored(file: Path | None, weights: str | None, method: str | None) -> tuple[Estimator | None, Check]:
     """Return the estimator that a monitor was fitted on, if it was on one, and what the monitor says of each sweep."""
     from viewshed.monitor import load_monitor
+    from viewshed.monitor.calibration import kind_of_monitor
     from viewshed.monitor.deviation import NAME as DEVIATION
-    from viewshed.monitor.sweep_monitor import kind_of_monitor
 
     if file is not None and kind_of_monitor(file) == DEVIATION:
         if method not in {None, "mc_dropout"}:
@@ -254,7 +254,7 @@ def _monitored(file: Path | None, weights: str | None, method: str | None) -> tu
     stream = stream_monitor(file)
 
     def check(leveled: LeveledSweep, estimate: FovEstimate) -> tuple[IntegrityReport, str]:
-        report = stream.check(leveled, {estimate.method: estimate})
+        report = stream.check(leveled, estimate.grid)
         return report.now, stream_verdicts(report)
 
     return None, check

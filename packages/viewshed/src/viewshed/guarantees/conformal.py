@@ -40,8 +40,8 @@ THRESHOLDS = np.concatenate([np.linspace(0.5, 0.9, 17), 1.0 - np.geomspace(0.08,
 GROUND_STDS_M = np.array([0.03, 0.05, 0.07, 0.085, 0.1, 0.125, 0.15, 0.2, 0.3, 0.5, np.inf], np.float32)
 """Largest standard deviations of the ground below a claim that are tried."""
 
-_SURE = 16
-"""Number of the threshold (.9) while the ground gets less sure."""
+_SURE = 20
+"""Number of the threshold (.99) while the ground gets less sure."""
 
 PLACE_EDGES = np.array([0.5, 0.6, 0.75, 0.9, 0.99, 0.999], np.float32)
 """Lower edges of the bins of probability in which places are counted."""

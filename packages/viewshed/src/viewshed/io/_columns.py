@@ -13,7 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from viewshed import _core
 from viewshed.geometry import Rigid
 from viewshed.io._input import InputFile
-from viewshed.io._rings import matched_azimuth, matched_time_s, problem_of_rings, rings_by_elevation, whole_rings
+from viewshed.io._rings import (
+    instant_ns,
+    matched_azimuth,
+    matched_time_s,
+    problem_of_rings,
+    rings_by_elevation,
+    whole_rings,
+)
 from viewshed.sensors import LidarModel
 from viewshed.sweep import PlanarScan, Sweep
 
@@ -223,13 +230,16 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     laser = None if ring is None else whole_rings(ring)
     angle = None if azimuth is None else matched_azimuth(azimuth, points)
     time_s = None if time is None else matched_time_s(time)
+    t_ns = None if time is None or time_s is None else instant_ns(time)
     rules = (
         (ring, laser, "ring is left out: it must be whole numbers in [0, 4096)"),
         (azimuth, angle, "azimuth is left out: no unit, sign and zero make it agree with the points"),
         (time, time_s, "time is left out: it must be finite and within one revolution (2 s)"),
     )
     left_out = tuple(problem for column, usable, problem in rules if column is not None and usable is None)
-    return Columns(points, intensity, laser=laser, azimuth=angle, time_s=time_s, frame=place, left_out=left_out)
+    return Columns(
+        points, intensity, laser=laser, azimuth=angle, time_s=time_s, t_ns=t_ns, frame=place, left_out=left_out
+    )  # fmt: skip
 
 
 def _first(table: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[Any] | None:

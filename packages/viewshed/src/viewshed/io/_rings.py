@@ -156,6 +156,21 @@ def matched_time_s(value: NDArray[np.generic]) -> NDArray[np.float32] | None:
     return np.asarray(since * np.float32(scale), dtype=np.float32)
 
 
+def instant_ns(value: NDArray[np.generic]) -> int | None:
+    """Return the earliest of a file's time column (N,) as nanoseconds since 1970; None where it counts from elsewhere.
+
+    Whole numbers are nanoseconds, fractions are seconds. What lies between 2000 and 2100 counts since 1970.
+
+    >>> instant_ns(np.array([1617745958.75, 1617745958.85])), instant_ns(np.array([0.0, 0.1]))
+    (1617745958750000000, None)
+    """
+    if value.size == 0 or not np.isfinite(value.min()):
+        return None
+    earliest = value.min().item()
+    earliest_ns = earliest if value.dtype.kind in "iu" else round(earliest * 1e9)
+    return earliest_ns if 946_684_800 <= earliest_ns / 1e9 < 4_102_444_800 else None
+
+
 def whole_rings(value: NDArray[Any]) -> NDArray[np.int64] | None:
     """Return a file's ring column (N,) as int64, or None where it is not whole numbers in [0, MAX_RINGS)."""
     number = value.astype(np.float64)

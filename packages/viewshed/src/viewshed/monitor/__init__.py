@@ -1,20 +1,21 @@
-"""④ Integrity: monitors that say when an estimate is to be doubted."""
+"""④ Integrity: monitors that say when a stream, or an estimate, is to be doubted."""
 
 from __future__ import annotations
 
+from viewshed.monitor.calibration import Calibration, load_calibration, save_calibration, shipped_calibration
 from viewshed.monitor.deviation import DeviationMonitor, Rule, load_monitor, save_monitor
 from viewshed.monitor.report import IntegrityReport
 from viewshed.monitor.stream_monitor import StreamMonitor
-from viewshed.monitor.sweep_monitor import SweepMonitor, load_sweep_monitor, save_sweep_monitor
 
 __all__ = [
+    "Calibration",
     "DeviationMonitor",
     "IntegrityReport",
     "Rule",
     "StreamMonitor",
-    "SweepMonitor",
+    "load_calibration",
     "load_monitor",
-    "load_sweep_monitor",
+    "save_calibration",
     "save_monitor",
-    "save_sweep_monitor",
+    "shipped_calibration",
 ]

@@ -35,10 +35,8 @@ class IntegrityReport:
         suspect_cells: (cells, cells) bool on the grid; (0, 0) without one.
         reasons: what speaks against the sweep, the strongest first; a sentence each.
         notes: what the report could not rest on, and what was done instead; a sentence each.
-        evidence: (E, SECTORS) float32 that was scored, with what earlier sweeps carry over; (0, SECTORS) where the
-            monitor looks at no evidence.
-        tail_p_value: ``p_value``, going on beyond the benign scores by an estimate of their tail: what alarms over time
-            are made of. NaN where the monitor does not give it.
+        evidence: (E, SECTORS) float32, how rare the change of each kind of evidence is in each sector; (0, SECTORS)
+            where the monitor looks at no evidence.
 
     Raises:
         ValueError: score or threshold is not a number, a p-value lies outside (0, 1], or a mask does not fit.
@@ -60,12 +58,11 @@ class IntegrityReport:
     reasons: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     evidence: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, SECTORS), np.float32))
-    tail_p_value: float = math.nan
 
     def __post_init__(self) -> None:
         if math.isnan(self.score) or math.isnan(self.threshold):
             raise ValueError(f"score and threshold must be numbers, got {self.score} and {self.threshold}")
-        for name in ("p_value", "degraded_p_value", "tail_p_value"):
+        for name in ("p_value", "degraded_p_value"):
             value = getattr(self, name)
             if value <= 0.0 or value > 1.0:
                 raise ValueError(f"{name} must lie in (0, 1] or be NaN, got {value}")

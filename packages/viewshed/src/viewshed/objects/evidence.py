@@ -40,20 +40,12 @@ from numpy.typing import NDArray
 from viewshed._files import write_atomic
 from viewshed.arrays import F64
 from viewshed.objects.cells import BoxCells
+from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, evenly
 
 CAP = 300.0
 """No ratio is above this or below its inverse: rare cells of a table are known no better."""
 
-_BOUNDS: dict[str, tuple[float, ...]] = {
-    "surface": (0.001, 0.03, 0.08, 0.15, 0.25, 0.4),
-    "free": (0.05, 0.15, 0.3, 0.5, 0.7, 0.9),
-    "ring": (0.001, 0.03, 0.08, 0.15, 0.3),
-    "ring_free": (0.2, 0.4, 0.6, 0.8, 0.95),
-    "near_free": (0.05, 0.2, 0.4, 0.7, 0.95),
-    "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
-    "range_m": (8.0, 15.0, 25.0, 35.0),
-    "found": (0.05, 0.5, 0.85, 0.95),
-}
+_BOUNDS = CELL_BOUNDS | {"range_m": (8.0, 15.0, 25.0, 35.0), "found": (0.05, 0.5, 0.85, 0.95)}
 """Bounds of the bins of what is measured about a box: of ``BoxCells``, and ``found``, P_D of an object there."""
 
 BOX_FEATURES: tuple[tuple[str, ...], ...] = (
@@ -93,66 +85,35 @@ class EvidenceTable:
 _FREE_BEFORE = np.array([0.2, 0.5, 0.9])
 """Bounds of the share of the place where a track's surface came from that was seen free."""
 
+WEIGHTS = sum(int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in BOX_FEATURES)
+"""Bins of ``BOX_FEATURES``, each of which has a weight."""
+
 VIEW_BINS = len(_VISIBLE) + 1
 BIRTH_BINS = len(_FREE_BEFORE) + 1
 JUMP_BINS = len(_JUMP) + 1
 
 
-def _sizes() -> list[int]:
-    """Return the number of bins of each of ``BOX_FEATURES``."""
-    return [int(np.prod([len(_BOUNDS[name]) + 1 for name in names])) for names in BOX_FEATURES]
-
-
-def cell_bins(cells: BoxCells, found: F64) -> NDArray[np.int64]:
+def cell_bins(cells: BoxCells, found: F64) -> Columns:
     """Return the bins (K, F) of K boxes in a model's weights, a row of ``BLIND`` where most of a box is unknown."""
-    values = cells._asdict() | {"found": found}
-    bins = {name: np.searchsorted(_BOUNDS[name], values[name], "right") for name in _BOUNDS}
-    columns, first = [], 0
-    for names, size in zip(BOX_FEATURES, _sizes(), strict=True):
-        code = np.zeros(len(found), np.int64)
-        for name in names:
-            code = code * (len(_BOUNDS[name]) + 1) + bins[name]
-        columns.append(first + code)
-        first += size
+    values, bins = cells._asdict() | {"found": found}, Bins(found.shape, _BOUNDS)
+    for names in BOX_FEATURES:
+        bins.add(*(bins.of(name, values[name]) for name in names))
     known = cells.surface + cells.free + cells.hidden >= MOSTLY
-    return np.where(known[:, None], np.stack(columns, axis=1), BLIND)
+    return np.where(known[:, None], bins.columns(), np.int32(BLIND))
 
 
-def cell_ratios(weights: F64, bins: NDArray[np.int64]) -> F64:
+def cell_ratios(weights: F64, bins: Columns) -> F64:
     """Return the ratio (K,) of forged : honest of boxes with bins (K, F): their weights add up; 1 for ``BLIND``."""
     total = weights[-1] + weights[bins].sum(axis=1)
     return np.where(bins[:, 0] == BLIND, 1.0, np.exp(np.clip(total, -np.log(CAP), np.log(CAP))))
 
 
-_RIDGE = 3.0
-"""Prior of the weights: bins that are rarely seen stay near 0."""
-
-
-def fit_weights(honest: NDArray[np.int64], forged: NDArray[np.int64]) -> F64:
-    """Return the weights (W + 1,) of logistic regression on bins (N, F) of honest and (M, F) of forged boxes.
-
-    The last one is the bias. Both classes weigh the same, so that a sum is a log-likelihood ratio. Newton's method.
-    """
+def fit_weights(honest: Columns, forged: Columns) -> F64:
+    """Return the weights (W + 1,) of bins (N, F) of honest and (M, F) of forged boxes; the last one is the bias."""
     honest, forged = honest[honest[:, 0] != BLIND], forged[forged[:, 0] != BLIND]
-    count = sum(_sizes()) + 1
-    bins = np.concatenate([honest, forged])
-    design = np.zeros((len(bins), count))
-    np.put_along_axis(design, bins, 1.0, axis=1)
-    design[:, -1] = 1.0
     label = np.repeat([0.0, 1.0], [len(honest), len(forged)])
-    share = np.where(label == 1.0, 0.5 / max(len(forged), 1), 0.5 / max(len(honest), 1)) * len(bins)
-    ridge = np.full(count, _RIDGE)
-    ridge[-1] = 1e-6
-    weights = np.zeros(count)
-    for _ in range(_STEPS):
-        prob = 1.0 / (1.0 + np.exp(-design @ weights))
-        slope = design.T @ (share * (label - prob)) - ridge * weights
-        curve = (design * (share * prob * (1.0 - prob))[:, None]).T @ design + np.diag(ridge)
-        weights = weights + np.linalg.solve(curve, slope)
-    return weights
-
-
-_STEPS = 12
+    fitted = Weights.fit(np.concatenate([honest, forged]), WEIGHTS, label, evenly(label))
+    return np.append(fitted.of_bins, fitted.bias)
 
 
 def view_bins(visible: F64) -> NDArray[np.int64]:
@@ -268,7 +229,7 @@ class EvidenceCounts:
     def weights(self) -> tuple[float, ...]:
         """Return the weights of what cells say, all 0 where no field of view had states."""
         if not self.honest_cells:
-            return (0.0,) * (sum(_sizes()) + 1)
+            return (0.0,) * (WEIGHTS + 1)
         return tuple(fit_weights(np.concatenate(self.honest_cells), np.concatenate(self.forged_cells)).tolist())
 
     def arrays(self) -> dict[str, NDArray[Any]]:

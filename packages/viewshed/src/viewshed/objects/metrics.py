@@ -77,22 +77,6 @@ def ospa_m(tracks: Points, truths: Points, *, cutoff_m: float = 1.0, order: floa
     return float((total / more) ** (1.0 / order))
 
 
-def published_ospa(tracks: Points, truths: Points) -> float:
-    """Return what the published evaluation calls OSPA, as its code computes it from x, y and z; it is not OSPA.
-
-    With cutoff and order 1: the mean over the larger set, plus the *difference of the numbers* outside of the mean. So
-    each false track adds more than one whole unit, and five among ten score 5.45 where OSPA is at most 1.
-    """
-    apart = _distances(tracks, truths, 1.0, 1.0, columns=3)
-    more, fewer = max(apart.shape), min(apart.shape)
-    if more == 0:
-        return 0.0
-    rows, columns = _pairs(np.where(apart < 1.0, apart, 1e8))
-    is_pair = apart[rows, columns] < 1.0
-    alone = more - int(is_pair.sum())
-    return float((apart[rows, columns][is_pair].sum() + alone) / more + (more - fewer))
-
-
 @dataclass(frozen=True, slots=True)
 class MatchedObjects:
     """Tracks and truths of one time, matched within a distance so that their sum is least."""

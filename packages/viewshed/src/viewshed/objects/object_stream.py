@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from viewshed.detections import Detections
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.monitor.report import IntegrityReport
 from viewshed.objects.cells import SeenCells
-from viewshed.objects.detection_table import detection_table
 from viewshed.objects.detector import Detector
 from viewshed.objects.evidence import EvidenceModel
 from viewshed.objects.explained import ExplainedTracks
@@ -42,6 +42,7 @@ class SeenObjects:
     # all tracks, each with why it is detected or not; in the world, or in ``level`` without poses
     explained: ExplainedTracks
     tracks_from_level: Rigid  # pose of the sweep's ``level`` frame in the frame of the tracks
+    ground: HeightMap | None = None  # about the sensor, in ``level``
     seconds: float = 0.0  # that detecting, tracking and explaining took
 
     @property
@@ -87,7 +88,7 @@ class ObjectStream:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._detector = Detector() if detector is None else detector
-        self._tamper, self._clock, self._found = tamper, clock, detection_table().prob
+        self._tamper, self._clock = tamper, clock
         self._model = stream_model() if model is None else model
         self._agents: dict[str, _Agent] = {}
         self._agent("")  # what is not installed is reported now
@@ -119,7 +120,7 @@ class ObjectStream:
         # 4. Why each is detected or not.
         explained = self._agent(leveled.sweep.agent).fusion.explain(tracks, found, views)
         pose = leveled.world_from_level or Rigid.identity()
-        return SeenObjects(detections, explained, pose, self._clock() - begun_s)
+        return SeenObjects(detections, explained, pose, leveled.ground, self._clock() - begun_s)
 
     def observe(
         self, leveled: LeveledSweep, estimate: FovEstimate, report: IntegrityReport | None = None
@@ -141,10 +142,8 @@ class ObjectStream:
         tracks_from_level = Rigid.identity() if pose is None else pose
         found = detections.moved(tracks_from_level)
         # 2. Tracks, by what the beams of this sweep could have seen.
-        view = BeamView(leveled, t_s, found=self._found)
-        range_m = np.hypot(detections.boxes[:, 0], detections.boxes[:, 1])
-        odds = detection_table().false_odds(range_m, detections.kinds)
-        tracks = agent.tracker.step(t_s, found, view, false_odds=odds)
+        view = BeamView(leveled, t_s)
+        tracks = agent.tracker.step(t_s, found, view)
         # 3. What the field of view says of them.
         seen = SensorView(
             sweep.agent, view, tracks_from_level.translation[:2], SeenCells.of(estimate), report, tracks_from_level.yaw

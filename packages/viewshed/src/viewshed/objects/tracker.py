@@ -374,7 +374,8 @@ class Tracker:
             view: what could be seen in this sweep.
             noise: (K, 2, 2) covariance of each detection's center in square meters; None is the rules' own.
             false_odds: (K,) how many false detections there are like each, for one of an object
-                (:meth:`viewshed.objects.detection_table.DetectionTable.false_odds`); None is the rules' own.
+                (:meth:`viewshed.objects.detection_table.DetectionTable.false_odds`); None asks the view, and where that
+                knows none the rules.
 
         Raises:
             ValueError: there are too many detections, a covariance is not positive definite, odds are not positive, or
@@ -436,7 +437,8 @@ class Tracker:
             raise ValueError(f"detections must be at most {most}, got {count}; this sweep is refused")
         if not abs(view.t_s - t_s) <= _SAME_TIME_S:
             raise ValueError(f"view must be of the time of the detections, {t_s:.3f} s, got {view.t_s:.3f} s")
-        odds = np.full(count, self.rules.false_odds) if false_odds is None else np.asarray(false_odds, np.float64)
+        known = view.false_odds(detections.boxes, detections.kinds) if false_odds is None else false_odds
+        odds = np.full(count, self.rules.false_odds) if known is None else np.asarray(known, np.float64)
         if odds.shape != (count,) or not (np.isfinite(odds) & (odds > 0.0)).all():
             raise ValueError(f"false_odds must be {count} positive numbers, got shape {odds.shape} or other numbers")
         spread = self.rules.motion.center_noise(count) if noise is None else np.asarray(noise, np.float64)

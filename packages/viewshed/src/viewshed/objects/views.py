@@ -16,6 +16,7 @@ from viewshed.detections import moved_boxes
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, probability_of_visible
 from viewshed.geometry import Rigid
+from viewshed.objects.detection_table import detection_table
 from viewshed.objects.matching import corners_of
 from viewshed.preprocess.evidence import expected_returns
 from viewshed.preprocess.leveling import LeveledSweep
@@ -25,8 +26,11 @@ Kinds = NDArray[np.uint8]
 DetectionProb = Callable[[F64, F64, Kinds], F64]
 """Probability (K,) that a detector finds objects, by expected returns (K,), range (K,) in meters and kind (K,)."""
 
+FalseOdds = Callable[[F64, Kinds], F64]
+"""False detections (K,) for one of an object, by range (K,) in meters and kind (K,)."""
+
 ALWAYS_FOUND = 0.9
-"""Probability that a detector finds what is seen, where nothing better is known of it."""
+"""Probability that a detector finds what is seen, for views that know no detector."""
 
 _STEP_M = 1.5
 """Distance between the places that ``hides_near`` looks up, ..."""
@@ -62,6 +66,10 @@ class View(Protocol):
         """Return the probability (K,) that the detector finds an object in each box where it can be seen."""
         ...
 
+    def false_odds(self, boxes: F64, kinds: Kinds) -> F64 | None:
+        """Return the number (K,) of false detections like each for one of an object; None where it is not known."""
+        ...
+
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         """Return the probability (K,) that some place within (K,) meters of each box could not be seen.
 
@@ -70,7 +78,15 @@ class View(Protocol):
         ...
 
 
-class SeesAll:
+class _NoOdds:
+    """Views that know no detector."""
+
+    def false_odds(self, boxes: F64, kinds: Kinds) -> F64 | None:
+        """Return None."""
+        return None
+
+
+class SeesAll(_NoOdds):
     """No field of view: all is visible, and yet whatever appears may have come unseen."""
 
     def __init__(self, t_s: float, *, detectable: float = ALWAYS_FOUND, in_world: bool = True) -> None:
@@ -90,7 +106,7 @@ class SeesAll:
         return np.ones(len(boxes))
 
 
-class PolygonView:
+class PolygonView(_NoOdds):
     """The published question: does the polygon cover the center?"""
 
     def __init__(
@@ -128,7 +144,7 @@ class PolygonView:
         return hidden_within(self, boxes, within_m)
 
 
-class GridView:
+class GridView(_NoOdds):
     """An estimate of the field of view, looked up in front of an object: what stands in a cell hides that cell.
 
     Five lines of sight across the box are followed to its near side, and one cell back; the object is as visible as the
@@ -183,6 +199,7 @@ class BeamView:
         t_s: float,
         *,
         found: DetectionProb | None = None,
+        odds: FalseOdds | None = None,
         min_returns: int = CAR.min_returns,
     ) -> None:
         """Make the view of a leveled sweep; where it has no pose, tracks are in its ``level`` frame.
@@ -190,13 +207,17 @@ class BeamView:
         Args:
             leveled: the sweep.
             t_s: its time.
-            found: probability that the detector finds an object, from expected returns, range and kind; None is
-                :data:`ALWAYS_FOUND` of what is visible.
+            found: probability that the detector finds an object, from expected returns, range and kind; None is that
+                of the package's detector.
+            odds: false detections of that detector, from range and kind; None is that of the package's detector too,
+                or where ``found`` is given unknown. A view without them is worse than none: it believes clutter.
             min_returns: returns from which on an object counts as seen.
         """
         world_from_level = leveled.world_from_level
         self.t_s, self.in_world = t_s, world_from_level is not None
-        self._leveled, self._found, self._min_returns = leveled, found, min_returns
+        table = detection_table()
+        self._odds = table.false_odds if found is None and odds is None else odds
+        self._leveled, self._found, self._min_returns = leveled, found or table.prob, min_returns
         self._level_from_tracks = _level_from_tracks(world_from_level)
         self._counted = np.zeros((0, 7)), np.zeros(0)
 
@@ -209,12 +230,17 @@ class BeamView:
 
         The detector's own table counts few returns already: times :meth:`visible` it is that table, or less.
         """
-        if self._found is None:
-            return np.full(len(boxes), ALWAYS_FOUND)
         level = moved_boxes(boxes, self._level_from_tracks)
         counts = self._counts(level)
         found = self._found(counts, np.hypot(level[:, 0], level[:, 1]), kinds)
         return np.clip(found / np.maximum(self._visible(counts), 1e-6), 0.0, 1.0)
+
+    def false_odds(self, boxes: F64, kinds: Kinds) -> F64 | None:
+        """Return the number (K,) of false detections like each for one of an object."""
+        if self._odds is None:
+            return None
+        level = moved_boxes(boxes, self._level_from_tracks)
+        return self._odds(np.hypot(level[:, 0], level[:, 1]), kinds)
 
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         """Return the greatest probability (K,) of not being seen within (K,) meters of each box."""

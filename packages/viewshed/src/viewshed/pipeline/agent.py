@@ -117,8 +117,6 @@ class Agent:
     def time_note(self, t_ns: int | None) -> str:
         """Return why its stream begins anew with a sweep, in a sentence; empty where it goes on.
 
-        A monitor's evidence begins anew much sooner, see :class:`viewshed.monitor.stream_monitor.RecentSweeps`.
-
         Raises:
             ValueError: the time is that of the sweep before.
         """

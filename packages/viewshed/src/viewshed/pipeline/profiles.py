@@ -40,7 +40,7 @@ PROFILES = {
     "infrastructure": Profile("shadow_map", "road", 0, True, ReactionRules(recover_sweeps=30), 10.0),
     "mapping": Profile("viewnet", "road", 5, False, ReactionRules(), 0.0),
     "contested": Profile(
-        "shadow_map", "road", 5, True, ReactionRules(recover_sweeps=50, persist_sweeps=1, widen_sectors=2), 0.0
+        "shadow_map", "road", 5, True, ReactionRules(recover_sweeps=50, widen_sectors=2, most_suspect=0.0), 0.0
     ),
 }
 """``robot``: a small vehicle among people, fine cells around it, no more work than its sensor's usual 10 Hz.

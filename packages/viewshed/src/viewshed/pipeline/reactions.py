@@ -31,7 +31,8 @@ class Caution(IntEnum):
     WIDEN = 2
     """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN."""
     CONFIRMED = 3
-    """It goes on being impossible, or is so at an unknown place: what no earlier sweep confirms is UNKNOWN as well."""
+    """It is impossible in more than half of all sectors, or at an unknown place: what no earlier sweep confirms is
+    UNKNOWN as well."""
     STALE = 4
     """The newest sweep or pose is too old: nothing is claimed, and the vehicle stops."""
 
@@ -43,14 +44,14 @@ class Finding:
     Attributes:
         degraded: the view is worse than usual, there is none, or an object of it is suspicious.
         inconsistent: something is impossible in this sweep, or in the stream.
-        lasting: it is the stream as a whole that is impossible, or a center of many agents accuses this one.
+        accused: a center of many agents accuses this one: nothing of its view holds that it alone saw now.
         suspect: (SECTORS,) bool, where; nowhere where that is not known.
         stale: the view is too old to be claimed, whatever else was found in it.
     """
 
     degraded: bool = False
     inconsistent: bool = False
-    lasting: bool = False
+    accused: bool = False
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
     stale: bool = False
 
@@ -61,21 +62,21 @@ class ReactionRules:
 
     Attributes:
         recover_sweeps: calm sweeps in a row after which caution falls by one step.
-        persist_sweeps: inconsistent sweeps in a row from which on only confirmed claims hold.
         widen_sectors: sectors on both sides of a suspect one that are not trusted either.
+        most_suspect: share of all sectors that may be suspect while the others are still trusted.
 
     Raises:
         ValueError: a number is out of range.
     """
 
     recover_sweeps: int = 10
-    persist_sweeps: int = 3
     widen_sectors: int = 1
+    most_suspect: float = 0.5
 
     def __post_init__(self) -> None:
-        if self.recover_sweeps < 1 or self.persist_sweeps < 1 or self.widen_sectors < 0:
+        if self.recover_sweeps < 1 or self.widen_sectors < 0 or not 0.0 <= self.most_suspect <= 1.0:
             raise ValueError(
-                f"recover_sweeps and persist_sweeps must be 1 or more, widen_sectors 0 or more, got {self}"
+                f"recover_sweeps must be 1 or more, widen_sectors 0 or more, most_suspect in [0, 1], got {self}"
             )
 
 
@@ -86,14 +87,12 @@ class ReactionState:
     Attributes:
         caution: now.
         calm: sweeps in a row that ask for less caution.
-        inconsistent: inconsistent sweeps in a row.
         suspect: (SECTORS,) bool, sectors of all alarms since caution was last below WIDEN.
         of_sweeps: caution that the sweeps ask for, whatever their age, where ``caution`` is STALE.
     """
 
     caution: Caution = Caution.KEEP
     calm: int = 0
-    inconsistent: int = 0
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
     of_sweeps: Caution = Caution.KEEP
 
@@ -107,10 +106,10 @@ def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) ->
     A stale view is degraded as well: with the next fresh one caution is what it was before, but ASK at least.
     """
     before = state.of_sweeps if state.caution == Caution.STALE else state.caution
-    inconsistent = state.inconsistent if found.stale else 0
+    suspect = state.suspect if before >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)
     if found.inconsistent:
-        inconsistent = state.inconsistent + 1
-        is_known_where = bool(found.suspect.any()) and not found.lasting and inconsistent < rules.persist_sweeps
+        suspect = suspect | found.suspect
+        is_known_where = found.suspect.any() and suspect.mean() <= rules.most_suspect and not found.accused
         wanted = Caution.WIDEN if is_known_where else Caution.CONFIRMED
     else:
         wanted = Caution.ASK if found.degraded or found.stale else Caution.KEEP
@@ -119,10 +118,7 @@ def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) ->
     if wanted < before:
         calm = 0 if found.stale else state.calm + 1
         caution, calm = (Caution(before - 1), 0) if calm >= rules.recover_sweeps else (before, calm)
-    suspect = state.suspect if before >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)
-    if found.inconsistent:
-        suspect = suspect | found.suspect
-    return ReactionState(Caution.STALE if found.stale else caution, calm, inconsistent, suspect, caution)
+    return ReactionState(Caution.STALE if found.stale else caution, calm, suspect, caution)
 
 
 def withdraw(

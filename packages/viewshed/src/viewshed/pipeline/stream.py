@@ -430,7 +430,7 @@ class Pipeline:
         if leveled is None or estimate is None:
             return step
         if step.agent.monitor is not None:
-            report = step.agent.monitor.check(leveled, {estimate.method: estimate})
+            report = step.agent.monitor.check(leveled)
             step = replace(step, report=report, notes=step.notes or report.notes)
         return step if step.agent.objects is None else self._follow(step.agent.objects, leveled, estimate, step)
 
@@ -563,8 +563,7 @@ def _finding(
     suspicious = objects is not None and bool((objects.shown & objects.explained.accused).any())
     if report is None:
         return Finding(suspicious, is_accused, is_accused)
-    now, persistent = report.now, report.alarm or is_accused
-    return Finding(now.degraded or suspicious, now.inconsistent or persistent, persistent, now.suspect)
+    return Finding(report.now.degraded or suspicious, report.alarm or is_accused, is_accused, report.suspect)
 
 
 def _in_one_line(error: BaseException) -> str:

@@ -29,6 +29,9 @@ NULL_RANGE_M = 0.5
 MAX_RANGE_M = 250.0
 """Returns farther than this are not used where the sensor is not known."""
 
+LEVEL_TILT = _core.LEVEL_TILT
+"""A ground plane steeper than this is taken as the sensor's tilt where the attitude is not known."""
+
 PLANE_HEIGHT_M = 0.3
 """Height of a scan in one plane where it is not known: within every target."""
 

@@ -67,19 +67,12 @@ class RangeImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Where the returns of a sweep go on its range image, and where the beams of its rows point.
+    """Where the returns of a sweep go on its range image, and where the beams of its rows point."""
 
-    Attributes:
-        ring: (N,) int16 row of each return; -1 where no beam explains it.
-        columns: of a revolution.
-        elevation: (rings,) float64 radians above the horizon; NaN where the sensor is not known.
-        origin_m: (rings,) float64 height above the sensor's origin at range 0.
-    """
-
-    ring: NDArray[np.int16]
-    columns: int
-    elevation: NDArray[np.float64]
-    origin_m: NDArray[np.float64]
+    ring: NDArray[np.int16]  # (N,) int16 row of each return; -1 where no beam explains it
+    columns: int  # of a revolution
+    elevation: NDArray[np.float64]  # (rings,) float64 radians above the horizon; NaN where the sensor is not known
+    origin_m: NDArray[np.float64]  # (rings,) float64 height above the sensor's origin at range 0
 
     def image(
         self,

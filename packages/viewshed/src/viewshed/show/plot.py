@@ -253,9 +253,16 @@ def _fit(line: str) -> list[str]:
     return textwrap.wrap(line, _TITLE_LETTERS, max_lines=2, placeholder=" …")
 
 
+def map_picture(panel: Panel, pixels: int) -> Canvas:
+    """Return the square picture of an estimate that no single sensor made: states, edge and scale bar."""
+    canvas = Canvas(_raster(panel, pixels))
+    _scale_bar(canvas, 2 * panel.estimate.grid.half_extent_m)
+    return canvas
+
+
 def _map(panel: Panel, pixels: int) -> Canvas:
     """Return the square picture of an estimate: states, edge and points, then sensor, scale bar and direction."""
-    canvas, grid = Canvas(_raster(panel, pixels)), panel.estimate.grid
+    canvas, grid = map_picture(panel, pixels), panel.estimate.grid
     (x0, y0), side = grid.origin_m, 2 * grid.half_extent_m
     scale = pixels / side
     # The sensor, an arrow that points forward, stands at the origin of the level frame.
@@ -265,7 +272,6 @@ def _map(panel: Panel, pixels: int) -> Canvas:
     corners = [(column + right, row + down) for right, down in arrow]
     canvas.polygon(corners, WHITE, grow=1.0)
     canvas.polygon(corners, BLACK)
-    _scale_bar(canvas, side)
     if pixels >= _LARGE:
         _forward_mark(canvas)
     return canvas

@@ -55,14 +55,18 @@ def test_a_plate_that_vanishes_is_the_reverse() -> None:
     assert measure("seen_through", *sweeps).max() == 0.0
 
 
-def test_a_car_across_covers_no_more_than_it_drove() -> None:
-    # At 15 m/s, 1.5 m high: 1.5 m x 1.2 m of it stand where the last sweep looked through, and came from next to it.
-    cars = [Box(12.0, y_m, 1.8, 4.5, 1.5) for y_m in (-4.0, -2.5)]
+@pytest.mark.parametrize(("speed_mps", "share"), [(15.0, 0.0), (45.0, 1.0)])
+def test_a_car_across_counts_by_the_speed_that_it_needs(speed_mps: float, share: float) -> None:
+    # 1.2 m of its height stand where the last sweep looked through, and came from next to it.
+    driven_m = 0.1 * speed_mps
+    cars = [Box(12.0, y_m, 1.8, 4.5, 1.5) for y_m in (-4.0, driven_m - 4.0)]
     sweeps = [look((*YARD, car), number) for number, car in enumerate(cars)]
-    assert 0.5 < measure("seen_through", *sweeps).max() < 2.5
-    assert 5.0 < measure("arrival", *sweeps).max() < 20.0
-    assert 0.5 < measure("vanished", *sweeps).max() < 2.5
-    assert measure("departure", *sweeps).max() < 20.0
+    # The part farthest from where the car was needs all of that speed, the nearest hardly any.
+    most_m2 = share * driven_m * 1.2
+    for name in ("seen_through", "vanished"):
+        assert 0.1 * most_m2 <= measure(name, *sweeps).max() <= most_m2 + 0.05
+    assert 0.3 * speed_mps < measure("arrival", *sweeps).max() < 1.4 * speed_mps
+    assert measure("departure", *sweeps).max() < 1.4 * speed_mps
 
 
 def test_what_comes_out_of_cover_is_no_wonder() -> None:
@@ -95,26 +99,6 @@ def test_what_a_window_hides_is_not_lost() -> None:
     azimuth = np.rad2deg(np.arctan2(near.points[:, 1], near.points[:, 0]))
     kept = (np.abs(azimuth - 90.0) > 30.0) | (near.points[:, 1] < 5.0)
     assert measure("lost_view", before, _kept(near, kept))[sector_at(90.0)] == 0.0
-
-
-def test_a_surface_with_holes_is_pierced() -> None:
-    whole, behind = look((*YARD, PLATE), 1), look(YARD, 1)
-    places = _ring_and_column(whole)
-    rows = {place: n for n, place in enumerate(_ring_and_column(behind))}
-    points = whole.points.copy()
-    for n in np.flatnonzero((np.abs(points[:, 0] - 10.0) < 0.2) & (points[:, 1] > -1.0) & (points[:, 1] < 3.0)):
-        if places[n][1] % 4 == 0 and places[n] in rows:
-            points[n] = behind.points[rows[places[n]]]
-    pierced = measure("phantom_shadow", look((*YARD, PLATE), 0), whole.replace(points=points))
-    # A quarter of the plate's; the wall behind it belongs to these sectors as well.
-    assert 0.1 < pierced[AHEAD - 2 : AHEAD + 2].mean() < 0.25
-    assert measure("phantom_shadow", look((*YARD, PLATE), 0), whole)[AHEAD] == 0.0
-
-
-def test_the_edge_of_a_surface_is_not_pierced() -> None:
-    # A tenth of a meter narrower on either side: beams pass there, and on one side of them others still end.
-    narrower = Box(10.05, 1.0, 0.1, 3.8, 1.5)
-    assert measure("phantom_shadow", look((*YARD, PLATE), 0), look((*YARD, narrower), 1)).max() == 0.0
 
 
 def test_a_surface_that_jumps_is_measured() -> None:

@@ -16,7 +16,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab.sim import Scene, cast
 
 OF_POSES = (
-    "seen_through", "arrival", "vanished", "departure", "registration", "phantom_shadow", "lost_view", "frame_noise",
+    "seen_through", "arrival", "vanished", "departure", "registration", "lost_view", "frame_noise",
 )  # fmt: skip
 OF_EARLIER = (*OF_POSES, "same_noise")
 

@@ -29,7 +29,7 @@ def doubted(moment: Moment) -> Moment:
     suspect = np.zeros(SECTORS, np.bool_)
     suspect[40:42] = True  # 20° to 30°
     now = IntegrityReport("by hand", 2.0, 1.0, 0.01, suspect=suspect, reasons=("a wall hangs in the air", "and moves"))
-    report = StreamReport(now, alarm=True, wealth=3.0, limit=2.0, delay_s=0.2)
+    report = StreamReport(now, alarm=True, delay_s=0.2, suspect=now.suspect, doubtful_sweeps=3)
     return replace(moment, answer=replace(moment.answer, report=report))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.agents.many import AgentReport
+from viewshed.agents.report import AgentReport
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
 from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie, with_objects, without_objects
@@ -39,22 +39,15 @@ FOLLOW_M = 8.0
 
 @dataclass(slots=True)
 class Liars:
-    """The liars of a scene and what they have chosen; :meth:`forge` is called time after time.
+    """The liars of a scene and what they have chosen; :meth:`forge` is called time after time."""
 
-    Attributes:
-        lie: one of ``LIES``.
-        numbers: of the agents that lie; they agree on what.
-        victim: agent that is to be expelled, for ``flip``, or -1.
-        rng: of their choices.
-        touched: objects, or shares of the area that the first one saw, that they changed, of each time.
-        places: (J, 2 or more) where the objects are, in the world, that they lie about; None before they chose.
-    """
-
-    lie: Lie
-    numbers: tuple[int, ...]
-    victim: int
-    rng: np.random.Generator
+    lie: Lie  # one of ``LIES``
+    numbers: tuple[int, ...]  # of the agents that lie; they agree on what
+    victim: int  # agent that is to be expelled, for ``flip``, or -1
+    rng: np.random.Generator  # of their choices
+    # objects, or shares of the area that the first one saw, that they changed, of each time
     touched: list[float] = field(default_factory=list)
+    # (J, 2 or more) where the objects are, in the world, that they lie about; None before they chose
     places: F64 | None = None
     _shifts: F64 | None = None
     _honest: list[list[AgentReport]] = field(default_factory=list)
@@ -76,19 +69,12 @@ Forge = Callable[[Liars, list[AgentReport]], list[AgentReport]]
 
 @dataclass(frozen=True, slots=True)
 class Lie:
-    """One way to lie.
+    """One way to lie."""
 
-    Attributes:
-        about: objects, view, pose or others: under which heading it is reported.
-        liars: how many lie together.
-        forge: what they make of honest reports.
-        flips: whether it is aimed at an honest agent.
-    """
-
-    about: str
-    liars: int
-    forge: Forge
-    flips: bool = False
+    about: str  # objects, view, pose or others: under which heading it is reported
+    liars: int  # how many lie together
+    forge: Forge  # what they make of honest reports
+    flips: bool = False  # whether it is aimed at an honest agent
 
 
 def _fabricate(liars: Liars, reports: list[AgentReport]) -> list[AgentReport]:

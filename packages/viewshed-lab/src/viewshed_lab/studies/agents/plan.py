@@ -12,38 +12,24 @@ from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.agents.lies import LIES
 from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
 
-SPLITS = ("claims", "calibration", "test", "benign")
-"""No scene is in two of them: what claims are worth, and how honest views err, is from the first, limits are from the
-second, figures from the third; how many are accused where nobody lies is from the fourth as well."""
+SPLITS = ("learning", "calibration", "test")
+"""No scene is in two of them: what honest agents do is learned from the first, limits are from the second, figures from
+the third, whose kinds of world and sensors are in none of the others."""
 
 ONSET_S = 2.0
 """Agents lie from this time of a scene on."""
 
 STEPS = ("scenes", "runs", "page")
 
-HONEST = "honest"
-"""The case in which nobody lies."""
+HONEST, STATED, UNSTATED = "honest", "pose noise stated", "pose noise not stated"
+"""Cases in which nobody lies: poses are exact, or off by .2 m and .5°, and agents say so or do not."""
+
+POSE_NOISE = (STATED, UNSTATED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentsPlan(Plan):
     """The study of many agents.
-
-    Attributes:
-        worlds: kinds of world, which the scenes take in turn.
-        sensors: beam tables of the vehicles, which the scenes take in turn.
-        moving: vehicles that measure and report.
-        roadside: sensors on masts that do.
-        tall_masts: every k-th scene has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none.
-        seconds: how long a scene lasts.
-        hz: reports a second of each agent.
-        claims: scenes from which it is learned what claims are worth.
-        calibration: scenes that limits are from.
-        test: scenes that are reported on.
-        benign: further ones in which nobody lies.
-        lies: names of ``LIES``.
-        each: lies that each test scene is tried with, in turn; all scenes are run without any as well.
-        seed: of all that is random.
 
     Raises:
         ValueError: a name is not known, or a number is out of range.
@@ -54,27 +40,30 @@ class AgentsPlan(Plan):
 
     name: str
     about: str
-    worlds: tuple[str, ...]
-    sensors: tuple[str, ...]
-    moving: int
-    roadside: int
-    tall_masts: int
-    seconds: float
-    hz: float
-    claims: int
-    calibration: int
-    test: int
-    benign: int
-    lies: tuple[str, ...]
-    each: int
-    seed: int
+    worlds: tuple[str, ...]  # kinds of world for learning and calibration, which the scenes take in turn
+    sensors: tuple[str, ...]  # beam tables of their vehicles, which the scenes take in turn
+    test_worlds: tuple[str, ...]  # kinds of world of the test scenes
+    test_sensors: tuple[str, ...]  # beam tables of their vehicles
+    heights_m: tuple[float, ...]  # of the vehicles' sensors, which the scenes take in turn
+    moving: int  # vehicles that measure and report
+    roadside: int  # sensors on masts that do
+    tall_masts: int  # every k-th scene has masts as tall as published, 20 m, and not of 4 to 8 m; 0 for none
+    seconds: float  # how long a scene lasts
+    hz: float  # reports a second of each agent
+    learning: int  # scenes from which it is learned what honest agents do
+    calibration: int  # scenes that limits are from
+    test: int  # scenes that are reported on
+    lies: tuple[str, ...]  # names of ``LIES``
+    each: int  # lies that each test scene is tried with, in turn; all scenes are run without any as well
+    seed: int  # of all that is random
 
     def __post_init__(self) -> None:
         check_names("worlds", self.worlds, WORLDS)
+        check_names("test_worlds", self.test_worlds, WORLDS)
         check_names("lies", self.lies, LIES, once=True)
         check_seed("seed", self.seed)
-        self.check_at_least(1, "claims", "calibration", "test", "moving")
-        self.check_at_least(0, "roadside", "tall_masts", "benign", "each")
+        self.check_at_least(1, "learning", "calibration", "test", "moving")
+        self.check_at_least(0, "roadside", "tall_masts", "each")
         if not (self.seconds > ONSET_S and 0 < self.hz <= 10):
             raise ValueError(f"seconds must be above {ONSET_S:g} and hz in (0, 10], got {self.seconds:g}, {self.hz:g}")
 
@@ -88,14 +77,14 @@ class AgentsPlan(Plan):
 
     def run_keys(self) -> list[JobKey]:
         """Return the names of the runs' jobs: split and number of a scene, in all of its cases."""
-        return [("run", *key[1:]) for key in self.scene_keys()]
+        return [("run", *key[1:]) for key in self.scene_keys() if key[1] != SPLITS[0]]
 
     def cases_of(self, split: str, number: int) -> list[str]:
-        """Return what is tried in a scene: honest, and in test scenes some lies in turn."""
+        """Return what is tried in a scene: honest agents, poses of every other calibration scene off; lies in turn."""
         if split != "test":
-            return [HONEST]
+            return [(HONEST, STATED)[number // len(self.worlds) % 2]]
         count = min(self.each, len(self.lies))
-        return [HONEST, *(self.lies[(number * count + k) % len(self.lies)] for k in range(count))]
+        return [HONEST, *POSE_NOISE, *(self.lies[(number * count + k) % len(self.lies)] for k in range(count))]
 
     def has_tall_masts(self, number: int) -> bool:
         """Return whether the masts of a scene are as tall as published: in each kind of world and with each sensor."""
@@ -105,11 +94,14 @@ class AgentsPlan(Plan):
         """Return the scene of a split: its world, its sensors and its agents."""
         base: Preset = preset_named("carla")
         frames = round(self.seconds * self.hz) * (self.moving + self.roadside)
-        sensor = self.sensors[number // len(self.worlds) % len(self.sensors)]
+        is_test = split == "test"
+        worlds, sensors = (self.test_worlds, self.test_sensors) if is_test else (self.worlds, self.sensors)
+        rounds = number // len(worlds)
         one = replace(
-            base, worlds=(self.worlds[number % len(self.worlds)],), world_weights=(1.0,), splits=SPLITS,
+            base, worlds=(worlds[number % len(worlds)],), world_weights=(1.0,), splits=SPLITS,
             scenes=(number + 1,) * len(SPLITS), frames=((number + 1) * frames,) * len(SPLITS), moving=self.moving,
-            roadside=self.roadside, sensors=(sensor,), interval_s=1 / self.hz, conditions=("clear",),
+            roadside=self.roadside, sensors=(sensors[rounds % len(sensors)],), interval_s=1 / self.hz,
+            sensor_height_m=self.heights_m[(number + rounds) % len(self.heights_m)], conditions=("clear",),
             condition_weights=(1.0,), seed=self.seed,
         )  # fmt: skip
         return ScenePlan(one, SPLITS.index(split), number)

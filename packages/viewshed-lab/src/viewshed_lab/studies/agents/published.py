@@ -1,4 +1,4 @@
-"""The published trust (``viewshed.agents.mate``) on the picture of a center that believes everybody."""
+"""The published trust (``viewshed_lab.studies.agents.mate``) on the picture of a center that believes everybody."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.agents.many import AgentReport, CommonPicture
-from viewshed.agents.mate import MateReport, MateTrust
+from viewshed_lab.studies.agents.mate import MateReport, MateTrust
 
 
 @dataclass(slots=True)

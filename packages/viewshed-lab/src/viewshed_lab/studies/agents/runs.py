@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from viewshed.agents.claims import ClaimTable
 from viewshed.agents.honest import HonestExamples, HonestModel, ObjectReports
-from viewshed.agents.many import FAR_M, GATE_M, AgentReport, CommandCenter, object_reports
+from viewshed.agents.many import GATE_M, CommandCenter, object_reports
+from viewshed.agents.registration import PoseStd
+from viewshed.agents.report import FAR_M, AgentReport
+from viewshed.agents.view_evidence import Comparisons
 from viewshed.arrays import F64
+from viewshed.geometry import Rigid
 from viewshed.objects.metrics import gospa
 from viewshed.objects.views import GridView
 from viewshed_lab.data.drive import SEEN_RETURNS
 from viewshed_lab.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
-from viewshed_lab.studies.agents.plan import ONSET_S
+from viewshed_lab.studies.agents.plan import ONSET_S, POSE_NOISE, STATED
 from viewshed_lab.studies.agents.published import PublishedTrust
 from viewshed_lab.studies.agents.scenes import Scene
 from viewshed_lab.studies.cases import generator
@@ -32,62 +34,41 @@ MOVED_M = (0.6, 4.0)
 """How far boxes are moved to learn what moved ones look like."""
 
 LEARNED_EACH = 2
-"""What honest agents report is learned from every k-th time of a scene."""
+"""What honest agents do is learned from every k-th time of a scene, ..."""
 
 ELSEWHERE_EACH = 2
-"""Every k-th box is taken: once it is put elsewhere, once it is moved."""
+"""... and of every k-th box, once put elsewhere, once moved."""
+
+POSE_STD = PoseStd(0.2, float(np.radians(0.5)))
+"""Errors of poses in the cases of noise, drawn once for each agent of a scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What one case of a scene came to; plain values, which a line of results holds.
+    """What one case of a scene came to; plain values, which a line of results holds."""
 
-    Attributes:
-        case: ``HONEST`` or a lie.
-        liars: numbers of the agents that lied.
-        victim: of a lie about another one, or -1.
-        evidence: [T][A] natural logarithm of the e-value against each agent.
-        doubt: [T] of all.
-        trust: [T][A].
-        published_trust: [T][A], of the published formulas.
-        suspects: [T][A] 0 or 1.
-        checks: [T][A][C] of the claimed views, the mean of the last ones; None where there is none.
-        gospa: by center, [T] meters.
-        touched: [T] objects, or share of the area, that the liars changed.
-        overlap: other honest agents that see the places which were lied about, on average; NaN for lies about views.
-    """
-
-    case: str
-    liars: list[int]
-    victim: int
-    evidence: list[list[float]]
-    doubt: list[float]
-    trust: list[list[float]]
-    published_trust: list[list[float]]
-    suspects: list[list[int]]
-    checks: list[list[list[float | None]]]
-    gospa: dict[str, list[float]]
-    touched: list[float]
+    case: str  # ``HONEST`` or a lie
+    liars: list[int]  # numbers of the agents that lied
+    victim: int  # of a lie about another one, or -1
+    evidence: list[list[float]]  # [T][A] against each agent, in nats
+    doubt: list[float]  # [T] of all
+    trust: list[list[float]]  # [T][A]
+    published_trust: list[list[float]]  # [T][A], of the published formulas
+    suspects: list[list[int]]  # [T][A] 0 or 1
+    gospa: dict[str, list[float]]  # by center, [T] meters
+    touched: list[float]  # [T] objects, or share of the area, that the liars changed
+    # other honest agents that see the places which were lied about, on average; NaN for lies about views
     overlap: float
 
 
 @dataclass(slots=True)
 class SceneCases:
-    """Runs the cases of one scene; its honest reports are made once.
+    """Runs the cases of one scene; its honest reports are made once."""
 
-    Attributes:
-        scene: to be run.
-        seed: of the study, split and number of the scene.
-        claims: what claims are worth.
-        honest: what honest agents report.
-        compared: whether a center that believes everybody and the published trust are run as well.
-    """
-
-    scene: Scene
-    seed: tuple[int, str, int]
-    claims: ClaimTable
-    honest: HonestModel
-    compared: bool = True
+    scene: Scene  # to be run
+    seed: tuple[int, str, int]  # of the study, split and number of the scene
+    honest: HonestModel  # what honest agents do
+    compared: bool = True  # whether a center that believes everybody and the published trust are run as well
     _reports: list[list[AgentReport]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -101,15 +82,21 @@ class SceneCases:
         lie = LIES.get(case)
         count = min(lie.liars, (len(agents) - 1) // 2) if lie is not None else 0
         liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
+        errors = rng.normal(size=(len(agents), 3)) * (POSE_STD.place_m, POSE_STD.place_m, POSE_STD.yaw)
 
-        centers = {"ours": CommandCenter(agents, claims=self.claims, honest=self.honest)}
+        centers = {"ours": CommandCenter(agents, honest=self.honest)}
         if self.compared:
-            centers["no trust"] = CommandCenter(agents, claims=self.claims, honest=self.honest, trusting=True)
+            centers["no trust"] = CommandCenter(agents, honest=self.honest, trusting=True)
         distances: dict[str, list[float]] = {name: [] for name in CENTERS}
-        evidence, doubt, trust, suspects, checks, published_trust = [], [], [], [], [], []
+        evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
         published = PublishedTrust()
         for time, honest in enumerate(self._reports):
             reports = list(honest)
+            if case in POSE_NOISE:
+                reports = [
+                    _misplaced(report, error, stated=case == STATED)
+                    for report, error in zip(reports, errors, strict=True)
+                ]
             if liars is not None:
                 reports = liars.forge(reports) if scene.times_s[time] >= ONSET_S else liars.look(reports)
             truth = seen_objects(scene, time)
@@ -128,18 +115,19 @@ class SceneCases:
                     doubt.append(picture.verdicts.doubt)
                     trust.append(picture.verdicts.trust)
                     suspects.append(picture.verdicts.suspects)
-                    checks.append(picture.checks)
         return Run(
             case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence),
             _rounded(doubt), _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(),
-            plain_checks(checks), {name: _rounded(values) for name, values in distances.items()},
+            {name: _rounded(values) for name, values in distances.items()},
             liars.touched if liars else [], overlap_of(scene, liars) if liars else float("nan"),
         )  # fmt: skip
 
 
-def plain_checks(checks: Sequence[F64]) -> list[list[list[float | None]]]:
-    """Return checks of views at each time (A, C) as plain values, None for NaN."""
-    return [[[None if np.isnan(x) else float(f"{x:.5g}") for x in row] for row in one.tolist()] for one in checks]
+def _misplaced(report: AgentReport, error: F64, *, stated: bool) -> AgentReport:
+    """Return a report whose pose is off along x and y of the world in meters and in heading, in radians (3,)."""
+    shift = Rigid(np.eye(3), np.array([error[0], error[1], 0.0]))
+    moved = report.placed_at(shift @ report.world_from_level @ Rigid.from_yaw(float(error[2])))
+    return replace(moved, pose_std=POSE_STD) if stated else moved
 
 
 def overlap_of(scene: Scene, liars: Liars) -> float:
@@ -167,20 +155,31 @@ def seen_objects(scene: Scene, time: int) -> F64:
     return boxes
 
 
-def honest_examples(scene: Scene, claims: ClaimTable, rng: np.random.Generator) -> list[HonestExamples]:
-    """Return what honest agents of a scene report, to fit a model on: of some times, and of boxes put elsewhere."""
-    center = CommandCenter(scene.agents, claims=claims, trusting=True, honest=HonestModel.blank())
-    out = []
+def honest_examples(scene: Scene, rng: np.random.Generator) -> tuple[list[HonestExamples], list[Comparisons]]:
+    """Return what honest agents of a scene report, of some times and of boxes put elsewhere, and how views compare."""
+    center = CommandCenter(scene.agents, honest=HonestModel.blank())
+    out, compared = [], []
+    numbers = np.arange(len(scene.agents))
     for time, t_s in enumerate(scene.times_s):
         reports = scene.reports(time)
         picture = center.add(float(t_s), reports)
+        compared.append(picture.compared)
         if time % LEARNED_EACH:
             continue
-        boxes = picture.tracks.boxes[picture.tracks.detection >= 0]
-        away = np.linalg.norm(boxes[:, None, :2] - seen_objects(scene, time)[None, :, :2], axis=2)
+        truth = seen_objects(scene, time)
+        # Objects in truth, as if each detection near one were of it.
+        nobody = np.full((len(truth), len(numbers)), -1, np.int32)
+        members = nobody.copy()
+        for number, report in enumerate(reports):
+            away = np.linalg.norm(truth[:, None, :2] - report.in_world.boxes[None, :, :2], axis=2)
+            if away.size:
+                members[:, number] = np.where(away.min(axis=1) < FOUND_M, away.argmin(axis=1), -1)
+        past = np.zeros((len(truth), 3, len(numbers)))
+        objects = object_reports(reports, numbers, len(numbers), truth, members, past)
+        away = np.linalg.norm(picture.tracks.boxes[picture.reported, None, :2] - truth[None, :, :2], axis=2)
         is_object = away.min(axis=1, initial=np.inf) < FOUND_M
-        out.append(HonestExamples.of(picture.said, is_object, *_put_elsewhere(reports, rng)))
-    return out
+        out.append(HonestExamples.of(picture.said, is_object, objects, *_put_elsewhere(reports, rng)))
+    return out, compared
 
 
 def _put_elsewhere(reports: Sequence[AgentReport], rng: np.random.Generator) -> tuple[ObjectReports, ObjectReports]:
@@ -205,36 +204,13 @@ def _put_elsewhere(reports: Sequence[AgentReport], rng: np.random.Generator) -> 
         own = np.full((len(rows), agents, 7), np.nan)
         for line, (number, each) in enumerate(rows):
             own[line, number] = each
-        nobody = np.full((len(rows), agents), -1, np.int32)
-        out.append(object_reports(
-            reports, np.arange(agents), agents, boxes, nobody, np.zeros(nobody.shape, np.int64), np.ones(len(rows)), own
-        ))  # fmt: skip
+        nobody, past = np.full((len(rows), agents), -1, np.int32), np.zeros((len(rows), 3, agents))
+        out.append(object_reports(reports, np.arange(agents), agents, boxes, nobody, past, own))
     return out[0], out[1]
 
 
 def _ways(azimuth: F64) -> F64:
     return np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-
-
-def claims_of(scene: Scene) -> dict[str, NDArray[Any]]:
-    """Return what agents claim of all objects near them, and which they see and report: columns of N rows."""
-    columns: dict[str, list[NDArray[Any]]] = {
-        name: [] for name in ("prob", "boxes", "range_m", "height", "found", "returns")
-    }
-    for time in range(0, len(scene.times_s), 4):
-        for number, report in enumerate(scene.reports(time)):
-            boxes = scene.objects[time]
-            range_m = report.range_m(boxes)
-            near = (range_m < FAR_M) & (range_m > 1.0) & (np.arange(len(boxes)) != scene.carriers[number])
-            xy = report.in_world.boxes[:, :2]
-            away = np.linalg.norm(boxes[near, None, :2] - xy[None], axis=2)
-            columns["prob"].append(GridView(report.estimate, 0.0).visible(boxes[near]))
-            columns["boxes"].append(boxes[near])
-            columns["range_m"].append(range_m[near])
-            columns["height"].append(np.full(int(near.sum()), report.height))
-            columns["found"].append(away.min(axis=1, initial=np.inf) < FOUND_M)
-            columns["returns"].append(scene.returns[time, number, near])
-    return {name: np.concatenate(parts) for name, parts in columns.items()}
 
 
 def _rounded(values: Any) -> Any:

@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
-from viewshed.agents.many import AgentReport
+from viewshed.agents.registration import UNSTATED
+from viewshed.agents.report import AgentReport
 from viewshed.arrays import F64
 from viewshed.detections import Detections, moved_boxes
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import Basis, FovEstimate
+from viewshed.fov.height_map import NODES, HeightMap
 from viewshed.geometry import Rigid
-from viewshed.grid import GRIDS
+from viewshed.grid import GRIDS, BevGrid
 from viewshed.objects.detector import Detector
 from viewshed.preprocess.leveling import level
 from viewshed.recordings.write.moment import DriveTruth, ObjectTruth
@@ -37,6 +39,9 @@ GRID = GRIDS["road"]
 
 MAST_M, PITCH_DEG = 20.0, 30.0
 """Height and downward pitch of the published infrastructure sensor."""
+
+_NODES = BevGrid(NODES, GRID.half_extent_m).centers
+"""Where the ground is kept."""
 
 LEVELS = 255
 """Steps in which probabilities are kept."""
@@ -56,31 +61,20 @@ def scene_world(plan: AgentsPlan, split: str, number: int) -> World:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What T times of A agents hold, in files.
+    """What T times of A agents hold, in files."""
 
-    Attributes:
-        times_s: (T,) of the sweeps.
-        prob: (T, A, cells, cells) uint8 steps of the probability of visible.
-        state: (T, A, cells, cells) uint8 states.
-        poses: (T, A, 4, 4) ``world_from_level``.
-        bases: of the estimates, T lists of A.
-        found: boxes, kinds and returns of the detections (D, 9), in ``level``, ...
-        found_at: ... and the time and the agent of each (D, 2).
-        objects: (T, K, 7) boxes of all objects in the world.
-        returns: (T, A, K) int32 returns that each object gave each agent.
-        carriers: (A,) which object carries each agent's sensor, -1 for a mast.
-    """
-
-    times_s: F64
-    prob: NDArray[np.uint8]
-    state: NDArray[np.uint8]
-    poses: F64
-    bases: list[list[dict[str, Any]]]
-    found: F64
-    found_at: NDArray[np.int16]
-    objects: F64
-    returns: NDArray[np.int32]
-    carriers: NDArray[np.int64]
+    times_s: F64  # (T,) of the sweeps
+    prob: NDArray[np.uint8]  # (T, A, cells, cells) uint8 steps of the probability of visible
+    state: NDArray[np.uint8]  # (T, A, cells, cells) uint8 states
+    poses: F64  # (T, A, 4, 4) ``world_from_level``
+    # (T, A, nodes, nodes) float16 heights of the ground that each agent estimates, in ``level``
+    ground: NDArray[np.float16]
+    bases: list[list[dict[str, Any]]]  # of the estimates, T lists of A
+    found: F64  # boxes, kinds and returns of the detections (D, 9), in ``level``, ..
+    found_at: NDArray[np.int16]  # ... and the time and the agent of each (D, 2).
+    objects: F64  # (T, K, 7) boxes of all objects in the world
+    returns: NDArray[np.int32]  # (T, A, K) int32 returns that each object gave each agent
+    carriers: NDArray[np.int64]  # (A,) which object carries each agent's sensor, -1 for a mast
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -103,6 +97,7 @@ class Scene:
         times_s = np.asarray((np.arange(times) + 0.5) * plan.preset.interval_s, np.float64)
         shape = (times, agents)
         prob, state = (np.zeros((*shape, *GRID.shape), np.uint8) for _ in range(2))
+        ground = np.zeros((*shape, NODES, NODES), np.float16)
         poses, carriers = np.zeros((*shape, 4, 4)), np.full(agents, -1, np.int64)
         objects, returns = list[F64](), list[NDArray[np.int32]]()
         bases: list[list[dict[str, Any]]] = [[] for _ in range(times)]
@@ -115,6 +110,7 @@ class Scene:
                 raise ValueError(f"the sweeps of {plan.name} must have poses and points, got frame {frame} without")
             prob[time, agent], state[time, agent] = np.rint(LEVELS * estimate.visible_prob), estimate.state
             poses[time, agent] = estimate.world_from_level.as_matrix()
+            ground[time, agent] = leveled.ground.at(_NODES)
             bases[time].append({name: getattr(estimate.basis, name) for name in Basis.__slots__})
             if agent == 0:
                 objects.append(np.array([_box_of(each) for each in truth.objects]).reshape(-1, 7))
@@ -124,8 +120,8 @@ class Scene:
             found.append(np.column_stack([seen.boxes, seen.kinds, seen.returns]))
             found_at.append(np.tile(np.array([time, agent], np.int16), (len(seen), 1)))
         return cls(
-            times_s, prob, state, poses, bases, np.concatenate(found), np.concatenate(found_at), np.stack(objects),
-            np.stack(returns).reshape(*shape, -1), carriers,
+            times_s, prob, state, poses, ground, bases, np.concatenate(found), np.concatenate(found_at),
+            np.stack(objects), np.stack(returns).reshape(*shape, -1), carriers,
         )  # fmt: skip
 
     def reports(self, time: int) -> list[AgentReport]:
@@ -144,7 +140,9 @@ class Scene:
             own = None
             if carrier >= 0 and estimate.world_from_level is not None:
                 own = moved_boxes(self.objects[time, [carrier]], estimate.world_from_level.inverse())[0]
-            out.append(AgentReport(estimate, detections, own))
+            heights = self.ground[time, number].astype(np.float32)
+            ground = HeightMap(heights, GRID.half_extent_m, np.ones(heights.shape, np.bool_))
+            out.append(AgentReport(estimate, detections, own, UNSTATED, ground))
         return out
 
     def save(self, path: Path) -> None:

@@ -158,12 +158,12 @@ def beams_within(
         start = int(np.convolve(np.tile(by_column, 2), np.ones(wide), "valid")[:columns].argmax())
         return (np.arange(rings)[:, None] * columns + (start + np.arange(wide)) % columns).ravel()
     if threat.kind == "window":
-        # In every stretch of columns as wide as half a turn, the widest window, so many beams at most.
+        # So many in either half of the turn, and between them a gap that no window spans.
         stretch = columns // 2
         picked = [
-            first + np.argpartition(part, -amount)[-amount:] % part.shape[0]
+            first + np.argsort(part)[-amount:]
             for first in (0, stretch)
-            for part in (score.reshape(rings, columns)[:, first : first + stretch // 2].max(axis=0),)
+            for part in (score.reshape(rings, columns)[:, first : first + stretch // 3].max(axis=0),)
         ]
         column = np.concatenate(picked)
         return score.reshape(rings, columns)[:, column].argmax(axis=0) * columns + column

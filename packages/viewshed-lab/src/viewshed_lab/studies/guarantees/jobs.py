@@ -31,12 +31,13 @@ from viewshed_lab.studies.guarantees.scenes import (
     counts_of,
     guaranteed_of,
     own_scene,
+    survey_of,
     wild_scene,
 )
 
 TARGETS = ("car", "pedestrian")
 
-SENSOR, OTHERS = "HDL-32E", "any"
+SENSOR = "HDL-32E"
 
 ALPHA, DELTA = 0.05, 0.1
 
@@ -96,6 +97,18 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "attacks", number, attack_scene(number, sizes))
 
 
+def judge_by_survey(folder: Path, log: Path) -> None:
+    """Measure the masks of a folder on the surveyed ground of an Argoverse 2 log."""
+    own = calibration_of(folder, "car")
+    masks = {"guaranteed, calibration of the own scenes": (own, 0.9)}
+    others = [_unpacked(line["car"]) for line in lines_of(folder, "development")]
+    if len(others) >= LEAST_SCENES:
+        masks["guaranteed, retested on development, confidence .5"] = (own.retested(others, "development"), 0.5)
+    (folder / "survey.jsonl").unlink(missing_ok=True)
+    for number, found in enumerate(survey_of(log, masks)):
+        _add(folder, "survey", number, found)
+
+
 def lines_of(folder: Path, part: str) -> list[Line]:
     """Return what is done of a part, in order."""
     file = folder / f"{part}.jsonl"
@@ -115,9 +128,6 @@ def calibration_of(folder: Path, target: str) -> Calibration:
 def ship(folder: Path, file: Path) -> None:
     """Write the calibrations of a folder to the file that the package reads."""
     tables = [calibration_of(folder, target).to_json() for target in TARGETS]
-    others = [_unpacked(line["car"]) for line in lines_of(folder, "development")]
-    if len(others) >= LEAST_SCENES:
-        tables.append(calibration_of(folder, "car").retested(others, OTHERS).to_json())
     write_atomic(file, (json.dumps(tables, separators=(",", ":")) + "\n").encode())
 
 
@@ -131,13 +141,16 @@ def retested_shares(folder: Path) -> list[Line]:
     for fold in np.array_split(order, max(len(lines) // 10, 2)):
         others = [scenes[k] for k in order if k not in fold]
         retested = own.retested(others, "development") if len(others) >= 50 else own
-        step, plain = retested.step(ALPHA, DELTA), own.step(ALPHA, DELTA)
+        steps = {
+            "own": own.step(ALPHA, DELTA),
+            "retested": retested.step(ALPHA, DELTA),
+            "expected": retested.step(ALPHA, DELTA, 0.5),
+        }
         found += [
             {
                 **lines[k]["default"],
                 "sensor": lines[k]["sensor"],
-                "own": _share_of(scenes[k], own, plain),
-                "retested": _share_of(scenes[k], own, step),
+                **{name: _share_of(scenes[k], own, step) for name, step in steps.items()},
             }
             for k in fold
         ]

@@ -34,7 +34,8 @@ def files_of(folder: Path) -> dict[str, bytes]:
         certificates=_certificates(lines["certificates"]), final=_final(lines["certificates"]),
         attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
-        development=_development(folder), picture=_picture() if lines["attacks"] else None,
+        development=_development(folder), survey=_survey(lines["survey"]),
+        picture=_picture() if lines["attacks"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
     about = facts(
@@ -43,7 +44,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return page.files("guarantees.md", about)
 
 
-_PARTS = ("certificates", "broken", "adapted", "calibration", "development", "report", "attacks")
+_PARTS = ("certificates", "broken", "adapted", "calibration", "development", "report", "attacks", "survey")
 
 
 def _sum(lines: list[Line], key: str, kind: str) -> Any:
@@ -215,7 +216,12 @@ def _development(folder: Path) -> Table | None:
     if not found:
         return None
     rows = []
-    for name, words in (("own", "calibration of the own scenes"), ("retested", "retested on 50 of these scenes")):
+    masks = {
+        "own": "calibration of the own scenes",
+        "retested": "retested on 50 of these scenes, confidence .9",
+        "expected": "retested on 50 of these scenes, confidence .5",
+    }
+    for name, words in masks.items():
         shares, kept = np.array([one[name] for one in found]).T
         broken = int((shares > ALPHA).sum())
         promised = format_interval(broken / len(shares), _interval(broken, len(shares)))
@@ -225,6 +231,17 @@ def _development(folder: Path) -> Table | None:
         ["the default alone", format_interval(default / len(found), _interval(default, len(found))), format_rate(1.0)]
     )
     return Table(["mask", "scenes with a false share above α", "kept of what the default rightly claims"], rows)
+
+
+def _survey(lines: list[Line]) -> Table | None:
+    """Return the share of the claimed cells whose ground lies elsewhere than the surveyed one."""
+    if not lines:
+        return None
+    rows = []
+    for name in (name for name in lines[0] if name != "number"):
+        surveyed, off = np.sum([line[name] for line in lines], axis=0)
+        rows.append([name, f"{surveyed / len(lines):.0f}", format_rate(off / max(surveyed, 1), 4)])
+    return Table(["mask", "claimed cells on surveyed ground, a sweep", "of these off by more than .3 m"], rows)
 
 
 def _picture(number: int = 1) -> Picture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,13 @@ from viewshed.guarantees.certificate import ADDED, certify, without
 from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
 from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.recordings.read import open_source
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.data.wild import WildScene
+from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
 FRAME = 11
@@ -163,23 +166,27 @@ class Certified:
         return without(estimate, estimate.visible() & ~kept)
 
 
-@dataclass(frozen=True, slots=True)
-class Guaranteed:
-    """The default estimator with the mask of a calibration."""
+def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
+    """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on ground that lies elsewhere.
 
-    estimator: Estimator
-    calibration: Calibration
-
-    @property
-    def grid(self) -> BevGrid:
-        """Its grid."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate without the claims that are not guaranteed."""
-        leveled = level(sweep, self.grid)
-        estimate = self.estimator.estimate(leveled)
-        return without(estimate, estimate.visible() & ~self.calibration.mask(estimate, leveled.ground))
+    Args:
+        log: folder of the log, with its map.
+        masks: calibrations by name, and the confidence that is asked of them.
+    """
+    survey, found = SurveyedGround.read(log), []
+    for _, sweep, _ in annotated(open_source(log, "argoverse2"), None):
+        leveled = level(sweep, GRID)
+        if leveled.world_from_level is None:
+            raise ValueError(f"{log}: every sweep must have a pose, got one without")
+        estimate, ground_m = default_estimator(TARGETS["car"]).estimate(leveled), leveled.ground.at(GRID.centers)
+        there = leveled.world_from_level @ np.dstack([GRID.centers, ground_m.astype(np.float64)])
+        error_m = there[..., 2] - survey.at(there)
+        claims = {"default": estimate.visible()} | {
+            name: one.mask(estimate, leveled.ground, confidence=confidence) for name, (one, confidence) in masks.items()
+        }
+        surveyed, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
+        found.append({name: [int((m & surveyed).sum()), int((m & off).sum())] for name, m in claims.items()})
+    return found
 
 
 def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from viewshed.fov.visibility import CAR, Beams, probability_of_visible
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.monitor import IntegrityReport, StreamMonitor
-from viewshed.monitor.sweep_monitor import shipped_monitor
 from viewshed.objects.cells import SeenCells
 from viewshed.objects.detection_table import detection_table
 from viewshed.objects.detector import Detector
@@ -134,6 +133,9 @@ class ExactView:
         counts = np.maximum(self._counts(boxes), SEEN_FROM).astype(np.float64)
         return self._found(counts, np.hypot(level[:, 0], level[:, 1]), kinds)
 
+    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> None:
+        """Return None: trackers are given those of the detector."""
+
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         """Return 1 (K,) where a box could be somewhere unseen within (K,) meters, else 0."""
         return hidden_within(self, boxes, within_m)
@@ -223,8 +225,7 @@ def simulate_drive(
     world, agent = world_of(plan), world_of(plan).agents[0]
     estimator, polygon = load_estimator(DEFAULT_ESTIMATOR, grid=grid), load_estimator(POLYGON, grid=grid)
     simulated, perception = SimulatedDetector(np.random.Generator(np.random.PCG64(plan.seed(99)))), Detector()
-    watching = shipped_monitor()
-    monitor = None if forger is None else StreamMonitor(watching, watching.detector(hz=HZ))
+    monitor = None if forger is None else StreamMonitor()
     movable = [
         k for k, thing in enumerate(world.things)
         if k != agent.carrier and (thing.kind in OBJECT_KINDS or thing.track is not None)
@@ -282,7 +283,7 @@ def simulate_drive(
         ghost = np.zeros(len(detections), np.bool_)
         if ghost_at is not None:
             ghost = (np.hypot(*(detections.boxes[:, :2] - ghost_at).T) < _GHOST_WITHIN_M) & (of_object < 0)
-        report = None if monitor is None else monitor.check(leveled, {DEFAULT_ESTIMATOR: estimate}).now
+        report = None if monitor is None else monitor.check(leveled).now
         yield Moment(t_s, pose.translation, truth, detections, of_object, visible, views, odds, ghost, gone, report)
 
 

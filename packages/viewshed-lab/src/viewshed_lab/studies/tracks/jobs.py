@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from viewshed._files import write_atomic
 from viewshed.objects.calibration import count_drive, highest_e_values, limits_of, model_of_counts
 from viewshed.objects.evidence import EvidenceCounts, EvidenceModel
-from viewshed.objects.published import PublishedRules
 from viewshed.objects.tracker import Rules
 from viewshed_lab._jobs import Engine
 from viewshed_lab.studies.cases import generator
@@ -26,6 +25,7 @@ from viewshed_lab.studies.tracks.drives import RULES, Moment, simulate_drive
 from viewshed_lab.studies.tracks.evaluate import evaluate, track_drive, tracking_gospa_m, tracks_of_objects
 from viewshed_lab.studies.tracks.lidar_level import SweepForger
 from viewshed_lab.studies.tracks.plan import BENIGN_CASE, STEPS, TracksPlan
+from viewshed_lab.studies.tracks.published import PublishedRules
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 
 MODELS = "models"

@@ -5,64 +5,66 @@ To add one, write a function that measures a :class:`MonitoredSweep` and add a r
 
 from __future__ import annotations
 
-from viewshed.monitor.evidence import beams, estimates, ground, history, noise
-from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, Evidence, MonitoredSweep, sector_of
+from collections.abc import Mapping
 
-__all__ = ["ABSTAINS", "EVIDENCE", "SECTORS", "Evidence", "MonitoredSweep", "sector_of"]
+import numpy as np
+
+from viewshed.arrays import F32
+from viewshed.monitor.evidence import history, sensor
+from viewshed.monitor.evidence.base import ABSTAINS, EARLIER_SWEEPS, SECTORS, Evidence, MonitoredSweep, sector_of
+
+__all__ = [
+    "ABSTAINS",
+    "EARLIER_SWEEPS",
+    "EVIDENCE",
+    "SECTORS",
+    "Evidence",
+    "MonitoredSweep",
+    "measure_all",
+    "sector_of",
+]
 
 EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
-    Evidence("isolated", beams.measure_isolated,
-             "{value:.0%} of the returns at {degrees:.0f}° have no neighbor at a similar range"),
-    Evidence("behind_surface", beams.measure_behind_surface,
-             "{value:.1%} of the beams at {degrees:.0f}° pass through a surface"),
-    Evidence("before_surface", beams.measure_before_surface,
-             "{value:.1%} of the returns at {degrees:.0f}° stand alone in the air at one range"),
-    Evidence("double_returns", beams.measure_double_returns,
-             "{value:.1%} of the beams at {degrees:.0f}° returned from two ranges"),
-    Evidence("below_ground", ground.measure_below_ground,
-             "{value:.1%} of the returns at {degrees:.0f}° lie below the ground, no neighbor near them"),
-    Evidence("beyond_ground", ground.measure_beyond_ground,
-             "{value:.1%} of the returns at {degrees:.0f}° lie beyond where their beams meet the ground"),
-    Evidence("empty_runs", beams.measure_empty_runs,
-             "{value:.0f}° around {degrees:.0f}° hardly returned anything"),
-    Evidence("ground_noise", noise.measure_ground_noise,
-             "ground at {degrees:.0f}° is {value:.1f} times as noisy as all around"),
-    Evidence("near_noise", noise.measure_near_noise,
-             "surfaces within 20 m at {degrees:.0f}° are {value:.1f} times as noisy as the smoothest"),
-    Evidence("surface_noise", noise.measure_surface_noise,
-             "surfaces at {degrees:.0f}° are {value:.1f} times as noisy as the smoothest"),
-    Evidence("off_beam", beams.measure_off_beam,
-             "{value:.1%} of the returns at {degrees:.0f}° lie on no beam"),
-    Evidence("range_offset", ground.measure_range_offset,
-             "ground at {degrees:.0f}° is flat only if ranges are {value:.1f} m off"),
-    Evidence("common_steps", ground.measure_common_steps,
-             "the ground at {degrees:.0f}° steps in all rings at once, by {value:.0f} times what rings differ"),
-    Evidence("straight_edges", beams.measure_straight_edges,
-             "{value:.0%} of the rings break off together at {degrees:.0f}°"),
-    Evidence("disagreement", estimates.measure_disagreement,
-             "network and shadow map differ in {value:.0%} of the cells at {degrees:.0f}°"),
-    Evidence("deviation", estimates.measure_deviation,
-             "the network deviates by {value:.2f} in the mean cell at {degrees:.0f}°"),
-    Evidence("seen_through", history.measure_seen_through,
-             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where the last sweep looked through", over_time=True),
-    Evidence("arrival", history.measure_arrival,
-             "an obstacle at {degrees:.0f}° must have come there at {value:.0f} m/s", over_time=True),
-    Evidence("vanished", history.measure_vanished,
+    # Obstacles, surfaces and poses against the sweeps before.
+    Evidence("seen_through", history.measure_seen_through, 0.5,
+             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where the last sweep looked through", version=2),
+    Evidence("arrival", history.measure_arrival, 5.0,
+             "an obstacle at {degrees:.0f}° must have come there at {value:.0f} m/s"),
+    Evidence("vanished", history.measure_vanished, 0.5,
              "{value:.1f} m² of obstacles at {degrees:.0f}° are gone since the last sweep, and beams pass there",
-             over_time=True),
-    Evidence("departure", history.measure_departure,
-             "an obstacle at {degrees:.0f}° must have left at {value:.0f} m/s", over_time=True),
-    Evidence("same_noise", noise.measure_same_noise,
-             "{value:.0%} of the ranges at {degrees:.0f}° repeat those of an earlier sweep, noise included",
-             over_time=True),
-    Evidence("registration", history.measure_registration,
-             "the pose is {value:.0f} standard deviations off that of the earlier sweeps", over_time=True),
-    Evidence("phantom_shadow", history.measure_phantom_shadow,
-             "beams pass through {value:.0%} of the surfaces at {degrees:.0f}° and end there beside them",
-             over_time=True),
-    Evidence("lost_view", history.measure_lost_view,
-             "at {degrees:.0f}° beams do not return any more from {value:.0%} of the surfaces", over_time=True),
-    Evidence("frame_noise", noise.measure_frame_noise,
-             "surfaces at {degrees:.0f}° jump by {value:.2f} m from sweep to sweep", over_time=True),
+             version=2),
+    Evidence("departure", history.measure_departure, 5.0,
+             "an obstacle at {degrees:.0f}° must have left at {value:.0f} m/s"),
+    Evidence("lost_view", history.measure_lost_view, 0.05,
+             "at {degrees:.0f}° beams do not return any more from {value:.0%} of the surfaces"),
+    Evidence("same_noise", history.measure_same_noise, 0.02,
+             "{value:.0%} of the ranges at {degrees:.0f}° repeat those of an earlier sweep, noise included"),
+    Evidence("registration", history.measure_registration, 1.0,
+             "the pose is {value:.0f} standard deviations off that of the earlier sweeps"),
+    Evidence("frame_noise", history.measure_frame_noise, 0.05,
+             "surfaces at {degrees:.0f}° jump by {value:.2f} m from sweep to sweep"),
+    # Without rings and poses.
+    Evidence("fewer_returns", sensor.measure_fewer_returns, 1.0,
+             "at {degrees:.0f}° there are fewer returns than before, by {value:.0f} standard deviations"),
+    Evidence("jump", sensor.measure_jump, 0.25,
+             "the sensor jumped by {value:.1f} m against its own motion"),
+    # The state of the sensor, which means nothing but against the past of the stream.
+    Evidence("sensor_height", sensor.measure_sensor_height, 1.0,
+             "the sensor is {value:.2f} m above the ground, as it was not before", two_sided=True),
+    Evidence("returns", sensor.measure_returns, 10.0,
+             "there are {value:.0f} returns, as there were not before", two_sided=True),
+    Evidence("near_returns", sensor.measure_near_returns, 0.01,
+             "{value:.1%} of the returns lie within 2 m, as they did not before", two_sided=True),
+    Evidence("range_noise", sensor.measure_range_noise, 0.001,
+             "the noise of range is {value:.3f} m, as it was not before", two_sided=True),
+    Evidence("ground_roughness", sensor.measure_ground_roughness, 0.003,
+             "ground returns lie {value:.3f} m from the ground, as they did not before", two_sided=True),
+    Evidence("isolated", sensor.measure_isolated, 0.02,
+             "{value:.0%} of the returns have no neighbor at a similar range, as they did not before", two_sided=True),
 )}  # fmt: skip
 """By name, in the order of a score's rows."""
+
+
+def measure_all(monitored: MonitoredSweep, evidence: Mapping[str, Evidence] = EVIDENCE) -> F32:
+    """Return what every evidence measures (E, SECTORS), in the order of ``evidence``; NaN where it abstains."""
+    return np.array([one.measure(monitored) for one in evidence.values()], np.float32).reshape(-1, SECTORS)

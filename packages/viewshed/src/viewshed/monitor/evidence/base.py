@@ -1,20 +1,22 @@
-"""What a monitor looks at: parts of evidence, each a number for every sector of azimuth around the sensor."""
+"""What a monitor looks at: kinds of evidence, each a number for every sector of azimuth around the sensor."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F32
-from viewshed.fov.estimate import FovEstimate
 from viewshed.preprocess.leveling import LeveledSweep
 
 SECTORS = 72
 """Sectors of azimuth in the level frame, 5° each; sector 0 begins behind the sensor, at -π, counter-clockwise."""
+
+EARLIER_SWEEPS = 5
+"""Earlier sweeps that evidence is given at most."""
 
 ABSTAINS: F32 = np.full(SECTORS, np.nan, np.float32)
 """What evidence says that cannot be had of this sweep (without earlier sweeps, rings or a pose)."""
@@ -23,18 +25,16 @@ ABSTAINS.setflags(write=False)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonitoredSweep:
-    """What evidence is handed: what was computed for the estimate anyway. It never calls an estimator.
+    """What evidence is handed.
 
     Attributes:
         leveled: the sweep now.
         earlier: sweeps of the same sensor before it, leveled, the oldest first; those without a pose or a time help
             only evidence that needs neither.
-        estimates: of the sweep now that were made anyway, by method.
     """
 
     leveled: LeveledSweep
     earlier: tuple[LeveledSweep, ...] = ()
-    estimates: Mapping[str, FovEstimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,19 +43,21 @@ class Evidence:
 
     Attributes:
         name: of the evidence, as in ``EVIDENCE``.
-        measure: returns (SECTORS,) float32 numbers of a monitored sweep, larger where it is more suspicious; NaN in
-            sectors, or everywhere, where it abstains.
+        measure: returns (SECTORS,) float32 numbers of a monitored sweep; NaN in sectors, or everywhere, where it
+            abstains. What is of the whole sweep is the same in all sectors.
+        grain: numbers that differ by less say the same; numbers are compared as log(1 + number / grain).
         sentence: why one would worry, with places for ``{value}``, the number of its strongest sector, and
             ``{degrees}``, the middle of that sector's azimuth.
-        over_time: whether it compares with earlier sweeps, and abstains without any.
+        two_sided: a smaller number than before is as suspicious as a larger one; else only a larger one is.
         version: raised by one when ``measure`` gives other numbers: monitors that were calibrated on those before are
             void then.
     """
 
     name: str
     measure: Callable[[MonitoredSweep], F32]
+    grain: float
     sentence: str
-    over_time: bool = False
+    two_sided: bool = False
     version: int = 1
 
     def reason(self, sectors: F32) -> str:
@@ -72,14 +74,3 @@ def sector_of(azimuth: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
     [0, 1, 36, 0]
     """
     return np.floor((np.asarray(azimuth, np.float64) + np.pi) * (SECTORS / (2 * np.pi))).astype(np.intp) % SECTORS
-
-
-def damped_share(some: NDArray[np.integer[Any]], every: NDArray[np.integer[Any]], few: int) -> F32:
-    """Return some (SECTORS,) as a share of every (SECTORS,), drawn toward 0 by ``few`` more that are not chosen.
-
-    A chance find in a sector of few returns then counts little.
-
-    >>> damped_share(np.array([0, 5, 15]), np.array([0, 5, 55]), 5).tolist()
-    [0.0, 0.5, 0.25]
-    """
-    return np.asarray(some / (every + few), np.float32)

@@ -1,4 +1,4 @@
-"""Evidence of a sweep against those before it: obstacles that come, leave and are pierced, views that are lost."""
+"""Evidence of a sweep against those before it: obstacles that come and leave, lost views, repeated noise, poses."""
 
 from __future__ import annotations
 
@@ -60,18 +60,15 @@ class Comparison:
         arrival_mps: (SECTORS,) speed that obstacles need to have come from the nearest cover. What stands where a beam
             passed freely came from behind an obstacle, from beyond the beams, or was one of the things near by. Where
             the last sweep found the obstacle as well, the one before it is used: it gives itself away for three.
-        appeared_m2: (SECTORS,) area of obstacles through which the last sweep looked. A beam that ended beyond a place
-            proves that the place was empty. What moves uncovers and covers little of it between two sweeps: the front
-            of a car, as wide as it drove. A spoofed object or wall stands there at once with all its surface.
+        appeared_m2: (SECTORS,) area of obstacles through which the last sweep looked, as far as nothing is fast enough
+            to have come there. A beam that ended beyond a place proves that the place was empty. What moves uncovers
+            and covers little of it between two sweeps: the front of a car, as wide as it drove. A spoofed object or
+            wall stands there at once with all its surface.
         departure_mps: (SECTORS,) speed that obstacles of the last sweep need to have left as they did: the distance to
             the nearest place where they may be now, over the time between the two.
         vanished_m2: (SECTORS,) area of obstacles of the last sweep through which this one looks. A far wall, or returns
             pushed away, open a corridor through surfaces; what moves opens no more than it drove.
         lost: (SECTORS,) share of the last sweep's obstacles at whose places no beam returns now.
-        pierced: (SECTORS,) share of the last sweep's obstacles through which a beam passes now while beams on both
-            sides of it end there. An obstacle hides the ground behind it from all beams that meet it, also when the
-            sensor has moved a little. A phantom hides only what its maker's beams won: the others report what lies
-            behind it, in other places in each sweep.
     """
 
     view: _core.SweepView
@@ -83,7 +80,6 @@ class Comparison:
     departure_mps: F32
     vanished_m2: F32
     lost: F32
-    pierced: F32
 
 
 def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
@@ -183,7 +179,6 @@ measure_seen_through = _part(lambda comparison: _around(comparison.appeared_m2))
 measure_arrival = _part(lambda comparison: comparison.arrival_mps)
 measure_vanished = _part(lambda comparison: _around(comparison.vanished_m2))
 measure_departure = _part(lambda comparison: comparison.departure_mps)
-measure_phantom_shadow = _part(lambda comparison: comparison.pierced)
 
 
 def measure_lost_view(monitored: MonitoredSweep) -> F32:
@@ -248,3 +243,44 @@ def _deviations(step: NDArray[np.float64], information: NDArray[np.float64], sig
     covariance[1:, 1:] += (directions * carried_m**2) @ directions.T
     squared = float(step @ np.linalg.solve(covariance, step))
     return float(np.sqrt(max(squared, 0.0)))
+
+
+def measure_same_noise(monitored: MonitoredSweep) -> F32:
+    """Return the share by sector (SECTORS,) of ranges that repeat an earlier sweep's, beyond what noise repeats.
+
+    A replayed sweep, or a sensor that is frozen: each range has noise of its own, so two sweeps of one scene differ,
+    even from one place. Where the difference between the two is the same for a beam and its neighbor, to less than the
+    sensor's noise, one sweep was made of the other. Neighbors are compared, not ranges, because undoing another motion
+    shifts all ranges of a direction alike. Sensors report whole steps of range, so some differences are equal by
+    chance: about as many as differ by one step, which are subtracted.
+
+    Of the earlier sweep that is most alike. Needs no poses; abstains without earlier sweeps of the same image or rings.
+    """
+    view, image = view_of(monitored.leveled), monitored.leveled.range_image
+    if view is None or image is None:
+        return ABSTAINS
+    views = [
+        before
+        for each in monitored.earlier
+        if each.range_image is not None
+        and each.range_image.counts.shape == image.counts.shape
+        and (before := view_of(each)) is not None
+    ]
+    if not views:
+        return ABSTAINS
+    shares = view.repeats(views, SECTORS)
+    alike = int(np.argmax(np.nan_to_num(shares, nan=-1.0).mean(axis=1)))
+    return np.asarray(np.maximum(shares[alike], np.float32(0.0)))
+
+
+def measure_frame_noise(monitored: MonitoredSweep) -> F32:
+    """Return the median second difference of range by sector (SECTORS,), m, over this sweep and the two before it.
+
+    A spoofer times all its pulses by one clock, which is off by some decimeters in each sweep anew; so what it shows
+    jumps to and fro as a whole, along the beams, while the world stands still. Things that move at a constant speed do
+    not: their second difference is zero. Abstains without poses, two earlier sweeps or rings.
+    """
+    comparison = compare(monitored)
+    if comparison is None or len(comparison.earlier) < 2:
+        return ABSTAINS
+    return comparison.view.jumps(comparison.earlier[:2], comparison.to_earlier[:2], comparison.gaps_s[:2], SECTORS)

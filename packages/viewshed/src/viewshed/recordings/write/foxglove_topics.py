@@ -167,8 +167,8 @@ def _entities(moment: Moment) -> list[Any]:
                 type=loop, pose=_pose(Rigid.identity()), thickness=0.15, points=corners, color=_color(_VISIBLE)
             )
         )
-    if estimate is not None and report is not None and report.now.suspect.any():
-        corners = _points(sector_corners(report.now.suspect, estimate.grid.half_extent_m))
+    if estimate is not None and report is not None and report.suspect.any():
+        corners = _points(sector_corners(report.suspect, estimate.grid.half_extent_m))
         triangles.append(
             fox.TriangleListPrimitive(pose=_pose(Rigid.identity()), points=corners, color=_color(_SUSPECT))
         )

@@ -155,10 +155,7 @@ class Moment:
         report = self.answer.report
         if report is None or not (report.alarm or report.now.inconsistent or report.now.degraded):
             return []
-        reasons = list(report.now.reasons) or ["no single reason stands out"]
-        if report.alarm:
-            reasons.insert(0, "the sweeps together speak against the stream")
-        return reasons
+        return list(report.now.reasons) or [f"alarm for {report.doubtful_sweeps} sweeps"]
 
     def summary(self) -> str:
         """Return what became of the sweep in one sentence."""
@@ -176,8 +173,7 @@ class Moment:
         if answer.report is not None:
             now = answer.report.now
             out |= {"score": f"{now.score:.4f}", "threshold": f"{now.threshold:.4f}", "p_value": f"{now.p_value:.4f}"}
-            out["wealth"] = f"{answer.report.wealth:.4g}"
-            degrees = np.flatnonzero(now.suspect) * (360 / SECTORS) - 180
+            degrees = np.flatnonzero(answer.report.suspect) * (360 / SECTORS) - 180
             out["suspect_from_deg"] = " ".join(f"{degree:g}" for degree in degrees)
         if self.is_live:
             out["latency_ms"] = f"{1e3 * answer.latency_s:.1f}"

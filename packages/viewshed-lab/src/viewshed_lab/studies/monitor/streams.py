@@ -1,0 +1,328 @@
+"""Streams of one simulated sensor, and what all evidence says of each sweep; attacks branch off at some of them."""
+
+from __future__ import annotations
+
+import io
+import json
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed._files import write_atomic
+from viewshed.arrays import F32, Mask
+from viewshed.geometry import Rigid
+from viewshed.grid import GRIDS, BevGrid
+from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, MonitoredSweep, measure_all, sector_of
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sweep import Sweep
+from viewshed_lab.data.wild import wild_tables
+from viewshed_lab.sim.lidar.random_sensors import DrawnSensor, draw_sensor
+from viewshed_lab.sim.lidar.weather import CONDITIONS
+from viewshed_lab.sim.mounting import draw_mounting
+from viewshed_lab.sim.observe import Setting, measure_sweep
+from viewshed_lab.sim.world import Agent, AgentPlan, World
+from viewshed_lab.sim.worlds import WORLDS
+from viewshed_lab.studies.monitor.plan import MonitorPlan
+from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
+from viewshed_lab.threats.attacks.base import Tampered
+
+ATTACKED_SWEEPS = 5
+"""Sweeps of an attack: half a second."""
+
+REPLAYED_SWEEPS = 20
+"""A replay shows what was 2 s ago."""
+
+INDOOR = ("rooms", "corridors", "hall", "warehouse", "loft", "tunnel")
+
+POSE_NOISE = (0.1, np.deg2rad(0.2))
+"""Standard deviations of noisy poses: of each axis in meters, and of the yaw."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A minute of one sensor in one world, without an attack."""
+
+    plan: MonitorPlan
+    part: str  # of ``PARTS``
+    style: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """Name of its file."""
+        return f"{self.part}-{self.style}-{self.number:02d}"
+
+    @property
+    def grid(self) -> BevGrid:
+        """The grid on which its ground is estimated."""
+        return GRIDS["indoor" if self.style in INDOOR else "road"]
+
+    @property
+    def sensor(self) -> str:
+        """Family of its sensor, or its beam table."""
+        return self._turn("sensors")
+
+    @property
+    def conditions(self) -> str:
+        """Weather and faults."""
+        return self.plan.conditions[(self._offset * 5 + self.number) % len(self.plan.conditions)]
+
+    @property
+    def has_noisy_poses(self) -> bool:
+        """Whether its poses are as noisy as ``POSE_NOISE``."""
+        every = self.plan.pose_noise_every
+        return (self._offset + self.number) % every == every - 1
+
+    @property
+    def _offset(self) -> int:
+        return self.plan.styles(self.part).index(self.style)
+
+    def _turn(self, kind: str) -> str:
+        names: tuple[str, ...] = getattr(self.plan, f"{self.part}_{kind}")
+        return names[(self._offset + self.number) % len(names)]
+
+    def rng(self, *purpose: object) -> np.random.Generator:
+        """Return the generator of what is random for one purpose."""
+        return np.random.Generator(np.random.PCG64(self.seed(*purpose)))
+
+    def seed(self, *purpose: object) -> np.random.SeedSequence:
+        """Return the seed for one purpose."""
+        words = [zlib.crc32(str(word).encode()) for word in (self.part, self.style, self.number, *purpose)]
+        return np.random.SeedSequence([self.plan.seed, *words])
+
+    def drawn_sensor(self, sweep: int = 0) -> DrawnSensor:
+        """Return its sensor, as it fires one of its sweeps."""
+        families = wild_tables().sensors
+        if self.sensor not in families:
+            return DrawnSensor.of_table(self.sensor)
+        return draw_sensor(families[self.sensor], self.rng("sensor"), sweep)
+
+    def sweep(self, number: int, conditions: str | None = None) -> Sweep:
+        """Return one of its sweeps, as the sensor hands it out; under other conditions if given."""
+        world, agent = _world_of(self)
+        sensor = _sensor_of(self)
+        setting = Setting(self.grid, CONDITIONS[conditions or self.conditions], 1.0 / self.plan.hz)
+        paths, noise = self.seed("sweep", number).spawn(2)
+        t_s = (number + 0.5) / self.plan.hz
+        stored = measure_sweep(world, agent, t_s, setting, paths, noise, sensor.model)[1]
+        sweep = sensor.deliver(stored.sweep(), self.rng("delivery", number)).replace(sensor_height_m=None)
+        pose = sweep.world_from_sensor
+        if pose is not None and self.has_noisy_poses:
+            rng = self.rng("pose", number)
+            shift = rng.normal(0.0, POSE_NOISE[0], 3) * (1.0, 1.0, 0.3)
+            turn = Rigid.from_yaw(float(rng.normal(0.0, POSE_NOISE[1]))).rotation
+            sweep = sweep.replace(world_from_sensor=Rigid(turn @ pose.rotation, pose.translation + shift))
+        return sweep
+
+
+@lru_cache(maxsize=1)
+def _world_of(stream: Stream) -> tuple[World, Agent]:
+    """Return the world of a stream with the sensor mounted, and that agent."""
+    mountings = wild_tables().mountings
+    name = stream._turn("mountings")
+    if stream.style in INDOOR:
+        name = "train_robot" if stream.part == "calibration" else "dev_robot"
+    mounting = draw_mounting(mountings[name], stream.rng("mounting"))
+    plan = AgentPlan(moving=1, sensor_height_m=mounting.height_m, duration_s=stream.plan.seconds + 1.0)
+    return mounting.mounted(WORLDS[stream.style](stream.rng("world"), plan), 0)
+
+
+@lru_cache(maxsize=1)
+def _sensor_of(stream: Stream) -> DrawnSensor:
+    return stream.drawn_sensor()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreamEvidence:
+    """All evidence of a stream, and of the attacks that branch off it.
+
+    Attributes:
+        name: of the stream.
+        style: of its world.
+        facts: sensor, conditions and poses.
+        kinds: (E,) names of the evidence.
+        benign: (T, E, SECTORS) of each sweep.
+        cases: (C,) name of the attack, and its first sweep.
+        attacked: (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps.
+        touched: (C, SECTORS) bool, where returns were added or removed.
+    """
+
+    name: str
+    style: str
+    facts: dict[str, str]
+    kinds: tuple[str, ...]
+    benign: F32
+    cases: tuple[tuple[str, int], ...]
+    attacked: F32
+    touched: Mask
+
+    def save(self, path: Path) -> None:
+        """Write it at once or not at all; numbers in half precision."""
+        about = {"name": self.name, "style": self.style, "facts": self.facts, "kinds": self.kinds, "cases": self.cases}
+        file = io.BytesIO()
+        np.savez_compressed(
+            file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), benign=_halved(self.benign),
+            attacked=_halved(self.attacked), touched=self.touched,
+        )  # fmt: skip
+        write_atomic(path, file.getvalue())
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Return what is in a file of :meth:`save`."""
+        with np.load(path, allow_pickle=False) as file:
+            about = json.loads(file["about"].tobytes())
+            cases = tuple((str(name), int(first)) for name, first in about["cases"])
+            # What is measured no more is left out.
+            rows = [about["kinds"].index(name) for name in EVIDENCE]
+            return cls(
+                about["name"], about["style"], about["facts"], tuple(EVIDENCE),
+                file["benign"][:, rows].astype(np.float32), cases, file["attacked"][:, :, rows].astype(np.float32),
+                file["touched"],
+            )  # fmt: skip
+
+
+def _halved(values: F32) -> NDArray[np.float16]:
+    largest = float(np.finfo(np.float16).max)
+    return np.clip(values, -largest, largest).astype(np.float16)
+
+
+def measure_stream(stream: Stream) -> StreamEvidence:
+    """Return what all evidence says of each sweep of a stream, and of each attack on it."""
+    plan, grid = stream.plan, stream.grid
+    every = round(plan.attack_every_s * plan.hz)
+    sweeps, recent = list[Sweep](), list[LeveledSweep]()
+    benign, cases, attacked, touched = [], list[tuple[str, int]](), [], []
+    sensor = ""
+    for number in range(round(plan.seconds * plan.hz)):
+        sweep = stream.sweep(number)
+        # Two attacks branch off here, each of five sweeps; the next sweeps of the stream are made for them.
+        if number % every == every - 1 and number + ATTACKED_SWEEPS <= round(plan.seconds * plan.hz):
+            clean = [sweep, *(stream.sweep(number + k) for k in range(1, ATTACKED_SWEEPS))]
+            turn = 2 * (number // every) + 7 * stream.number + 3 * len(stream.style)
+            for name in (plan.attacks[(turn + k) % len(plan.attacks)] for k in range(2)):
+                try:
+                    tampered = list(_tamper(stream, name, number, clean, sweeps))
+                except ValueError:
+                    continue
+                seen, found = list(recent), []
+                for one in tampered:
+                    seen.append(level(one.sweep, grid))
+                    found.append(measure_all(MonitoredSweep(seen[-1], tuple(seen[-EARLIER_SWEEPS - 1 : -1]))))
+                cases.append((name, number))
+                attacked.append(np.stack(found))
+                touched.append(_touched_sectors(tampered[0], level(clean[0], grid), seen[-ATTACKED_SWEEPS]))
+        leveled = level(sweep, grid)
+        benign.append(measure_all(MonitoredSweep(leveled, tuple(recent[-EARLIER_SWEEPS:]))))
+        recent = [*recent, leveled][-EARLIER_SWEEPS:]
+        sweeps = [*sweeps, sweep][-REPLAYED_SWEEPS:]
+        sensor = stream.sensor
+    facts = {
+        "sensor": sensor, "conditions": stream.conditions, "poses": "noisy" if stream.has_noisy_poses else "exact"
+    }  # fmt: skip
+    shape = (ATTACKED_SWEEPS, len(EVIDENCE), SECTORS)
+    return StreamEvidence(
+        stream.name, stream.style, facts, tuple(EVIDENCE), np.stack(benign), tuple(cases),
+        np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
+    )  # fmt: skip
+
+
+def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past: Sequence[Sweep]) -> Iterator[Tampered]:
+    """Yield sweeps of a stream as an attack changes them; what is aimed keeps its place before the sensor.
+
+    Raises:
+        ValueError: the attack cannot be made of these sweeps.
+    """
+    if name == "fog":
+        yield from (_as_a_whole(stream.sweep(first + k, "fog")) for k in range(len(clean)))
+        return
+    azimuth: float | None = None
+    rng_of_all = stream.rng("attack", name, first)
+    direction = rng_of_all.normal(size=2)
+    direction /= np.linalg.norm(direction)
+    for k, sweep in enumerate(clean):
+        rng = stream.rng("attack", name, first, "steady" if name == "pose_spoof" else k)
+        if name in OWN_ATTACKS:
+            yield _as_a_whole(OWN_ATTACKS[name](sweep, direction, k, rng))
+            continue
+        if name == "replay" and len(past) < REPLAYED_SWEEPS - 1:
+            raise ValueError("a replay needs earlier sweeps")
+        known = Knowledge((past[k] if name == "replay" else clean[0],), half_extent_m=stream.grid.half_extent_m)
+        attack: Any = ATTACKS[name](None, known)
+        if azimuth is not None and any(f.name == "azimuth" for f in fields(attack)) and attack.azimuth is None:
+            attack = replace(attack, azimuth=azimuth)
+        tampered = cast(Attack, attack).apply(sweep, rng)
+        if azimuth is None and tampered.wedge is not None:
+            azimuth = tampered.wedge.azimuth
+        yield tampered
+
+
+def _as_a_whole(sweep: Sweep) -> Tampered:
+    return Tampered(sweep, np.ones(len(sweep), np.bool_), np.zeros(0, np.bool_))
+
+
+def _drift(sweep: Sweep, direction: NDArray[np.float64], k: int, _: np.random.Generator) -> Sweep:
+    """Shift the pose by .1 m more in each sweep."""
+    pose = sweep.world_from_sensor
+    if pose is None:
+        raise ValueError("a pose drifts only where there is one")
+    shift = np.array([*direction, 0.0]) * 0.1 * (k + 1)
+    return sweep.replace(world_from_sensor=Rigid(pose.rotation, pose.translation + shift))
+
+
+def _offset(sweep: Sweep, direction: NDArray[np.float64], _: int, __: np.random.Generator) -> Sweep:
+    """Shift all points by 1 m along one axis."""
+    shift = np.zeros(3, np.float32)
+    shift[int(np.argmax(np.abs(direction)))] = 1.0
+    return sweep.replace(points=sweep.points + shift)
+
+
+def _noise(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generator) -> Sweep:
+    """Add noise of the size of the sensor's own, 2 cm, to all coordinates."""
+    return sweep.replace(points=sweep.points + rng.normal(0.0, 0.02, sweep.points.shape).astype(np.float32))
+
+
+def _blinded(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generator) -> Sweep:
+    """Put all returns near the sensor."""
+    return sweep.replace(points=rng.normal(0.0, 0.06, sweep.points.shape).astype(np.float32))
+
+
+OWN_ATTACKS: dict[str, Callable[[Sweep, NDArray[np.float64], int, np.random.Generator], Sweep]] = {
+    "drift": _drift, "offset": _offset, "noise": _noise, "blinded": _blinded,
+}  # fmt: skip
+"""Attacks on the whole sweep or on its pose, beside those of ``ATTACKS``."""
+
+
+def _touched_sectors(tampered: Tampered, clean: LeveledSweep, seen: LeveledSweep) -> Mask:
+    """Return which sectors (SECTORS,) hold a return that an attacker added or removed."""
+    touched = np.zeros(SECTORS, np.bool_)
+    for leveled, points in (
+        (seen, tampered.sweep.points[tampered.added]),
+        (
+            clean,
+            clean.sweep.points[tampered.removed] if len(tampered.removed) == len(clean.sweep) else np.zeros((0, 3)),
+        ),
+    ):
+        x, y, _ = (leveled.level_from_sensor @ points.astype(np.float64)).T
+        touched[sector_of(np.arctan2(y, x))] = True
+    return touched
+
+
+def run_streams(plan: MonitorPlan, folder: Path, on_done: Callable[[str], None] = print) -> None:
+    """Measure all streams of a plan that are not in the folder yet, some of each style first."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for part, style, number in plan.stream_keys():
+        path = folder / f"{part}-{style}-{number:02d}.npz"
+        if not path.exists():
+            measure_stream(Stream(plan, part, style, number)).save(path)
+            on_done(path.name)
+
+
+def read_streams(folder: Path, part: str) -> Iterator[StreamEvidence]:
+    """Yield the streams of a part in a folder, in the order of their names."""
+    yield from (StreamEvidence.load(path) for path in sorted(folder.glob(f"{part}-*.npz")))

@@ -1,0 +1,58 @@
+"""The study of guarantees: attacks obey their threat and break a wrong certificate; a tiny study writes a page."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.cli.commands import run
+
+from viewshed.guarantees.envelope import Envelope, Threat
+from viewshed_lab.studies.guarantees import attacks, jobs
+from viewshed_lab.studies.guarantees.attacks import Tally, Victim
+
+
+def toy() -> Victim:
+    return attacks.toy_victim(np.random.default_rng(3))
+
+
+@pytest.mark.parametrize("how", attacks.HOW)
+@pytest.mark.parametrize("words", attacks.TRIED_TOY)
+def test_no_attack_breaks_a_certificate(words: str, how: str) -> None:
+    tally = Tally()
+    attacks.try_attacks(toy(), words, how, 25, np.random.default_rng(1), tally)
+    assert (tally.tried, tally.violations) == (25, 0)
+
+
+def test_attacks_open_what_a_wrong_bound_denies() -> None:
+    # By its envelope nothing is claimed without an attack, and its bound counts on that: an attack shows it wrong.
+    victim, tally = toy(), Tally()
+    own = victim.envelope
+    wrong = Envelope(own.grid, own.target, own.sent, own.nearest_m, np.zeros_like(own.margins))
+    victim.envelope = wrong
+    attacks.try_attacks(victim, "dropped:5", "gradient", 60, np.random.default_rng(1), tally)
+    assert tally.violations > 0
+
+
+@pytest.mark.parametrize("words", attacks.TRIED_TOY)
+def test_attacks_obey_their_threat(words: str) -> None:
+    victim, threat, rng = toy(), Threat.parse(words), np.random.default_rng(2)
+    for weight in (None, rng.random((4, 24))):
+        beams = attacks.beams_within(threat, victim, rng, weight)
+        if threat.kind == "wedge":
+            assert len(np.unique(beams % 24)) == threat.amount / 360 * 24
+        elif threat.kind == "window":  # no window of this grid is wider than 8 of 24 columns
+            for first in range(24):
+                assert np.isin(beams % 24, (first + np.arange(8)) % 24).sum() <= threat.amount
+        else:
+            assert len(beams) == threat.amount
+
+
+@pytest.mark.slow
+def test_a_tiny_study(tmp_path: Path) -> None:
+    words = ("study", "guarantees", "--preset", "tiny", "--out", tmp_path, "--ship", tmp_path / "conformal.json")
+    assert run(*words).returncode == 0
+    page = (tmp_path / "guarantees.md").read_text(encoding="utf-8")
+    assert "| all |" in page
+    done = jobs.lines_of(tmp_path, "attacks")
+    assert run(*words).returncode == 0
+    assert jobs.lines_of(tmp_path, "attacks") == done  # nothing is done twice

@@ -1,0 +1,256 @@
+"""The published trust, value by value on scenes made by hand."""
+
+import numpy as np
+import pytest
+
+from viewshed_lab.studies.agents.mate import (
+    MateReport,
+    MateRules,
+    MateTrust,
+    clusters_of,
+    forget,
+    gains,
+    mean_of,
+    miss_weight,
+    observable,
+    prior,
+    pseudo_measurements,
+    std_of,
+)
+
+RULES = MateRules()
+
+
+def test_priors_means_and_deviations() -> None:
+    assert [prior(name, 1)[0].tolist() for name in ("distrusted", "untrusted", "trusted")] == [
+        [0.2, 0.8], [0.5, 0.5], [0.8, 0.2],
+    ]  # fmt: skip
+    assert prior("trusted", 2, strength=10.0).tolist() == [[8.0, 2.0], [8.0, 2.0]]
+    beta = np.array([[0.5, 0.5], [3.0, 1.0], [19.0, 1.0]])
+    assert mean_of(beta).tolist() == [0.5, 0.75, 0.95]
+    # Variances by hand: .25 / (1 · 2), 3 / (16 · 5), 19 / (400 · 21).
+    assert std_of(beta) == pytest.approx(np.sqrt([0.125, 0.0375, 19 / 8400]))
+
+
+def test_a_pseudo_measurement_moves_trust_by_the_published_formula() -> None:
+    """Agent, bias 4: n = 1 from .4 on; below it n = 4, so 4/5 of c·v and 16/5 of c·(1 - v)."""
+    value, confidence = np.array([1.0, 0.4, 0.25, 0.0]), np.array([1.0, 0.5, 0.5, 0.1])
+    assert gains(value, confidence, 4.0, 0.4) == pytest.approx(
+        np.array([[0.5, 0.0], [0.1, 0.15], [0.8 * 0.5 * 0.25, 3.2 * 0.5 * 0.75], [0.0, 0.32]])
+    )
+    # A track has no bias: n = 1 whatever the value is.
+    assert gains(value, confidence, 1.0, 0.4) == pytest.approx(
+        0.5 * confidence[:, None] * np.stack([value, 1 - value], 1)
+    )
+
+
+def test_other_published_biases() -> None:
+    """A contradiction by 6 and .3 costs 36/7, by 8 and .2 64/9, in the air with 3 9/4."""
+    for bias, threshold, cost in ((6.0, 0.3, 36 / 7), (8.0, 0.2, 64 / 9), (3.0, 0.4, 9 / 4)):
+        assert gains(np.zeros(1), np.ones(1), bias, threshold)[0].tolist() == pytest.approx([0.0, cost])
+
+
+def test_trust_returns_to_one_half() -> None:
+    assert forget(np.array([10.5, 0.5]), 1.0, 10.0).tolist() == pytest.approx([0.9 * 10.5 + 0.05, 0.5])
+    assert forget(np.array([10.5, 7.0]), 99.0, 10.0).tolist() == [0.5, 0.5]
+    assert forget(np.array([10.5, 7.0]), 0.0, 10.0).tolist() == [10.5, 7.0]
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "frames", "updates", "expected"),
+    [
+        (10, 1, 9, 0.25), (10, 2, 9, 0.25), (10, 3, 9, 1.0), (29.9, 3, 9, 1.0),  # near: after two frames it counts
+        (30, 3, 9, 0.0), (30, 4, 9, 1 / 3), (45, 5, 9, 2 / 3), (60, 6, 9, 1.0), (45, 60, 9, 1.0),  # farther: slowly
+        (60.1, 6, 9, 0.5), (65, 4, 9, 1 / 6),  # far: half of that
+        (10, 9, 1, 0.0), (10, 9, 2, 1.0), (10, 9, 0, 0.0),  # a young track counts for nothing
+    ],
+)  # fmt: skip
+def test_weight_of_what_is_not_seen(distance_m: float, frames: float, updates: float, expected: float) -> None:
+    found = miss_weight(np.array([distance_m]), np.array([frames]), np.array([updates]), RULES)
+    assert found.tolist() == pytest.approx([expected])
+
+
+TRUSTED = np.array([19.0, 1.0])  # mean .95, standard deviation sqrt(19 / 8400)
+SURENESS = 1 - 2 * np.sqrt(19 / 8400)
+
+
+def test_each_case_of_the_table() -> None:
+    """Five tracks: matched, the agent itself, missed in view, out of view, and in view beyond 70 m.
+
+    The agent has a track of itself as well: that confirms nothing.
+    """
+    xy_m = np.array([[20.0, 0.0], [0.3, 0.4], [0.0, 50.0], [-20.0, 0.0], [71.0, 0.0]])
+    report = MateReport(
+        "car", np.zeros(2), np.array([[21.0, 2.0], [8.0, 8.0], [0.3, 0.4]]), np.array([1, 1, 1, 0, 1], np.bool_)
+    )
+    frames = np.array([9, 9, 4, 0, 9], np.int32)
+    said = pseudo_measurements(
+        report, np.array([3.0, 1.0]), xy_m, np.full(5, 9, np.int32), np.tile(TRUSTED, (5, 1)), frames, RULES
+    )
+    nan = np.nan
+    third = 1 / 3
+    assert said.agent_value == pytest.approx([0.95, nan, 0.05, nan, nan], nan_ok=True)
+    assert said.agent_confidence == pytest.approx([SURENESS, nan, third * SURENESS, nan, nan], nan_ok=True)
+    assert said.track_value == pytest.approx([1.0, 1.0, 0.0, nan, nan], nan_ok=True)
+    assert said.track_confidence == pytest.approx([0.75, 1.0, third * 0.75, nan, nan], nan_ok=True)
+
+
+def test_confidences_of_agents_are_clipped() -> None:
+    """A track of which nothing is known has σ = .354, and one with α = β = .1 has 1 - 2σ < 0."""
+    xy_m, one = np.array([[20.0, 0.0]]), np.ones(1, np.int32)
+    report = MateReport("car", np.zeros(2), xy_m, np.array([True]))
+    for beta, expected in (([0.5, 0.5], 1 - 2 * np.sqrt(0.125)), ([1e-6, 1e-6], 1e-4), ([1e12, 1.0], 0.9999)):
+        said = pseudo_measurements(report, np.ones(2), xy_m, 9 * one, np.array([beta]), one, RULES)
+        assert said.agent_confidence.tolist() == pytest.approx([expected])
+
+
+def test_assignment_is_global_and_gated() -> None:
+    """Tracks at 0 and 2, own ones at 1.1 and 3: what is nearest to the second track is given to the first."""
+    xy_m, nobody = np.array([[20.0, 0.0], [20.0, 2.0]]), np.zeros((0, 2))
+    for own, expected in (
+        (np.array([[20.0, 1.1], [20.0, 3.0]]), [0.5, 0.5]),
+        (np.array([[20.0, 3.0]]), [np.nan, 0.5]),  # 3 m is no longer within the gate
+        (nobody, [np.nan, np.nan]),
+    ):
+        report = MateReport("car", np.zeros(2), own, np.zeros(2, np.bool_))
+        said = pseudo_measurements(
+            report, np.ones(2), xy_m, np.full(2, 9, np.int32), np.full((2, 2), 0.5), np.zeros(2, np.int32), RULES
+        )
+        assert said.agent_value == pytest.approx(expected, nan_ok=True)
+
+
+def scene(agreed: int, denied: int, track_mean: float = 0.9) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tracks of the center around an agent within 25 m, so sure that σ is nothing; the agent does not see the last."""
+    count = agreed + denied
+    turns = np.arange(count) * (2 * np.pi / count)
+    xy_m = 25.0 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    betas = np.tile(np.array([track_mean, 1 - track_mean]) * 1e9, (count, 1))
+    return xy_m, xy_m[:agreed], betas
+
+
+@pytest.mark.parametrize(("agreed", "denied", "expected"), [(20, 1, 0.70), (5, 1, 0.43), (5, 2, 0.29)])
+def test_the_bias_convicts_the_innocent(agreed: int, denied: int, expected: float) -> None:
+    """An honest agent that disagrees in 1 of 21, 1 of 6, 2 of 7 measurements, for as long as it is heard.
+
+    With tracks of trust .9: agreeing adds .45 and .05 to α and β, disagreeing .08 and 2.88. The priors fade: in 1 of 6
+    trust is (5 · .45 + .08) / (5 · .5 + 2.96) = .427.
+    """
+    xy_m, seen, betas = scene(agreed, denied)
+    trust = np.array([0.5, 0.5])
+    report = MateReport("car", np.zeros(2), seen, np.ones(agreed + denied, np.bool_))
+    frames = updates = np.full(agreed + denied, 99, np.int32)
+    for _ in range(300):
+        said = pseudo_measurements(report, trust, xy_m, updates, betas, frames, RULES)
+        trust = trust + np.nansum(gains(said.agent_value, said.agent_confidence, 4.0, 0.4), axis=0)
+    assert float(mean_of(trust)) == pytest.approx(expected, abs=0.005)
+    by_hand = (0.45 * agreed + 0.08 * denied) / (0.5 * agreed + 2.96 * denied)
+    assert float(mean_of(trust)) == pytest.approx(by_hand, abs=2e-3)
+
+
+IDS, AT, NINE = np.array([3, 8]), np.array([[20.0, 0.0], [0.0, 20.0]]), np.full(2, 9, np.int32)
+
+
+def reports(*, denies: bool = False, agents: int = 2) -> list[MateReport]:
+    """Agents that see both tracks; the last may deny the second one though its view covers it."""
+    seen = [AT] * (agents - 1) + [AT[:1] if denies else AT]
+    return [MateReport(f"car{k}", np.array([3.0 * k, -4.0]), seen[k], np.ones(2, np.bool_)) for k in range(agents)]
+
+
+def test_a_round_by_hand() -> None:
+    """Two agents and two tracks, all untrusted: E = .5 and σ = sqrt(1/8), so that c = 1 - sqrt(1/2)."""
+    trust = MateTrust()
+    trust.update(0.0, reports(denies=True), IDS, AT, NINE)
+    c = 1 - np.sqrt(0.5)
+    # Both values are .5, no contradiction yet: car0 gets two matches of c; car1 one, and one miss of a quarter of c,
+    # for the track is in its view for the first time.
+    assert trust.agents["car0"] == pytest.approx(np.array([0.5 + 0.5 * c, 0.5 + 0.5 * c]))
+    assert trust.agents["car1"] == pytest.approx(np.array([0.5 + 0.25 * 1.25 * c, 0.5 + 0.25 * 1.25 * c]))
+    # Tracks get v = 1 with c = .5 from who sees them, v = 0 with c = .25 · .5 from who does not.
+    assert trust.tracks[3] == pytest.approx(np.array([0.5 + 2 * 0.25, 0.5]))
+    assert trust.tracks[8] == pytest.approx(np.array([0.5 + 0.25, 0.5 + 0.5 * 0.125]))
+    assert trust.of_tracks(np.array([3, 8, 99])).tolist() == pytest.approx([1 / 1.5, 0.75 / 1.3125, 0.5])
+    # A second later the first thing is to forget a tenth.
+    before = trust.tracks[3]
+    trust.update(1.0, [], IDS, AT, NINE)
+    assert trust.tracks[3] == pytest.approx(0.9 * before + 0.05)
+
+
+def test_a_track_needs_two_measurements_in_a_round() -> None:
+    trust = MateTrust()
+    trust.update(0.0, reports(agents=1), IDS, AT, NINE)
+    assert trust.tracks[3].tolist() == [0.5, 0.5]
+    assert trust.agents["car0"].sum() > 1.0  # agents need no more than one
+    trust.update(0.1, reports(agents=2), IDS, AT, NINE)
+    assert trust.tracks[3][0] > 0.7
+
+
+def test_frames_in_view_are_counted_in_a_row() -> None:
+    trust = MateTrust()
+    blind = [MateReport("car0", np.zeros(2), np.zeros((0, 2)), np.array([True, False]))]
+    seen = [MateReport("car0", np.zeros(2), np.zeros((0, 2)), np.array([True, True]))]
+    found = [trust._count_frames(each[0], IDS).tolist() for each in (seen, seen, blind, seen)]
+    assert found == [[1, 1], [2, 2], [3, 0], [4, 1]]
+
+
+def test_tracks_that_end_are_forgotten_and_new_ones_begin_untrusted() -> None:
+    trust = MateTrust(MateRules(track_prior="trusted"))
+    trust.update(0.0, reports(), IDS, AT, NINE)
+    trust.update(0.1, reports(), np.array([8, 12]), AT, NINE)
+    assert set(trust.tracks) == {8, 12}
+    assert trust.of_agent("nobody") == 0.5
+    assert trust.of_tracks(np.array([99])).tolist() == [0.8]
+
+
+def test_an_agent_that_denies_what_is_there_is_convicted_in_seconds() -> None:
+    trust = MateTrust()
+    for k in range(60):
+        trust.update(0.1 * k, reports(denies=True, agents=4), IDS, AT, NINE)
+    assert trust.of_agent("car0") > 0.8
+    assert trust.of_agent("car3") < 0.4
+    assert trust.is_trusted(IDS).tolist() == [True, True]
+
+
+def test_a_track_that_one_agent_invents_is_left_out_of_the_picture() -> None:
+    """Two honest agents look at the place and see nothing there."""
+    trust = MateTrust()
+    honest = [MateReport(f"car{k}", np.array([3.0 * k, -4.0]), AT[:1], np.ones(2, np.bool_)) for k in range(2)]
+    liar = MateReport("liar", np.array([9.0, 9.0]), AT, np.ones(2, np.bool_))
+    for k in range(60):
+        trust.update(0.1 * k, [*honest, liar], IDS, AT, NINE)
+    assert trust.is_trusted(IDS).tolist() == [True, False]
+    assert trust.of_agent("liar") < trust.of_agent("car0")
+
+
+def test_the_published_bug_makes_all_tracks_observable() -> None:
+    nothing, some = np.zeros(3, np.bool_), np.array([True, False, True])
+    assert observable(nothing).all()
+    assert not observable(nothing, repairs_empty_view=True).any()
+    assert observable(some).tolist() == observable(some, repairs_empty_view=True).tolist() == some.tolist()
+
+
+def test_clusters_are_chains() -> None:
+    xy_m = np.array([[0.0, 0], [9, 9], [1.9, 0], [9, 8], [3.8, 0], [20, 0]])
+    assert clusters_of(xy_m, 2.0).tolist() == [0, 1, 0, 1, 0, 2]
+    assert clusters_of(xy_m[:0], 2.0).tolist() == []
+
+
+def test_wrong_rules_and_rounds_are_refused() -> None:
+    with pytest.raises(ValueError, match="agent_prior must be one of distrusted, untrusted, trusted, got 'friend'"):
+        MateRules(agent_prior="friend")
+    with pytest.raises(ValueError, match="return_s must be positive"):
+        MateRules(return_s=0.0)
+    trust = MateTrust()
+    trust.update(1.0, reports(), IDS, AT, NINE)
+    with pytest.raises(ValueError, match=r"must not go back, got 0\.5 after 1\.0"):
+        trust.update(0.5, reports(), IDS, AT, NINE)
+    with pytest.raises(ValueError, match="of 1 tracks whether it covers them"):
+        trust.update(2.0, reports(), IDS[:1], AT[:1], NINE[:1])
+
+
+def test_no_tracks_and_no_agents_change_nothing() -> None:
+    trust = MateTrust()
+    trust.update(0.0, [], np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int32))
+    empty = MateReport("car", np.zeros(2), np.zeros((0, 2)), np.zeros(0, np.bool_))
+    trust.update(0.1, [empty], np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int32))
+    assert trust.of_agent("car") == 0.5
+    assert trust.tracks == {}

@@ -1,0 +1,178 @@
+"""What one agent says of one time: its view, its objects, its pose and how certain that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from viewshed.agents.registration import EXACT, PoseStd
+from viewshed.arrays import F64, Mask
+from viewshed.detections import Detections
+from viewshed.fov.estimate import Basis, FovEstimate
+from viewshed.fov.height_map import HeightMap
+from viewshed.geometry import Rigid
+from viewshed.objects.views import GridView, points_before
+
+if TYPE_CHECKING:
+    from viewshed.agents.view_message import ViewMessage
+
+FAR_M = 50.0
+"""Reports from farther than this, and silence about what is farther, say nothing."""
+
+OWN_SIZE_M = (4.8, 2.0, 1.6)
+"""Size of the vehicle below a low sensor, where it is not known."""
+
+ELEVATED_M, TALL_M = 4.0, 10.0
+"""Sensors from the first height on look over cars; masts from the second one on err in their own way."""
+
+HEIGHTS = 3
+"""Where sensors are: among the traffic, above it, on tall masts."""
+
+STORY_M, STORY_PER_M = 1.5, 0.05
+"""A box stands on another level, a deck or the road below it, if its foot is this far from an agent's ground: where the
+agent sent its ground, and what each meter of range adds where it did not."""
+
+
+@dataclass(frozen=True, eq=False)
+class AgentReport:
+    """What one agent says of one time.
+
+    Raises:
+        ValueError: the view has no pose.
+    """
+
+    estimate: FovEstimate  # its field of view, with a pose and its name
+    detections: Detections  # its objects, in ``level``
+    # (7,) box of its own vehicle in ``level``, which others see; None for a sensor on a mast
+    own_box: F64 | None = None
+    pose_std: PoseStd = EXACT  # what it says of the errors of its pose
+    ground: HeightMap | None = None  # heights of the ground about it, in ``level``; None: flat ground is taken
+
+    def __post_init__(self) -> None:
+        if self.estimate.world_from_level is None:
+            raise ValueError(f"the view of {self.estimate.agent} must have a pose: without one it cannot be placed")
+
+    @classmethod
+    def of(
+        cls,
+        estimate: FovEstimate,
+        detections: Detections,
+        pose_std: PoseStd = EXACT,
+        ground: HeightMap | None = None,
+    ) -> AgentReport:
+        """Return the report of an agent whose vehicle is not known: one of usual size below a low sensor.
+
+        Raises:
+            ValueError: the view has no pose.
+        """
+        report = cls(estimate, detections, None, pose_std, ground)
+        own = np.array([0.0, 0.0, OWN_SIZE_M[2] / 2, *OWN_SIZE_M, 0.0])
+        return report if report.elevated else replace(report, own_box=own)
+
+    @classmethod
+    def of_message(cls, message: ViewMessage) -> AgentReport:
+        """Return what a message with a view reports.
+
+        Raises:
+            ValueError: it has no view.
+        """
+        if message.view is None:
+            raise ValueError(f"the message of {message.agent} must have a view, got none")
+        view, sensor = message.view, message.sensor
+        if np.isfinite(sensor.height_m):
+            reach_m = sensor.reach_m if np.isfinite(sensor.reach_m) else view.grid.half_extent_m
+            view = replace(view, basis=Basis(sensor.height_m, "given", 1.0, 0.0, 0.0, reach_m))
+        return cls.of(view, message.detections or Detections.none(), PoseStd.of(message.pose_covariance))
+
+    @property
+    def agent(self) -> str:
+        """Its name."""
+        return self.estimate.agent
+
+    @cached_property
+    def world_from_level(self) -> Rigid:
+        """Its pose."""
+        assert self.estimate.world_from_level is not None
+        return self.estimate.world_from_level
+
+    @property
+    def height(self) -> int:
+        """Where its sensor is: 0 among the traffic, 1 above it, 2 on a tall mast."""
+        basis = self.estimate.basis
+        return 0 if basis is None else int(np.searchsorted((ELEVATED_M, TALL_M), basis.sensor_height_m))
+
+    @property
+    def blind_m(self) -> float:
+        """Range up to which an elevated sensor sees little of what stands there: its own height; 0 of a low one."""
+        basis = self.estimate.basis
+        return basis.sensor_height_m if basis is not None and self.elevated else 0.0
+
+    @property
+    def elevated(self) -> bool:
+        """Whether its sensor looks over cars."""
+        return self.height > 0
+
+    @cached_property
+    def in_world(self) -> Detections:
+        """Its detections within ``FAR_M`` in the world."""
+        near = np.hypot(self.detections.boxes[:, 0], self.detections.boxes[:, 1]) <= FAR_M
+        return self.detections.take(near).moved(self.world_from_level)
+
+    def placed_at(self, pose: Rigid) -> AgentReport:
+        """Return the report of an agent that stands elsewhere."""
+        return replace(self, estimate=replace(self.estimate, world_from_level=pose))
+
+    def range_m(self, boxes: F64) -> F64:
+        """Return the horizontal range (K,) of boxes (K, 7) of the world."""
+        away = boxes[:, :2] - self.world_from_level.translation[:2]
+        return np.hypot(away[:, 0], away[:, 1])
+
+    def in_level(self, xy: F64) -> F64:
+        """Return places (…, 2) of the world in ``level``."""
+        pose = self.world_from_level
+        level: F64 = (xy - pose.translation[:2]) @ pose.rotation[:2, :2]
+        return level
+
+    def ground_m(self, level: F64) -> F64:
+        """Return the height (…,) in the world of the ground below places (…, 2) of ``level``."""
+        base = np.full(level.shape[:-1], self.world_from_level.translation[2])
+        return base if self.ground is None else base + self.ground.at(level)
+
+    def on_its_level(self, boxes: F64) -> Mask:
+        """Return which boxes (K, 7) of the world stand on the agent's own ground, not on a deck above or below it."""
+        foot_m = boxes[:, 2] - boxes[:, 5] / 2
+        most_m = STORY_M + (STORY_PER_M * self.range_m(boxes) if self.ground is None else 0.0)
+        return np.asarray(np.abs(foot_m - self.ground_m(self.in_level(boxes[:, :2]))) <= most_m)
+
+    @cached_property
+    def view(self) -> GridView:
+        """Its field of view, looked up in the world."""
+        return GridView(self.estimate, 0.0)
+
+    def is_own(self, boxes: F64) -> Mask:
+        """Return which boxes (K, 7) of the world are its own vehicle."""
+        if self.own_box is None:
+            return np.zeros(len(boxes), np.bool_)
+        x_m, y_m = (self.world_from_level @ self.own_box[:3])[:2]
+        return np.asarray(np.hypot(boxes[:, 0] - x_m, boxes[:, 1] - y_m) < self.own_box[3] / 2)
+
+
+def visible_to(reports: Sequence[AgentReport], boxes: Sequence[F64]) -> list[F64]:
+    """Return the probability (K,) that each agent could see its boxes (K, 7) of the world, as it claims.
+
+    Lines of sight of all agents whose grids are alike are followed at once: that is most of the work.
+    """
+    levels = [report.view.in_level(some) for report, some in zip(reports, boxes, strict=True)]
+    steps = {report.estimate.grid.cell_m for report in reports}
+    if len(steps) == 1:
+        ends = np.cumsum([len(some) for some in boxes])[:-1]
+        points = np.split(points_before(np.concatenate(levels), steps.pop()), ends)
+    else:
+        points = [
+            points_before(level, report.estimate.grid.cell_m) for report, level in zip(reports, levels, strict=True)
+        ]
+    return [report.view.visible_at(some) for report, some in zip(reports, points, strict=True)]

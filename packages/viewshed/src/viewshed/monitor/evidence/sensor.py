@@ -1,0 +1,144 @@
+"""Evidence of the sensor's state: numbers of a whole sweep that change slowly while nobody interferes.
+
+Each needs neither rings nor a pose. None means anything by itself: a monitor compares it with the stream's own past.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+from weakref import ref
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F32
+from viewshed.grid import BevGrid
+from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep, sector_of
+from viewshed.monitor.evidence.history import USUAL_GAP_S
+from viewshed.preprocess.leveling import LeveledSweep
+
+_NEAR_M = 2.0
+"""Returns up to this range, of the vehicle itself and of what blinds the sensor."""
+
+_STEP_SHARE, _STEP_M = 0.03, 0.05
+"""Neighboring returns are on one surface if their ranges differ by less than this share and distance."""
+
+_LEAST_RETURNS = 200
+
+_GROUND_M = 0.3
+"""Ground is lower than this above or below the local ground."""
+
+_CELLS, _CELL_M, _SHIFTS = 256, 0.25, 16
+"""Cells in which sweeps are laid over each other, their size, and the largest shift in cells: 4 m."""
+
+
+def measure_sensor_height(monitored: MonitoredSweep) -> F32:
+    """Return the height of the sensor above the ground in meters (SECTORS,), the same in all sectors."""
+    return _everywhere(monitored.leveled.sensor_height_m if len(monitored.leveled.points) else np.nan)
+
+
+def measure_returns(monitored: MonitoredSweep) -> F32:
+    """Return the number of usable returns (SECTORS,), the same in all sectors."""
+    return _everywhere(len(monitored.leveled.points))
+
+
+def measure_near_returns(monitored: MonitoredSweep) -> F32:
+    """Return the share of returns within 2 m (SECTORS,), the same in all sectors."""
+    points = monitored.leveled.sweep.points
+    near = np.einsum("ij,ij->i", points, points) < _NEAR_M**2
+    return _everywhere(near.mean() if len(points) else np.nan)
+
+
+def measure_range_noise(monitored: MonitoredSweep) -> F32:
+    """Return the noise of range in meters (SECTORS,), the same in all sectors.
+
+    The lower quartile of second differences of range between returns that follow each other in the sweep's order on
+    one surface. Sensors store returns in the order of firing, or ring by ring.
+    """
+    points = monitored.leveled.sweep.points
+    range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
+    steps = np.diff(range_m)
+    smooth = np.abs(steps) < _STEP_SHARE * range_m[1:] + _STEP_M
+    bends = np.abs(np.diff(steps))[smooth[1:] & smooth[:-1]]
+    return _everywhere(np.quantile(bends, 0.25) if len(bends) >= _LEAST_RETURNS else np.nan)
+
+
+def measure_ground_roughness(monitored: MonitoredSweep) -> F32:
+    """Return the median distance in meters of ground returns from the ground (SECTORS,), the same in all sectors."""
+    height_m = np.abs(monitored.leveled.height_m)
+    ground = height_m[height_m < _GROUND_M]
+    return _everywhere(np.median(ground) if len(ground) >= _LEAST_RETURNS else np.nan)
+
+
+def measure_isolated(monitored: MonitoredSweep) -> F32:
+    """Return the share of isolated returns (SECTORS,), the same in all sectors; abstains where rings are not known.
+
+    No neighboring beam confirms them: noise, rain and free points, not surfaces.
+    """
+    image = monitored.leveled.range_image
+    return ABSTAINS if image is None or not len(image.isolated) else _everywhere(image.isolated.mean())
+
+
+def measure_fewer_returns(monitored: MonitoredSweep) -> F32:
+    """Return by how many standard deviations a sector has fewer returns than in the sweeps before (SECTORS,)."""
+    if not monitored.earlier:
+        return ABSTAINS
+    before = np.median([_counts_of(each) for each in monitored.earlier], axis=0)
+    return np.asarray((before - _counts_of(monitored.leveled)) / np.sqrt(before + 10.0), np.float32)
+
+
+def measure_jump(monitored: MonitoredSweep) -> F32:
+    """Return by how many meters the sensor moved otherwise than before (SECTORS,), by its own sweeps; all the same.
+
+    Obstacle cells of the sweep are laid over those of the one before; the shift that fits best is compared with the
+    median of the shifts of the sweeps before, each over its time.
+    """
+    every = (*monitored.earlier, monitored.leveled)
+    if len(every) < 4:
+        return ABSTAINS
+    velocity_mps, gap_s = np.stack([_shift_m(a, b) / _gap_s(a, b) for a, b in pairwise(every)]), _gap_s(*every[-2:])
+    usual = np.median(velocity_mps[:-1], axis=0)
+    return _everywhere(float(np.hypot(*((velocity_mps[-1] - usual) * gap_s))))
+
+
+def _gap_s(before: LeveledSweep, after: LeveledSweep) -> float:
+    first_ns, last_ns = before.sweep.t_ns, after.sweep.t_ns
+    gap_s = USUAL_GAP_S if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+    return max(gap_s, 1e-3)
+
+
+def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
+    """Return the shift (2,) in meters, whole cells up to ``_SHIFTS``, that lays obstacle cells best on those before."""
+    key = ("shift", ref(before))
+    shift: NDArray[np.float64] | None = after.derived.get(key)
+    if shift is None:
+        product = _spectrum_of(after) * np.conj(_spectrum_of(before))
+        overlap = np.roll(np.fft.irfft2(product, (_CELLS, _CELLS)), (_SHIFTS, _SHIFTS), (0, 1))
+        best = int(np.argmax(np.round(overlap[: 2 * _SHIFTS + 1, : 2 * _SHIFTS + 1])))
+        shift = (np.array(divmod(best, 2 * _SHIFTS + 1)) - _SHIFTS) * _CELL_M
+        after.derived[key] = shift
+    return shift
+
+
+def _spectrum_of(leveled: LeveledSweep) -> NDArray[np.complexfloating[Any, Any]]:
+    """Return the Fourier transform of the cells (_CELLS, _CELLS) about the sensor that hold an obstacle return."""
+    spectrum: NDArray[np.complexfloating[Any, Any]] | None = leveled.derived.get(("obstacle_spectrum",))
+    if spectrum is None:
+        grid = BevGrid(_CELLS, _CELLS * _CELL_M / 2)
+        spectrum = np.fft.rfft2(leveled.obstacle_cells(grid).astype(np.float32))
+        leveled.derived[("obstacle_spectrum",)] = spectrum
+    return spectrum
+
+
+def _everywhere(value: float) -> F32:
+    return np.full(SECTORS, value, np.float32)
+
+
+def _counts_of(leveled: LeveledSweep) -> F32:
+    """Return the number of returns of each sector (SECTORS,)."""
+    counts: F32 | None = leveled.derived.get(("sector_counts",))
+    if counts is None:
+        counts = np.bincount(sector_of(leveled.azimuth), minlength=SECTORS).astype(np.float32)
+        leveled.derived[("sector_counts",)] = counts
+    return counts

@@ -1,0 +1,100 @@
+"""Alarms of one stream: each sweep's evidence against the stream's past, and what is latched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from viewshed.arrays import F32, Mask
+from viewshed.monitor.calibration import CALM_SWEEPS, Calibration
+from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
+from viewshed.monitor.score import RARE, Past, grains_of, in_grains, strongest, two_sided
+
+MOST_HELD_SWEEPS = 100
+"""After so many sweeps of an alarm, 10 s, the past begins anew: the world changed, or nobody can tell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """What the evidence of a sweep says against its stream.
+
+    Attributes:
+        score: how rare its changes are together; NaN where too few sweeps came before.
+        surprises: (E,) how rare the change of each kind of evidence is; NaN where it abstains.
+        sectors: (E, SECTORS) the same of single sectors.
+        inconsistent: whether the score is above the limit.
+        alarm: the same, latched until ``CALM_SWEEPS`` sweeps in a row are below it.
+        suspect: (SECTORS,) bool, where, of all sweeps of the alarm.
+        sweeps: of the alarm so far.
+    """
+
+    score: float
+    surprises: F32
+    sectors: F32
+    inconsistent: bool = False
+    alarm: bool = False
+    suspect: Mask = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
+    sweeps: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class Watch:
+    """Watches one stream by the evidence of its sweeps.
+
+    Sweeps that score above the limit do not become part of the past, or an attack would soon be usual; after
+    ``MOST_HELD_SWEEPS`` of an alarm the past begins anew.
+
+    Attributes:
+        calibration: says how rare a change is.
+        limit: score above which a sweep is inconsistent.
+    """
+
+    calibration: Calibration
+    limit: float
+    _past: Past = field(init=False, repr=False)
+    _suspect: Mask = field(default_factory=lambda: np.zeros(SECTORS, np.bool_), repr=False)
+    _sweeps: int = 0
+    _calm: int = 0
+
+    def __post_init__(self) -> None:
+        self._past = Past(self.calibration.prior_scale, two_sided(EVIDENCE))
+
+    def check(self, evidence: F32, *, impossible: bool = False) -> Verdict:
+        """Return what the evidence (E, SECTORS) of the next sweep says, and keep it.
+
+        A sweep that is ``impossible`` is inconsistent in all sectors, whatever its score.
+        """
+        numbers = strongest(evidence)
+        # 1. Changes against the past, all sectors together and each by itself.
+        score, surprises, sectors = np.nan, np.full(len(numbers), np.nan, np.float32), np.full_like(evidence, np.nan)
+        if self._past.sweeps >= EARLIER_SWEEPS:
+            reference = self._past.reference()
+            score, surprises = self.calibration.score(reference.changes(numbers))
+            of_sectors = reference.changes(in_grains(evidence.T, grains_of(EVIDENCE))).T
+            sectors = self.calibration.changes(of_sectors[None])[0]
+        # 2. The alarm begins, goes on, or ends after enough calm sweeps.
+        inconsistent = impossible or score > self.limit
+        self._calm = 0 if inconsistent else self._calm + 1
+        if self._sweeps and self._calm >= CALM_SWEEPS:
+            self._sweeps = 0
+        if inconsistent or self._sweeps:
+            self._suspect = self._suspect if self._sweeps else np.zeros(SECTORS, np.bool_)
+            self._sweeps += 1
+        if inconsistent:
+            self._suspect = self._suspect | impossible | suspect_sectors(surprises, sectors)
+        # 3. What is usual from now on.
+        if inconsistent and not impossible and self._sweeps > MOST_HELD_SWEEPS:
+            self._past = Past(self.calibration.prior_scale, two_sided(EVIDENCE))
+        if not inconsistent:
+            self._past.add(numbers)
+        alarm = self._sweeps > 0
+        suspect = self._suspect if alarm else np.zeros(SECTORS, np.bool_)
+        return Verdict(score, surprises, sectors, inconsistent, alarm, suspect, self._sweeps)
+
+
+def suspect_sectors(surprises: F32, sectors: F32) -> Mask:
+    """Return the mask (SECTORS,) of sectors that changed as no sweep does, in a kind of evidence (E,) that did."""
+    rare = np.nan_to_num(surprises) >= max(RARE, float(np.nanmax(surprises, initial=0.0)) - 1.0)
+    found: Mask = (np.nan_to_num(sectors[rare]) >= RARE).any(axis=0)
+    return found

@@ -1,0 +1,112 @@
+"""Log-odds that add up over bins of what was measured: weights of evidence (Good, 1985) by logistic regression."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.arrays import F64
+
+Columns = NDArray[np.int32]
+
+CELL_BOUNDS: dict[str, tuple[float, ...]] = {
+    "surface": (0.001, 0.03, 0.08, 0.15, 0.25, 0.4),
+    "free": (0.05, 0.15, 0.3, 0.5, 0.7, 0.9),
+    "hidden": (0.05, 0.2, 0.5, 0.8, 0.95),
+    "ring": (0.001, 0.03, 0.08, 0.15, 0.3),
+    "ring_free": (0.2, 0.4, 0.6, 0.8, 0.95),
+    "near_free": (0.05, 0.2, 0.4, 0.7, 0.95),
+    "first_m": (0.3, 0.8, 1.5, 3.0, 9.0),
+}
+"""Bounds of the bins of what ``BoxCells`` measures."""
+
+_RIDGE, _NEWTON_STEPS = 3.0, 15
+"""Prior of the weights: bins that are rarely seen stay near 0."""
+
+
+class Bins:
+    """Columns of features: each is a bin of one measure or of several together.
+
+    Args:
+        shape: of the cases.
+        bounds: of the bins of each measure.
+    """
+
+    def __init__(self, shape: tuple[int, ...], bounds: Mapping[str, tuple[float, ...]]) -> None:
+        self.shape, self.bounds, self.size = shape, bounds, 0
+        self._columns: list[NDArray[Any]] = []
+
+    def of(self, name: str, values: NDArray[Any]) -> tuple[NDArray[np.intp], int]:
+        """Return the bins of values of a measure, and how many there are."""
+        bounds = self.bounds[name]
+        return np.searchsorted(np.array(bounds), values, side="right"), len(bounds) + 1
+
+    def add(self, *codes: tuple[NDArray[Any], int]) -> None:
+        """Add a feature: the bins of measures together, each with their number."""
+        code: NDArray[Any] = np.zeros(self.shape, np.int32)
+        count = 1
+        for bins, of in codes:
+            code, count = code * of + bins, count * of
+        self._columns.append(code + self.size)
+        self.size += count
+
+    def columns(self) -> Columns:
+        """Return the columns (…, F) of all features."""
+        return np.stack(self._columns, axis=-1).astype(np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """Log-odds that add up."""
+
+    of_bins: F64  # (W,) weights
+    bias: float  # that is always added
+
+    def __call__(self, columns: Columns) -> F64:
+        """Return the log-odds (…,) of features with columns (…, F)."""
+        total: F64 = self.of_bins[columns].sum(axis=-1) + self.bias
+        return total
+
+    @classmethod
+    def fit(cls, columns: Columns, count: int, label: NDArray[Any], share: F64 | None = None) -> Self:
+        """Return the weights of N rows of columns (N, F) out of ``count``, by logistic regression with a ridge.
+
+        Args:
+            columns: of each row.
+            count: of all columns.
+            label: (N,) bool.
+            share: (N,) weights of the rows; None is 1 each. :func:`evenly` lets both classes weigh the same.
+
+        Raises:
+            ValueError: there is no row of one of the classes.
+        """
+        label, rows = np.asarray(label, np.float64), np.asarray(columns)
+        if not 0 < label.sum() < len(label):
+            raise ValueError(f"rows must be of both classes, got {int(label.sum())} of {len(label)} of one")
+        share = np.ones(len(label)) if share is None else share
+        # A further column is that of the bias.
+        rows, size = np.column_stack([rows, np.full(len(rows), count)]), count + 1
+        ridge = np.append(np.full(count, _RIDGE), 1e-6)
+        weights = np.zeros(size)
+        for _ in range(_NEWTON_STEPS):
+            prob = 1.0 / (1.0 + np.exp(-weights[rows].sum(axis=1)))
+            error, worth = share * (label - prob), share * prob * (1.0 - prob)
+            slope, curve = -ridge * weights, np.zeros(size * size)
+            for place, one in enumerate(rows.T):
+                slope += np.bincount(one, error, size)
+                # Newton's matrix of one-hot rows: how often two columns occur together.
+                for other in rows.T[place:]:
+                    pair = np.bincount(one * size + other, worth, size * size).reshape(size, size)
+                    curve += (pair if other is one else pair + pair.T).ravel()
+            weights = weights + np.linalg.solve(curve.reshape(size, size) + np.diag(ridge), slope)
+        return cls(weights[:count], float(weights[count]))
+
+
+def evenly(label: NDArray[Any]) -> F64:
+    """Return weights (N,) with which both classes weigh the same, so that log-odds are log-likelihood ratios."""
+    label = np.asarray(label, np.float64)
+    return np.where(label == 1, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1)) * len(label)

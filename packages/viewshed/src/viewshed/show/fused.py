@@ -1,0 +1,155 @@
+"""Pictures of what a center makes of several agents: who sees what, what is believed, and who contradicts whom."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed.agents.rounds import Round
+from viewshed.objects.matching import corners_of
+from viewshed.show._canvas import BLACK, WHITE, Canvas, Color
+from viewshed.show.plot import Panel, map_picture
+
+SIDE, MARGIN, COLUMN = 720, 20, 380
+"""Pixels of the map, around it, and of the words beside it."""
+
+TRUSTED, DOUBTED, DISTRUSTED, QUIET = (20, 140, 40), (235, 150, 0), (214, 39, 40), (120, 120, 130)
+"""Colors of agents and objects: believed, in between, not believed; and of what only its neighbors speak of."""
+
+CONTRADICTION_NATS = 3.0
+"""Two views of which a comparison is as rare as this contradict each other."""
+
+_BOX_M, _LINE = 2.0, 20
+
+
+def color_of(trust: float) -> Color:
+    """Return the color of a probability.
+
+    >>> color_of(0.9) == TRUSTED, color_of(0.5) == DOUBTED, color_of(0.1) == DISTRUSTED
+    (True, True, True)
+    """
+    return TRUSTED if trust >= 0.7 else DOUBTED if trust >= 0.3 else DISTRUSTED
+
+
+def contradictions(done: Round) -> list[tuple[int, int, str]]:
+    """Return pairs of agents that contradict each other, by their numbers, and of what each pair disagrees.
+
+    About objects: one reports what the other claims to see and denies. About views: see ``Verdicts.against``.
+    """
+    picture, names = done.picture, done.picture.agents
+    denied = picture.reporters[:, :, None] & picture.deniers[:, None]
+    against = picture.verdicts.against
+    found = []
+    for one in range(len(names)):
+        for other in range(one + 1, len(names)):
+            ids = picture.tracks.ids[denied[:, one, other] | denied[:, other, one]].tolist()
+            parts = [f"objects {', '.join(map(str, ids[:4]))}{' …' if len(ids) > 4 else ''}"] if ids else []
+            parts += ["views"] if against[one, other] >= CONTRADICTION_NATS else []
+            if parts:
+                found.append((one, other, " and ".join(parts)))
+    return found
+
+
+def fused_picture(done: Round) -> bytes:
+    """Return a PNG of a round: the joint view, agents by trust, objects by belief, and lines between who contradict."""
+    picture, joint = done.picture, done.joint
+    panel = Panel(replace(joint.estimate(done.t_ns), agent=""), "")
+    area = map_picture(panel, SIDE)
+    half_m, middle = joint.grid.half_extent_m, joint.world_from_grid.translation[:2]
+
+    def pixels(xy_m: NDArray[np.float64]) -> list[tuple[float, float]]:
+        """Return columns and rows: x of the world points up, y to the left."""
+        away = (half_m - (np.atleast_2d(xy_m) - middle)) * SIDE / (2 * half_m)
+        return [(float(y), float(x)) for x, y in away]
+
+    places = {report.agent: report.world_from_level.translation[:2] for report in done.reports}
+    trust = dict(zip(picture.agents, picture.verdicts.trust.tolist(), strict=True))
+    pairs = contradictions(done)
+    # 1. Who contradicts whom.
+    for one, other, _ in pairs:
+        ends = [places.get(picture.agents[number]) for number in (one, other)]
+        if ends[0] is not None and ends[1] is not None:
+            area.polygon(pixels(np.stack([ends[0], ends[1]])), DISTRUSTED, grow=1.2)
+    # 2. Objects: the outline of each box that somebody reports or that is believed.
+    for number in np.flatnonzero(picture.reported | picture.believed):
+        color = color_of(float(picture.existence[number]))
+        corners = pixels(corners_of(picture.tracks.boxes[[number]])[0])
+        for first, second in zip(corners, [*corners[1:], corners[0]], strict=True):
+            area.polygon([first, second], color, grow=1.0)
+        area.text((corners[0][0] + 3, corners[0][1] - 3), str(picture.tracks.ids[number]), 6)
+    # 3. Agents: a disc in the color of the trust in each, and its name.
+    for agent, xy in places.items():
+        [(column, row)] = pixels(xy)
+        turn = np.linspace(0.0, 2 * np.pi, 17)[:-1]
+        disc = [(column + 7 * float(np.cos(t)), row + 7 * float(np.sin(t))) for t in turn]
+        area.polygon(disc, WHITE, grow=2.0)
+        area.polygon(disc, color_of(trust[agent]))
+        area.text((column + 11, row + 4), agent, 8, bold=True)
+
+    page = Canvas.blank(SIDE + COLUMN + 2 * MARGIN, SIDE + 2 * MARGIN + 30)
+    page.text((MARGIN, MARGIN + 12), f"{len(done.reports)} agents, {picture.t_s:.2f} s", 11, bold=True)
+    page.paste(area, MARGIN, MARGIN + 30)
+    left, top = SIDE + 2 * MARGIN, MARGIN + 44
+    # 4. Words: agents with trust, what is believed, who contradicts whom.
+    for number, agent in enumerate(picture.agents):
+        word = "accused" if done.accused[number] else "disputed" if done.disputed[number] else ""
+        page.rectangle((left, top - 11, left + 12, top + 1), color_of(trust[agent]))
+        silent = "" if agent in places else " (silent)"
+        page.text((left + 20, top), f"{agent}{silent}: trust {trust[agent]:.2f} {word}", 9, bold=bool(word))
+        top += _LINE
+    shown = picture.reported | picture.believed
+    top += _LINE // 2
+    page.text((left, top), f"{int(picture.believed.sum())} of {int(shown.sum())} objects believed", 9)
+    for one, other, what in pairs[:12]:
+        top += _LINE
+        page.text((left, top), f"{picture.agents[one]} contradicts {picture.agents[other]}: {what}", 8)
+    for line in done.sentences():
+        top += _LINE
+        page.text((left, top), line[:64], 8, bold=True)
+    top = SIDE + MARGIN - 2 * _LINE
+    legend = (("believed", TRUSTED), ("in doubt", DOUBTED), ("not believed; contradiction", DISTRUSTED))
+    for at, (word, color) in enumerate(legend):
+        page.rectangle((left, top + at * _LINE - 11, left + 12, top + at * _LINE + 1), color, BLACK)
+        page.text((left + 20, top + at * _LINE), f"agents and objects: {word}" if not at else word, 8)
+    return page.png()
+
+
+def fused_page(rounds: Sequence[Round], pictures: Sequence[bytes], title: str) -> bytes:
+    """Return an HTML page, one file without network, of rounds over time: pictures by a slider, trust as lines."""
+    agents = sorted({agent for done in rounds for agent in done.picture.agents})
+    times_s = [done.picture.t_s for done in rounds]
+    width, height, begin, end = 720.0, 160.0, times_s[0], max(times_s[-1], times_s[0] + 1e-3)
+    lines = []
+    for number, agent in enumerate(agents):
+        places = [
+            (width * (done.picture.t_s - begin) / (end - begin),
+             height * (1.0 - float(done.picture.verdicts.trust[done.picture.agents.index(agent)])))
+            for done in rounds if agent in done.picture.agents
+        ]  # fmt: skip
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+        hue = 360 * number // max(len(agents), 1)
+        lines.append(
+            f'<polyline points="{path}" fill="none" stroke="hsl({hue} 70% 40%)" stroke-width="2"/>'
+            f'<text x="{width + 6}" y="{places[-1][1]:.0f}" fill="hsl({hue} 70% 40%)">{html.escape(agent)}</text>'
+        )
+    sources = json.dumps([base64.b64encode(each).decode() for each in pictures])
+    return f"""<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>
+<style>body{{font:14px sans-serif;margin:16px}}img{{max-width:100%}}input{{width:720px}}svg{{overflow:visible}}</style>
+</head><body><h1>{html.escape(title)}</h1>
+<input id="time" type="range" min="0" max="{len(pictures) - 1}" value="{len(pictures) - 1}" aria-label="time">
+<p><img id="picture" alt="agents, what they see together, objects by belief, and who contradicts whom"></p>
+<h2>Trust in each agent</h2>
+<svg width="{width + 160:.0f}" height="{height + 8:.0f}" role="img" aria-label="trust over time">
+<rect width="{width}" height="{height}" fill="none" stroke="#999"/>
+<line x2="{width}" y1="{height / 2}" y2="{height / 2}" stroke="#ccc"/>{"".join(lines)}</svg>
+<script>const pictures = {sources};
+const show = () => {{ document.getElementById("picture").src =
+  "data:image/png;base64," + pictures[document.getElementById("time").value]; }};
+document.getElementById("time").addEventListener("input", show); show();</script></body></html>
+""".encode()

@@ -1,0 +1,52 @@
+"""Evidence of the sensor's state, by scenes whose changes are known by hand."""
+
+import numpy as np
+import pytest
+from tests.monitor.evidence.drives import PLATE, YARD, look, measure, sector_at
+
+from viewshed.sweep import Sweep
+
+
+def _drive(rng: np.random.Generator | None = None) -> list[Sweep]:
+    """Six sweeps, 1 m apart, without poses."""
+    return [look(YARD, number, 1.0 * number, rng).replace(world_from_sensor=None) for number in range(6)]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_points_that_are_all_shifted_make_the_sensor_jump(axis: int) -> None:
+    sweeps = _drive()
+    assert measure("jump", *sweeps).max() < 0.3
+    shift = np.zeros(3, np.float32)
+    shift[axis] = 1.0
+    shifted = sweeps[-1].replace(points=sweeps[-1].points + shift)
+    assert measure("jump", *sweeps[:-1], shifted)[0] == pytest.approx(1.0, abs=0.3)
+
+
+def test_noise_is_measured_by_its_size() -> None:
+    noises = [measure("range_noise", _noisy(look(YARD), sigma_m))[0] for sigma_m in (0.0, 0.02, 0.04)]
+    # The lower quartile of |e1 - 2 e2 + e3|, a normal variable of √6 σ: .3186 √6 σ.
+    assert noises[0] < 0.005
+    assert noises[1] == pytest.approx(0.3186 * 6**0.5 * 0.02, rel=0.1)
+    assert noises[2] == pytest.approx(0.3186 * 6**0.5 * 0.04, rel=0.1)
+
+
+def _noisy(sweep: Sweep, sigma_m: float) -> Sweep:
+    range_m = np.linalg.norm(sweep.points, axis=1, keepdims=True)
+    noise = np.random.default_rng(0).normal(0.0, sigma_m, range_m.shape)
+    return sweep.replace(points=(sweep.points * (1.0 + noise / range_m)).astype(np.float32))
+
+
+def test_a_sector_that_falls_silent_has_fewer_returns() -> None:
+    before, now = look((*YARD, PLATE), 0), look((*YARD, PLATE), 1)
+    azimuth, range_m = np.arctan2(now.points[:, 1], now.points[:, 0]), np.linalg.norm(now.points, axis=1)
+    removed = now.select(np.flatnonzero(~((np.abs(azimuth - 0.1) < 0.15) & (range_m < 11.0))))
+    fewer = measure("fewer_returns", before, removed)
+    assert fewer[sector_at(5.0)] > 4.0
+    assert abs(fewer[sector_at(90.0)]) < 0.5
+
+
+def test_heights_and_shares_of_the_whole_sweep() -> None:
+    sweep = look(YARD)
+    assert measure("sensor_height", sweep)[0] == pytest.approx(1.8, abs=0.02)
+    near = np.concatenate([sweep.points, np.full((len(sweep), 3), 0.5, np.float32)])
+    assert measure("near_returns", Sweep(near))[0] == pytest.approx(0.5 + 0.5 * measure("near_returns", sweep)[0])

@@ -1,0 +1,55 @@
+"""Degraded and impossible: against the own past and the beam table."""
+
+import numpy as np
+from tests.monitor.evidence.drives import GRID, YARD, look
+
+from viewshed.monitor.degraded import NOW_SWEEPS, PAST_SWEEPS, SensorState, against_table
+from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep, measure_all
+from viewshed.monitor.impossible import impossible_reasons
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sweep import Sweep
+
+
+def _leveled(sweep: Sweep) -> LeveledSweep:
+    return level(sweep, GRID)
+
+
+def test_fewer_returns_than_before_count_once_they_last() -> None:
+    whole = _leveled(look(YARD))
+    half = _leveled(whole.sweep.select(np.arange(0, len(whole.sweep), 2)))
+    state, sweeps = SensorState(), [whole] * PAST_SWEEPS + [half] * NOW_SWEEPS
+    found = [state.check(sweep, measure_all(MonitoredSweep(sweep))) for sweep in sweeps]
+    assert not any(found[: PAST_SWEEPS + NOW_SWEEPS // 2])
+    assert any("50% of the returns" in reason for reason in found[-1])
+
+
+def test_noise_of_another_sensor_is_not_held_against_the_table() -> None:
+    rng = np.random.default_rng(0)
+    noisy = look(YARD)
+    noisy = noisy.replace(points=noisy.points + rng.normal(0.0, 0.05, noisy.points.shape).astype(np.float32))
+    state = SensorState()
+    for _ in range(PAST_SWEEPS + NOW_SWEEPS):
+        sweep = _leveled(noisy)
+        assert state.check(sweep, np.full((len(EVIDENCE), 72), 1.0, np.float32)) == ()
+
+
+def test_a_dead_beam_between_others_and_an_empty_direction() -> None:
+    sweep = look(YARD)
+    assert against_table(_leveled(sweep)) == []
+    ring, azimuth = sweep.ring, np.arctan2(sweep.points[:, 1], sweep.points[:, 0])
+    assert ring is not None
+    dead = against_table(_leveled(sweep.select(np.flatnonzero(ring != 9))))
+    assert len(dead) == 1
+    assert dead[0].startswith("1 of ")
+    empty = against_table(_leveled(sweep.select(np.flatnonzero(np.abs(azimuth - 1.0) > 0.4))))
+    assert empty == ["no beam returns from 45° of azimuth"]  # 34.4° to 80.2°
+
+
+def test_returns_that_no_beam_makes_are_impossible() -> None:
+    sweep = look(YARD)
+    assert impossible_reasons(_leveled(sweep)) == ()
+    above = np.tile(np.float32([3.0, 1.0, 9.0]), (len(sweep) // 20, 1))
+    forged = Sweep(np.concatenate([sweep.points, above]), model=sweep.model)
+    assert "above or below all beams" in impossible_reasons(_leveled(forged))[0]
+    beyond = Sweep(np.concatenate([sweep.points, np.float32([[300.0, 9.0, -3.0]] * 3000)]), model=sweep.model)
+    assert any("beyond the range" in reason for reason in impossible_reasons(_leveled(beyond)))
