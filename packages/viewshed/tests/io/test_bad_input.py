@@ -135,8 +135,8 @@ BAD = {
     "text.npy": (files.npy(np.array([["a", "b", "c"]])), "must be floats .* got <U1"),
     "picture.npy": (files.npy(np.zeros((4, 64, 3))), r"or more columns, got \(4, 64, 3\)"),
     "complex.npy": (files.npy(np.zeros((9, 3), complex)), "type is not plain numbers"),
-    "a.las": (b"LASF" + bytes(300), "is a LAS file; convert it to PLY or PCD"),
-    "what.xyz": (b"1 2 3\n", "format is not known by name or content; name one of nuscenes, kitti"),
+    "a.las": (b"LASF" + bytes(300), "LAS header is damaged"),
+    "what.xyw": (b"1 2 3\n", "format is not known by name or content; name one of nuscenes, kitti"),
     "fake.pcd": (b"\x00" * 50, "is named like pcd but does not begin like it"),
 }  # fmt: skip
 
