@@ -321,8 +321,8 @@ def object_reports(
         theirs[hit] = found[members[hit, place]]
         if own is not None:
             theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
-        # What stands beneath a mast is seen in parts: such reports say nothing.
-        hit = hit & (range_m[:, column] >= report.blind_m)
+        # What stands beneath a mast is seen in parts, and nobody sees itself: such reports say nothing.
+        hit = hit & (range_m[:, column] >= report.blind_m) & ~report.is_own(boxes)
         height[column], seen[:, column] = report.height, hit
         near = nearby[:, column]
         able[:, column] = near & ~report.is_own(boxes)

@@ -287,11 +287,14 @@ class Trust:
 
     def _of_views(self) -> tuple[F64, F64]:
         """Return what views say against both of two agents (A, A), against one on the diagonal, and for each set."""
+        # A view that opens and closes flickers, as honest ones do: only by how much more of the one counts.
+        opened, closed = self._own[:, _AT_ONCE].T
+        own = np.abs(opened - closed) + self._own[:, ~_AT_ONCE].sum(axis=1)
         against = self._pairs.sum(axis=2)
         against = np.triu(against + against.T, 1)
         touched = self._lies[:, :, None] | self._lies[:, None]
-        gain = np.where(touched, against, 0.0).sum(axis=(1, 2)) + self._lies @ self._own.sum(axis=1)
-        return against + against.T + np.diag(self._own.sum(axis=1)), gain
+        gain = np.where(touched, against, 0.0).sum(axis=(1, 2)) + self._lies @ own
+        return against + against.T + np.diag(own), gain
 
     def _verdicts(self, reports: Reports) -> Verdicts:
         """Return what is believed of the agents, and of the objects of the last reports."""
