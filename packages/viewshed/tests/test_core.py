@@ -121,9 +121,6 @@ WRITTEN = {
     ),
     "range_image": ("_core.range_image(points, ring, 1024, 32, 0.5, 250.0)", "ring", 32767),
     "pixels_without": ("_core.pixels_without(ring, isolated, column, counts)", "column", 2**30),
-    "beam_image": ("_core.beam_image(points, ring, column, rows, range_m, 32, 1024)", "rows", 2**30),
-    "beam_image of rings": ("_core.beam_image(points, ring, column, rows, range_m, 32, 1024)", "ring", 32767),
-    "find_off_beam": ("_core.find_off_beam(points, ring, column, origin_m, rows, 1024)", "column", 2**30),
     "beams_by_evidence": (
         "_core.beams_by_evidence(ring, column, counts, isolated, None, phase, origin_m, origin_m, np.eye(3), points, "
         "range_m, range_m, rows, 1.7, ground_m, 50.0, 2.0, 0.3)",
@@ -231,8 +228,8 @@ import os
 import numpy as np
 from viewshed import _core
 threads = lambda: len(os.listdir("/proc/self/task"))
-image_m = np.full((256, 2048), 9.0, np.float32)
-work = lambda: _core.count_specks(image_m, np.zeros(2048, np.int16), 1)
+points, ring = np.full((600_000, 3), 9.0, np.float32), np.zeros(600_000, np.int16)
+work = lambda: _core.range_image(points, ring, 1024, 32, 0.5, 250.0)
 _core.set_threads(1)
 before = threads()
 for time in range(60):

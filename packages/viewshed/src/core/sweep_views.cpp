@@ -32,8 +32,7 @@ constexpr int MOST_COLUMNS = 4;
 // Returns that show a free passage, of them in the ring itself.
 constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
 
-// Columns beside a beam in which the nearest range is looked for; farther than this it is another surface.
-constexpr int BESIDE = 2;
+// Farther than this from the beams beside it a return is of another surface.
 constexpr float NEAR_M = 1.0f;
 
 int direction_of(Point3 level) {

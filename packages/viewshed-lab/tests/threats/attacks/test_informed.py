@@ -8,7 +8,7 @@ from tests.threats.attacks.conftest import MODEL, SENSOR_M, FlatScene
 from tests.threats.attacks.drawn import generator, same
 from tests.threats.attacks.oracle import Scene, broken_on_beams
 
-from viewshed import ESTIMATORS, BevGrid, Sweep
+from viewshed import BevGrid, Sweep
 from viewshed.monitor.evidence import MonitoredSweep
 from viewshed_lab.threats.attacks import BITS, INFORMED, Knowledge, MonitorScore, smallest_budget, tripped_shares
 from viewshed_lab.threats.attacks.informed import CopiedObject, VanishedObject
@@ -123,11 +123,9 @@ def test_a_monitor_is_an_objective(flat_scene: FlatScene) -> None:
         asked.append(monitored)
         return float(len(monitored.leveled.points))
 
-    victim = ESTIMATORS["shadow_map"](BevGrid(64, 64.0))
-    value = MonitorScore(score, victim.grid, (clean, clean), {"shadow_map": victim})(clean)
+    value = MonitorScore(score, BevGrid(64, 64.0), (clean, clean))(clean)
     assert value == len(asked[0].leveled.points) > 1000
     assert len(asked[0].earlier) == 2
-    assert asked[0].estimates["shadow_map"].grid == victim.grid
 
 
 def test_the_returns_that_alarms_take(flat_scene: FlatScene) -> None:

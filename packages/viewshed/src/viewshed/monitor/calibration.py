@@ -335,12 +335,12 @@ def load_calibration(path: str | Path) -> Calibration:
                 f"version {about['version']} of monitor {about['monitor']} of evidence {about.get('evidence')}, not"
                 f" {EVIDENCE_ID}"
             )
-        scales = (
+        changes, scores = (
             SurpriseScale(*(np.asarray(arrays[f"{name}.{part}"], np.float32) for part in ("values", "surprises")))
             for name in ("changes", "scores")
         )
         return Calibration(
-            tuple(map(str, about["names"])), np.asarray(arrays["prior_scale"], np.float32), *scales,
+            tuple(map(str, about["names"])), np.asarray(arrays["prior_scale"], np.float32), changes, scores,
             np.asarray(arrays["peaks"], np.float64), float(about["hours"]),
             {str(key): str(text) for key, text in about["facts"].items()}, str(about["evidence"]),
         )  # fmt: skip

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from viewshed.arrays import F32
+from viewshed.arrays import F32, Mask
 from viewshed.monitor.evidence import EVIDENCE, SECTORS, sector_of
 from viewshed.monitor.score import MEMORY_SWEEPS
 from viewshed.preprocess.leveling import LeveledSweep
@@ -73,7 +73,7 @@ def against_table(leveled: LeveledSweep) -> list[str]:
     reasons = []
     # 1. Beams that meet the ground, or what stands before it, and return nothing all around while those beside them do.
     alive = image.counts.any(axis=1)
-    low = np.asarray(model.elevation) < DOWNWARD
+    low: Mask = np.less(model.elevation, DOWNWARD)
     between = np.logical_or.accumulate(alive) & np.logical_or.accumulate(alive[::-1])[::-1] & ~alive
     if len(low) == len(alive) and (dead := int((between & low).sum())):
         reasons.append(f"{dead} of {low.sum()} beams below the horizon return nothing")

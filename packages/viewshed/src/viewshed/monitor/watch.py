@@ -96,5 +96,4 @@ class Watch:
 def suspect_sectors(surprises: F32, sectors: F32) -> Mask:
     """Return the mask (SECTORS,) of sectors that changed as no sweep does, in a kind of evidence (E,) that did."""
     rare = np.nan_to_num(surprises) >= max(RARE, float(np.nanmax(surprises, initial=0.0)) - 1.0)
-    found: Mask = (np.nan_to_num(sectors[rare]) >= RARE).any(axis=0)
-    return found
+    return np.asarray((np.nan_to_num(sectors[rare]) >= RARE).any(axis=0), np.bool_)

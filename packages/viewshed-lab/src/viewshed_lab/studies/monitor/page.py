@@ -120,7 +120,11 @@ def _rate_rows(calibration: Calibration, groups: Mapping[str, Sequence[Judged]])
     return rows
 
 
-_RATE_HEADER = ["", "minutes", *(word for asked in ASKED for word in (f"alarms, {asked:g} asked", "an hour"))]
+_RATE_HEADER = [
+    "",
+    "minutes",
+    *(word for asked in ASKED for word in (f"alarms, {asked:g} asked", f"an hour, {asked:g} asked")),
+]
 
 
 def _places(calibration: Calibration, judged: Sequence[Judged]) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.fov.estimate import FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.monitor.evidence import MonitoredSweep
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -34,14 +33,11 @@ class MonitorScore:
     score: Callable[[MonitoredSweep], float]  # from what the monitor is handed to the number that it alarms on
     grid: BevGrid  # of the victim
     earlier: tuple[Sweep, ...] = ()  # sweeps of the sensor before this one, the oldest first
-    # of the estimates that the monitor is handed, by method
-    estimators: Mapping[str, FovEstimator] = field(default_factory=dict)
 
     def __call__(self, sweep: Sweep) -> float:
         """Return the score of a sweep."""
         earlier = tuple(_leveled(before, self.grid) for before in self.earlier)
-        estimates = {name: one.estimate(sweep) for name, one in self.estimators.items()}
-        return float(self.score(MonitoredSweep(level(sweep, self.grid), earlier, estimates)))
+        return float(self.score(MonitoredSweep(level(sweep, self.grid), earlier)))
 
 
 @lru_cache(maxsize=16)
