@@ -160,6 +160,7 @@ def level_points(
     ground_m: NDArray[np.float32],
     half_extent_m: float,
 ) -> _LevelPoints: ...
+
 LEVEL_TILT: float
 
 def level_sweep(
