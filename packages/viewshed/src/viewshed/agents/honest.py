@@ -205,8 +205,8 @@ class HonestModel:
     def blank(cls) -> Self:
         """Return a model that knows nothing: reports are as likely as not, and no comparison is rare."""
         half, counts = np.full(_SHARES, 0.5), _counts()
-        questions = (Weights(np.zeros(count), 0.0) for count in counts)
-        return cls(half, half, *questions, Surprises.blank())
+        reported, invented, displaced = (Weights(np.zeros(count), 0.0) for count in counts)
+        return cls(half, half, reported, invented, displaced, Surprises.blank())
 
     @property
     def of_others(self) -> F64:
@@ -244,9 +244,11 @@ class HonestModel:
         table = json.loads(text)
         if table["bounds"] != {name: list(bounds) for name, bounds in _BOUNDS.items()}:
             raise ValueError("bounds must be those of this version; fit the model again")
-        questions = (Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in _QUESTIONS)
+        reported, invented, displaced = (
+            Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in _QUESTIONS
+        )
         found, false = (np.array(table[name], np.float64) for name in ("found", "false"))
-        return cls(found, false, *questions, Surprises.from_json(table["views"]))
+        return cls(found, false, reported, invented, displaced, Surprises.from_json(table["views"]))
 
 
 _QUESTIONS = ("reported", "invented", "displaced")
@@ -303,13 +305,14 @@ def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestMo
         ValueError: there are too few.
     """
     rows = {each.name: np.concatenate([getattr(one, each.name) for one in examples]) for each in fields(HonestExamples)}
-    shares = [fit_shares(tuple(rows[name][:, :-1].T), rows[name][:, -1]) for name in ("found", "false")]
+    found, false = (fit_shares(tuple(rows[name][:, :-1].T), rows[name][:, -1]) for name in ("found", "false"))
     fitted = []
     for name, count in zip(_QUESTIONS, _counts(), strict=True):
         columns, label = rows[name][:, :-1], rows[name][:, -1]
         # Of what is made up there is as much as one likes: both classes weigh the same.
         fitted.append(Weights.fit(columns, count, label, None if name == "reported" else evenly(label)))
-    return HonestModel(*shares, *fitted, views)
+    reported, invented, displaced = fitted
+    return HonestModel(found, false, reported, invented, displaced, views)
 
 
 def _contrasted(honest: tuple[ObjectReports, Mask], other: tuple[ObjectReports, Mask]) -> Columns:

@@ -65,7 +65,6 @@ class TrustRules:
     # no report, and no silence, of an honest agent is less likely: what is rare is known no better
     least: float = 0.005
     most_ratio: float = 6.0  # bound in nats of what views say about an invented or a displaced box
-    same: float = 0.25  # share of what a box holds that counts each time: mostly it is the same fact as the last time
     agreeing: float = 0.5  # share of the liars' boxes that agree with the liars' views, which may be forged as well
     disc_m: float = 4.0  # radius of the disc over which a lie puts an object
     # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
@@ -78,7 +77,7 @@ class TrustRules:
     temper: float = 4.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lie", "prior", "least", "same", "agreeing", "astray"):
+        for name in ("false_report", "lie", "prior", "least", "agreeing", "astray"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
         for name in ("most_ratio", "disc_m", "objects", "most_of_object", "look_s", "half_life_s", "mean_s", "temper"):
@@ -245,9 +244,7 @@ class Trust:
         odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
         chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
         # A lie's box may agree with its own view as an honest one does, for the view may be forged.
-        displaced, invented = (
-            rules.same * self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented)
-        )
+        displaced, invented = (self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented))
         # Who alone reports an object errs seldom where others see; where they do not, it is as good as silence.
         silence = np.log1p(-rules.false_report)
         alone = np.where(denied > 0, np.log(rules.false_report), silence) - invented

@@ -97,8 +97,8 @@ def fused_picture(done: Round) -> bytes:
     page.paste(area, MARGIN, MARGIN + 30)
     left, top = SIDE + 2 * MARGIN, MARGIN + 44
     # 4. Words: agents with trust, what is believed, who contradicts whom.
-    for number, agent in enumerate(picture.agents):
-        word = "accused" if done.accused[number] else "disputed" if done.disputed[number] else ""
+    for at, agent in enumerate(picture.agents):
+        word = "accused" if done.accused[at] else "disputed" if done.disputed[at] else ""
         page.rectangle((left, top - 11, left + 12, top + 1), color_of(trust[agent]))
         silent = "" if agent in places else " (silent)"
         page.text((left + 20, top), f"{agent}{silent}: trust {trust[agent]:.2f} {word}", 9, bold=bool(word))
@@ -114,9 +114,9 @@ def fused_picture(done: Round) -> bytes:
         page.text((left, top), line[:64], 8, bold=True)
     top = SIDE + MARGIN - 2 * _LINE
     legend = (("believed", TRUSTED), ("in doubt", DOUBTED), ("not believed; contradiction", DISTRUSTED))
-    for at, (word, color) in enumerate(legend):
-        page.rectangle((left, top + at * _LINE - 11, left + 12, top + at * _LINE + 1), color, BLACK)
-        page.text((left + 20, top + at * _LINE), f"agents and objects: {word}" if not at else word, 8)
+    for line_number, (word, color) in enumerate(legend):
+        page.rectangle((left, top + line_number * _LINE - 11, left + 12, top + line_number * _LINE + 1), color, BLACK)
+        page.text((left + 20, top + line_number * _LINE), f"agents and objects: {word}" if not line_number else word, 8)
     return page.png()
 
 
