@@ -15,7 +15,7 @@ def test_the_commands_are_the_lines_of_the_readme() -> None:
     assert not any("#" in command for command in commands)
     # A command of the laboratory comes after the laboratory is installed.
     assert commands.index("pip install packages/viewshed-lab") < next(
-        k for k, command in enumerate(commands) if command.startswith("viewshed attack")
+        k for k, command in enumerate(commands) if command.startswith("viewshed record sim")
     )
 
 
