@@ -11,11 +11,11 @@ def test_the_commands_are_the_lines_of_the_readme() -> None:
     commands = readme_commands()
     assert commands[:2] == ["make demo", "source .venv/bin/activate"]
     assert "viewshed demo --out demo" in commands
-    assert any(command.startswith("viewshed monitor explain demo/relayed.npz") for command in commands)
+    assert any(command.startswith("viewshed monitor check demo/replay.mcap") for command in commands)
     assert not any("#" in command for command in commands)
     # A command of the laboratory comes after the laboratory is installed.
     assert commands.index("pip install packages/viewshed-lab") < next(
-        k for k, command in enumerate(commands) if command.startswith("viewshed attack")
+        k for k, command in enumerate(commands) if command.startswith("viewshed record sim")
     )
 
 

@@ -48,8 +48,9 @@ def test_a_dead_beam_between_others_and_an_empty_direction() -> None:
 def test_returns_that_no_beam_makes_are_impossible() -> None:
     sweep = look(YARD)
     assert impossible_reasons(_leveled(sweep)) == ()
-    above = np.tile(np.float32([3.0, 1.0, 9.0]), (len(sweep) // 20, 1))
+    above = np.tile(np.array([3.0, 1.0, 9.0], np.float32), (len(sweep) // 20, 1))
     forged = Sweep(np.concatenate([sweep.points, above]), model=sweep.model)
     assert "above or below all beams" in impossible_reasons(_leveled(forged))[0]
-    beyond = Sweep(np.concatenate([sweep.points, np.float32([[300.0, 9.0, -3.0]] * 3000)]), model=sweep.model)
+    far = np.tile(np.array([300.0, 9.0, -3.0], np.float32), (3000, 1))
+    beyond = Sweep(np.concatenate([sweep.points, far]), model=sweep.model)
     assert any("beyond the range" in reason for reason in impossible_reasons(_leveled(beyond)))

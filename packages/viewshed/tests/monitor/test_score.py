@@ -39,7 +39,8 @@ def test_what_is_usual_in_a_stream_is_no_change() -> None:
     usual = past.reference()
     assert_allclose(usual.location, [50.0, -3.0], atol=0.3)
     assert_allclose(usual.scale, [2.0, 0.5], rtol=0.35)
-    higher, lower = usual.changes(np.float32([60.0, 0.0])), usual.changes(np.float32([40.0, -6.0]))
+    higher = usual.changes(np.array([60.0, 0.0], np.float32))
+    lower = usual.changes(np.array([40.0, -6.0], np.float32))
     assert higher[0] > 3.0 > lower[0] + 5.0, "less of a one-sided kind is no change"
     assert higher[1] == pytest.approx(lower[1], rel=0.2)
 
@@ -47,18 +48,18 @@ def test_what_is_usual_in_a_stream_is_no_change() -> None:
 def test_a_minute_is_remembered_and_no_more() -> None:
     one, other = (Past(np.ones(1, np.float32), np.array([False])) for _ in range(2))
     for value in range(500):
-        one.add(np.float32([1000.0 + value]))
+        one.add(np.array([1000.0 + value], np.float32))
     for value in np.random.default_rng(1).normal(0.0, 1.0, MEMORY_SWEEPS):
-        one.add(np.float32([value]))
-        other.add(np.float32([value]))
+        one.add(np.array([value], np.float32))
+        other.add(np.array([value], np.float32))
     assert_array_equal(one.reference().location, other.reference().location)
     assert_array_equal(one.reference().scale, other.reference().scale)
 
 
 def test_the_first_seconds_are_standardized_by_the_calibration() -> None:
-    past = Past(np.float32([2.0]), np.array([False]))
+    past = Past(np.array([2.0], np.float32), np.array([False]))
     for _ in range(PRIOR_SWEEPS):
-        past.add(np.float32([7.0]))
+        past.add(np.array([7.0], np.float32))
     # No spread of its own in as many sweeps as the prior counts for: half of its variance.
     assert past.reference().scale[0] == pytest.approx(2.0 / np.sqrt(2.0))
 
@@ -67,8 +68,8 @@ def test_one_attack_in_the_past_does_not_hide_the_next() -> None:
     rng = np.random.default_rng(2)
     past = Past(np.ones(1, np.float32), np.array([False]))
     for number in range(300):
-        past.add(np.float32([100.0 if number % 60 < 3 else rng.normal()]))  # 5 % of the sweeps
-    assert past.reference().changes(np.float32([100.0]))[0] > 20.0
+        past.add(np.array([100.0 if number % 60 < 3 else rng.normal()], np.float32))  # 5 % of the sweeps
+    assert past.reference().changes(np.array([100.0], np.float32))[0] > 20.0
 
 
 @given(st.lists(st.floats(-5.0, 50.0), min_size=20, max_size=60), st.floats(0.0, 50.0), st.floats(0.0, 50.0))

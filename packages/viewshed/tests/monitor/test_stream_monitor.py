@@ -78,8 +78,9 @@ def test_an_attack_begins_an_alarm_there_which_is_latched_and_ends() -> None:
 def test_what_lasts_becomes_the_world() -> None:
     monitor = _monitor()
     _after(monitor, 20)
+    raised = np.array([0.0, 0.0, 0.6], np.float32)
     shifted = [
-        level(s.sweep.replace(points=s.sweep.points + np.float32([0.0, 0.0, 0.6]), t_ns=(20 + k) * 10**8), GRID)
+        level(s.sweep.replace(points=s.sweep.points + raised, t_ns=(20 + k) * 10**8), GRID)
         for k, s in enumerate((*_drive(50), *_drive(51)))
     ]
     alarms = [monitor.check(sweep).alarm for sweep in shifted]

@@ -72,9 +72,9 @@ def against_table(leveled: LeveledSweep) -> list[str]:
         return []
     reasons = []
     # 1. Beams that meet the ground, or what stands before it, and return nothing all around while those beside them do.
-    alive = image.counts.any(axis=1)
+    alive = np.asarray(image.counts.any(axis=1), np.bool_)
     low: Mask = np.less(model.elevation, DOWNWARD)
-    between = np.logical_or.accumulate(alive) & np.logical_or.accumulate(alive[::-1])[::-1] & ~alive
+    between: Mask = np.logical_or.accumulate(alive) & np.logical_or.accumulate(alive[::-1])[::-1] & ~alive
     if len(low) == len(alive) and (dead := int((between & low).sum())):
         reasons.append(f"{dead} of {low.sum()} beams below the horizon return nothing")
     # 2. Directions in which not one beam returns.
