@@ -28,7 +28,10 @@ from viewshed_lab.training.no_return import Mixture, NoReturnNet, Samples, sampl
 
 SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
 HELD_SHARE = 0.12
-CLEAN_SHARE = 0.6
+VARIANTS = ((False, False, False), (True, False, False), (True, True, False), (False, False, True), (False, True, True))
+"""Of each sweep: whether things swallow light, whether the sensor loses returns, whether something close covers it."""
+
+CLEAN_SHARE = 0.85
 """Of the groups shown: those of sweeps as the simulator gives them, and not of ones that lose returns."""
 
 
@@ -46,21 +49,26 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
         seen, rng = scene.observe(number), scene.rng(100, number)
         given = seen.told(("rings", "rings", "nothing")[scene.number % 3])
         whole = level(given, seen.truth.grid)
-        for absorbs, loses in ((False, False), (True, False), (False, True), (True, True)):
-            keep, windows = np.ones(len(given), np.bool_), np.zeros((0, 4))
+        for absorbs, loses, covered in VARIANTS:
+            keep, windows, sweep = np.ones(len(given), np.bool_), np.zeros((0, 4)), given
+            cover_m: float | None = None
             if absorbs:
                 keep &= without_absorbed(whole, rng)
             if loses:
                 kept, windows = kept_returns(given, rng)
                 keep &= kept
+            if covered:
+                sweep, kept, windows, cover_m = with_cover(given, rng)
+                keep &= kept
             if keep.sum() < 100:
                 continue
-            leveled = whole if keep.all() else level(given.select(keep), seen.truth.grid)
-            made = samples_of(seen, leveled, windows)
+            is_whole = not (absorbs or loses or covered)
+            leveled = whole if is_whole else level(sweep.select(keep), seen.truth.grid)
+            made = samples_of(seen, leveled, windows, cover_m)
             if made is not None:
                 some = rng.permutation(len(made.end))[:GROUPS_OF_SWEEP]
                 rows.append(Samples(*(column[some] for column in made)))
-                clean.append(np.full(len(some), leveled is whole))
+                clean.append(np.full(len(some), is_whole))
     if not rows:
         return
     part = path.with_suffix(".part.npz")
@@ -107,6 +115,22 @@ def kept_returns(sweep: Sweep, rng: np.random.Generator) -> tuple[Mask, NDArray[
     return keep, windows
 
 
+def with_cover(sweep: Sweep, rng: np.random.Generator) -> tuple[Sweep, Mask, NDArray[np.float64], float]:
+    """Return a sweep of a sensor that something close covers in part, which of its returns are seen, and the cover.
+
+    The cover is a window (1, 4) of angle at one range. Rings that are blind so near get no return from it.
+    """
+    azimuth, elevation = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), np.zeros(len(sweep))
+    windows = np.array([[rng.uniform(-np.pi, np.pi), 0.0, rng.uniform(0.3, 3.2), 2.0]])
+    cover_m = float(rng.uniform(0.3, 1.5))
+    behind = within_windows(azimuth.astype(np.float64), elevation, windows)
+    scale = np.where(behind, cover_m / np.maximum(np.linalg.norm(sweep.points, axis=1), 1e-3), 1.0)
+    blind = rng.random(256) < rng.uniform(0.2, 1.0)
+    seen = ~blind[sweep.ring] if sweep.ring is not None else rng.random(len(sweep)) < 0.5
+    points = sweep.points * np.minimum(scale, 1.0)[:, None].astype(np.float32)
+    return sweep.replace(points=points), ~behind | seen, windows, cover_m
+
+
 def make(given: argparse.Namespace) -> None:
     """Write the samples of a set."""
     first, last = map(int, given.scenes.split(":"))
@@ -141,7 +165,10 @@ def fit(given: argparse.Namespace) -> None:
         schedule.step()
         if step % 500 == 0 or step == given.steps:
             with torch.no_grad():
-                print(f"step {step}: {float(loss):.3f}, held {-float(_likelihood(net, tensors, other).mean()):.3f}", flush=True)
+                print(
+                    f"step {step}: {float(loss):.3f}, held {-float(_likelihood(net, tensors, other).mean()):.3f}",
+                    flush=True,
+                )
     save_model(net, given.out)
     report(net, tensors, report_rows)
 

@@ -45,6 +45,8 @@ constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
 // Pixels of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
+typedef NoReturnModel::Lanes Lanes;
+
 // Features are cut off this many standard deviations from their mean.
 constexpr float MOST_DEVIATIONS = 6.0f;
 
@@ -345,6 +347,12 @@ public:
         static_assert(STOPS + 35 == FEATURES);
     }
 
+    // Whether all beams of a group pass above all targets, by a margin.
+    bool passes_above(std::size_t r, const Group& group) const {
+        const float margin = 0.02f + std::fabs(float(aims.origin_m[r])) / std::max(steep_m, 0.1f);
+        return group.slope - margin > polar.top[ground_sector(group.azimuth)];
+    }
+
     const DepthImages& images;
     const RingAims& aims;
     float sensor_height_m, steep_m, farthest_m;
@@ -410,18 +418,62 @@ private:
 
 }  // namespace
 
-// out = in · weights + bias. Sums go in the order of the inputs.
-MULTIVERSION void apply_layer(const NoReturnModel::Layer& layer, const float* in, bool is_hidden, float* out) {
-    const std::size_t units = layer.bias.size();
-    for (std::size_t u = 0; u < units; ++u) out[u] = layer.bias[u];
-    for (std::size_t k = 0; k < layer.inputs; ++k) {
-        const float value = in[k];
-        const float* row = layer.weights.data() + k * units;
-        for (std::size_t u = 0; u < units; ++u) out[u] += value * row[u];
+// out (units, LANES_AT_ONCE) = weights · in (inputs, LANES_AT_ONCE) + bias, for a vector of groups at once, four units at a
+// time so that their sums stay in registers. Sums go in the order of the inputs.
+MULTIVERSION void apply_layer(const NoReturnModel::Layer& layer, const Lanes* in, bool is_hidden, Lanes* out) {
+    const std::size_t units = layer.bias.size(), inputs = layer.inputs;
+    const float *const weights = layer.weights.data(), *const bias = layer.bias.data();
+    std::size_t u = 0;
+    for (; u + 4 <= units; u += 4) {
+        Lanes a = Lanes{} + bias[u], b = Lanes{} + bias[u + 1], c = Lanes{} + bias[u + 2], d = Lanes{} + bias[u + 3];
+        for (std::size_t k = 0; k < inputs; ++k) {
+            const float* const row = weights + k * units + u;
+            a += in[k] * row[0];
+            b += in[k] * row[1];
+            c += in[k] * row[2];
+            d += in[k] * row[3];
+        }
+        out[u] = a, out[u + 1] = b, out[u + 2] = c, out[u + 3] = d;
+    }
+    for (; u < units; ++u) {
+        Lanes a = Lanes{} + bias[u];
+        for (std::size_t k = 0; k < inputs; ++k) a += in[k] * weights[k * units + u];
+        out[u] = a;
     }
     if (!is_hidden) return;
-    for (std::size_t u = 0; u < units; ++u) out[u] = out[u] > 0.0f ? out[u] : 0.0f;
+    for (std::size_t v = 0; v < units; ++v) out[v] = out[v] > 0.0f ? out[v] : Lanes{};
 }
+
+namespace {
+
+// The ranges that shares SURVIVED of a group's beams passed, from the outputs of the network and the stops that there are.
+std::array<float, 3> survived_depths(const float* output, const float* stop) {
+    float most = std::max(output[FREE], output[UNSEEN]);
+    for (std::size_t k = 0; k < STOPS; ++k) {
+        if (stop[k] < LOG_NONE) most = std::max(most, output[k]);
+    }
+    std::array<std::pair<float, float>, STOPS + LAPLACE.size()> ends;  // logarithm of the range, and weight
+    std::size_t count = 0;
+    for (std::size_t k = 0; k < STOPS; ++k) {
+        if (stop[k] < LOG_NONE) ends[count++] = {stop[k], std::exp(output[k] - most)};
+    }
+    const float deviation = std::exp(std::clamp(output[UNSEEN_LOG_DEVIATION], -3.0f, 1.5f));
+    const float unseen = std::exp(output[UNSEEN] - most) / float(LAPLACE.size());
+    for (const float at : LAPLACE) ends[count++] = {output[UNSEEN_MEAN] + at * deviation, unseen};
+    float total = std::exp(output[FREE] - most);
+    for (std::size_t k = 0; k < count; ++k) total += ends[k].second;
+    std::sort(ends.begin(), ends.begin() + std::ptrdiff_t(count));
+    std::array<float, 3> depth_m{NONE, NONE, NONE};
+    float ended = 0.0f;
+    std::size_t level = 0;
+    for (std::size_t k = 0; k < count && level < SURVIVED.size(); ++k) {
+        ended += ends[k].second;
+        while (level < SURVIVED.size() && ended > (1.0f - SURVIVED[level]) * total) depth_m[level++] = std::exp2(ends[k].first);
+    }
+    return depth_m;
+}
+
+}  // namespace
 
 NoReturnModel::NoReturnModel(std::vector<float> mean_, std::vector<float> scale_, std::array<Layer, 3> layers_)
     : mean(std::move(mean_)), scale(std::move(scale_)), layers(std::move(layers_)) {
@@ -435,42 +487,23 @@ NoReturnModel::NoReturnModel(std::vector<float> mean_, std::vector<float> scale_
     require(size == OUTPUTS, "the last layer must have a unit for each output");
 }
 
-std::array<float, 3> NoReturnModel::depths(const float* feature, const float* stop) const {
-    std::array<float, MOST_UNITS> one, other;
+void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)[STOPS], std::size_t count,
+                           std::array<float, 3>* depth_m) const {
+    Lanes one[MOST_UNITS], other[MOST_UNITS];
     for (std::size_t k = 0; k < FEATURES; ++k) {
-        one[k] = std::clamp((feature[k] - mean[k]) * scale[k], -MOST_DEVIATIONS, MOST_DEVIATIONS);
+        for (std::size_t n = 0; n < AT_ONCE; ++n) {
+            const float value = n < count ? (feature[n][k] - mean[k]) * scale[k] : 0.0f;
+            one[k][n] = std::clamp(value, -MOST_DEVIATIONS, MOST_DEVIATIONS);
+        }
     }
-    apply_layer(layers[0], one.data(), true, other.data());
-    apply_layer(layers[1], other.data(), true, one.data());
-    apply_layer(layers[2], one.data(), false, other.data());
-    // The weight of each stop that there is.
-    float most = std::max(other[FREE], other[UNSEEN]), total = 0.0f;
-    for (std::size_t k = 0; k < STOPS; ++k) {
-        if (stop[k] < LOG_NONE) most = std::max(most, other[k]);
+    apply_layer(layers[0], one, true, other);
+    apply_layer(layers[1], other, true, one);
+    apply_layer(layers[2], one, false, other);
+    for (std::size_t n = 0; n < count; ++n) {
+        float outputs[OUTPUTS];
+        for (std::size_t k = 0; k < OUTPUTS; ++k) outputs[k] = other[k][n];
+        depth_m[n] = survived_depths(outputs, stop[n]);
     }
-    std::array<std::pair<float, float>, STOPS + LAPLACE.size()> ends;  // logarithm of the range, and weight
-    std::size_t count = 0;
-    for (std::size_t k = 0; k < STOPS; ++k) {
-        if (!(stop[k] < LOG_NONE)) continue;
-        ends[count++] = {stop[k], std::exp(other[k] - most)};
-    }
-    const float deviation = std::exp(std::clamp(other[UNSEEN_LOG_DEVIATION], -3.0f, 1.5f));
-    const float unseen = std::exp(other[UNSEEN] - most);
-    for (const float at : LAPLACE) {
-        ends[count++] = {other[UNSEEN_MEAN] + at * deviation, unseen / float(LAPLACE.size())};
-    }
-    for (std::size_t k = 0; k < count; ++k) total += ends[k].second;
-    total += std::exp(other[FREE] - most);
-    // The range up to which each share of the beams goes on.
-    std::sort(ends.begin(), ends.begin() + std::ptrdiff_t(count));
-    std::array<float, 3> depth_m{NONE, NONE, NONE};
-    float ended = 0.0f;
-    std::size_t level = 0;
-    for (std::size_t k = 0; k < count && level < SURVIVED.size(); ++k) {
-        ended += ends[k].second;
-        while (level < SURVIVED.size() && ended > (1.0f - SURVIVED[level]) * total) depth_m[level++] = std::exp2(ends[k].first);
-    }
-    return depth_m;
 }
 
 NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
@@ -502,10 +535,20 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
     const std::size_t parts = std::min(count_parts(scene.rings * columns, PART), scene.rings);
     run_parts(parts, [&](std::size_t part) {
         for (std::size_t r = part; r < scene.rings; r += parts) {
-            for (std::size_t g = r * columns; g < r * columns + missing.groups[r]; ++g) {
-                float feature[FEATURES], stop[STOPS];
-                scene.describe(r, missing.group[g], feature, stop);
-                depths[g] = model.depths(feature, stop);
+            const std::size_t end = r * columns + missing.groups[r];
+            for (std::size_t g = r * columns; g < end; g += NoReturnModel::AT_ONCE) {
+                const std::size_t count = std::min(NoReturnModel::AT_ONCE, end - g);
+                float feature[NoReturnModel::AT_ONCE][FEATURES], stop[NoReturnModel::AT_ONCE][STOPS];
+                std::size_t place[NoReturnModel::AT_ONCE], kept = 0;
+                for (std::size_t k = g; k < g + count; ++k) {
+                    depths[k] = {0.0f, 0.0f, 0.0f};
+                    if (scene.passes_above(r, missing.group[k])) continue;
+                    scene.describe(r, missing.group[k], feature[kept], stop[kept]);
+                    place[kept++] = k;
+                }
+                std::array<float, 3> found[NoReturnModel::AT_ONCE];
+                model.depths(feature, stop, kept, found);
+                for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = found[k];
             }
         }
     });

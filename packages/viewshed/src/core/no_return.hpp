@@ -62,7 +62,10 @@ struct NoReturnGroups {
 // each stop, and that nothing stopped them.
 class NoReturnModel {
 public:
-    static constexpr std::size_t MOST_UNITS = 64;
+    static constexpr std::size_t MOST_UNITS = 64, AT_ONCE = 16;
+
+    // One number of AT_ONCE groups.
+    typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
 
     struct Layer {
         std::size_t inputs;
@@ -71,8 +74,9 @@ public:
 
     NoReturnModel(std::vector<float> mean, std::vector<float> scale, std::array<Layer, 3> layers);
 
-    // The ranges that a group passed with a probability of .8, .5 and .2; +inf where nothing stopped it.
-    std::array<float, 3> depths(const float* feature, const float* stop) const;
+    // Write the ranges (count, 3) that groups passed with a probability of .8, .5 and .2; +inf where nothing stopped them.
+    void depths(const float (*feature)[FEATURES], const float (*stop)[STOPS], std::size_t count,
+                std::array<float, 3>* depth_m) const;
 
 private:
     std::vector<float> mean, scale;

@@ -167,8 +167,8 @@ FLAT = np.zeros((8, 8), np.float32)
 def _evidence(kinds: Any, heights_m: Any = FLAT, std_m: Any = FLAT, table: Any = TABLE, half_m: float = 20.0) -> Any:
     return _core.beam_evidence(
         cell_windows(GRID, 1.8), kinds, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
-        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), end_weights=(0.2, 0.1), table=table, threshold=0.5,
-        reach_m=60.0,
+        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), end_weights=(0.2, 0.1), table=table,
+        threshold=0.5, reach_m=60.0,
     )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
 """A network that guesses how far beams without a return went: samples and the fit.
 
-The samples are beams of simulated sweeps that did not return, with the exact range at which each was stopped. The network
-mixes explanations: each stop that the core proposes (:func:`viewshed.preprocess.no_return.no_return_groups`), something
-unseen at a range of its own, and nothing at all. It is fitted by the likelihood of the exact ranges.
+The samples are beams of simulated sweeps that did not return, with the exact range at which each was stopped. The
+network mixes explanations: each stop that the core proposes
+(:func:`viewshed.preprocess.no_return.no_return_groups`), something unseen at a range of its own, and nothing. It is fitted by the likelihood of the exact ranges.
 """
 
 from __future__ import annotations
@@ -49,13 +49,16 @@ class Samples(NamedTuple):
     beams: NDArray[np.int32]
 
 
-def samples_of(seen: WildObservation, leveled: LeveledSweep, windows: NDArray[np.float64]) -> Samples | None:
+def samples_of(
+    seen: WildObservation, leveled: LeveledSweep, windows: NDArray[np.float64], cover_m: float | None
+) -> Samples | None:
     """Return the groups of a sweep with their exact ends; None where its pixels are no beams.
 
     Args:
         seen: the sweep and all that the simulator knows of it.
         leveled: the sweep, less some returns.
         windows: (W, 4) in which the sensor was made blind, see :func:`within_windows`.
+        cover_m: range at which something covers it there; None where its beams say nothing, and count as ended at once.
     """
     groups = no_return_groups(leveled, CAR.height_m)
     if groups is None:
@@ -74,17 +77,18 @@ def samples_of(seen: WildObservation, leveled: LeveledSweep, windows: NDArray[np
     place = scan.origin_m[fired][at] @ turn.T + direction[at] * np.where(stopped, depth_m, 0.0)[:, None]
     log_m = np.log2(np.maximum(np.hypot(place[:, 0], place[:, 1]), 0.5))
     end = np.where(stopped, np.minimum(log_m, LOG_NONE - 0.01), LOG_NONE).astype(np.float32)
-    # Where the sensor was made blind, beams that would have returned say nothing: they end at once.
+    # Where the sensor was made blind, beams that would have returned end at once; where it is covered, all end there.
     back = own @ leveled.level_from_sensor.rotation
-    blind = within_windows(np.arctan2(back[:, 1], back[:, 0]), np.arcsin(np.clip(back[:, 2], -1, 1)), windows)
-    end[blind & stopped] = -1.0
+    inside = within_windows(np.arctan2(back[:, 1], back[:, 0]), np.arcsin(np.clip(back[:, 2], -1, 1)), windows)
+    if cover_m is None:
+        end[inside & stopped] = -1.0
+    else:
+        end[inside] = np.minimum(end[inside], np.float32(np.log2(cover_m)))
     keep = (beams > 0) & (apart < _MOST_ANGLE)
     return Samples(feature[keep], stop[keep], end[keep], beams[keep])
 
 
-def within_windows(
-    azimuth: NDArray[np.float64], elevation: NDArray[np.float64], windows: NDArray[np.float64]
-) -> Mask:
+def within_windows(azimuth: NDArray[np.float64], elevation: NDArray[np.float64], windows: NDArray[np.float64]) -> Mask:
     """Return which directions (N,) lie in one of the windows (W, 4): azimuth, elevation, half of its size in both."""
     inside = np.zeros(len(azimuth), np.bool_)
     for middle, high, wide, tall in windows:
@@ -133,7 +137,7 @@ class NoReturnNet(nn.Module):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixture:
-    """Where beams may have ended: (B, S + 1) logarithms of probabilities, centers and mean deviations; and of no end (B,)."""
+    """Where beams may have ended, (B, S + 1) log probabilities, centers and mean deviations; and of no end (B,)."""
 
     log_share: Tensor
     center: Tensor

@@ -48,7 +48,7 @@ class BeamEvidence:
         late: float32 expected returns by the same beams, to where one in five went.
         aimed: float32 beams of the first two kinds that aim at the target, whatever their depth.
         visible_prob: float32 probability that both kinds give ``target.min_returns`` returns, averaged over the heights
-            that the ground may have and the ends that the beams may have; below the threshold where no claim is supported.
+            that the ground may have and the ends that beams may have; below the threshold where no claim is supported.
         within_reach: bool, not farther from the sensor than it sees a dark target.
         reach_m: how far that is.
     """
@@ -174,7 +174,7 @@ def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *,
 
     A beam counts if its straight line meets the box and it ended no nearer than there (by 0.1 m, the noise of ranges).
     Beams with a return end there, those without one where they likely did
-    (:func:`viewshed.preprocess.no_return.beams_by_evidence`). The beams of a sweep are sorted when they are first needed.
+    (:func:`viewshed.preprocess.no_return.beams_by_evidence`). The beams of a sweep are sorted when first needed.
 
     Args:
         leveled: the sweep.

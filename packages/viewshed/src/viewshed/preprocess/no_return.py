@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -68,7 +69,7 @@ def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
 
 
 def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
-    """Split the beams of a sweep, in ``level``, into those with a return and those without, and guess how far these went.
+    """Split the beams of a sweep, in ``level``, into those with a return and those without; guess how far these went.
 
     An isolated return is no evidence of a depth: its beam counts as one without a return.
 
@@ -146,7 +147,7 @@ def load_no_return_model(path: Path) -> _core.NoReturnModel:
         ValueError: the file is none, or its numbers do not fit.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             arrays = [stored[name].astype(np.float32) for name in MODEL_ARRAYS]
     except (KeyError, OSError, ValueError, BadZipFile) as error:
         raise ValueError(f"{path} must hold a network for beams without a return, got {error}") from error
