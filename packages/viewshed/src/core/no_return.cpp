@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -60,9 +62,32 @@ enum Output { FREE = STOPS, UNSEEN, UNSEEN_MEAN, UNSEEN_LOG_DEVIATION, OUTPUTS }
 // Equal parts of a Laplace distribution stand at these deviations.
 constexpr std::array<float, 5> LAPLACE{-1.609f, -0.511f, 0.0f, 0.511f, 1.609f};
 
+// The logarithm (base 2) of a positive number within 1e-5, by a polynomial of its mantissa.
+INLINE float log2_of(float x) {
+    const auto bits = std::bit_cast<std::uint32_t>(x);
+    const float m = std::bit_cast<float>((bits & 0x7fffffu) | 0x3f800000u), exponent = float(std::int32_t(bits >> 23) - 127);
+    float p = -0.0248259844f * m + 0.266862768f;
+    p = p * m + -1.2342799f;
+    p = p * m + 3.21886981f;
+    p = p * m + -5.26415552f;
+    p = p * m + 6.06585886f;
+    return exponent + (p * m + -3.02832497f);
+}
+
+// 2 to the power of x, x in [-120, 120], within a share of 1e-6.
+INLINE float exp2_of(float x) {
+    const auto whole = std::int32_t(std::floor(x));
+    const float part = x - float(whole);
+    float p = 0.00189437942f * part + 0.00894058253f;
+    p = p * part + 0.0558765569f;
+    p = p * part + 0.240131692f;
+    p = p * part + 0.693156777f;
+    return (p * part + 0.99999977f) * std::bit_cast<float>(std::uint32_t(whole + 127) << 23);
+}
+
 INLINE float log_m(float meters) {
     if (!(meters < NONE)) return LOG_NONE;
-    return std::clamp(std::log2(meters > 0.0f ? meters : 0.5f), LOG_LEAST, LOG_NONE);
+    return std::clamp(log2_of(meters > 0.25f ? meters : 0.25f), LOG_LEAST, LOG_NONE);
 }
 
 // Some neighboring missing beams of a gap in one ring, and what stands around their middle.
@@ -315,8 +340,8 @@ public:
         *f++ = apart(group.far_turn, group.far_m);
         *f++ = has_below ? apart(tangent[r] - tangent[r - below], low.nearest_m) : LOG_NONE;
         *f++ = high >= 0 ? apart(tangent[std::size_t(high)] - tangent[r], upper.nearest_m) : LOG_NONE;
-        *f++ = std::log2(group.near_turn + 1e-3f);
-        *f++ = std::log2(group.far_turn + 1e-3f);
+        *f++ = log2_of(group.near_turn + 1e-3f);
+        *f++ = log2_of(group.far_turn + 1e-3f);
         *f++ = group.is_near_obstacle;
         *f++ = group.is_far_obstacle;
         *f++ = low.obstacle_m < NONE;
@@ -446,6 +471,9 @@ MULTIVERSION void apply_layer(const NoReturnModel::Layer& layer, const Lanes* in
 
 namespace {
 
+// exp(x) of a logit that lies x below the largest one.
+INLINE float weight_of(float x) { return exp2_of(std::max(1.442695f * x, -60.0f)); }
+
 // The ranges that shares SURVIVED of a group's beams passed, from the outputs of the network and the stops that there are.
 std::array<float, 3> survived_depths(const float* output, const float* stop) {
     float most = std::max(output[FREE], output[UNSEEN]);
@@ -455,12 +483,12 @@ std::array<float, 3> survived_depths(const float* output, const float* stop) {
     std::array<std::pair<float, float>, STOPS + LAPLACE.size()> ends;  // logarithm of the range, and weight
     std::size_t count = 0;
     for (std::size_t k = 0; k < STOPS; ++k) {
-        if (stop[k] < LOG_NONE) ends[count++] = {stop[k], std::exp(output[k] - most)};
+        if (stop[k] < LOG_NONE) ends[count++] = {stop[k], weight_of(output[k] - most)};
     }
     const float deviation = std::exp(std::clamp(output[UNSEEN_LOG_DEVIATION], -3.0f, 1.5f));
-    const float unseen = std::exp(output[UNSEEN] - most) / float(LAPLACE.size());
+    const float unseen = weight_of(output[UNSEEN] - most) / float(LAPLACE.size());
     for (const float at : LAPLACE) ends[count++] = {output[UNSEEN_MEAN] + at * deviation, unseen};
-    float total = std::exp(output[FREE] - most);
+    float total = weight_of(output[FREE] - most);
     for (std::size_t k = 0; k < count; ++k) total += ends[k].second;
     std::sort(ends.begin(), ends.begin() + std::ptrdiff_t(count));
     std::array<float, 3> depth_m{NONE, NONE, NONE};
@@ -468,7 +496,7 @@ std::array<float, 3> survived_depths(const float* output, const float* stop) {
     std::size_t level = 0;
     for (std::size_t k = 0; k < count && level < SURVIVED.size(); ++k) {
         ended += ends[k].second;
-        while (level < SURVIVED.size() && ended > (1.0f - SURVIVED[level]) * total) depth_m[level++] = std::exp2(ends[k].first);
+        while (level < SURVIVED.size() && ended > (1.0f - SURVIVED[level]) * total) depth_m[level++] = exp2_of(std::clamp(ends[k].first, -20.0f, 20.0f));
     }
     return depth_m;
 }

@@ -71,7 +71,8 @@ class BeamEvidence:
     @property
     def unresolved(self) -> F32:
         """(cells, cells) float32 returns more if the beams without a return ended late."""
-        return np.maximum(self.late - self.inferred, np.float32(0.0))
+        more: F32 = np.maximum(self.late - self.inferred, np.float32(0.0))
+        return more
 
     def supports_claim(self) -> Mask:
         """Return where a cell may be called visible (cells, cells).
