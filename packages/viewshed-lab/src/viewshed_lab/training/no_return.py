@@ -107,7 +107,7 @@ class NoReturnNet(nn.Module):
         units: of the hidden layers.
     """
 
-    def __init__(self, mean: Tensor, scale: Tensor, stops: int, units: int = 32) -> None:
+    def __init__(self, mean: Tensor, scale: Tensor, stops: int, units: int = 48) -> None:
         super().__init__()
         self.register_buffer("mean", mean)
         self.register_buffer("scale", scale)
