@@ -59,6 +59,14 @@ constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};
 // the mean and log deviation of the logarithm of the range of that.
 enum Output { FREE = STOPS, UNSEEN, UNSEEN_MEAN, UNSEEN_LOG_DEVIATION, OUTPUTS };
 
+// Fail safe: where at least this share of the ground returns, a beam without a return neither met it nor passed it, nor did
+// the beams above that one. What goes on is weighed less there, for the network has seen too few things that swallow light.
+constexpr double EXPECTED_SHARE = 0.9;
+constexpr float UNEXPLAINED_WEIGHT = 0.02f;
+
+// A gap between two returns of a ring of similar range that is narrower than this lies on what the two lie on.
+constexpr float GAP_M = 1.5f, SIMILAR = 1.25f;
+
 // Equal parts of a Laplace distribution stand at these deviations.
 constexpr std::array<float, 5> LAPLACE{-1.609f, -0.511f, 0.0f, 0.511f, 1.609f};
 
@@ -98,6 +106,7 @@ struct Group {
     float near_m, far_m, bound_m, ground_m;
     float near_turn, far_turn;    // radians to the nearer and farther return in the ring
     bool is_near_obstacle, is_far_obstacle;
+    bool is_unexplained;          // it should have returned from the ground, or stands above one that should have
 };
 
 // The missing beams of all rings; those of ring r stand from r · columns on, by ascending column, and so do their groups.
@@ -311,6 +320,7 @@ public:
             }
         }
         share = returning_shares(images.ground_counts, lost[0]);
+        find_unexplained();
     }
 
     // Write the features (FEATURES,) of a group, and the logarithms of the ranges (STOPS,) at which it may have ended.
@@ -413,7 +423,7 @@ private:
             }
             const std::size_t middle = (k + end) / 2;
             const std::int32_t c = found.column[middle], before = found.before[middle], after = found.after[middle];
-            Group group{std::uint32_t(k), std::uint32_t(end - k), c, azimuth[middle], slope[middle], 0, 0, 0, 0, 0, 0, 0, 0};
+            Group group{std::uint32_t(k), std::uint32_t(end - k), c, azimuth[middle], slope[middle], 0, 0, 0, 0, 0, 0, 0, 0, 0};
             Depth near = depth_at(c, before), far = depth_at(c, after);
             group.near_turn = float(c - before) * step, group.far_turn = float(after - c) * step;
             if (far.nearest_m < near.nearest_m) std::swap(near, far), std::swap(group.near_turn, group.far_turn);
@@ -433,6 +443,28 @@ private:
             missing.group[begin + groups++] = group;
         }
         missing.beams[r] = count, missing.groups[r] = groups;
+    }
+
+    // Mark the groups that nothing explains, from the lowest ring upwards, since each says something of the one above.
+    void find_unexplained() {
+        const std::size_t columns = images.columns;
+        const auto wide = std::max<std::size_t>(columns / GROUPS, 1);
+        std::vector<std::int32_t> last(columns, -2);  // the last ring of each column with such a group
+        std::int32_t below = -1;                      // the next lower ring that has returns
+        for (std::size_t r = 0; r < rings; ++r) {
+            for (std::size_t g = r * columns; g < r * columns + missing.groups[r]; ++g) {
+                Group& group = missing.group[g];
+                const float gap_m = (group.near_turn + group.far_turn) * group.near_m;
+                const bool is_narrow = group.far_m < SIMILAR * group.near_m && gap_m < GAP_M;
+                bool is_expected = group.ground_m < NONE;
+                if (is_expected && group.ground_m > steep_m) is_expected = share[share_bin(group.ground_m)] >= EXPECTED_SHARE;
+                const std::size_t c = std::size_t(group.column);
+                group.is_unexplained = !is_narrow && (is_expected || last[c] == below);
+                if (!group.is_unexplained) continue;
+                for (std::size_t k = columns + c - wide / 2; k <= columns + c + wide / 2; ++k) last[k % columns] = std::int32_t(r);
+            }
+            if (has_returns(images, r)) below = std::int32_t(r);
+        }
     }
 
     std::vector<double> tangent;
@@ -515,8 +547,8 @@ NoReturnModel::NoReturnModel(std::vector<float> mean_, std::vector<float> scale_
     require(size == OUTPUTS, "the last layer must have a unit for each output");
 }
 
-void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)[STOPS], std::size_t count,
-                           std::array<float, 3>* depth_m) const {
+void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)[STOPS],
+                           const bool* is_unexplained, std::size_t count, std::array<float, 3>* depth_m) const {
     Lanes one[MOST_UNITS], other[MOST_UNITS];
     for (std::size_t k = 0; k < FEATURES; ++k) {
         for (std::size_t n = 0; n < AT_ONCE; ++n) {
@@ -530,6 +562,11 @@ void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)
     for (std::size_t n = 0; n < count; ++n) {
         float outputs[OUTPUTS];
         for (std::size_t k = 0; k < OUTPUTS; ++k) outputs[k] = other[k][n];
+        if (is_unexplained[n]) {
+            for (const std::size_t k : {std::size_t(FREE), std::size_t(ON_GROUND), std::size_t(FARTHEST)}) {
+                outputs[k] += std::log(UNEXPLAINED_WEIGHT);
+            }
+        }
         depth_m[n] = survived_depths(outputs, stop[n]);
     }
 }
@@ -567,15 +604,17 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
             for (std::size_t g = r * columns; g < end; g += NoReturnModel::AT_ONCE) {
                 const std::size_t count = std::min(NoReturnModel::AT_ONCE, end - g);
                 float feature[NoReturnModel::AT_ONCE][FEATURES], stop[NoReturnModel::AT_ONCE][STOPS];
+                bool is_unexplained[NoReturnModel::AT_ONCE];
                 std::size_t place[NoReturnModel::AT_ONCE], kept = 0;
                 for (std::size_t k = g; k < g + count; ++k) {
                     depths[k] = {0.0f, 0.0f, 0.0f};
                     if (scene.passes_above(r, missing.group[k])) continue;
                     scene.describe(r, missing.group[k], feature[kept], stop[kept]);
+                    is_unexplained[kept] = missing.group[k].is_unexplained;
                     place[kept++] = k;
                 }
                 std::array<float, 3> found[NoReturnModel::AT_ONCE];
-                model.depths(feature, stop, kept, found);
+                model.depths(feature, stop, is_unexplained, kept, found);
                 for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = found[k];
             }
         }

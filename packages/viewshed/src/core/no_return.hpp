@@ -75,8 +75,8 @@ public:
     NoReturnModel(std::vector<float> mean, std::vector<float> scale, std::array<Layer, 3> layers);
 
     // Write the ranges (count, 3) that groups passed with a probability of .8, .5 and .2; +inf where nothing stopped them.
-    void depths(const float (*feature)[FEATURES], const float (*stop)[STOPS], std::size_t count,
-                std::array<float, 3>* depth_m) const;
+    void depths(const float (*feature)[FEATURES], const float (*stop)[STOPS], const bool* is_unexplained,
+                std::size_t count, std::array<float, 3>* depth_m) const;
 
 private:
     std::vector<float> mean, scale;
