@@ -31,7 +31,7 @@ HELD_SHARE = 0.12
 VARIANTS = ((False, False, False), (True, False, False), (True, True, False), (False, False, True), (False, True, True))
 """Of each sweep: whether things swallow light, whether the sensor loses returns, whether something close covers it."""
 
-CLEAN_SHARE = 0.6
+CLEAN_SHARE = 0.7
 """Of the groups shown: those of sweeps as the simulator gives them, and not of ones that lose returns."""
 
 

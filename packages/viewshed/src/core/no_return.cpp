@@ -566,6 +566,8 @@ void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)
             for (const std::size_t k : {std::size_t(FREE), std::size_t(ON_GROUND), std::size_t(FARTHEST)}) {
                 outputs[k] += std::log(UNEXPLAINED_WEIGHT);
             }
+            // What stopped it stands no farther than the return below it, as far as is known.
+            if (stop[n][BELOW] < LOG_NONE) outputs[UNSEEN_MEAN] = std::min(outputs[UNSEEN_MEAN], stop[n][BELOW]);
         }
         depth_m[n] = survived_depths(outputs, stop[n]);
     }

@@ -76,7 +76,8 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
     A beam without a return ended at the return beside it in its ring, at the next one below or above it, at the ground,
     at the middle range around it, at the farthest return of its azimuth, at something unseen, or nothing stopped it. A
     small network (:mod:`viewshed_lab.training.no_return` fits it to exact ends of simulated beams) says how likely
-    each is, from what returned around the beam at several scales, and from the share of the ground that returns.
+    each is, from what returned around the beam at several scales, and from the share of the ground that returns. Fail
+    safe: a beam at ground that returns elsewhere, and those above it, hardly went on, whatever the network says.
 
     Beams that pass above targets of height ``top_m`` wherever they stand are left out. Rings and columns without any
     return (dead, dropped) have no beams. Of a cloud without a ring column and without a model it is not known which
