@@ -19,7 +19,7 @@ from viewshed.networks.features import FEATURES, FeatureContext, feature_maps
 from viewshed.objects.detector import Detector
 from viewshed.preprocess.azimuth_bins import bins_of_cells
 from viewshed.preprocess.leveling import level
-from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
+from viewshed.preprocess.no_return import MODEL, MODEL_ARRAYS, beams_by_evidence, no_return_beams, no_return_model
 from viewshed.sensors import lidar_model
 from viewshed_lab.sim import cast, junction
 
@@ -54,7 +54,8 @@ GOOD: dict[str, dict[str, Any]] = {
         "isolated": MASK, "clutter": None, "phase": np.zeros(RINGS, F4), "elevation": np.linspace(-0.3, 0.0, RINGS),
         "origin_m": np.zeros(RINGS), "rotation": np.eye(3), "points": POINTS, "height_m": LONG,
         "range_m": LONG + F4(5.0), "rows": ROWS, "sensor_height_m": 1.8, "ground_m": FLAT,
-        "half_extent_m": 32.0, "top_m": 1.5, "obstacle_m": 0.3},
+        "half_extent_m": 32.0, "top_m": 1.5, "obstacle_m": 0.3, "model": no_return_model()},
+    "NoReturnModel": {name: np.load(MODEL)[name] for name in MODEL_ARRAYS},
     "vehicle_heading": {"points": POINTS, "rotation": np.eye(3, dtype=F4)},
     "beam_slopes": {"points": POINTS, "range_m": LONG + 1, "sensor_height_m": 1.8, "left_out": None, "rows": ROWS},
     "obstacle_cells": {"points": POINTS, "height_m": LONG, "x0_m": -2.0, "y0_m": -2.0, "cells_per_m": 1.0, "low_m": 0.3,
@@ -114,9 +115,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "best_sectors": {"ranges": RANGES, "sectors": 2, "inner": 0.0},
     "star_vertices": {"ranges": RANGES, "price_m2": 1.0}, "free_ranges": {"mask": MASK3, "is_solid": True} | APEX,
     "beam_evidence": {
-        "kinds": (KIND, KIND, KIND), "heights_m": FLAT, "std_m": FLAT,
+        "kinds": (KIND,) * 4, "heights_m": FLAT, "std_m": FLAT,
         "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
-        "ground_steps": ((-1.22, 0.3), (1.22, 0.3)), "table": _core.poisson_table(5),
+        "ground_steps": ((-1.22, 0.3), (1.22, 0.3)), "end_weights": (0.3, 0.3), "table": _core.poisson_table(5),
         "threshold": 0.5, "reach_m": 60.0},
     "CellWindows": {"range_m": np.ones((4, 4), F4), "azimuth": np.ones((4, 4), F4), "cell_m": 0.5, "width_m": 1.8},
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
@@ -164,6 +165,10 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"phase": np.zeros(RINGS)}, {"elevation": np.full(RINGS, NAN)}, {"rotation": np.eye(3, dtype=F4)},
         {"rotation": np.full((3, 3), INF)}, {"rows": ROWS + 1}, {"rows": ROWS - 1}, {"range_m": SHORT},
         {"points": np.zeros((N + 1, 3), F4)}, {"ground_m": FLAT[:, :2].copy()}, {"half_extent_m": -1.0})),
+    *(("NoReturnModel", changes, "must") for changes in (
+        {"mean": np.zeros(3, F4)}, {"first": np.zeros((3, 32), F4)}, {"second_bias": np.zeros(31, F4)},
+        {"third": np.zeros((32, 3), F4), "third_bias": np.zeros(3, F4)},
+        {"first": np.zeros((42, 65), F4), "first_bias": np.zeros(65, F4), "second": np.zeros((65, 32), F4)})),
     ("vehicle_heading", {"rotation": np.eye(3)}, TYPE), ("vehicle_heading", {"rotation": np.eye(2, dtype=F4)}, TYPE),
     *(("beam_slopes", changes, "must|incompatible") for changes in (
         {"range_m": SHORT}, {"left_out": MASK[1:]}, {"left_out": MASK, "rows": ROWS - 1}, {"left_out": MASK[:0]},
@@ -277,8 +282,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("free_ranges", {"half_m": 0.0}, "half_m must lie"), ("free_ranges", {"bins": 0}, "bins must lie"),
     # Evidence, lattices, objects, codes of views.
     ("beam_evidence", {"kinds": (KIND, KIND)}, TYPE),
-    ("beam_evidence", {"kinds": ((LONG, LONG, SHORT),) * 3}, "must have one shape"),
-    ("beam_evidence", {"kinds": ((LONG.astype(float), LONG, LONG),) * 3}, TYPE),
+    ("beam_evidence", {"kinds": ((LONG, LONG, SHORT),) * 4}, "must have one shape"),
+    ("beam_evidence", {"kinds": ((LONG.astype(float), LONG, LONG),) * 4}, TYPE),
     ("beam_evidence", {"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()}, "heights_m must have shape"),
     ("beam_evidence", {"heights_m": FLAT[:4].copy()}, "heights_m must have shape"),
     ("beam_evidence", {"heights_m": FLAT.astype(float)}, TYPE),
@@ -367,7 +372,7 @@ def level_beams(sweep: Sweep) -> Any:
     leveled = level(sweep, BevGrid(128, 32.0))
     beams = beams_by_evidence(leveled, 1.5)
     assert len(leveled.points) > 20_000
-    kinds = (beams.measured, beams.inferred, beams.unresolved, no_return_beams(leveled, fill=True))
+    kinds = (beams.measured, beams.inferred, beams.early, beams.late, no_return_beams(leveled, fill=True))
     columns = [leveled.points, leveled.range_m, leveled.azimuth, leveled.height_m, leveled.rows]
     return [*columns, *(array for kind in kinds for array in (kind.azimuth, kind.slope, kind.depth_m))]
 

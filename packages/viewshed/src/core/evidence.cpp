@@ -73,27 +73,38 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     const Probabilities probabilities = probabilities_;
     write_returns(lanes[MEASURED], size, to.measured + first);
     write_returns(lanes[INFERRED], size, to.inferred + first);
-    write_returns(lanes[UNRESOLVED], size, to.unresolved + first);
+    write_returns(lanes[LATE], size, to.late + first);
     std::copy_n(lanes[AIMED], size, to.aimed + first);
     const float *__restrict measured = to.measured + first, *__restrict inferred = to.inferred + first;
+    const float *__restrict early = lanes[EARLY], *__restrict late = to.late + first;
     const float *__restrict lower = lanes[LOWER], *__restrict higher = lanes[HIGHER];
     float* __restrict const visible_prob = to.visible_prob + first;
     // The steps become vectors, the look-ups do not.
     std::int32_t step[CellCounts::BLOCK], step_if_lower[CellCounts::BLOCK], step_if_higher[CellCounts::BLOCK];
+    std::int32_t step_if_early[CellCounts::BLOCK], step_if_late[CellCounts::BLOCK];
     for (std::size_t n = 0; n < size; ++n) {
         step[n] = probabilities.step_of(measured[n] + inferred[n]);
         step_if_lower[n] = probabilities.step_of(lower[n]);
         step_if_higher[n] = probabilities.step_of(higher[n]);
+        step_if_early[n] = probabilities.step_of(measured[n] + early[n]);
+        step_if_late[n] = probabilities.step_of(measured[n] + late[n]);
     }
     float supported_by[CellCounts::BLOCK], if_lower[CellCounts::BLOCK], if_higher[CellCounts::BLOCK];
+    float if_early[CellCounts::BLOCK], if_late[CellCounts::BLOCK];
     for (std::size_t n = 0; n < size; ++n) {
         supported_by[n] = probabilities.table[step[n]];
         if_lower[n] = probabilities.table[step_if_lower[n]];
         if_higher[n] = probabilities.table[step_if_higher[n]];
+        if_early[n] = probabilities.table[step_if_early[n]];
+        if_late[n] = probabilities.table[step_if_late[n]];
     }
     for (std::size_t n = 0; n < size; ++n) {
         const float supported = supported_by[n];
-        const float prob = rule.own * supported + rule.lower * if_lower[n] + rule.higher * if_higher[n];
+        // The average over the heights of the ground, and what other ends of the beams change.
+        const float over_ground = rule.own * supported + rule.lower * if_lower[n] + rule.higher * if_higher[n];
+        const float changed = rule.early * (if_early[n] - supported) + rule.late * (if_late[n] - supported);
+        const float sum = over_ground + changed, positive = sum > 0.0f ? sum : 0.0f;
+        const float prob = positive < 1.0f ? positive : 1.0f;
         // No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
         const float cut = prob < rule.below_threshold ? prob : rule.below_threshold;
         visible_prob[n] = (supported >= rule.threshold) & (range_m[first + n] <= rule.reach_m) ? prob : cut;
@@ -108,7 +119,7 @@ void look_up(View1<const float> table, View1<const float> counts, View1<float> p
     look_up(Probabilities(table), counts.data, counts.size, prob.data);
 }
 
-void measure_evidence(const CellWindows& windows, const std::array<Beams, 3>& beams, const TargetGround& ground,
+void measure_evidence(const CellWindows& windows, const std::array<Beams, KINDS>& beams, const TargetGround& ground,
                       float target_height_m, const std::array<float, 2>& deviations, View1<const float> table,
                       const Rule& rule, const Evidence& to) {
     const Probabilities probabilities(table);
@@ -146,7 +157,7 @@ MULTIVERSION void write_range(const Support& support_, const std::uint8_t* visib
     for (std::size_t n = begin; n < end; ++n) {
         const std::uint8_t claimed = visible[n] & (s.of.visible_prob[n] >= s.threshold);
         const bool aimed = s.of.aimed[n] >= s.sure_aim;
-        const bool enough = s.of.measured[n] + s.of.inferred[n] >= s.enough;
+        const bool enough = s.of.measured[n] + s.of.late[n] >= s.enough;
         const std::uint8_t hidden = denied[n] & aimed & !enough & s.of.within_reach[n];
         const std::uint8_t seen = obstacle[n] ? SURFACE : FREE, unseen = hidden ? HIDDEN : UNKNOWN;
         state[n] = claimed ? seen : unseen;

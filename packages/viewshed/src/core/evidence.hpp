@@ -18,29 +18,30 @@ Buffer<float> poisson_table(int min_returns);
 // Write the probability (N,) at mean counts (N,), from a poisson_table.
 void look_up(View1<const float> table, View1<const float> counts, View1<float> prob);
 
-// What evidence weighs: the weights of the ground's own height, and of the lower and the higher one; the probability from
-// which a claim is supported, and the largest one below it; and the reach.
+// What evidence weighs: the weights of the ground's own height, and of the lower and the higher one; those of early and of
+// late ends of the beams without a return; the probability from which a claim is supported, and the largest one below it;
+// and the reach.
 struct Rule {
-    float own, lower, higher;
+    float own, lower, higher, early, late;
     float threshold, below_threshold;
     float reach_m;
 };
 
 // The arrays (N,) of viewshed.preprocess.evidence.BeamEvidence.
 struct Evidence {
-    float *measured, *inferred, *unresolved, *aimed, *visible_prob;
+    float *measured, *inferred, *late, *aimed, *visible_prob;
     bool* within_reach;
 };
 
-// Write the evidence of the cells of a grid, from measured, inferred and unresolved beams. Lower and higher ground lie
+// Write the evidence of the cells of a grid, from the kinds of beams. Lower and higher ground lie
 // `deviations` standard deviations away.
-void measure_evidence(const CellWindows& windows, const std::array<Beams, 3>& beams, const TargetGround& ground,
+void measure_evidence(const CellWindows& windows, const std::array<Beams, KINDS>& beams, const TargetGround& ground,
                       float target_height_m, const std::array<float, 2>& deviations, View1<const float> table,
                       const Rule& rule, const Evidence& to);
 
 // The evidence (N,) that decides which claims hold.
 struct SupportedCells {
-    const float *measured, *inferred, *aimed, *visible_prob;
+    const float *measured, *late, *aimed, *visible_prob;
     const std::uint8_t* within_reach;  // 0 or 1
 };
 

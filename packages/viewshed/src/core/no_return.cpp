@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -18,48 +20,103 @@ namespace viewshed {
 namespace {
 
 constexpr float NONE = std::numeric_limits<float>::infinity();
-constexpr float UNKNOWN = std::numeric_limits<float>::quiet_NaN();
+
+typedef float Four __attribute__((vector_size(4 * sizeof(float))));
 
 // A gap is filled from returns in the same ring at most this many columns away.
 constexpr int FILL_COLUMNS = 16;
 
-// A gap between two returns that is narrower than this, measured at the nearer one, lies on what the two lie on if the
-// ratio of their ranges is below the second number.
-constexpr double GAP_M = 1.5, SIMILAR = 1.25;
-
 // The next return below or above in a column is at most this number of rings away.
 constexpr std::size_t NEIGHBOR_RINGS = 8;
-
-// Where a larger share of the ground gives returns, a beam without one did not meet the ground.
-constexpr double EXPECTED_SHARE = 0.9;
 
 // The share of a bin of range starts from that of the bin before, as if PRIOR_BEAMS beams had shown it.
 constexpr double PRIOR_BEAMS = 20;
 
-// Nearer ground returns at least as often as that of a bin with this share of all returns from ground.
-constexpr double WEIGHTY = 0.02;
-
-// Beyond some range lies only this share of the returns: that far the sensor reaches in this air, ...
+// Beyond some range lies only this share of the returns.
 constexpr double REACH_SHARE = 0.001;
 
-// ... and this times as far a target would still be seen, for it faces the beams, which graze the ground.
-constexpr double BEYOND_REACH = 2.0;
+// The beams of a gap are guessed in groups; a turn has about this many.
+constexpr std::size_t GROUPS = 512;
+
+// Columns of the pooled image.
+constexpr std::size_t POOLED = 128;
+
+// Logarithms (base 2) of meters: of nothing that is near, and the least one.
+constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
 
 // Pixels of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
-// What is found of the missing beams; those of ring r stand from r · columns on, by ascending column.
-struct Candidates {
-    explicit Candidates(std::size_t rings, std::size_t columns)
-        : count(rings, 0), column(rings * columns), azimuth(rings * columns), slope(rings * columns),
-          gap_m(rings * columns), bound_m(rings * columns), ground_m(rings * columns) {}
+typedef NoReturnModel::Lanes Lanes;
 
-    Buffer<std::size_t> count;
-    Buffer<std::int32_t> column;
+// Features are cut off this many standard deviations from their mean.
+constexpr float MOST_DEVIATIONS = 6.0f;
+
+// Shares of the beams of a group that went farther than their early, likely and late depth.
+constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};
+
+// Outputs of the network: a logit for each stop, for a beam that nothing stops, and for one that something unseen stops;
+// the mean and log deviation of the logarithm of the range of that.
+enum Output { FREE = STOPS, UNSEEN, UNSEEN_MEAN, UNSEEN_LOG_DEVIATION, OUTPUTS };
+
+// Fail safe: where at least this share of the ground returns, a beam without a return neither met it nor passed it, nor did
+// the beams above that one. What goes on is weighed less there, for the network has seen too few things that swallow light.
+constexpr double EXPECTED_SHARE = 0.9;
+constexpr float UNEXPLAINED_WEIGHT = 0.02f;
+
+// A gap between two returns of a ring of similar range that is narrower than this lies on what the two lie on.
+constexpr float GAP_M = 1.5f, SIMILAR = 1.25f;
+
+// Equal parts of a Laplace distribution stand at these deviations.
+constexpr std::array<float, 5> LAPLACE{-1.609f, -0.511f, 0.0f, 0.511f, 1.609f};
+
+// The logarithm (base 2) of a positive number within 1e-5, by a polynomial of its mantissa.
+INLINE float log2_of(float x) {
+    const auto bits = std::bit_cast<std::uint32_t>(x);
+    const float m = std::bit_cast<float>((bits & 0x7fffffu) | 0x3f800000u), exponent = float(std::int32_t(bits >> 23) - 127);
+    float p = -0.0248259844f * m + 0.266862768f;
+    p = p * m + -1.2342799f;
+    p = p * m + 3.21886981f;
+    p = p * m + -5.26415552f;
+    p = p * m + 6.06585886f;
+    return exponent + (p * m + -3.02832497f);
+}
+
+// 2 to the power of x, x in [-120, 120], within a share of 1e-6.
+INLINE float exp2_of(float x) {
+    const auto whole = std::int32_t(std::floor(x));
+    const float part = x - float(whole);
+    float p = 0.00189437942f * part + 0.00894058253f;
+    p = p * part + 0.0558765569f;
+    p = p * part + 0.240131692f;
+    p = p * part + 0.693156777f;
+    return (p * part + 0.99999977f) * std::bit_cast<float>(std::uint32_t(whole + 127) << 23);
+}
+
+INLINE float log_m(float meters) {
+    if (!(meters < NONE)) return LOG_NONE;
+    return std::clamp(log2_of(meters > 0.25f ? meters : 0.25f), LOG_LEAST, LOG_NONE);
+}
+
+// Some neighboring missing beams of a gap in one ring, and what stands around their middle.
+struct Group {
+    std::uint32_t first, count;   // beams
+    std::int32_t column;          // of the middle
+    float azimuth, slope;         // of the middle
+    float near_m, far_m, bound_m, ground_m;
+    float near_turn, far_turn;    // radians to the nearer and farther return in the ring
+    bool is_near_obstacle, is_far_obstacle;
+    bool is_unexplained;          // it should have returned from the ground, or stands above one that should have
+};
+
+// The missing beams of all rings; those of ring r stand from r · columns on, by ascending column, and so do their groups.
+struct Missing {
+    Missing(std::size_t rings, std::size_t columns)
+        : beams(rings, 0), groups(rings, 0), azimuth(rings * columns), slope(rings * columns), group(rings * columns) {}
+
+    Buffer<std::size_t> beams, groups;  // how many of each ring
     Buffer<float> azimuth, slope;
-    Buffer<float> gap_m;     // the nearer end of a narrow gap, NaN for none
-    Buffer<float> bound_m;   // the nearest obstacle around
-    Buffer<float> ground_m;  // where it would meet the ground
+    Buffer<Group> group;
 };
 
 using Shares = std::array<double, SHARE_BINS>;
@@ -75,7 +132,7 @@ std::size_t count_rings_below(double slope, const RingAims& aims) {
 }
 
 // The range beyond which lies REACH_SHARE of the returns.
-double reach_of(const DepthImages& images) {
+float farthest_of(const DepthImages& images) {
     std::int64_t all = 0, beyond = 0;
     for (const std::int64_t count : images.meter_counts) all += count;
     double meters = 0.0;
@@ -83,26 +140,7 @@ double reach_of(const DepthImages& images) {
         beyond += images.meter_counts[b];
         meters += double(beyond) > REACH_SHARE * double(all);
     }
-    return meters;
-}
-
-// Keep the beams of columns that fired, and write the narrow gaps in the ring that they lie in.
-std::size_t find_ring_gaps(const MissingBeams& missing, View1<const bool> silent, const Depth* ring,
-                           std::int32_t* column, float* gap_m) {
-    const auto columns = std::int32_t(silent.size);
-    const float step = float(2 * std::numbers::pi / columns);
-    std::size_t m = 0;
-    for (std::size_t k = 0; k < missing.count; ++k) {
-        const std::int32_t c = missing.column[k], before = missing.before[k], after = missing.after[k];
-        if (silent[c]) continue;
-        const float left = depth_around(ring, columns, c, before), right = depth_around(ring, columns, c, after);
-        const float near = std::min(left, right), far = std::max(left, right);
-        const bool is_narrow = far < SIMILAR * near && double(after - before) * step * near < GAP_M;
-        column[m] = c;
-        gap_m[m] = is_narrow ? near : UNKNOWN;
-        ++m;
-    }
-    return m;
+    return float(meters);
 }
 
 // Write how many rings below each pixel (rings, columns) the next one with a return lies, 255 for more than that.
@@ -127,75 +165,83 @@ int next_above(View2<const std::uint8_t> counts, std::size_t r, std::size_t c) {
     return -1;
 }
 
-// Lower gap_m to the nearer of the obstacles next below and above in the column, if similar and close.
-void find_column_gaps(const DepthImages& images, const std::uint8_t* rings_below, const double* tangent, std::size_t r,
-                      std::size_t count, const std::int32_t* column, float* gap_m) {
-    for (std::size_t k = 0; k < count; ++k) {
-        const std::size_t c = std::size_t(column[k]), below = rings_below[c];
-        // Most beams have ground below them: without an obstacle there, none above is looked for.
-        if (below > NEIGHBOR_RINGS) continue;
-        const float below_m = images.ring(r - below)[c].obstacle_m;
-        if (!(below_m < NONE)) continue;
-        const int high = next_above(images.all_counts(), r, c);
-        if (high < 0) continue;
-        const float above_m = images.ring(std::size_t(high))[c].obstacle_m;
-        const float near = std::min(below_m, above_m), far = std::max(below_m, above_m);
-        if (far < SIMILAR * near && (tangent[std::size_t(high)] - tangent[r - below]) * near < GAP_M) {
-            gap_m[k] = gap_m[k] < near ? gap_m[k] : near;  // NaN gives way
-        }
-    }
+// The depths of a pixel. One whose returns are all left out (too near, on the own vehicle) ended at once.
+INLINE Depth depth_of(const DepthImages& images, std::size_t r, std::size_t c) {
+    const Depth depth = images.ring(r)[c];
+    return images.all_counts()(r, c) > 0 && !(depth.nearest_m < NONE) ? Depth{0.5f, NONE} : depth;
 }
 
-// Write the nearest obstacle among the two pixels beside each beam and the three above it.
-void find_bounds(const DepthImages& images, std::size_t r, std::size_t count, const std::int32_t* column,
-                 float* bound_m) {
+// The nearest obstacle among the two pixels beside a beam and the three above it.
+float bound_of(const DepthImages& images, std::size_t r, std::int32_t c) {
     const Depth *ring = images.ring(r), *above = r + 1 < images.rings ? images.ring(r + 1) : nullptr;
     const auto columns = std::int32_t(images.columns);
-    for (std::size_t k = 0; k < count; ++k) {
-        const std::int32_t c = column[k], before = c > 0 ? c - 1 : columns - 1, after = c + 1 < columns ? c + 1 : 0;
-        float nearest = std::min(ring[before].obstacle_m, ring[after].obstacle_m);
-        if (above != nullptr) {
-            nearest = std::min({nearest, above[before].obstacle_m, above[c].obstacle_m, above[after].obstacle_m});
-        }
-        bound_m[k] = nearest;
+    const std::int32_t before = c > 0 ? c - 1 : columns - 1, after = c + 1 < columns ? c + 1 : 0;
+    float nearest = std::min(ring[before].obstacle_m, ring[after].obstacle_m);
+    if (above != nullptr) {
+        nearest = std::min({nearest, above[before].obstacle_m, above[c].obstacle_m, above[after].obstacle_m});
     }
+    return nearest;
 }
 
-// Lower bound_m to gap_m of beams in the same gap of the ring that passed closer than GAP_M: once in the order of the
-// columns and once against it, as the stopped beam may lie on either side.
-void bound_beside_gaps(std::size_t count, std::size_t columns, const std::int32_t* column, const float* gap_m,
-                       float* bound_m) {
-    const float per_column = float(2 * std::numbers::pi / double(columns));
-    for (const int step : {1, -1}) {
-        std::int32_t at = 0, last = 0;
-        float near = NONE;
-        for (std::size_t k = 0; k < count; ++k) {
-            const std::size_t n = step > 0 ? k : count - 1 - k;
-            // A new gap begins where a return lies between two beams.
-            if (k > 0 && std::abs(column[n] - last) > 1) near = NONE;
-            last = column[n];
-            if (!std::isnan(gap_m[n])) {
-                at = column[n], near = gap_m[n];
-            } else if (near < NONE && double(std::abs(column[n] - at)) * per_column * near < GAP_M / 2) {
-                bound_m[n] = std::min(bound_m[n], near);
+// Sums over windows of the image, pooled to POOLED columns: of pixels, of returns, of the logarithms of their ranges, and
+// of obstacles; by sums of all before. The farthest return of each pooled column.
+class PooledImage {
+public:
+    PooledImage(const DepthImages& images, const Buffer<bool>& silent)
+        : rings(images.rings), before_((images.rings + 1) * (POOLED + 1)), farthest(POOLED, LOG_LEAST) {
+        const std::size_t columns = images.columns;
+        for (std::size_t c = 0; c <= POOLED; ++c) before_[c] = Four{};
+        for (std::size_t r = 0; r < rings; ++r) {
+            const Depth* ring = images.ring(r);
+            Four row = {};
+            before_[(r + 1) * (POOLED + 1)] = Four{};
+            for (std::size_t p = 0; p < POOLED; ++p) {
+                for (std::size_t c = p * columns / POOLED; c < (p + 1) * columns / POOLED; ++c) {
+                    if (silent[c]) continue;
+                    const float depth_m = depth_of(images, r, c).nearest_m;
+                    if (!(depth_m < NONE)) {
+                        row += Four{1, 0, 0, 0};
+                        continue;
+                    }
+                    const float log = log_m(depth_m);
+                    row += Four{1, 1, log, ring[c].obstacle_m < NONE ? 1.0f : 0.0f};
+                    farthest[p] = std::max(farthest[p], log);
+                }
+                before_[(r + 1) * (POOLED + 1) + p + 1] = before_[r * (POOLED + 1) + p + 1] + row;
             }
         }
     }
-}
 
-// Write the range at which the beams of a ring first meet the ground, +inf where they do not.
-void find_ground(const PolarGround& polar, std::size_t count, const float* azimuth, const float* slope, float rise_m,
-                 float* ground_m) {
-    std::size_t at = 0;
-    for (std::size_t k = 0; k < count; ++k) {
-        const std::size_t sector = ground_sector(azimuth[k]);
-        ground_m[k] = meet_ground(polar, sector, slope[k], at);
-        // A beam that starts higher looks less steep from the sensor's origin: once more with the slope at that range.
-        if (rise_m != 0.0f && ground_m[k] < NONE) {
-            ground_m[k] = meet_ground(polar, sector, slope[k] + rise_m / ground_m[k], at);
-        }
+    // Share of the pixels that returned, mean logarithm of their ranges, and share of the returns that are on obstacles, over
+    // rings [low, high) and `wide` pooled columns to either side of one.
+    void describe(std::size_t low, std::size_t high, std::size_t column, std::size_t wide, float* out) const {
+        const std::size_t first = column + POOLED - wide, last = column + POOLED + wide + 1;
+        const Four sum = until(high, last) - until(high, first) - until(low, last) + until(low, first);
+        out[0] = sum[0] > 0.0f ? sum[1] / sum[0] : 0.0f;
+        out[1] = sum[1] > 0.5f ? sum[2] / sum[1] : LOG_NONE;
+        out[2] = sum[1] > 0.5f ? sum[3] / sum[1] : 0.0f;
     }
-}
+
+    float farthest_around(std::size_t column, std::size_t wide) const {
+        float most = LOG_LEAST;
+        for (std::size_t k = column + POOLED - wide; k <= column + POOLED + wide; ++k) {
+            most = std::max(most, farthest[k % POOLED]);
+        }
+        return most;
+    }
+
+    std::size_t rings;
+
+private:
+    // The sum of the rings before one and the columns before another, in turns from -1 on.
+    Four until(std::size_t ring, std::size_t column) const {
+        const Four* row = &before_[ring * (POOLED + 1)];
+        return row[column % POOLED] + float(column / POOLED) * row[POOLED];
+    }
+
+    Buffer<Four> before_;
+    Buffer<float> farthest;
+};
 
 // The median of the sectors' shares in a bin, weighted with their beams; 0 without any.
 double median_share(const ShareCounts& returned, const ShareCounts& lost, std::size_t bin) {
@@ -215,39 +261,18 @@ double median_share(const ShareCounts& returned, const ShareCounts& lost, std::s
     return 0.0;
 }
 
-// The share of the beams at ground that return, in each bin of range: the median over the sectors.
+// The share of the beams at ground that return, in each bin of range: the median over the sectors. Outwards: each bin
+// starts from the one before.
 Shares returning_shares(const ShareCounts& returned, const ShareCounts& lost) {
-    // Outwards: each bin starts from the one before.
     Shares share;
-    std::array<std::int64_t, SHARE_BINS> returns{};
-    std::int64_t all = 0;
     double before = 1.0;
     for (std::size_t k = 0; k < SHARE_BINS; ++k) {
-        std::int64_t none = 0;
-        for (std::size_t s = 0; s < SHARE_SECTORS; ++s) returns[k] += returned[s][k], none += lost[s][k];
-        all += returns[k];
-        const double beams = double(returns[k] + none);
-        before = (beams * median_share(returned, lost, k) + PRIOR_BEAMS * before) / (beams + PRIOR_BEAMS);
+        std::int64_t beams = 0;
+        for (std::size_t s = 0; s < SHARE_SECTORS; ++s) beams += returned[s][k] + lost[s][k];
+        before = (double(beams) * median_share(returned, lost, k) + PRIOR_BEAMS * before) / (double(beams) + PRIOR_BEAMS);
         share[k] = before;
     }
-    // Inwards: nearer ground returns at least as often as well observed ground farther away.
-    double farther = 0.0;
-    for (std::size_t k = SHARE_BINS; k-- > 0;) {
-        if (double(returns[k]) > WEIGHTY * double(all)) farther = std::max(farther, share[k]);
-        share[k] = std::max(share[k], farther);
-    }
     return share;
-}
-
-// Count the beams of a ring at open ground that did not return: no gap, and no obstacle before the ground.
-void count_lost(const Candidates& beams, std::size_t first, std::size_t count, std::size_t columns, float steep_m,
-                ShareCounts& lost) {
-    for (std::size_t n = first; n < first + count; ++n) {
-        const float ground_m = beams.ground_m[n];
-        if (std::isnan(beams.gap_m[n]) && beams.bound_m[n] > ground_m - 1.0 && steep_m < ground_m && ground_m < NONE) {
-            ++lost[std::size_t(beams.column[n]) * SHARE_SECTORS / columns][share_bin(ground_m)];
-        }
-    }
 }
 
 bool has_returns(const DepthImages& images, std::size_t r) {
@@ -255,85 +280,361 @@ bool has_returns(const DepthImages& images, std::size_t r) {
     return std::any_of(counts, counts + images.columns, [](std::uint8_t count) { return count > 0; });
 }
 
-}  // namespace
-
-void split_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground, float sensor_height_m,
-                           double top_m, float steep_m, BeamColumns& inferred, BeamColumns& unresolved) {
-    const std::size_t columns = images.columns;
-    // 1. The ground as the sensor sees it, and the rings with beams that may reach a target.
+PolarGround polar_ground(const Ground& ground, float sensor_height_m, double top_m) {
     PolarGround polar;
     find_polar_ground(ground, sensor_height_m, top_m, polar);
-    const std::size_t rings = count_rings_below(*std::max_element(polar.top.begin(), polar.top.end()), aims);
-    Buffer<bool> silent(columns);
-    find_silent_columns({images.counts.data(), rings, columns}, silent);
-    std::vector<double> tangent(images.rings);
-    for (std::size_t r = 0; r < images.rings; ++r) tangent[r] = std::tan(aims.elevation[r]);
+    return polar;
+}
 
-    // 2. In each ring, the missing beams, where they aimed, and what is around them. Rings without returns have none.
-    const Turn turn(columns);
-    Buffer<std::uint8_t> rings_below(rings * columns);
-    find_rings_below(images.counts.data(), rings, columns, rings_below.data());
-    Candidates beams(rings, columns);
-    const std::size_t parts = std::min(count_parts(rings * columns, PART), rings);
-    std::vector<ShareCounts> lost(parts, ShareCounts{});
+Buffer<bool> silent_columns(View2<const std::uint8_t> counts) {
+    Buffer<bool> silent(counts.columns);
+    find_silent_columns(counts, silent);
+    return silent;
+}
+
+// The missing beams of a sweep and what the network is fed with.
+class NoReturnScene {
+public:
+    NoReturnScene(const DepthImages& images_, const RingAims& aims_, const Ground& ground, float sensor_height_m_,
+                  double top_m, float steep_m_)
+        : images(images_), aims(aims_), sensor_height_m(sensor_height_m_), steep_m(steep_m_),
+          farthest_m(farthest_of(images_)), polar(polar_ground(ground, sensor_height_m_, top_m)),
+          rings(count_rings_below(*std::max_element(polar.top.begin(), polar.top.end()), aims_)),
+          silent(silent_columns({images_.counts.data(), rings, images_.columns})), missing(rings, images_.columns),
+          rings_below(rings * images_.columns), pooled(images_, silent) {
+        find_rings_below(images.counts.data(), rings, images.columns, rings_below.data());
+        for (std::size_t r = 0; r < images.rings; ++r) tangent.push_back(std::tan(aims.elevation[r]));
+        // In each ring the missing beams and their groups. Rings and columns without returns have none.
+        const Turn turn(images.columns);
+        const std::size_t parts = std::min(count_parts(rings * images.columns, PART), rings);
+        std::vector<ShareCounts> lost(parts, ShareCounts{});
+        run_parts(parts, [&](std::size_t part) {
+            MissingBeams found(images.columns);
+            for (std::size_t r = part; r < rings; r += parts) {
+                if (has_returns(images, r)) find_groups(r, turn, found, lost[part]);
+            }
+        });
+        for (std::size_t part = 1; part < parts; ++part) {
+            for (std::size_t s = 0; s < SHARE_SECTORS; ++s) {
+                for (std::size_t b = 0; b < SHARE_BINS; ++b) lost[0][s][b] += lost[part][s][b];
+            }
+        }
+        share = returning_shares(images.ground_counts, lost[0]);
+        find_unexplained();
+    }
+
+    // Write the features (FEATURES,) of a group, and the logarithms of the ranges (STOPS,) at which it may have ended.
+    void describe(std::size_t r, const Group& group, float* feature, float* stop) const {
+        const std::size_t c = std::size_t(group.column), p = c * POOLED / images.columns;
+        const std::size_t below = rings_below[r * images.columns + c];
+        const bool has_below = below <= NEIGHBOR_RINGS;
+        const Depth low = has_below ? depth_of(images, r - below, c) : Depth{NONE, NONE};
+        const int high = next_above(images.all_counts(), r, c);
+        const Depth upper = high >= 0 ? depth_of(images, std::size_t(high), c) : Depth{NONE, NONE};
+        float around[3];
+        pooled.describe(r > 2 ? r - 2 : 0, std::min(r + 3, pooled.rings), p, 1, around);
+        stop[NEARER] = log_m(group.near_m);
+        stop[FARTHER] = log_m(group.far_m);
+        stop[BELOW] = log_m(low.nearest_m);
+        stop[ABOVE] = log_m(upper.nearest_m);
+        stop[ON_GROUND] = log_m(group.ground_m);
+        stop[AROUND] = around[1];
+        stop[FARTHEST] = pooled.farthest_around(p, 1);
+        std::copy_n(stop, STOPS, feature);
+        float* f = feature + STOPS;
+        // Meters to the returns beside, below and above it.
+        const auto apart = [](double rise, float meters) {
+            return meters < NONE ? log_m(float(rise) * meters) : LOG_NONE;
+        };
+        *f++ = apart(group.near_turn, group.near_m);
+        *f++ = apart(group.far_turn, group.far_m);
+        *f++ = has_below ? apart(tangent[r] - tangent[r - below], low.nearest_m) : LOG_NONE;
+        *f++ = high >= 0 ? apart(tangent[std::size_t(high)] - tangent[r], upper.nearest_m) : LOG_NONE;
+        *f++ = log2_of(group.near_turn + 1e-3f);
+        *f++ = log2_of(group.far_turn + 1e-3f);
+        *f++ = group.is_near_obstacle;
+        *f++ = group.is_far_obstacle;
+        *f++ = low.obstacle_m < NONE;
+        *f++ = upper.obstacle_m < NONE;
+        *f++ = log_m(group.bound_m);
+        *f++ = group.ground_m < NONE && group.ground_m > steep_m ? float(share[share_bin(group.ground_m)]) : 1.0f;
+        *f++ = std::clamp(group.slope, -1.0f, 1.0f);
+        *f++ = std::clamp(sensor_height_m + group.slope * (group.near_m < NONE ? group.near_m : 64.0f), -8.0f, 16.0f);
+        *f++ = around[0];
+        *f++ = around[2];
+        const std::size_t wide = std::max<std::size_t>(pooled.rings / 6, 2);
+        pooled.describe(r > wide ? r - wide : 0, std::min(r + wide + 1, pooled.rings), p, 5, f);
+        f += 3;
+        pooled.describe(std::min(r + 1, pooled.rings), pooled.rings, p, 2, f);  // above
+        f += 3;
+        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, f);  // below
+        f += 2;
+        pooled.describe(r, r + 1, p, POOLED / 2 - 1, f);  // its ring
+        f += 2;
+        *f++ = pooled.farthest_around(p, 5);
+        pooled.describe(0, pooled.rings, p, POOLED / 2 - 1, f);  // everything
+        f += 3;
+        *f++ = log_m(farthest_m);
+        *f++ = log_m(sensor_height_m);
+        *f++ = std::log2(float(tangent[images.rings - 1] - tangent[0]) / float(images.rings) + 1e-3f);
+        *f++ = std::log2(float(images.columns));
+        *f++ = float(r) / float(images.rings);
+        static_assert(STOPS + 35 == FEATURES);
+    }
+
+    // Whether all beams of a group pass above all targets, by a margin.
+    bool passes_above(std::size_t r, const Group& group) const {
+        const float margin = 0.02f + std::fabs(float(aims.origin_m[r])) / std::max(steep_m, 0.1f);
+        return group.slope - margin > polar.top[ground_sector(group.azimuth)];
+    }
+
+    const DepthImages& images;
+    const RingAims& aims;
+    float sensor_height_m, steep_m, farthest_m;
+    PolarGround polar;
+    std::size_t rings;  // those with beams that may reach a target
+    Buffer<bool> silent;
+    Missing missing;
+
+private:
+    // Find the missing beams of a ring, where they aimed and their groups; count those that should have met open ground.
+    void find_groups(std::size_t r, const Turn& turn, MissingBeams& found, ShareCounts& lost) {
+        const std::size_t columns = images.columns, begin = r * columns;
+        const auto wide = std::int32_t(std::max<std::size_t>(columns / GROUPS, 1));
+        const float step = float(2 * std::numbers::pi / double(columns));
+        find_missing({images.counts.data() + begin, columns}, found);
+        std::size_t count = 0;
+        for (std::size_t k = 0; k < found.count; ++k) {
+            if (silent[std::size_t(found.column[k])]) continue;
+            found.column[count] = found.column[k], found.before[count] = found.before[k], found.after[count] = found.after[k];
+            ++count;
+        }
+        float *azimuth = &missing.azimuth[begin], *slope = &missing.slope[begin];
+        aim_beams(turn, {found.column.data(), count}, aims.phase[r], tangent[r], aims.rotation, azimuth, slope);
+        const auto depth_at = [&](std::int32_t c, std::int32_t at) {
+            if (at == c) return Depth{NONE, NONE};
+            const std::int32_t turn = std::int32_t(columns);
+            return depth_of(images, r, std::size_t(at < 0 ? at + turn : (at < turn ? at : at - turn)));
+        };
+        std::size_t groups = 0, at = 0;
+        for (std::size_t k = 0, end = 0; k < count; k = end) {
+            for (end = k + 1; end < count && found.column[end] - found.column[k] < wide && found.after[end] == found.after[k];) {
+                ++end;
+            }
+            const std::size_t middle = (k + end) / 2;
+            const std::int32_t c = found.column[middle], before = found.before[middle], after = found.after[middle];
+            Group group{std::uint32_t(k), std::uint32_t(end - k), c, azimuth[middle], slope[middle], 0, 0, 0, 0, 0, 0, 0, 0, 0};
+            Depth near = depth_at(c, before), far = depth_at(c, after);
+            group.near_turn = float(c - before) * step, group.far_turn = float(after - c) * step;
+            if (far.nearest_m < near.nearest_m) std::swap(near, far), std::swap(group.near_turn, group.far_turn);
+            group.near_m = near.nearest_m, group.far_m = far.nearest_m;
+            group.is_near_obstacle = near.obstacle_m < NONE, group.is_far_obstacle = far.obstacle_m < NONE;
+            group.bound_m = bound_of(images, r, c);
+            // A beam that starts higher looks less steep from the sensor's origin: once more with the slope at that range.
+            const std::size_t sector = ground_sector(group.azimuth);
+            group.ground_m = meet_ground(polar, sector, group.slope, at);
+            const float rise_m = float(aims.origin_m[r]);
+            if (rise_m != 0.0f && group.ground_m < NONE) {
+                group.ground_m = meet_ground(polar, sector, group.slope + rise_m / group.ground_m, at);
+            }
+            if (group.bound_m > group.ground_m - 1.0f && steep_m < group.ground_m && group.ground_m < NONE) {
+                lost[std::size_t(c) * SHARE_SECTORS / columns][share_bin(group.ground_m)] += group.count;
+            }
+            missing.group[begin + groups++] = group;
+        }
+        missing.beams[r] = count, missing.groups[r] = groups;
+    }
+
+    // Mark the groups that nothing explains, from the lowest ring upwards, since each says something of the one above.
+    void find_unexplained() {
+        const std::size_t columns = images.columns;
+        const auto wide = std::max<std::size_t>(columns / GROUPS, 1);
+        std::vector<std::int32_t> last(columns, -2);  // the last ring of each column with such a group
+        std::int32_t below = -1;                      // the next lower ring that has returns
+        for (std::size_t r = 0; r < rings; ++r) {
+            for (std::size_t g = r * columns; g < r * columns + missing.groups[r]; ++g) {
+                Group& group = missing.group[g];
+                const float gap_m = (group.near_turn + group.far_turn) * group.near_m;
+                const bool is_narrow = group.far_m < SIMILAR * group.near_m && gap_m < GAP_M;
+                bool is_expected = group.ground_m < NONE;
+                if (is_expected && group.ground_m > steep_m) is_expected = share[share_bin(group.ground_m)] >= EXPECTED_SHARE;
+                const std::size_t c = std::size_t(group.column);
+                group.is_unexplained = !is_narrow && (is_expected || last[c] == below);
+                if (!group.is_unexplained) continue;
+                for (std::size_t k = columns + c - wide / 2; k <= columns + c + wide / 2; ++k) last[k % columns] = std::int32_t(r);
+            }
+            if (has_returns(images, r)) below = std::int32_t(r);
+        }
+    }
+
+    std::vector<double> tangent;
+    Buffer<std::uint8_t> rings_below;
+    PooledImage pooled;
+    Shares share;
+};
+
+}  // namespace
+
+// out (units, LANES_AT_ONCE) = weights · in (inputs, LANES_AT_ONCE) + bias, for a vector of groups at once, four units at a
+// time so that their sums stay in registers. Sums go in the order of the inputs.
+MULTIVERSION void apply_layer(const NoReturnModel::Layer& layer, const Lanes* in, bool is_hidden, Lanes* out) {
+    const std::size_t units = layer.bias.size(), inputs = layer.inputs;
+    const float *const weights = layer.weights.data(), *const bias = layer.bias.data();
+    std::size_t u = 0;
+    for (; u + 4 <= units; u += 4) {
+        Lanes a = Lanes{} + bias[u], b = Lanes{} + bias[u + 1], c = Lanes{} + bias[u + 2], d = Lanes{} + bias[u + 3];
+        for (std::size_t k = 0; k < inputs; ++k) {
+            const float* const row = weights + k * units + u;
+            a += in[k] * row[0];
+            b += in[k] * row[1];
+            c += in[k] * row[2];
+            d += in[k] * row[3];
+        }
+        out[u] = a, out[u + 1] = b, out[u + 2] = c, out[u + 3] = d;
+    }
+    for (; u < units; ++u) {
+        Lanes a = Lanes{} + bias[u];
+        for (std::size_t k = 0; k < inputs; ++k) a += in[k] * weights[k * units + u];
+        out[u] = a;
+    }
+    if (!is_hidden) return;
+    for (std::size_t v = 0; v < units; ++v) out[v] = out[v] > 0.0f ? out[v] : Lanes{};
+}
+
+namespace {
+
+// exp(x) of a logit that lies x below the largest one.
+INLINE float weight_of(float x) { return exp2_of(std::max(1.442695f * x, -60.0f)); }
+
+// The ranges that shares SURVIVED of a group's beams passed, from the outputs of the network and the stops that there are.
+std::array<float, 3> survived_depths(const float* output, const float* stop) {
+    float most = std::max(output[FREE], output[UNSEEN]);
+    for (std::size_t k = 0; k < STOPS; ++k) {
+        if (stop[k] < LOG_NONE) most = std::max(most, output[k]);
+    }
+    std::array<std::pair<float, float>, STOPS + LAPLACE.size()> ends;  // logarithm of the range, and weight
+    std::size_t count = 0;
+    for (std::size_t k = 0; k < STOPS; ++k) {
+        if (stop[k] < LOG_NONE) ends[count++] = {stop[k], weight_of(output[k] - most)};
+    }
+    const float deviation = std::exp(std::clamp(output[UNSEEN_LOG_DEVIATION], -3.0f, 1.5f));
+    const float unseen = weight_of(output[UNSEEN] - most) / float(LAPLACE.size());
+    for (const float at : LAPLACE) ends[count++] = {output[UNSEEN_MEAN] + at * deviation, unseen};
+    float total = weight_of(output[FREE] - most);
+    for (std::size_t k = 0; k < count; ++k) total += ends[k].second;
+    std::sort(ends.begin(), ends.begin() + std::ptrdiff_t(count));
+    std::array<float, 3> depth_m{NONE, NONE, NONE};
+    float ended = 0.0f;
+    std::size_t level = 0;
+    for (std::size_t k = 0; k < count && level < SURVIVED.size(); ++k) {
+        ended += ends[k].second;
+        while (level < SURVIVED.size() && ended > (1.0f - SURVIVED[level]) * total) depth_m[level++] = exp2_of(std::clamp(ends[k].first, -20.0f, 20.0f));
+    }
+    return depth_m;
+}
+
+}  // namespace
+
+NoReturnModel::NoReturnModel(std::vector<float> mean_, std::vector<float> scale_, std::array<Layer, 3> layers_)
+    : mean(std::move(mean_)), scale(std::move(scale_)), layers(std::move(layers_)) {
+    require(mean.size() == FEATURES && scale.size() == FEATURES, "mean and scale must have a number for each feature");
+    std::size_t size = FEATURES;
+    for (const Layer& layer : layers) {
+        require(layer.inputs == size && layer.weights.size() == size * layer.bias.size(), "layers must fit each other");
+        size = layer.bias.size();
+        require(size > 0 && size <= MOST_UNITS, "a layer must have 1 to 64 units");
+    }
+    require(size == OUTPUTS, "the last layer must have a unit for each output");
+}
+
+void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)[STOPS],
+                           const bool* is_unexplained, std::size_t count, std::array<float, 3>* depth_m) const {
+    Lanes one[MOST_UNITS], other[MOST_UNITS];
+    for (std::size_t k = 0; k < FEATURES; ++k) {
+        for (std::size_t n = 0; n < AT_ONCE; ++n) {
+            const float value = n < count ? (feature[n][k] - mean[k]) * scale[k] : 0.0f;
+            one[k][n] = std::clamp(value, -MOST_DEVIATIONS, MOST_DEVIATIONS);
+        }
+    }
+    apply_layer(layers[0], one, true, other);
+    apply_layer(layers[1], other, true, one);
+    apply_layer(layers[2], one, false, other);
+    for (std::size_t n = 0; n < count; ++n) {
+        float outputs[OUTPUTS];
+        for (std::size_t k = 0; k < OUTPUTS; ++k) outputs[k] = other[k][n];
+        if (is_unexplained[n]) {
+            for (const std::size_t k : {std::size_t(FREE), std::size_t(ON_GROUND), std::size_t(FARTHEST)}) {
+                outputs[k] += std::log(UNEXPLAINED_WEIGHT);
+            }
+            // What stopped it stands no farther than the return below it, as far as is known.
+            if (stop[n][BELOW] < LOG_NONE) outputs[UNSEEN_MEAN] = std::min(outputs[UNSEEN_MEAN], stop[n][BELOW]);
+        }
+        depth_m[n] = survived_depths(outputs, stop[n]);
+    }
+}
+
+NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
+                                       float sensor_height_m, double top_m, float steep_m) {
+    const NoReturnScene scene(images, aims, ground, sensor_height_m, top_m, steep_m);
+    const Missing& missing = scene.missing;
+    std::size_t size = 0, n = 0;
+    for (std::size_t r = 0; r < scene.rings; ++r) size += missing.groups[r];
+    NoReturnGroups groups{Buffer<float>(size), Buffer<float>(size), Buffer<std::int32_t>(size), Buffer<float>(size * FEATURES),
+                          Buffer<float>(size * STOPS)};
+    for (std::size_t r = 0; r < scene.rings; ++r) {
+        for (std::size_t g = r * images.columns; g < r * images.columns + missing.groups[r]; ++g, ++n) {
+            const Group& group = missing.group[g];
+            groups.azimuth[n] = group.azimuth, groups.slope[n] = group.slope;
+            groups.beams[n] = group.slope > scene.polar.top[ground_sector(group.azimuth)] ? 0 : std::int32_t(group.count);
+            scene.describe(r, group, &groups.feature[n * FEATURES], &groups.stop[n * STOPS]);
+        }
+    }
+    return groups;
+}
+
+NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
+                                    float sensor_height_m, double top_m, float steep_m, const NoReturnModel& model) {
+    const NoReturnScene scene(images, aims, ground, sensor_height_m, top_m, steep_m);
+    const std::size_t columns = images.columns;
+    const Missing& missing = scene.missing;
+    // 1. The depths of each group.
+    Buffer<std::array<float, 3>> depths(scene.rings * columns);
+    const std::size_t parts = std::min(count_parts(scene.rings * columns, PART), scene.rings);
     run_parts(parts, [&](std::size_t part) {
-        MissingBeams missing(columns);
-        for (std::size_t r = part; r < rings; r += parts) {
-            if (!has_returns(images, r)) continue;
-            const std::size_t first = r * columns;
-            std::int32_t* column = &beams.column[first];
-            float *gap_m = &beams.gap_m[first], *bound_m = &beams.bound_m[first];
-            find_missing({images.counts.data() + first, columns}, missing);
-            const std::size_t count = find_ring_gaps(missing, silent, images.ring(r), column, gap_m);
-            aim_beams(turn, {column, count}, aims.phase[r], tangent[r], aims.rotation, &beams.azimuth[first],
-                      &beams.slope[first]);
-            find_column_gaps(images, &rings_below[first], tangent.data(), r, count, column, gap_m);
-            find_bounds(images, r, count, column, bound_m);
-            bound_beside_gaps(count, columns, column, gap_m, bound_m);
-            find_ground(polar, count, &beams.azimuth[first], &beams.slope[first], float(aims.origin_m[r]),
-                        &beams.ground_m[first]);
-            count_lost(beams, first, count, columns, steep_m, lost[part]);
-            beams.count[r] = count;
+        for (std::size_t r = part; r < scene.rings; r += parts) {
+            const std::size_t end = r * columns + missing.groups[r];
+            for (std::size_t g = r * columns; g < end; g += NoReturnModel::AT_ONCE) {
+                const std::size_t count = std::min(NoReturnModel::AT_ONCE, end - g);
+                float feature[NoReturnModel::AT_ONCE][FEATURES], stop[NoReturnModel::AT_ONCE][STOPS];
+                bool is_unexplained[NoReturnModel::AT_ONCE];
+                std::size_t place[NoReturnModel::AT_ONCE], kept = 0;
+                for (std::size_t k = g; k < g + count; ++k) {
+                    depths[k] = {0.0f, 0.0f, 0.0f};
+                    if (scene.passes_above(r, missing.group[k])) continue;
+                    scene.describe(r, missing.group[k], feature[kept], stop[kept]);
+                    is_unexplained[kept] = missing.group[k].is_unexplained;
+                    place[kept++] = k;
+                }
+                std::array<float, 3> found[NoReturnModel::AT_ONCE];
+                model.depths(feature, stop, is_unexplained, kept, found);
+                for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = found[k];
+            }
         }
     });
-    for (std::size_t part = 1; part < parts; ++part) {
-        for (std::size_t s = 0; s < SHARE_SECTORS; ++s) {
-            for (std::size_t b = 0; b < SHARE_BINS; ++b) lost[0][s][b] += lost[part][s][b];
-        }
-    }
-
-    // 3. How far each beam went: by its gap; else as far as the ground where few beams return from there, unless nothing
-    //    explains the beam below it. From the lowest ring upwards, since each says something of the one above.
-    const Shares share = returning_shares(images.ground_counts, lost[0]);
-    const float reach_m = float(BEYOND_REACH * reach_of(images));
-    Buffer<std::int32_t> unexplained_at(columns, -2);  // the last ring of each column that nothing explains
-    std::int32_t below = -1;                           // the next lower ring that has returns
-    for (std::size_t r = 0; r < rings; ++r) {
+    // 2. Its beams. Slopes are seen from the sensor's origin. Beams above all targets are left out.
+    NoReturnBeams beams(scene.rings * columns);
+    for (std::size_t r = 0; r < scene.rings; ++r) {
         const float rise_m = float(aims.origin_m[r]);
-        for (std::size_t n = r * columns; n < r * columns + beams.count[r]; ++n) {
-            const float gap_m = beams.gap_m[n], ground_m = beams.ground_m[n];
-            std::int32_t& unexplained = unexplained_at[std::size_t(beams.column[n])];
-            bool is_lost = ground_m == NONE;
-            if (steep_m < ground_m && ground_m < NONE) is_lost = share[share_bin(ground_m)] < EXPECTED_SHARE;
-            float depth_m = UNKNOWN;
-            if (!std::isnan(gap_m)) {
-                depth_m = gap_m;
-            } else if (is_lost && unexplained != below) {
-                depth_m = std::min({ground_m, beams.bound_m[n], reach_m});
-            } else {
-                unexplained = std::int32_t(r);
-            }
-            // Slopes are seen from the sensor's origin. Beams above all targets are in neither set.
-            const float slope = beams.slope[n] + rise_m / (depth_m > steep_m ? depth_m : steep_m);
-            if (slope > polar.top[ground_sector(beams.azimuth[n])]) continue;
-            if (std::isnan(depth_m)) {
-                unresolved.add(beams.azimuth[n], slope, NONE);
-            } else {
-                inferred.add(beams.azimuth[n], slope, depth_m);
+        for (std::size_t g = r * columns; g < r * columns + missing.groups[r]; ++g) {
+            const Group& group = missing.group[g];
+            for (std::size_t n = r * columns + group.first; n < r * columns + group.first + group.count; ++n) {
+                const float slope = missing.slope[n] + rise_m / std::max(depths[g][1], steep_m);
+                if (slope > scene.polar.top[ground_sector(missing.azimuth[n])]) continue;
+                beams.add(missing.azimuth[n], slope, depths[g]);
             }
         }
-        if (has_returns(images, r)) below = std::int32_t(r);
     }
+    return beams;
 }
 
 BeamColumns no_return_beams(const DepthImages& images, const RingAims& aims, bool fill) {

@@ -52,7 +52,7 @@ struct SortedKind {
 // What the segments are counted from, and where.
 struct Job {
     const CellWindows* windows;
-    std::array<SortedKind, 3> kinds;
+    std::array<SortedKind, KINDS> kinds;
     const float* limits;  // (GROUND_SECTORS, LIMITS, stride)
     const float* spans;   // (GROUND_SECTORS, 2, stride / VECTOR), see write_spans
     bool shifted;
@@ -143,6 +143,12 @@ MULTIVERSION float write_spans(const float* limits, std::size_t stride, float* h
 
 // 2. Beams by column.
 
+std::size_t beams_of(const std::array<Beams, KINDS>& kinds) {
+    std::size_t beams = 0;
+    for (const Beams& kind : kinds) beams += kind.azimuth.size;
+    return beams;
+}
+
 // Write the column of each beam of a block, AZIMUTH_COLUMNS for one above `highest`.
 MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::size_t count, float highest,
                                std::uint16_t* column) {
@@ -172,34 +178,34 @@ struct SortedBeams {
 
     static constexpr std::size_t BUCKETS = AZIMUTH_COLUMNS + 1;  // the last one for beams above every target
 
-    SortedBeams(const std::array<Beams, 3>& kinds, float highest, float cell_m, std::size_t bins)
-        : total(kinds[0].azimuth.size + kinds[1].azimuth.size + kinds[2].azimuth.size), parts(count_parts(total, PART)),
-          beams(total), first(3 * BUCKETS) {
+    SortedBeams(const std::array<Beams, KINDS>& kinds, float highest, float cell_m, std::size_t bins)
+        : total(beams_of(kinds)), parts(count_parts(total, PART)),
+          beams(total), first(KINDS * BUCKETS) {
         Buffer<std::uint16_t> column(total);
-        Buffer<std::uint32_t> counts(parts * 3 * BUCKETS);
+        Buffer<std::uint32_t> counts(parts * KINDS * BUCKETS);
         // Each part counts its share of every kind; then its place in a column lies behind those of the parts before.
         const auto each_block = [&](std::size_t part, const auto& body) {
             std::size_t begin = 0;
-            for (std::size_t kind = 0; kind < 3; begin += kinds[kind].azimuth.size, ++kind) {
+            for (std::size_t kind = 0; kind < KINDS; begin += kinds[kind].azimuth.size, ++kind) {
                 const std::size_t size = kinds[kind].azimuth.size, end = size * (part + 1) / parts;
                 for (std::size_t n = size * part / parts; n < end; n += BLOCK) {
                     body(kinds[kind], n, std::min(BLOCK, end - n), &column[begin + n],
-                         &counts[(part * 3 + kind) * BUCKETS]);
+                         &counts[(part * KINDS + kind) * BUCKETS]);
                 }
             }
         };
         for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
-            std::fill_n(&counts[part * 3 * BUCKETS], 3 * BUCKETS, 0);
+            std::fill_n(&counts[part * KINDS * BUCKETS], KINDS * BUCKETS, 0);
             each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* count) {
                 find_columns(of.azimuth.data + n, of.slope.data + n, size, highest, at);
                 for (std::size_t k = 0; k < size; ++k) ++count[at[k]];
             });
         });
         std::uint32_t place = 0;
-        for (std::size_t bucket = 0; bucket < 3 * BUCKETS; ++bucket) {
+        for (std::size_t bucket = 0; bucket < KINDS * BUCKETS; ++bucket) {
             first[bucket] = place;
             for (std::size_t part = 0; part < parts; ++part) {
-                std::uint32_t& count = counts[part * 3 * BUCKETS + bucket];
+                std::uint32_t& count = counts[part * KINDS * BUCKETS + bucket];
                 place += std::exchange(count, place);
             }
         }
@@ -334,35 +340,37 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
                         : count_kind<false>(job.kinds[kind], column, limits, stride, spans, own_counts, lower, higher);
                 most = looked_at > most ? looked_at : most;
             }
-            const std::size_t looked_at = count_kind<false>(job.kinds[UNRESOLVED], column, limits, stride, spans,
-                                                            &counts[UNRESOLVED * stride], lower, higher);
-            most = looked_at > most ? looked_at : most;
-            const Row counted = {1, 1, 1, 1, 1, 0, 0, 0};
+            for (std::size_t kind = EARLY; kind <= LATE; ++kind) {
+                const std::size_t looked_at = count_kind<false>(job.kinds[kind], column, limits, stride, spans,
+                                                                &counts[kind * stride], lower, higher);
+                most = looked_at > most ? looked_at : most;
+            }
+            const Row counted = {1, 1, 1, 1, 1, 1, 0, 0};
             for (std::size_t k = 0; k < most; k += FOUR) {
-                Four measured, inferred, unresolved, lower_four, higher_four, aimed_four;
+                Four measured, inferred, early, late, lower_four, higher_four, aimed_four, none{};
                 take_counts(&counts[MEASURED * stride + k], measured);
                 take_counts(&counts[INFERRED * stride + k], inferred);
-                take_counts(&counts[UNRESOLVED * stride + k], unresolved);
+                take_counts(&counts[EARLY * stride + k], early);
+                take_counts(&counts[LATE * stride + k], late);
                 take_counts(lower + k, lower_four);
                 take_counts(higher + k, higher_four);
                 std::memcpy(&aimed_four, &aimed[k], sizeof(Four));
-                transpose(measured, inferred, unresolved, lower_four);
-                const Four low = __builtin_shufflevector(higher_four, aimed_four, 0, 4, 1, 5);
-                const Four high = __builtin_shufflevector(higher_four, aimed_four, 2, 6, 3, 7), none{};
+                transpose(measured, inferred, early, late);
+                transpose(lower_four, higher_four, aimed_four, none);
                 Row* const to = &added[k];
-                to[0] = __builtin_shufflevector(measured, __builtin_shufflevector(low, none, 0, 1, 4, 5), JOINED);
-                to[1] = __builtin_shufflevector(inferred, __builtin_shufflevector(low, none, 2, 3, 6, 7), JOINED);
-                to[2] = __builtin_shufflevector(unresolved, __builtin_shufflevector(high, none, 0, 1, 4, 5), JOINED);
-                to[3] = __builtin_shufflevector(lower_four, __builtin_shufflevector(high, none, 2, 3, 6, 7), JOINED);
+                to[0] = __builtin_shufflevector(measured, lower_four, JOINED);
+                to[1] = __builtin_shufflevector(inferred, higher_four, JOINED);
+                to[2] = __builtin_shufflevector(early, aimed_four, JOINED);
+                to[3] = __builtin_shufflevector(late, none, JOINED);
                 for (std::size_t b = 0; b < FOUR; ++b) sums[k + b] += counted * to[b];
             }
-            const Row aims = {0, 0, 0, 0, 0, 1, 0, 0};
+            const Row aims = {0, 0, 0, 0, 0, 0, 1, 0};
             for (std::size_t k = most; k < filled; ++k) added[k] *= aims;
             filled = most;
             // The sum before each window that begins or ends in this column: that behind the column, less the rest of it.
             // Beams that aim are spread over the sector, and summed behind it.
             const float share = 1.0f / SECTOR_COLUMNS;
-            const Row scale = {1, 1, 1, 1, 1, share, 0, 0}, offset = {-1, -1, -1, -1, -1, float(c) * share, 0, 0};
+            const Row scale = {1, 1, 1, 1, 1, 1, share, 0}, offset = {-1, -1, -1, -1, -1, -1, float(c) * share, 0};
             for (std::size_t e = windows.first_begin[column]; e < windows.first_begin[column + 1]; ++e) {
                 const CellWindows::End& end = windows.begins[e];
                 job.rows[end.row] = -(sums[end.bin] + (scale * end.part + offset) * added[end.bin]);
@@ -448,22 +456,16 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
 void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const {
     for (std::size_t n = 0; n < count; n += FOUR) {
         const Row* const of = &rows[first + n];
-        Four one, two, three, four;
-        std::memcpy(&one, &of[0], sizeof(Four));
-        std::memcpy(&two, &of[1], sizeof(Four));
-        std::memcpy(&three, &of[2], sizeof(Four));
-        std::memcpy(&four, &of[3], sizeof(Four));
-        transpose(one, two, three, four);
-        const Four higher_aimed_low = __builtin_shufflevector(of[0], of[1], HIGHER, EIGHT + HIGHER, AIMED, EIGHT + AIMED);
-        const Four higher_aimed_high = __builtin_shufflevector(of[2], of[3], HIGHER, EIGHT + HIGHER, AIMED, EIGHT + AIMED);
-        const Four higher = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 0, 1, 4, 5);
-        const Four aimed = __builtin_shufflevector(higher_aimed_low, higher_aimed_high, 2, 3, 6, 7);
-        std::memcpy(&lanes[MEASURED][n], &one, sizeof(Four));
-        std::memcpy(&lanes[INFERRED][n], &two, sizeof(Four));
-        std::memcpy(&lanes[UNRESOLVED][n], &three, sizeof(Four));
-        std::memcpy(&lanes[LOWER][n], &four, sizeof(Four));
-        std::memcpy(&lanes[HIGHER][n], &higher, sizeof(Four));
-        std::memcpy(&lanes[AIMED][n], &aimed, sizeof(Four));
+        Four low[FOUR], high[FOUR];
+        for (std::size_t k = 0; k < FOUR; ++k) {
+            low[k] = __builtin_shufflevector(of[k], of[k], 0, 1, 2, 3);
+            high[k] = __builtin_shufflevector(of[k], of[k], 4, 5, 6, 7);
+        }
+        transpose(low[0], low[1], low[2], low[3]);
+        transpose(high[0], high[1], high[2], high[3]);
+        for (std::size_t lane = 0; lane < LANES; ++lane) {
+            std::memcpy(&lanes[lane][n], lane < FOUR ? &low[lane] : &high[lane - FOUR], sizeof(Four));
+        }
     }
     // Windows that cross from one segment to another: their ends, and the segments between.
     const auto by_cell = [](const CellWindows::Crossing& a, std::size_t cell) { return a.cell < cell; };
@@ -478,9 +480,9 @@ void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK
     }
 }
 
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, KINDS>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations) {
-    const std::size_t beams = kinds[0].azimuth.size + kinds[1].azimuth.size + kinds[2].azimuth.size;
+    const std::size_t beams = beams_of(kinds);
     const std::size_t parts = count_parts(beams + windows.cells(), WORTH);
 
     // 1. The slopes of a target's foot and top, by sector and range.
@@ -500,7 +502,7 @@ CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& k
     // 3. Sums over the columns of each segment.
     CellCounts counts{&windows, Buffer<Row>(windows.rows() + FOUR), Buffer<Row>(SEGMENTS * windows.bins)};
     const Job job{&windows,
-                  {sorted.kind(0), sorted.kind(1), sorted.kind(2)},
+                  {sorted.kind(0), sorted.kind(1), sorted.kind(2), sorted.kind(3)},
                   limits.data(),
                   spans.data(),
                   deviations != nullptr,

@@ -25,15 +25,18 @@ struct TargetGround {
     float half_extent_m, sensor_height_m;
 };
 
-// Sums side by side, a lane each. The target's returns by measured, inferred and unresolved beams; those by the first two
-// where the ground lies lower and higher; and the beams of these two that aim at it, whatever their depth.
-enum Lane { MEASURED, INFERRED, UNRESOLVED, LOWER, HIGHER, AIMED, LANES };
+// Kinds of beams: with a return, and three times those without one, to the likely, the early and the late range of their end.
+constexpr std::size_t KINDS = 4;
+
+// Sums side by side, a lane each. The target's returns by each kind of beams; those by the first two where the ground lies
+// lower and higher; and the beams of these two that aim at it, whatever their depth.
+enum Lane { MEASURED, INFERRED, EARLY, LATE, LOWER, HIGHER, AIMED, LANES };
 
 // Four of them, a vector on every processor.
 constexpr std::size_t FOUR = 4;
 typedef float Four __attribute__((vector_size(FOUR * sizeof(float))));
 
-// The sums of a cell or of a bin, in the order of the lanes, and two that are not used: the widest vector of most processors.
+// The sums of a cell or of a bin, in the order of the lanes, and one that is not used: the widest vector of most processors.
 constexpr std::size_t EIGHT = 8;
 typedef float Row __attribute__((vector_size(EIGHT * sizeof(float))));
 
@@ -86,9 +89,9 @@ struct CellCounts {
     void read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const;
 };
 
-// Count three kinds of beams: measured, inferred, unresolved. With `deviations`, also where the ground lies that many standard
+// Count the kinds of beams. With `deviations`, also where the ground lies that many standard
 // deviations higher; else those lanes are 0.
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, 3>& kinds, const TargetGround& ground,
+CellCounts count_beams(const CellWindows& windows, const std::array<Beams, KINDS>& kinds, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations);
 
 }  // namespace viewshed

@@ -203,6 +203,19 @@ def obstacle_cells(
 
 JITTER_COLUMNS: int
 
+class NoReturnModel:
+    def __init__(
+        self,
+        mean: NDArray[np.float32],
+        scale: NDArray[np.float32],
+        first: NDArray[np.float32],
+        first_bias: NDArray[np.float32],
+        second: NDArray[np.float32],
+        second_bias: NDArray[np.float32],
+        third: NDArray[np.float32],
+        third_bias: NDArray[np.float32],
+    ) -> None: ...
+
 def beams_by_evidence(
     ring: NDArray[np.int16],
     column: NDArray[np.int32],
@@ -222,10 +235,39 @@ def beams_by_evidence(
     half_extent_m: float,
     top_m: float,
     obstacle_m: float,
+    model: NoReturnModel,
 ) -> tuple[
     NDArray[np.float32],
-    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
-    tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.float32],
+]: ...
+def no_return_groups(
+    ring: NDArray[np.int16],
+    column: NDArray[np.int32],
+    counts: NDArray[np.uint8],
+    isolated: NDArray[np.bool_],
+    clutter: NDArray[np.bool_] | None,
+    phase: NDArray[np.float32],
+    elevation: NDArray[np.float64],
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    range_m: NDArray[np.float32],
+    height_m: NDArray[np.float32],
+    rows: NDArray[np.int32],
+    sensor_height_m: float,
+    ground_m: NDArray[np.float32],
+    half_extent_m: float,
+    top_m: float,
+    obstacle_m: float,
+) -> tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.int32],
+    NDArray[np.float32],
+    NDArray[np.float32],
 ]: ...
 def no_return_beams(
     ring: NDArray[np.int16],
@@ -297,7 +339,7 @@ def returns_by_kind(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def beam_evidence(
     windows: CellWindows,
-    kinds: tuple[_Beams, _Beams, _Beams],
+    kinds: tuple[_Beams, _Beams, _Beams, _Beams],
     heights_m: NDArray[np.float32],
     std_m: NDArray[np.float32],
     *,
@@ -305,6 +347,7 @@ def beam_evidence(
     sensor_height_m: float,
     target_height_m: float,
     ground_steps: tuple[tuple[float, float], tuple[float, float]],
+    end_weights: tuple[float, float],
     table: NDArray[np.float32],
     threshold: float,
     reach_m: float,
@@ -328,7 +371,7 @@ def claims(
 ) -> tuple[int, int, int]: ...
 def states(
     measured: NDArray[np.float32],
-    inferred: NDArray[np.float32],
+    late: NDArray[np.float32],
     aimed: NDArray[np.float32],
     visible_prob: NDArray[np.float32],
     within_reach: NDArray[np.bool_],

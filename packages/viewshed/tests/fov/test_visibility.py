@@ -167,36 +167,41 @@ FLAT = np.zeros((8, 8), np.float32)
 def _evidence(kinds: Any, heights_m: Any = FLAT, std_m: Any = FLAT, table: Any = TABLE, half_m: float = 20.0) -> Any:
     return _core.beam_evidence(
         cell_windows(GRID, 1.8), kinds, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
-        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), table=table, threshold=0.5, reach_m=60.0,
+        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), end_weights=(0.2, 0.1), table=table,
+        threshold=0.5, reach_m=60.0,
     )  # fmt: skip
 
 
 def test_beams_that_are_no_numbers_count_nowhere_and_all_in_one_column_count_there() -> None:
     odd = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-42], np.float32)
     mixed = tuple(array.ravel() for array in np.meshgrid(odd, odd, odd))
-    returns, *_ = _evidence((mixed, mixed, mixed))
+    returns, *_ = _evidence((mixed,) * 4)
     assert np.isfinite(returns).all()
-    assert not _evidence((tuple(np.full(9, np.nan, np.float32) for _ in range(3)),) * 3)[0].any()
+    assert not _evidence((tuple(np.full(9, np.nan, np.float32) for _ in range(3)),) * 4)[0].any()
     one = np.full(100_000, 0.3, np.float32), np.full(100_000, -0.15, np.float32), np.full(100_000, 12.0, np.float32)
     inside = tuple(GRID.index(10.5 * np.array([np.cos(0.3), np.sin(0.3)]))[0])
-    assert _evidence((one, one, one))[0][inside] == pytest.approx(100_000, rel=0.01)
+    assert _evidence((one,) * 4)[0][inside] == pytest.approx(100_000, rel=0.01)
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_evidence_is_that_of_each_kind_and_height_counted_alone(seed: int) -> None:
+def test_evidence_is_that_of_each_kind_height_and_end_counted_alone(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    kinds = [_random_beams(rng, count) for count in (3000, 500, 800)]
+    kinds = [_random_beams(rng, count) for count in (3000, 500, 400, 800)]
     heights_m, std_m = rng.uniform(-0.3, 0.3, (8, 8)).astype(np.float32), rng.uniform(0, 0.4, (8, 8)).astype(np.float32)
     ground = HeightMap(heights_m, 20.0, np.ones((8, 8), np.bool_), std_m=std_m)
     found = _evidence(tuple(beams.arrays for beams in kinds), heights_m, std_m)
-    for one, beams in zip(found, kinds, strict=False):
+    for one, beams in zip(found[:3], (kinds[0], kinds[1], kinds[3]), strict=True):
         assert np.abs(one - expected_returns(beams, 1.8, ground, GRID, CAR)[0]).max() < 1e-3
     both = kinds[0] + kinds[1]
     counted = [expected_returns(both, 1.8, ground.shifted(deviations), GRID, CAR) for deviations in (0.0, -1.22, 1.22)]
     assert np.abs(found[3] - counted[0][1]).max() < 1e-3
     enough, lower, higher = (probability_of_visible(returns, 5) for returns, _ in counted)
     prob = 0.4 * enough + 0.3 * lower + 0.3 * higher
+    for weight, ends in zip((0.2, 0.1), kinds[2:], strict=True):
+        returns = expected_returns(kinds[0] + ends, 1.8, ground, GRID, CAR)[0]
+        prob += weight * (probability_of_visible(returns, 5) - enough)
+    prob = np.clip(prob, 0.0, 1.0)
     wanted = np.where(enough >= 0.5, prob, np.minimum(prob, 0.5))
     # A beam may pass just at the edge of a target, and probabilities are told apart by steps of 1/32 of a return.
     assert (np.abs(found[4] - wanted) > 0.01).mean() < 0.01

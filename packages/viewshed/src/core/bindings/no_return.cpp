@@ -6,6 +6,7 @@
 #include <cmath>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "bindings.hpp"
 #include "missing_beams.hpp"
@@ -45,47 +46,110 @@ nb::tuple arrays_of(BeamColumns&& beams) {
                           array(std::move(beams.depth_m), {count}));
 }
 
+Ground ground_of(const In2<float>& heights_m, float half_extent_m) {
+    const std::size_t nodes = heights_m.shape(0);
+    require(heights_m.shape(1) == nodes, "ground_m must be (n, n)");
+    require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
+    require(half_extent_m > 0.0f, "half_extent_m must be positive");
+    return {view(heights_m), half_extent_m};
+}
+
+// The arrays of a sweep as Python hands them in.
+struct SweepArrays {
+    Pixels pixels;
+    RingAims aims;
+    View1<const float> range_m, height_m;
+    Buffer<std::int32_t> rows;
+    float obstacle_m, sensor_height_m;
+    Ground ground;
+
+    void check() const {
+        require_aims(aims, pixels.counts.rows);
+        require(range_m.size == rows.size() && height_m.size == rows.size(),
+                "points, range_m, height_m and rows must be as long");
+    }
+    float steep_m() const { return float(STEEP * double(sensor_height_m)); }
+    DepthImages images() const { return depth_images(pixels, {range_m, height_m, rows}, obstacle_m, steep_m()); }
+};
+
 }  // namespace
 
 void bind_no_return(nb::module_& m) {
     m.attr("JITTER_COLUMNS") = JITTER_COLUMNS;
+    nb::class_<NoReturnModel>(m, "NoReturnModel", "The network that guesses how far beams without a return went.")
+        .def(
+            "__init__",
+            [](NoReturnModel* self, In1<float> mean, In1<float> scale, In2<float> first, In1<float> first_bias,
+               In2<float> second, In1<float> second_bias, In2<float> third, In1<float> third_bias) {
+                const auto values = [](const auto& a) { return std::vector<float>(a.data(), a.data() + a.size()); };
+                const auto layer = [&](const In2<float>& weights, const In1<float>& bias) {
+                    require(weights.shape(1) == bias.shape(0), "layers must fit each other");
+                    return NoReturnModel::Layer{weights.shape(0), values(weights), values(bias)};
+                };
+                new (self) NoReturnModel(values(mean), values(scale),
+                                         {layer(first, first_bias), layer(second, second_bias), layer(third, third_bias)});
+            },
+            "mean"_a.noconvert(), "scale"_a.noconvert(), "first"_a.noconvert(), "first_bias"_a.noconvert(),
+            "second"_a.noconvert(), "second_bias"_a.noconvert(), "third"_a.noconvert(), "third_bias"_a.noconvert());
     m.def(
         "beams_by_evidence",
         [](In1<std::int16_t> ring, In1<std::int32_t> column, In2<std::uint8_t> counts, In1<bool> isolated,
            std::optional<In1<bool>> clutter, In1<float> phase, In1<double> elevation, In1<double> origin_m,
            Rotation rotation, Points points, In1<float> range_m, In1<float> height_m, In1<std::int32_t> rows,
-           double sensor_height_m, In2<float> ground_m, float half_extent_m, double top_m, float obstacle_m) {
-            const std::size_t count = rows.shape(0), nodes = ground_m.shape(0);
-            const Pixels pixels = pixels_of(ring, column, counts, isolated, clutter);
-            const RingAims aims{view(phase), view(elevation), view(origin_m), rotation.data()};
-            require_aims(aims, counts.shape(0));
-            require(points.shape(0) == count && range_m.shape(0) == count && height_m.shape(0) == count,
-                    "points, range_m, height_m and rows must be as long");
-            require(ground_m.shape(1) == nodes, "ground_m must be (n, n)");
-            require(nodes >= 2 && nodes <= 4096, "ground_m must have 2 to 4096 nodes a side");
-            require(half_extent_m > 0.0f, "half_extent_m must be positive");
-            const Buffer<std::int32_t> own_rows = copy_of(view(rows));
-            Buffer<float> slope(count);
-            const std::size_t room = counts.shape(0) * counts.shape(1);
-            BeamColumns inferred(room), unresolved(room);
+           double sensor_height_m, In2<float> ground_m, float half_extent_m, double top_m, float obstacle_m,
+           const NoReturnModel& model) {
+            const SweepArrays sweep{pixels_of(ring, column, counts, isolated, clutter),
+                                    {view(phase), view(elevation), view(origin_m), rotation.data()},
+                                    view(range_m), view(height_m), copy_of(view(rows)), obstacle_m,
+                                    float(sensor_height_m), ground_of(ground_m, half_extent_m)};
+            sweep.check();
+            require(points.shape(0) == rows.shape(0), "points, range_m, height_m and rows must be as long");
+            Buffer<float> slope(rows.shape(0));
+            std::optional<NoReturnBeams> beams;
             {
                 nb::gil_scoped_release unlocked;
-                const float height = float(sensor_height_m), steep_m = float(STEEP * sensor_height_m);
-                const DepthImages images =
-                    depth_images(pixels, {view(range_m), view(height_m), own_rows}, obstacle_m, steep_m);
-                beam_slopes(view(points), view(range_m), height, view(isolated), own_rows, slope);
-                split_no_return_beams(images, aims, {view(ground_m), half_extent_m}, height, top_m, steep_m, inferred,
-                                      unresolved);
+                beam_slopes(view(points), view(range_m), sweep.sensor_height_m, view(isolated), sweep.rows, slope);
+                beams = guess_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
+                                              sweep.steep_m(), model);
             }
-            return nb::make_tuple(array(std::move(slope)), arrays_of(std::move(inferred)),
-                                  arrays_of(std::move(unresolved)));
+            const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams->count}); };
+            return nb::make_tuple(array(std::move(slope)), shaped(beams->azimuth), shaped(beams->slope),
+                                  shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "rotation"_a.noconvert(), "points"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(),
         "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a,
-        "obstacle_m"_a,
-        "Slope (M,) of measured beams; azimuth, slope and depth of inferred beams; and of unresolved ones.");
+        "obstacle_m"_a, "model"_a,
+        "Slope (M,) of measured beams; azimuth, slope, early, likely and late depth (B,) of beams without a return.");
+    m.def(
+        "no_return_groups",
+        [](In1<std::int16_t> ring, In1<std::int32_t> column, In2<std::uint8_t> counts, In1<bool> isolated,
+           std::optional<In1<bool>> clutter, In1<float> phase, In1<double> elevation, In1<double> origin_m,
+           Rotation rotation, In1<float> range_m, In1<float> height_m, In1<std::int32_t> rows, double sensor_height_m,
+           In2<float> ground_m, float half_extent_m, double top_m, float obstacle_m) {
+            const SweepArrays sweep{pixels_of(ring, column, counts, isolated, clutter),
+                                    {view(phase), view(elevation), view(origin_m), rotation.data()},
+                                    view(range_m), view(height_m), copy_of(view(rows)), obstacle_m,
+                                    float(sensor_height_m), ground_of(ground_m, half_extent_m)};
+            sweep.check();
+            std::optional<NoReturnGroups> groups;
+            {
+                nb::gil_scoped_release unlocked;
+                groups = describe_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
+                                                  sweep.steep_m());
+            }
+            const std::size_t size = groups->azimuth.size();
+            return nb::make_tuple(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
+                                  array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
+                                  array(std::move(groups->stop), {size, std::size_t(STOPS)}));
+        },
+        "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
+        "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "rotation"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(), "rows"_a.noconvert(),
+        "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a, "obstacle_m"_a,
+        "Azimuth, slope, beams that may meet a target (G,), features (G, F) and logarithms of the ranges of stops (G, S) of "
+        "groups of beams without a return.");
     m.def(
         "no_return_beams",
         [](In1<std::int16_t> ring, In1<std::int32_t> column, In2<std::uint8_t> counts, std::optional<In1<bool>> clutter,

@@ -29,16 +29,15 @@ class ShadowMap(ClassicalEstimator):
     Counts the beams that would have met a target in the cell and whose depth reaches it. The probability is that of
     at least ``min_returns`` returns when their number is Poisson with that mean.
 
-    ``no_return`` says what a beam without a return means: ``inferred`` (it went as far as its surroundings say, and
-    does not count where they do not, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (it does not count),
+    ``no_return`` says what a beam without a return means: ``inferred`` (a small network guesses from its surroundings
+    how far it went, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (it does not count),
     ``max_range`` (nothing stands there; right in an open simulator, wrong before glass and absorbers), ``fill`` (it
     went as far as the nearer of its neighbors in the ring).
 
     Limits: trusts each measured depth, with ``inferred`` each that another beam confirms
     (:mod:`viewshed.preprocess.range_image`), so that removed or many far-spoofed returns open false corridors;
     needs the local ground within about 0.3 m. More obstacles never add visibility where no beam is inferred;
-    with ``inferred`` the share of ground that returns is learned from the whole sweep, and obstacles elsewhere
-    change it.
+    with ``inferred`` the guess rests on the whole sweep, and obstacles elsewhere change it.
     """
 
     grid: BevGrid

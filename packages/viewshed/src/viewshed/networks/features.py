@@ -107,8 +107,8 @@ FEATURES: dict[str, Callable[[FeatureContext], Coded]] = {
     "ground_std": lambda context: ("deviation", (context.leveled.ground.std_m,)),
 }
 """The features by name. ``measured`` counts the expected returns of beams that returned and that are not isolated;
-``expected`` those of measured and inferred beams, as the shadow map does; ``unresolved`` those of the beams whose depth
-is not known, as if nothing stopped them. ``blocker`` and ``farthest`` are how far the nearest obstacle and the farthest
+``expected`` those of measured and inferred beams, as the shadow map does; ``unresolved`` what beams without
+a return add where they end late. ``blocker`` and ``farthest`` are how far the nearest obstacle and the farthest
 return of the azimuth lie beyond the cell. ``confirmations`` is the share of the earlier sweeps that would have seen a
 target in the cell. ``shadow_map`` is the probability by measured and inferred beams that end at the obstacles of
 earlier sweeps; ``ground_std`` the standard deviation of the ground's height."""

@@ -22,6 +22,9 @@ GROUND_STEPS = ((-1.22, 0.3), (1.22, 0.3))
 """Heights of the ground, in standard deviations, and their weights; the height itself has what is left. Together they
 have nearly the variance of a normal distribution."""
 
+END_WEIGHTS = (0.3, 0.3)
+"""Weights of the early and the late ends of beams without a return; the likely ones have what is left."""
+
 SURE_AIM = 0.9
 """Probability from which enough beams aim at a target to call its cell hidden: a beam more or less must not decide."""
 
@@ -41,11 +44,11 @@ class BeamEvidence:
         grid: where the cells are.
         target: what would have to be seen.
         measured: float32 expected returns by beams whose depth is measured.
-        inferred: float32 expected returns by beams without a return whose depth is inferred.
-        unresolved: float32 expected returns by the other beams without a return, as if nothing had stopped them.
+        inferred: float32 expected returns by beams without a return, to where each likely went.
+        late: float32 expected returns by the same beams, to where one in five went.
         aimed: float32 beams of the first two kinds that aim at the target, whatever their depth.
         visible_prob: float32 probability that both kinds give ``target.min_returns`` returns, averaged over the heights
-            that the ground may have; below the threshold where no claim is supported.
+            that the ground may have and the ends that beams may have; below the threshold where no claim is supported.
         within_reach: bool, not farther from the sensor than it sees a dark target.
         reach_m: how far that is.
     """
@@ -54,7 +57,7 @@ class BeamEvidence:
     target: Target
     measured: F32
     inferred: F32
-    unresolved: F32
+    late: F32
     aimed: F32
     visible_prob: F32
     within_reach: Mask
@@ -64,6 +67,12 @@ class BeamEvidence:
     def reaching(self) -> F32:
         """(cells, cells) float32 expected returns by both kinds of beams."""
         return self.measured + self.inferred
+
+    @property
+    def unresolved(self) -> F32:
+        """(cells, cells) float32 returns more if the beams without a return ended late."""
+        more: F32 = np.maximum(self.late - self.inferred, np.float32(0.0))
+        return more
 
     def supports_claim(self) -> Mask:
         """Return where a cell may be called visible (cells, cells).
@@ -76,7 +85,8 @@ class BeamEvidence:
     def supports_denial(self) -> Mask:
         """Return where a cell may be called hidden (cells, cells).
 
-        Within reach, where surely enough beams aim at a target and too few reach it on the ground as it was estimated.
+        Within reach, where surely enough beams aim at a target and too few reach it on the ground as it was estimated,
+        even if those without a return ended late.
         """
         every = np.ones(self.grid.shape, np.bool_)
         return np.asarray(self.states(~every, every, ~every) == CellState.HIDDEN)
@@ -99,7 +109,7 @@ class BeamEvidence:
         """
         return _core.states(
             self.measured,
-            self.inferred,
+            self.late,
             self.aimed,
             self.visible_prob,
             self.within_reach,
@@ -137,19 +147,20 @@ def beam_evidence(
 
 def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: Obstacles | None) -> BeamEvidence:
     beams = beams_by_evidence(leveled, target.height_m)
-    kinds = [beams.measured, beams.inferred, beams.unresolved]
+    kinds = [beams.measured, beams.inferred, beams.early, beams.late]
     if history is not None:
         kinds = [history.within(kind) for kind in kinds]
     ground, reach_m = leveled.ground, reach_of_sweep(leveled)
     arrays = _core.beam_evidence(
         cell_windows(grid, target.width_m),
-        (kinds[0].arrays, kinds[1].arrays, kinds[2].arrays),
+        (kinds[0].arrays, kinds[1].arrays, kinds[2].arrays, kinds[3].arrays),
         ground.heights_m,
         ground.std_m,
         half_extent_m=ground.half_extent_m,
         sensor_height_m=leveled.sensor_height_m,
         target_height_m=target.height_m,
         ground_steps=GROUND_STEPS,
+        end_weights=END_WEIGHTS,
         table=poisson_table(target.min_returns),
         threshold=THRESHOLD,
         reach_m=reach_m,
@@ -163,9 +174,8 @@ def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *,
     """Return how many beams of a leveled sweep would meet each of K boxes (K,) int32.
 
     A beam counts if its straight line meets the box and it ended no nearer than there (by 0.1 m, the noise of ranges).
-    Beams with a return end there, those without one where their surroundings say
-    (:func:`viewshed.preprocess.no_return.beams_by_evidence`); where these say nothing, a beam does not count. The
-    beams of a sweep are sorted when they are first needed.
+    Beams with a return end there, those without one where they likely did
+    (:func:`viewshed.preprocess.no_return.beams_by_evidence`). The beams of a sweep are sorted when first needed.
 
     Args:
         leveled: the sweep.

@@ -7,11 +7,16 @@ one within four columns of its ring holds two: then the azimuth only jittered.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
+from viewshed.arrays import F32
 from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, range_limits
 from viewshed.preprocess.range_image import RangeImage, range_image_by_rings
@@ -21,6 +26,12 @@ from viewshed.sweep import PlanarScan
 JITTER_COLUMNS = _core.JITTER_COLUMNS
 """A point may lie this many columns from the firing that it belongs to."""
 
+MODEL = Path(__file__).with_name("no_return.npz")
+"""The network that guesses how far beams without a return went."""
+
+MODEL_ARRAYS = ("mean", "scale", "first", "first_bias", "second", "second_bias", "third", "third_bias")
+"""Its arrays."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamsByEvidence:
@@ -28,13 +39,15 @@ class BeamsByEvidence:
 
     Attributes:
         measured: beams of returns; those of isolated ones point straight up and meet nothing.
-        inferred: without a return, as deep as :func:`beams_by_evidence` infers.
-        unresolved: all others that aim no higher than a target's top; +inf deep, since where they ended is not known.
+        inferred: without a return, as deep as they went with a probability of .5; +inf where nothing stopped them.
+        early: the same, as deep as they went with a probability of .8.
+        late: the same, as deep as they went with a probability of .2.
     """
 
     measured: Beams
     inferred: Beams
-    unresolved: Beams
+    early: Beams
+    late: Beams
 
 
 def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
@@ -56,37 +69,92 @@ def no_return_beams(leveled: LeveledSweep, *, fill: bool) -> Beams:
 
 
 def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
-    """Split the beams of a sweep, in ``level``, into measured, inferred and unresolved depth.
+    """Split the beams of a sweep, in ``level``, into those with a return and those without; guess how far these went.
 
-    An isolated return is no evidence of a depth: its beam counts as one without a return, and what is learned is
-    learned without it. A beam without a return is inferred from its surroundings:
+    An isolated return is no evidence of a depth: its beam counts as one without a return.
 
-    1. A gap narrower than 1.5 m between two returns of similar range, in a ring, or in a column between two returns
-       from obstacles: as far as the nearer of the two.
-    2. A beam that aims above the ground, or at ground from which few beams return (by range, learned from the sweep):
-       as far as that ground, but no farther than an obstacle beside it in its ring or next above it, nor than a beam
-       of the same gap stopped by rule 1 within 1.5 m, nor than twice as far as the sweep has returns (in fog the last
-       returns are of grazed ground; a target faces the beams and is seen from twice as far).
-    3. All others are unresolved: those at ground that should have returned, and beams above one of them (something
-       that swallows light, glass, an attack). Rings and columns without any return (dead, dropped) have no beams.
+    A beam without a return ended at the return beside it in its ring, at the next one below or above it, at the ground,
+    at the middle range around it, at the farthest return of its azimuth, at something unseen, or nothing stopped it. A
+    small network (:mod:`viewshed_lab.training.no_return` fits it to exact ends of simulated beams) says how likely
+    each is, from what returned around the beam at several scales, and from the share of the ground that returns. Fail
+    safe: a beam at ground that returns elsewhere, and those above it, hardly went on, whatever the network says.
 
-    Beams that pass above targets of height ``top_m`` wherever they stand are left out. Of a cloud without a ring column
-    and without a model it is not known which beams it lacks: it has measured ones alone. A scan in one plane says
-    itself which beams met nothing, and how far they went.
+    Beams that pass above targets of height ``top_m`` wherever they stand are left out. Rings and columns without any
+    return (dead, dropped) have no beams. Of a cloud without a ring column and without a model it is not known which
+    beams it lacks: it has measured ones alone. A scan in one plane says itself which beams met nothing, and how far
+    they went.
     """
     none = Beams(*np.zeros((3, 0), np.float32))
     if leveled.sweep.planar is not None:
-        return BeamsByEvidence(leveled.beams(), _open_beams(leveled, leveled.sweep.planar), none)
-    image = None if leveled.sensor_id.ring is None else _image_of_beams(leveled)
-    if image is None or not image.pixels_are_beams:
-        return BeamsByEvidence(leveled.beams(), none, none)
+        open_beams = _open_beams(leveled, leveled.sweep.planar)
+        return BeamsByEvidence(leveled.beams(), open_beams, open_beams, open_beams)
+    image = _pixels(leveled)
+    if image is None:
+        return BeamsByEvidence(leveled.beams(), none, none, none)
     ground = leveled.ground
-    slope, inferred, unresolved = _core.beams_by_evidence(
+    slope, azimuth, slopes, early_m, depth_m, late_m = _core.beams_by_evidence(
         image.ring, image.column, image.counts, image.isolated, _clutter(leveled), image.phase, image.elevation,
         image.origin_m, leveled.level_from_sensor.rotation, leveled.points, leveled.range_m, leveled.height_m,
         leveled.rows, leveled.sensor_height_m, ground.heights_m, ground.half_extent_m, top_m, OBSTACLE_HEIGHTS_M[0],
+        no_return_model(),
     )  # fmt: skip
-    return BeamsByEvidence(Beams(leveled.azimuth, slope, leveled.range_m), Beams(*inferred), Beams(*unresolved))
+    measured = Beams(leveled.azimuth, slope, leveled.range_m)
+    return BeamsByEvidence(measured, *(Beams(azimuth, slopes, end_m) for end_m in (depth_m, early_m, late_m)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoReturnGroups:
+    """What the network is fed with: G groups of neighboring beams without a return.
+
+    Attributes:
+        azimuth: (G,) float32 of the middle beam in ``level``.
+        slope: (G,) float32 of it.
+        beams: (G,) int32 beams of the group that may meet a target.
+        feature: (G, F) float32.
+        stop: (G, S) float32 logarithms (base 2) of the ranges in meters at which they may have ended; 8 for none.
+    """
+
+    azimuth: F32
+    slope: F32
+    beams: NDArray[np.int32]
+    feature: F32
+    stop: F32
+
+
+def no_return_groups(leveled: LeveledSweep, top_m: float) -> NoReturnGroups | None:
+    """Return what the network is fed with of a sweep; None where it is not known which beams the sweep lacks."""
+    image, ground = _pixels(leveled), leveled.ground
+    if image is None:
+        return None
+    return NoReturnGroups(
+        *_core.no_return_groups(
+            image.ring, image.column, image.counts, image.isolated, _clutter(leveled), image.phase, image.elevation,
+            image.origin_m, leveled.level_from_sensor.rotation, leveled.range_m, leveled.height_m, leveled.rows,
+            leveled.sensor_height_m, ground.heights_m, ground.half_extent_m, top_m, OBSTACLE_HEIGHTS_M[0],
+        )
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def no_return_model() -> _core.NoReturnModel:
+    """Return the network of the package."""
+    return load_no_return_model(MODEL)
+
+
+def load_no_return_model(path: Path) -> _core.NoReturnModel:
+    """Return a network that :mod:`viewshed_lab.training.no_return` wrote.
+
+    Raises:
+        ValueError: the file is none, or its numbers do not fit.
+    """
+    try:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+            arrays = [stored[name].astype(np.float32) for name in MODEL_ARRAYS]
+    except (KeyError, OSError, ValueError, BadZipFile) as error:
+        raise ValueError(f"{path} must hold a network for beams without a return, got {error}") from error
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise ValueError(f"{path} must hold finite numbers; install viewshed anew")
+    return _core.NoReturnModel(*arrays)
 
 
 def _open_beams(leveled: LeveledSweep, planar: PlanarScan) -> Beams:
@@ -106,6 +174,12 @@ def _image_of_beams(leveled: LeveledSweep) -> RangeImage:
     sweep, sensor_id = leveled.sweep, leveled.sensor_id
     rings = recover_rings(sweep, sensor_id.model, sensor_id.ring)
     return range_image_by_rings(sweep.points, rings, range_limits(sweep))
+
+
+def _pixels(leveled: LeveledSweep) -> RangeImage | None:
+    """Return the range image of a sweep, None where its pixels are no beams."""
+    image = None if leveled.sensor_id.ring is None else _image_of_beams(leveled)
+    return image if image is not None and image.pixels_are_beams else None
 
 
 def _clutter(leveled: LeveledSweep) -> NDArray[np.bool_] | None:

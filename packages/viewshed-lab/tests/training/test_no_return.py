@@ -1,0 +1,48 @@
+"""The mixture of the network of beams without a return, and the labels of its samples."""
+
+import numpy as np
+import torch
+
+from viewshed.preprocess.leveling import level
+from viewshed_lab.data.wild import wild_scenes
+from viewshed_lab.training.no_return import LOG_NONE, Mixture, NoReturnNet, samples_of, within_windows
+
+
+def test_the_mixture_is_a_distribution() -> None:
+    torch.manual_seed(3)
+    net = NoReturnNet(torch.zeros(5), torch.ones(5), stops=3)
+    feature, stop = torch.randn(4, 5), torch.tensor([[2.0, 3.0, LOG_NONE]] * 4)
+    mixture = Mixture.of(net, feature, stop)
+    ranges = torch.linspace(-30, 40, 20_001)
+    density = torch.exp(torch.stack([mixture.log_likelihood(end.expand(4)) for end in ranges[ranges < LOG_NONE]], 1))
+    survival = mixture.survival(ranges)
+    assert (survival.diff(dim=1) <= 1e-6).all()
+    assert torch.allclose(survival[:, 0], torch.ones(4), atol=1e-4)
+    assert torch.allclose(survival[:, -1], torch.exp(mixture.log_free), atol=1e-4)
+    # The density up to a range is what did not survive it.
+    ended = (density * (ranges[1] - ranges[0])).sum(1)
+    at_end = survival[:, int((ranges < LOG_NONE).sum())]
+    assert torch.allclose(ended, 1 - at_end, atol=0.02)
+    # A stop that is not there has no share.
+    assert (torch.exp(mixture.log_share[:, 2]) < 1e-9).all()
+
+
+def test_windows_cross_the_seam() -> None:
+    windows = np.array([[np.pi, 0.0, 0.2, 0.1]])
+    azimuth, elevation = np.array([-3.1, 3.1, 0.0, -3.1]), np.array([0.05, -0.05, 0.0, 0.2])
+    assert within_windows(azimuth, elevation, windows).tolist() == [True, True, False, False]
+
+
+def test_most_labels_are_where_something_proposed_stands() -> None:
+    scene = wild_scenes("training", "road")[1]
+    seen = scene.observe(0)
+    made = samples_of(seen, level(seen.told("rings"), seen.truth.grid), np.zeros((0, 4)), None)
+    assert made is not None
+    stopped = made.end < LOG_NONE
+    nearest = np.abs(made.stop - made.end[:, None]).min(axis=1)
+    assert stopped.sum() > 1000
+    # A tenth of an octave is 7 % of the range.
+    assert np.mean(nearest[stopped] < 0.1) > 0.7
+    blind = samples_of(seen, level(seen.told("rings"), seen.truth.grid), np.array([[0.0, 0.0, 4.0, 2.0]]), 0.6)
+    assert blind is not None
+    assert (blind.end <= np.log2(0.6) + 1e-6).all()

@@ -1,0 +1,218 @@
+"""Fit and judge the network that guesses how far beams without a return went.
+
+    python tools/fit_no_return.py make learning road --scenes 0:1500 --out samples
+    python tools/fit_no_return.py make training road --scenes 0:1000 --out samples
+    python tools/fit_no_return.py make training indoor --scenes 0:500 --out samples
+    python tools/fit_no_return.py fit samples --out packages/viewshed/src/viewshed/preprocess/no_return.npz
+    python tools/fit_no_return.py judge development --out rows.npz
+
+``make`` writes one file for 25 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
+validation. ``judge`` counts claims of the shadow map. The sealed set is not opened.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from viewshed.arrays import Mask
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sweep import Sweep
+from viewshed_lab.data.wild import WildScene, wild_scenes
+from viewshed_lab.training.no_return import Mixture, NoReturnNet, Samples, samples_of, save_model, within_windows
+
+SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
+HELD_SHARE = 0.12
+VARIANTS = ((False, False, False), (True, False, False), (True, True, False), (False, False, True), (False, True, True))
+"""Of each sweep: whether things swallow light, whether the sensor loses returns, whether something close covers it."""
+
+CLEAN_SHARE = 0.7
+"""Of the groups shown: those of sweeps as the simulator gives them, and not of ones that lose returns."""
+
+
+def make_file(folder: Path, scenes: list[WildScene]) -> None:
+    """Write the samples of scenes into one file of a folder; one that is there is kept."""
+    path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
+    if path.exists():
+        return
+    rows: list[Samples] = []
+    clean = []
+    for scene in scenes:
+        if scene.drawn_mounting().family.frame == "base":
+            continue
+        number = scene.number % scene.domain.sweeps
+        seen, rng = scene.observe(number), scene.rng(100, number)
+        given = seen.told(("rings", "rings", "nothing")[scene.number % 3])
+        whole = level(given, seen.truth.grid)
+        for absorbs, loses, covered in VARIANTS:
+            keep, windows, sweep = np.ones(len(given), np.bool_), np.zeros((0, 4)), given
+            cover_m: float | None = None
+            if absorbs:
+                keep &= without_absorbed(whole, rng)
+            if loses:
+                kept, windows = kept_returns(given, rng)
+                keep &= kept
+            if covered:
+                sweep, kept, windows, cover_m = with_cover(given, rng)
+                keep &= kept
+            if keep.sum() < 100:
+                continue
+            is_whole = not (absorbs or loses or covered)
+            leveled = whole if is_whole else level(sweep.select(keep), seen.truth.grid)
+            made = samples_of(seen, leveled, windows, cover_m)
+            if made is not None:
+                some = rng.permutation(len(made.end))[:GROUPS_OF_SWEEP]
+                rows.append(Samples(*(column[some] for column in made)))
+                clean.append(np.full(len(some), is_whole))
+    if not rows:
+        return
+    part = path.with_suffix(".part.npz")
+    columns = dict(zip(Samples._fields, (np.concatenate(column) for column in zip(*rows, strict=True)), strict=True))
+    np.savez(part, clean=np.concatenate(clean), **columns)
+    part.replace(path)
+    print(path.name, len(columns["end"]), flush=True)
+
+
+def without_absorbed(leveled: LeveledSweep, rng: np.random.Generator) -> Mask:
+    """Return which returns (N,) are left where some things swallow light: black walls, glass, what somebody removed."""
+    keep = np.ones(len(leveled.sweep), np.bool_)
+    high = np.flatnonzero(leveled.height_m > 0.2)
+    for _ in range(int(rng.integers(1, 7)) if len(high) else 0):
+        center = leveled.points[rng.choice(high), :2]
+        near = np.hypot(*(leveled.points[high, :2] - center).T) < rng.uniform(0.5, 12.0)
+        gone = near & (rng.random(len(high)) < rng.choice([0.8, 0.95, 1.0]))
+        keep[leveled.rows[high[gone]]] = False
+    return keep
+
+
+def kept_returns(sweep: Sweep, rng: np.random.Generator) -> tuple[Mask, NDArray[np.float64]]:
+    """Return which returns (N,) a poor sensor in a poor place gives, and the windows (W, 4) in which it is blind.
+
+    It loses some at random, all of some windows of angle (a cap on the lens, somebody who removes returns), the near
+    ones of some rings (channels that are blind there), and more with range. A window is azimuth, elevation, and half of
+    its size in both.
+    """
+    x, y, z = sweep.points.T.astype(np.float64)
+    range_m, azimuth = np.sqrt(x * x + y * y + z * z) + 1e-6, np.arctan2(y, x)
+    keep = rng.random(len(sweep)) > rng.choice([0.0, 0.1, 0.3, 0.6, 0.85], p=[0.5, 0.2, 0.1, 0.1, 0.1])
+    count = int(rng.integers(0, 8))
+    windows = np.stack(
+        [rng.uniform(-np.pi, np.pi, count), rng.normal(0.0, 0.25, count), rng.uniform(0.02, 0.5, count),
+         rng.uniform(0.02, 0.4, count)], axis=1,
+    )  # fmt: skip
+    keep &= ~within_windows(azimuth, np.arcsin(z / range_m), windows)
+    if rng.random() < 0.4:
+        blind = rng.random(256) < rng.uniform(0.2, 1.0)
+        near = range_m < np.quantile(range_m, rng.uniform(0.1, 0.8))
+        keep &= ~near | (~blind[sweep.ring] if sweep.ring is not None else rng.random() < 0.3)
+    if rng.random() < 0.3:
+        keep &= rng.random(len(sweep)) < np.exp(-range_m / (np.quantile(range_m, 0.9) * rng.uniform(0.3, 3.0)))
+    return keep, windows
+
+
+def with_cover(sweep: Sweep, rng: np.random.Generator) -> tuple[Sweep, Mask, NDArray[np.float64], float]:
+    """Return a sweep of a sensor that something close covers in part, which of its returns are seen, and the cover.
+
+    The cover is a window (1, 4) of angle at one range. Rings that are blind so near get no return from it.
+    """
+    azimuth, elevation = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), np.zeros(len(sweep))
+    windows = np.array([[rng.uniform(-np.pi, np.pi), 0.0, rng.uniform(0.3, 3.2), 2.0]])
+    cover_m = float(rng.uniform(0.3, 1.5))
+    behind = within_windows(azimuth.astype(np.float64), elevation, windows)
+    scale = np.where(behind, cover_m / np.maximum(np.linalg.norm(sweep.points, axis=1), 1e-3), 1.0)
+    blind = rng.random(256) < rng.uniform(0.2, 1.0)
+    seen = ~blind[sweep.ring] if sweep.ring is not None else rng.random(len(sweep)) < 0.5
+    points = sweep.points * np.minimum(scale, 1.0)[:, None].astype(np.float32)
+    return sweep.replace(points=points), ~behind | seen, windows, cover_m
+
+
+def make(given: argparse.Namespace) -> None:
+    """Write the samples of a set."""
+    first, last = map(int, given.scenes.split(":"))
+    scenes = wild_scenes(given.set, given.domain)[first:last]
+    given.out.mkdir(parents=True, exist_ok=True)
+    for at in range(0, len(scenes), SCENES_OF_FILE):
+        make_file(given.out, scenes[at : at + SCENES_OF_FILE])
+
+
+def fit(given: argparse.Namespace) -> None:
+    """Fit a network to all samples of a folder, and write it."""
+    files = [np.load(path) for path in sorted(given.folder.glob("*-[0-9]*.npz")) if ".part" not in path.name]
+    columns = {name: np.concatenate([file[name] for file in files]) for name in Samples._fields}
+    held = np.concatenate([np.arange(len(file["end"])) >= (1 - HELD_SHARE) * len(file["end"]) for file in files])
+    tensors = {name: torch.tensor(column.astype(np.float32)) for name, column in columns.items()}
+    clean = np.concatenate([file["clean"] for file in files])
+    weight = torch.tensor(np.where(clean, CLEAN_SHARE / clean.mean(), (1 - CLEAN_SHARE) / (~clean).mean())[~held])
+    own, other = torch.tensor(np.flatnonzero(~held)), torch.tensor(np.flatnonzero(held))
+    torch.manual_seed(0)
+    torch.set_num_threads(1)
+    mean, std = tensors["feature"][own].mean(0), tensors["feature"][own].std(0)
+    report_rows = torch.tensor(np.flatnonzero(held & clean))
+    net = NoReturnNet(mean, 1.0 / std.clamp_min(1e-3), tensors["stop"].shape[1])
+    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=1e-4)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, given.steps)
+    for step in range(1, given.steps + 1):
+        rows = own[torch.multinomial(weight, BATCH, replacement=True)]
+        loss = -_likelihood(net, tensors, rows).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        if step % 500 == 0 or step == given.steps:
+            with torch.no_grad():
+                print(
+                    f"step {step}: {float(loss):.3f}, held {-float(_likelihood(net, tensors, other).mean()):.3f}",
+                    flush=True,
+                )
+    save_model(net, given.out)
+    report(net, tensors, report_rows)
+
+
+def report(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.Tensor) -> None:
+    """Print how well the survival to some ranges is calibrated."""
+    ranges = torch.tensor([2.0, 3.0, 4.0, 5.0, 6.0])
+    with torch.no_grad():
+        survival = Mixture.of(net, tensors["feature"][rows], tensors["stop"][rows]).survival(ranges).numpy()
+    end = tensors["end"][rows].numpy()
+    for k, log_m in enumerate(ranges.tolist()):
+        there, said = end > log_m, survival[:, k]
+        bins = np.minimum((said * 10).astype(int), 9)
+        text = " ".join(
+            f"{said[bins == b].mean():.2f}/{there[bins == b].mean():.2f}" for b in range(10) if (bins == b).sum() > 50
+        )
+        print(f"{2**log_m:.0f} m: {there.mean():.3f} went on; said/true {text}")
+
+
+def _likelihood(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.Tensor) -> torch.Tensor:
+    mixture = Mixture.of(net, tensors["feature"][rows], tensors["stop"][rows])
+    return mixture.log_likelihood(tensors["end"][rows])
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Do what the command line says."""
+    parser = argparse.ArgumentParser(
+        prog="fit_no_return.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    steps = parser.add_subparsers(required=True)
+    step = steps.add_parser("make")
+    step.set_defaults(work=make)
+    step.add_argument("set")
+    step.add_argument("domain", nargs="?", default="road")
+    step.add_argument("--scenes", default="0:60", help="from : to")
+    step.add_argument("--out", type=Path, required=True)
+    step = steps.add_parser("fit")
+    step.set_defaults(work=fit)
+    step.add_argument("folder", type=Path)
+    step.add_argument("--steps", type=int, default=6000)
+    step.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args(words)
+    given.work(given)
+
+
+if __name__ == "__main__":
+    main()
