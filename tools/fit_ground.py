@@ -89,9 +89,9 @@ def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
     path = folder / f"{scenes[0].name.rsplit('-', 1)[0]}-{len(scenes)}.npz"
     if not path.exists():
         rows = [row for scene in scenes for row in samples(scene, sweeps)]
-        columns = (np.stack(column).astype(np.float16) for column in zip(*rows, strict=True))
+        inputs, ground, half = (np.stack(column).astype(np.float16) for column in zip(*rows, strict=True))
         part = path.with_suffix(".part.npz")
-        np.savez(part, **dict(zip(COLUMNS, columns, strict=True)))
+        np.savez(part, inputs=inputs, ground_m=ground, half_m=half)
         part.replace(path)
     return path.name
 
@@ -169,7 +169,7 @@ def fit(given: argparse.Namespace) -> None:
         optimizer.load_state_dict(saved["optimizer"])
         first, spent_s = saved["step"], saved["spent_s"]
     rng = np.random.default_rng(first)
-    net = net.to(memory_format=torch.channels_last)
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     loss_sum, start_s = 0.0, time.monotonic() - spent_s
     for step in count(first + 1):
         # The rate rises for a twentieth of the time and falls along a cosine.

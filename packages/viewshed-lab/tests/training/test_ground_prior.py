@@ -70,21 +70,20 @@ def test_inputs_of_a_node_are_its_returns_and_the_lowest_beam_that_passes_over_i
 
 
 def test_the_base_goes_on_with_the_slope_of_what_is_seen_and_levels_off() -> None:
-    """Seen on rings of 4 to 30 m: a slope of 5 % along x, with a mound of one meter to the left."""
+    """Seen on rings of 4 to 30 m to one side: a slope along x and y, with a mound of one meter to the left."""
     middles = np.arange(128) - 63.5
     x_m, y_m = np.meshgrid(middles, middles, indexing="ij")
-    range_m = np.hypot(x_m, y_m)
-    seen = (np.sin(range_m) > 0.4) & (range_m > 4) & (range_m < 30)
-    heights_m = (0.05 * x_m + np.exp(-(x_m**2 + (y_m - 20.0) ** 2) / 50.0)).astype(np.float32)
+    range_m, plane_m = np.hypot(x_m, y_m), 0.05 * x_m - 0.03 * y_m
+    seen = (np.sin(range_m) > 0.4) & (range_m > 4) & (range_m < 30) & (x_m + 0.5 * y_m > -8.0)
+    heights_m = (plane_m + np.exp(-(x_m**2 + (y_m - 20.0) ** 2) / 50.0)).astype(np.float32)
     none = np.zeros(0, np.float32)
     folded = _core.guess_inputs(np.zeros((0, 3), np.float32), none, none, heights_m, seen, 64.0, 1.8)
     base_m = BASE_UNIT_M * unfolded(folded)[BASE]
     np.testing.assert_allclose(base_m[seen], heights_m[seen], atol=1e-5)
-    assert np.abs(base_m - heights_m)[range_m < 28].max() < 0.15
-    ahead = (np.abs(y_m) < 6) & (range_m > 32) & (range_m < 58)
-    assert np.abs(base_m - 0.05 * x_m)[ahead].max() < 0.2
-    # The slope fades beyond 60 m: at the corners 90 m away a fifth of the way is left out at least.
-    assert base_m[127, 0] < 0.05 * 63.5 * 0.93
+    beyond = (range_m > 5) & (range_m < 58) & (y_m < -5.0)
+    assert np.abs(base_m - plane_m)[beyond].max() < 0.15
+    # The slope fades beyond 60 m: at the corner 90 m away a part of the way is left out.
+    assert base_m[127, 0] < 0.93 * plane_m[127, 0]
 
 
 def test_what_runs_without_torch_gives_the_quantiles_of_the_modes(leveled: LeveledSweep) -> None:

@@ -8,6 +8,7 @@ of the answer is native (``core/ground_guess.cpp``); the estimators count beams 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from viewshed import _core
 from viewshed.arrays import F32, Mask
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
+from viewshed.networks.onnx_export import with_norm
 from viewshed.networks.runtime import Call
 from viewshed.preprocess.ground import lattice_nodes
 from viewshed.preprocess.leveling import LeveledSweep
@@ -185,28 +187,30 @@ def exported(net: GroundNet) -> bytes:
         nodes.append(helper.make_node(kind, inputs, [name], name, **settings))
         return name
 
-    def conv(x: str, layers: nn.Sequential, first: int) -> str:
-        convolution, norm = layers[first], layers[first + 1]
-        scale = (norm.weight / torch.sqrt(norm.running_var + norm.eps)).detach().numpy()
-        weight = convolution.weight.detach().numpy() * scale[:, None, None, None]
-        bias = norm.bias.detach().numpy() - norm.running_mean.numpy() * scale
-        pads = [weight.shape[-1] // 2] * 4
-        return node("Relu", [node("Conv", [x, constant(weight), constant(bias)], pads=pads)])
+    def conv(x: str, weight: Tensor, bias: Tensor | None, name: str = "") -> str:
+        assert bias is not None
+        values = [constant(each.detach().numpy()) for each in (weight, bias)]
+        return node("Conv", [x, *values], name, pads=[weight.shape[-1] // 2] * 4)
 
-    def block(x: str, layers: nn.Sequential) -> str:
-        return conv(conv(x, layers, 0), layers, 3)
+    def convs(x: str, layers: nn.Module) -> str:
+        modules = list(layers.children())
+        for convolution, norm in itertools.pairwise(modules):
+            if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                x = node("Relu", [conv(x, *with_norm(convolution, norm))])
+        return x
 
-    x, beside = conv("inputs", net.fold, 1), []
+    x, beside = convs("inputs", net.fold), []
     for level, layers in enumerate(net.down):
-        x = block(node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2]) if level else x, layers)
+        x = convs(node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2]) if level else x, layers)
         beside.append(x)
     twice = constant(np.array([1, 1, 2, 2]))
     as_torch = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
     for layers, skipped in zip(net.up, beside[-2::-1], strict=True):
-        x = block(node("Concat", [node("Resize", [x, "", twice], **as_torch), skipped], axis=1), layers)
+        x = convs(node("Concat", [node("Resize", [x, "", twice], **as_torch), skipped], axis=1), layers)
     last = net.unfold[0]
-    node("Conv", [x, constant(last.weight.detach().numpy()), constant(last.bias.detach().numpy())], "outputs")
-    maps = {"inputs": CHANNELS * net.shape["fold"] ** 2, "outputs": len(last.bias)}
+    assert isinstance(last, nn.Conv2d)
+    conv(x, last.weight, last.bias, "outputs")
+    maps = {"inputs": CHANNELS * FOLD**2, "outputs": last.out_channels}
     given, answer = (
         helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, count, "rows", "columns"])
         for name, count in maps.items()
@@ -216,15 +220,15 @@ def exported(net: GroundNet) -> bytes:
         graph, producer_name="viewshed", ir_version=9, opset_imports=[helper.make_opsetid("", 17)]
     )
     onnx.checker.check_model(model)
-    return model.SerializeToString()
+    content: bytes = model.SerializeToString()
+    return content
 
 
 def _shown(leveled: LeveledSweep) -> tuple[F32, Mask]:
     """Return heights (n, n) of the estimated ground, and where returns show it."""
     ground = leveled.ground  # of fewer nodes where it is not seen at all
     times = lattice_nodes(ground.half_extent_m) // len(ground.seen)
-    heights_m, seen = (each.repeat(times, 0).repeat(times, 1) for each in (ground.heights_m, ground.seen))
-    return heights_m, seen
+    return ground.heights_m.repeat(times, 0).repeat(times, 1), ground.seen.repeat(times, 0).repeat(times, 1)
 
 
 def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:

@@ -88,7 +88,7 @@ class _Graph:
         return [self.node("Unsqueeze", [name, axes]) for name in names]
 
     def stage(self, stage: Stage, x: str, fold: int = 1) -> str:
-        weight, bias = _folded(stage.conv1, stage.norm1)
+        weight, bias = with_norm(stage.conv1, stage.norm1)
         weight = _by_block(weight, fold)
         return self.second(stage, self.node("Relu", [self.conv(x, weight, bias)]))
 
@@ -97,14 +97,14 @@ class _Graph:
 
     def split_stage(self, stage: Stage, x: str, skip: str) -> str:
         """As ``joined``, with the convolution of the skip, which no mask touches, apart from that of ``x``."""
-        weight, bias = _folded(stage.conv1, stage.norm1)
+        weight, bias = with_norm(stage.conv1, stage.norm1)
         half = weight.shape[1] // 2
         shared = self.conv(skip, weight[:, half:], bias)
         own = self.conv(x, weight[:, :half], None)
         return self.second(stage, self.node("Relu", [self.node("Add", [own, shared])]))
 
     def second(self, stage: Stage, x: str) -> str:
-        return self.node("Relu", [self.conv(x, *_folded(stage.conv2, stage.norm2))])
+        return self.node("Relu", [self.conv(x, *with_norm(stage.conv2, stage.norm2))])
 
     def conv(self, x: str, weight: Tensor, bias: Tensor | None) -> str:
         return self.node("Conv", [x, *self.weights(weight, bias)], kernel_shape=[3, 3], pads=[1, 1, 1, 1])
@@ -128,8 +128,8 @@ def _stage(module: nn.Module) -> Stage:
     return module
 
 
-def _folded(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
-    """Weight and bias of a convolution with the batch normalization after it folded in."""
+def with_norm(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
+    """Return weight and bias of a convolution with the batch normalization after it folded in."""
     assert norm.running_mean is not None
     assert norm.running_var is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
