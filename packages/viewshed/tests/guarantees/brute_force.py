@@ -1,5 +1,5 @@
 """An independent checker of the envelope: loops over beams and cells in float64, no code of the package."""
-# mypy: disable-error-code="no-untyped-def,no-untyped-call,type-arg"
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,type-arg,var-annotated"
 
 import math
 

@@ -23,7 +23,7 @@ GRID = BevGrid(40, 50.0)
 GROUND = HeightMap.flat(50.0, std_m=0.06)
 
 
-def scene(rng: np.random.Generator) -> tuple[FovEstimate, SceneCounts, np.ndarray]:  # type: ignore[type-arg]
+def scene(rng: np.random.Generator) -> tuple[FovEstimate, SceneCounts, np.ndarray]:
     """Return an estimate whose probability is off by an error that the scene's cells share."""
     prob = rng.random(GRID.shape).astype(np.float32)
     visible = rng.random(GRID.shape) < np.clip(prob + rng.normal(0.15, 0.15), 0.0, 1.0)
@@ -54,7 +54,7 @@ def test_the_loosest_mask_before_the_first_that_fails() -> None:
         np.full(5, np.inf, np.float32),
         np.tile(THRESHOLDS[4:9, None], (1, 4)),
         shares,
-        np.zeros((4, 6, 2)),
+        np.zeros((4, 6, 2), np.int64),
     )
     assert calibration.step(0.05, 0.1) == 2
     assert calibration.step(0.25, 0.1) == 4
@@ -134,7 +134,9 @@ def test_too_few_scenes_and_unknown_sensors() -> None:
 def test_unsure_ground_carries_no_claim() -> None:
     shares = np.zeros((1, 100), np.float32)
     path = np.full((1, 4), 0.5, np.float32)
-    calibration = Calibration("toy", "car", "by_chance", np.array([0.1], np.float32), path, shares, np.zeros((4, 6, 2)))
+    calibration = Calibration(
+        "toy", "car", "by_chance", np.array([0.1], np.float32), path, shares, np.zeros((4, 6, 2), np.int64)
+    )
     estimate = scene(np.random.default_rng(0))[0]
     std = np.full((64, 64), 0.05, np.float32)
     std[32:] = 0.2  # forward

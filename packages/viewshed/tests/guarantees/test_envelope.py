@@ -21,10 +21,12 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def checked_margins(sweep: Sweep, grade: float = 0.0) -> NDArray[Any]:
     rotation = rotation_from_quaternion(sweep.attitude)
-    nearest = brute_force.depths(sweep.points, toy.TOY.elevation, 90, rotation)
-    return brute_force.margins(
+    checker: Any = brute_force  # without types
+    nearest = checker.depths(sweep.points, toy.TOY.elevation, 90, rotation)
+    margins: NDArray[Any] = checker.margins(
         nearest, toy.TOY.elevation, 90, rotation, toy.HEIGHT_M, toy.GRID.cells, toy.GRID.half_extent_m, grade
     )
+    return margins
 
 
 @pytest.mark.parametrize(("tilt_deg", "grade"), [(0.0, 0.0), (0.0, 0.03), (4.0, 0.0)])

@@ -202,7 +202,8 @@ class Given:
             return np.zeros(grid.shape, np.float32)
         normal, range_m = self.rotation[:, 2], np.maximum(polar_of_cells(grid)[0], np.float32(PLANE_M))
         x, y = np.moveaxis(grid.centers, -1, 0)
-        return (-(normal[0] * x + normal[1] * y) / normal[2] * (PLANE_M / range_m)).astype(np.float32)
+        height: F32 = (-(normal[0] * x + normal[1] * y) / normal[2] * (PLANE_M / range_m)).astype(np.float32)
+        return height
 
     def sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
         """Return the beams that are sent through a target in each cell."""

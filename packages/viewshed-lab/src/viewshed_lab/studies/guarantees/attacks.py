@@ -166,7 +166,8 @@ def beams_within(
             for part in (score.reshape(rings, columns)[:, first : first + stretch // 3].max(axis=0),)
         ]
         column = np.concatenate(picked)
-        return score.reshape(rings, columns)[:, column].argmax(axis=0) * columns + column
+        ring: NDArray[np.intp] = score.reshape(rings, columns)[:, column].argmax(axis=0)
+        return ring * columns + column
     return np.argpartition(score, -amount)[-amount:]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from viewshed.arrays import F32, Mask
 from viewshed.estimators import DEFAULT_ESTIMATOR, Estimator, load_estimator
-from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.geometry import rotation_from_quaternion
@@ -191,10 +191,11 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
 
 def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
     """Return what 150 returns on beams open in m², found by asking the victim: the default, and its final claim."""
-    sweep, visible, found = scene.leveled.sweep, scene.visible["car"], {}
+    sweep, visible = scene.leveled.sweep, scene.visible["car"]
+    found: dict[str, Any] = {}
     estimator = default_estimator(TARGETS["car"])
     threat = Threat("replaced", 150)
-    victims = {
+    victims: dict[str, FovEstimator] = {
         "default": estimator,
         "final": Certified(estimator, threat),
         "certified": Certified(estimator, threat, True),
