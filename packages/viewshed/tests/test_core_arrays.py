@@ -449,7 +449,7 @@ SAME: dict[str, Callable[[], Any]] = {
     "view": lambda: encode_fov(street_view(with_std=True)),
     "objects": lambda: Detector().detect(seen(*car(14.0, 2.0), *car(-8.0, 7.0, 0.6), person(9.0, 1.0))).boxes,
     **{f"evidence of {counts}": lambda counts=counts: evidence(*counts)  # type: ignore[misc]
-       for counts in ((0, 0, 0), (1, 0, 0), (0, 0, 1), (40_000, 9000, 20_000))},
+       for counts in ((0, 0, 0, 0), (1, 0, 0, 0), (0, 0, 0, 1), (40_000, 9000, 9000, 9000))},
     **{f"{name} of {cloud}": lambda call=call, points=points: call(points)  # type: ignore[misc]
        for name, call in SENSOR_CALLS.items() for cloud, points in CLOUDS.items()},
 }  # fmt: skip

@@ -80,7 +80,8 @@ def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
     threshold = returns_code(np.array([CAR.min_returns], np.float32))[0]
     clear = np.abs(found["expected"].astype(int) - threshold) > 2
     assert clear.mean() > 0.9
-    assert not claimed[clear & (found["expected"] < threshold)].any()
+    # Five returns or more are as likely as not from a mean of 4.67 on.
+    assert not claimed[found["expected"] < returns_code(np.array([4.6], np.float32))[0]].any()
     sure = clear & (replace(leveled.ground, heights_m=leveled.ground.std_m).at(GRID.centers) < 0.1)
     sure &= beam_evidence(leveled, GRID, CAR).within_reach
     assert sure.mean() > 0.05

@@ -2,7 +2,8 @@
 
 The samples are beams of simulated sweeps that did not return, with the exact range at which each was stopped. The
 network mixes explanations: each stop that the core proposes
-(:func:`viewshed.preprocess.no_return.no_return_groups`), something unseen at a range of its own, and nothing. It is fitted by the likelihood of the exact ranges.
+(:func:`viewshed.preprocess.no_return.no_return_groups`), something unseen at its own range, and nothing. It is fitted
+by the likelihood of the exact ranges.
 """
 
 from __future__ import annotations
