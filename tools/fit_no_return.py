@@ -1,13 +1,13 @@
-"""Fit and judge the network that guesses how far beams without a return went.
+"""Fit the network that guesses how far beams without a return went.
 
     python tools/fit_no_return.py make learning road --scenes 0:1500 --out samples
     python tools/fit_no_return.py make training road --scenes 0:1000 --out samples
     python tools/fit_no_return.py make training indoor --scenes 0:500 --out samples
     python tools/fit_no_return.py fit samples --out packages/viewshed/src/viewshed/preprocess/no_return.npz
-    python tools/fit_no_return.py judge development --out rows.npz
+    python tools/fit_no_return.py ship
 
-``make`` writes one file for 25 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
-validation. ``judge`` counts claims of the shadow map. The sealed set is not opened.
+``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
+validation. ``ship`` writes the network of the package as C++ too, for programs without Python. The sealed set is not opened.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import Mask
 from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.no_return import MODEL, MODEL_ARRAYS
 from viewshed.sweep import Sweep
 from viewshed_lab.data.wild import WildScene, wild_scenes
-from viewshed_lab.training.no_return import Mixture, NoReturnNet, Samples, samples_of, save_model, within_windows
+from viewshed_lab.training.no_return import Mixture, NoReturnNet, Samples, samples_of, save_model, source_of, within_windows
 
 SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
 HELD_SHARE = 0.12
@@ -193,6 +194,13 @@ def _likelihood(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.
     return mixture.log_likelihood(tensors["end"][rows])
 
 
+def ship(given: argparse.Namespace) -> None:
+    """Write the package's network as C++ for the core."""
+    with np.load(MODEL) as stored:
+        arrays = {name: stored[name] for name in MODEL_ARRAYS}
+    (MODEL.parents[2] / "core" / "no_return_network.inc").write_text(source_of(arrays), encoding="ascii")
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(
@@ -210,6 +218,7 @@ def main(words: Sequence[str] | None = None) -> None:
     step.add_argument("folder", type=Path)
     step.add_argument("--steps", type=int, default=6000)
     step.add_argument("--out", type=Path, required=True)
+    steps.add_parser("ship").set_defaults(work=ship)
     given = parser.parse_args(words)
     given.work(given)
 

@@ -20,7 +20,7 @@ namespace {
 constexpr double NULL_RANGE_M = 0.5, MAX_RANGE_M = 250.0;
 constexpr float LOW_M = 0.3f, HIGH_M = 3.0f;
 constexpr std::array<float, 2> GROUND_STEPS{-1.22f, 1.22f};
-constexpr float STEP_WEIGHT = 0.3f;
+constexpr float STEP_WEIGHT = 0.3f, END_WEIGHT = 0.3f;
 constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
 constexpr double LEAST_REACH_M = 20.0, BULK_SHARE = 0.9, REACH_TIMES = 2.5, USUAL_REACH_M = 85.0;
 
@@ -82,7 +82,7 @@ struct BeamImage {
 // The slopes of measured beams, and the beams without a return.
 struct SplitBeams {
     Buffer<float> slope;
-    std::optional<BeamColumns> inferred, unresolved;
+    std::optional<NoReturnBeams> missing;
 };
 
 View1<const bool> clutter_of(const SweepLevel& at) {
@@ -92,14 +92,13 @@ View1<const bool> clutter_of(const SweepLevel& at) {
 SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double top_m) {
     const LevelPoints& level = at.level;
     const RangeImage& image = *beams.image;
-    const std::size_t room = image.rings * image.columns;
     const float height_m = float(at.height_m), steep_m = float(STEEP * at.height_m);
-    SplitBeams split{Buffer<float>(level.count), BeamColumns(room), BeamColumns(room)};
+    SplitBeams split{Buffer<float>(level.count), std::nullopt};
     const Pixels pixels{beams.ring, image.column, {image.counts.data(), image.rings, image.columns}, image.isolated, clutter_of(at)};
     const DepthImages depths = depth_images(pixels, {level.range_m, level.height_m, level.rows}, LOW_M, steep_m);
     beam_slopes({level.points.data(), level.count, 3}, level.range_m, height_m, image.isolated, level.rows, split.slope);
     const RingAims aims{image.phase, beams.elevation, beams.origin_m, at.rotation.data()};
-    split_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m, *split.inferred, *split.unresolved);
+    split.missing = guess_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m, shipped_no_return_model());
     return split;
 }
 
@@ -125,16 +124,17 @@ SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, co
         }
     }
     // 3. It is not known which beams a sweep lacks: it has measured ones alone.
-    SplitBeams split{Buffer<float>(at.level.count), std::nullopt, std::nullopt};
+    SplitBeams split{Buffer<float>(at.level.count), std::nullopt};
     beam_slopes({at.level.points.data(), at.level.count, 3}, at.level.range_m, float(at.height_m), {nullptr, 0}, at.level.rows,
                 split.slope);
     return split;
 }
 
-Beams beams_of(const std::optional<BeamColumns>& columns) {
-    if (!columns) return {{nullptr, 0}, {nullptr, 0}, {nullptr, 0}};
-    const std::size_t count = columns->count;
-    return {{columns->azimuth.data(), count}, {columns->slope.data(), count}, {columns->depth_m.data(), count}};
+// The beams without a return, each as deep as one of its likely depths.
+Beams beams_of(const std::optional<NoReturnBeams>& beams, Buffer<float> NoReturnBeams::*depth_m) {
+    if (!beams) return {{nullptr, 0}, {nullptr, 0}, {nullptr, 0}};
+    const std::size_t count = beams->count;
+    return {{beams->azimuth.data(), count}, {beams->slope.data(), count}, {((*beams).*depth_m).data(), count}};
 }
 
 // How far the sensor sees a dark target; viewshed.preprocess.reach.sensing_reach.
@@ -208,18 +208,19 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     const double reach_m = sensing_reach(at, model, sweep.points.rows);
     // 4. The evidence of each cell.
     const std::size_t cells = grid_.size();
-    Buffer<float> measured(cells), inferred(cells), unresolved(cells), aimed(cells), visible_prob(cells);
+    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
     Buffer<bool> within_reach(cells);
-    const std::array<Beams, 3> beams{Beams{at.level.azimuth, split.slope, at.level.range_m}, beams_of(split.inferred),
-                                     beams_of(split.unresolved)};
+    const std::array<Beams, KINDS> beams{
+        Beams{at.level.azimuth, split.slope, at.level.range_m}, beams_of(split.missing, &NoReturnBeams::depth_m),
+        beams_of(split.missing, &NoReturnBeams::early_m), beams_of(split.missing, &NoReturnBeams::late_m)};
     const std::size_t nodes = at.ground.nodes;
     const Ground ground = at.ground.view();
     const View2<const float> std_m{at.ground.std_m.data(), nodes, nodes};
-    const Rule rule{1.0f - STEP_WEIGHT - STEP_WEIGHT, STEP_WEIGHT, STEP_WEIGHT, THRESHOLD, std::nextafter(THRESHOLD, 0.0f),
-                    float(reach_m)};
+    const Rule rule{1.0f - STEP_WEIGHT - STEP_WEIGHT, STEP_WEIGHT, STEP_WEIGHT, END_WEIGHT, END_WEIGHT, THRESHOLD,
+                    std::nextafter(THRESHOLD, 0.0f), float(reach_m)};
     measure_evidence(windows_, beams, {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
                      float(target_.height_m), GROUND_STEPS, probabilities_, rule,
-                     {measured.data(), inferred.data(), unresolved.data(), aimed.data(), visible_prob.data(), within_reach.data()});
+                     {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(), within_reach.data()});
     // 5. The states: what the evidence claims, and what it denies.
     Buffer<bool> obstacle(cells + 1);
     const SquareCells square{float(grid_.x0_m()), float(grid_.y0_m()), float(1.0 / grid_.cell_m()), LOW_M, HIGH_M,
@@ -229,7 +230,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     for (std::size_t n = 0; n < cells; ++n) visible[n] = visible_prob[n] >= THRESHOLD;
     for (std::size_t n = 0; n < cells; ++n) denied[n] = !visible[n];
     const auto bytes = [](const Buffer<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); };
-    write_states({measured.data(), inferred.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
+    write_states({measured.data(), late.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
                  THRESHOLD, SURE_AIM, {visible.data(), denied.data(), bytes(obstacle)}, state);
     // 6. What the estimate rests on.
     const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), UNSURE_M,

@@ -5,6 +5,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -571,6 +572,21 @@ void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)
         }
         depth_m[n] = survived_depths(outputs, stop[n]);
     }
+}
+
+const NoReturnModel& shipped_no_return_model() {
+    static const NoReturnModel model = [] {
+        // MEAN, SCALE, and WEIGHTS and BIAS of three layers, as `tools/fit_no_return.py ship` writes them.
+#include "no_return_network.inc"
+        return NoReturnModel({std::begin(MEAN), std::end(MEAN)}, {std::begin(SCALE), std::end(SCALE)},
+                             {NoReturnModel::Layer{std::size(MEAN), {std::begin(FIRST), std::end(FIRST)},
+                                                   {std::begin(FIRST_BIAS), std::end(FIRST_BIAS)}},
+                              NoReturnModel::Layer{std::size(FIRST_BIAS), {std::begin(SECOND), std::end(SECOND)},
+                                                   {std::begin(SECOND_BIAS), std::end(SECOND_BIAS)}},
+                              NoReturnModel::Layer{std::size(SECOND_BIAS), {std::begin(THIRD), std::end(THIRD)},
+                                                   {std::begin(THIRD_BIAS), std::end(THIRD_BIAS)}}});
+    }();
+    return model;
 }
 
 NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,

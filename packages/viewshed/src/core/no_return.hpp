@@ -83,6 +83,9 @@ private:
     std::array<Layer, 3> layers;
 };
 
+// The network of the package: its numbers are compiled in.
+const NoReturnModel& shipped_no_return_model();
+
 NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
                                        float sensor_height_m, double top_m, float steep_m);
 

@@ -8,6 +8,7 @@ by the likelihood of the exact ranges.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -177,3 +178,14 @@ def save_model(net: NoReturnNet, path: Path) -> None:
     """Write a network for the core."""
     arrays: dict[str, Any] = net.arrays()
     np.savez_compressed(path, **arrays)
+
+
+def source_of(arrays: Mapping[str, F32]) -> str:
+    """Return the numbers of a network as C++, which is compiled into the core for programs without Python."""
+    rows = []
+    for name, array in arrays.items():
+        numbers = [f"{value:.9g}" for value in array.ravel().tolist()]
+        numbers = [word if set(word) & set(".en") else f"{word}.0" for word in numbers]
+        lines = [", ".join(f"{word}f" for word in numbers[k : k + 12]) for k in range(0, len(numbers), 12)]
+        rows.append(f"static const float {name.upper()}[] = {{\n" + ",\n".join(lines) + "};\n")
+    return "".join(rows)
