@@ -1,4 +1,4 @@
-"""Fit and judge the network that guesses how far beams without a return went.
+"""Fit the network that guesses how far beams without a return went.
 
     python tools/fit_no_return.py make learning road --scenes 0:1500 --out samples
     python tools/fit_no_return.py make training road --scenes 0:1000 --out samples
