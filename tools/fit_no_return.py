@@ -7,7 +7,8 @@
     python tools/fit_no_return.py ship
 
 ``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
-validation. ``ship`` writes the network of the package as C++ too, for programs without Python. The sealed set is not opened.
+validation. ``ship`` writes the network of the package as C++ too, for programs without Python. The sealed
+set is not opened.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -68,12 +70,13 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
             made = samples_of(seen, leveled, windows, cover_m)
             if made is not None:
                 some = rng.permutation(len(made.end))[:GROUPS_OF_SWEEP]
-                rows.append(Samples(*(column[some] for column in made)))
+                rows.append(Samples(made.feature[some], made.stop[some], made.end[some], made.beams[some]))
                 clean.append(np.full(len(some), is_whole))
     if not rows:
         return
     part = path.with_suffix(".part.npz")
-    columns = dict(zip(Samples._fields, (np.concatenate(column) for column in zip(*rows, strict=True)), strict=True))
+    together = (np.concatenate(column) for column in zip(*rows, strict=True))
+    columns: dict[str, Any] = dict(zip(Samples._fields, together, strict=True))
     np.savez(part, clean=np.concatenate(clean), **columns)
     part.replace(path)
     print(path.name, len(columns["end"]), flush=True)

@@ -11,6 +11,7 @@ from viewshed.fov.visibility import Beams
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.no_return import MODEL as NETWORK
 from viewshed.preprocess.no_return import (
+    MODEL_ARRAYS,
     beams_by_evidence,
     load_no_return_model,
     no_return_beams,
@@ -165,6 +166,14 @@ def test_the_core_answers_as_the_formulas_do() -> None:
             before = 1 - weights[group, centers[group] < end - 1e-3].sum() / total[group]
             beyond = 1 - weights[group, centers[group] <= end + 1e-3].sum() / total[group]
             assert beyond <= share + 1e-3 <= before + 2e-3 or np.isinf(end)
+
+
+def test_the_core_has_the_numbers_of_the_network() -> None:
+    from viewshed_lab.training.no_return import source_of
+
+    core = Path(__file__).parents[2] / "src" / "core" / "no_return_network.inc"
+    with np.load(NETWORK) as stored:
+        assert core.read_text("ascii") == source_of({name: stored[name] for name in MODEL_ARRAYS})
 
 
 def test_a_network_that_is_none_is_one_line(tmp_path: Path) -> None:

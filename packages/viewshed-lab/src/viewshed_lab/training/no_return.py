@@ -109,6 +109,9 @@ class NoReturnNet(nn.Module):
         units: of the hidden layers.
     """
 
+    mean: Tensor
+    scale: Tensor
+
     def __init__(self, mean: Tensor, scale: Tensor, stops: int, units: int = 48) -> None:
         super().__init__()
         self.register_buffer("mean", mean)
