@@ -27,7 +27,15 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.preprocess.no_return import MODEL, MODEL_ARRAYS
 from viewshed.sweep import Sweep
 from viewshed_lab.data.wild import WildScene, wild_scenes
-from viewshed_lab.training.no_return import Mixture, NoReturnNet, Samples, samples_of, save_model, source_of, within_windows
+from viewshed_lab.training.no_return import (
+    Mixture,
+    NoReturnNet,
+    Samples,
+    samples_of,
+    save_model,
+    source_of,
+    within_windows,
+)
 
 SCENES_OF_FILE, GROUPS_OF_SWEEP, BATCH, RATE = 10, 400, 2048, 3e-3
 HELD_SHARE = 0.12
