@@ -223,7 +223,8 @@ class HonestModel:
         """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one."""
         found, false = np.clip(self.found[reports.bins], *_KNOWN), np.clip(self.false[reports.bins], *_KNOWN)
         odds = np.where(reports.seen, np.log(found / false), np.log((1.0 - found) / (1.0 - false)))
-        return np.where(reports.able | reports.seen, odds, 0.0)
+        # Silence speaks where the agent claims to see, and its view holds no surface.
+        return np.where(reports.sees | reports.seen, odds, 0.0)
 
     def to_json(self) -> str:
         """Return the model as text."""
