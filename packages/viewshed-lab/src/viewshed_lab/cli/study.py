@@ -152,7 +152,7 @@ def monitor(
         list[Path] | None, typer.Option(help="Public traces of spoofed drives, .tar.xz, see study spoofing.")
     ] = None,
 ) -> None:
-    """Alarms of streams: calibrate on some styles of worlds, report on others.
+    """Alarms of streams, calibrated on some worlds, told of others.
 
     Writes the calibration (monitor.npz) and the page. A stopped run goes on with the next stream.
 
@@ -183,7 +183,7 @@ def spoofing(
     monitor_file: MonitorFile = None,
     out: Annotated[Path, typer.Option(help="Page to write.")] = Path("spoofing.md"),
 ) -> None:
-    """Which sweeps of public traces of spoofed drives the monitor calls.
+    """What the monitor calls in public traces of spoofed drives.
 
     Real sweeps of one car; which are spoofed is inferred from the data.
 
@@ -237,7 +237,7 @@ def cases(
     scenes: Annotated[int, typer.Option(min=1, help="Scenes of each case; four take some minutes.")] = 4,
     page: Annotated[Path, typer.Option(help="Markdown page to write.")] = Path("cases.md"),
 ) -> None:
-    """The four cases of the publication: a robot, a mast beside a car, perception, trust of many agents.
+    """The four published cases: robot, mast, perception, trust.
 
     Example: viewshed study cases --scenes 2
     """

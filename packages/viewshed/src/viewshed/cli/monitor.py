@@ -97,7 +97,9 @@ def calibrate(
     grid: options.GridName = "road",
     sensor: options.SensorName = AUTO,
 ) -> None:
-    """Calibrate the monitor on an own vehicle's drives, a minute or more, that nobody attacked.
+    """Calibrate the monitor on a minute or more of your own drives.
+
+    Nobody may have attacked them.
 
     How rare a change of the evidence is stays as it was calibrated before; how often an hour it alarms is then that of
     these drives. N false alarms an hour need 60 / N minutes of driving. Sweeps count as ten a second unless they have
