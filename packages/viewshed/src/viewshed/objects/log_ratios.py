@@ -99,9 +99,9 @@ class Weights:
             for place, one in enumerate(rows.T):
                 slope += np.bincount(one, error, size)
                 # Newton's matrix of one-hot rows: how often two columns occur together.
-                for other in rows.T[place:]:
+                for apart, other in enumerate(rows.T[place:]):
                     pair = np.bincount(one * size + other, worth, size * size).reshape(size, size)
-                    curve += (pair if other is one else pair + pair.T).ravel()
+                    curve += (pair + pair.T if apart else pair).ravel()
             weights = weights + np.linalg.solve(curve.reshape(size, size) + np.diag(ridge), slope)
         return cls(weights[:count], float(weights[count]))
 
@@ -109,4 +109,5 @@ class Weights:
 def evenly(label: NDArray[Any]) -> F64:
     """Return weights (N,) with which both classes weigh the same, so that log-odds are log-likelihood ratios."""
     label = np.asarray(label, np.float64)
-    return np.where(label == 1, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1)) * len(label)
+    each = np.where(label == 1, 0.5 / max(float(label.sum()), 1.0), 0.5 / max(float((1 - label).sum()), 1.0))
+    return np.asarray(each * len(label), np.float64)
