@@ -90,7 +90,7 @@ def test_the_command_line_knows_them_as_well(installed: Path) -> None:
     words = ["estimate", "a.lines", "--method", "near_by", "--sensor", "two_rings", "--results", "npz"]
     done = run(installed, f"from viewshed.cli import main; main({words})")
     assert done.returncode == 0, done.stderr
-    assert "(near_by, car" in done.stdout
+    assert "(near_by, " in done.stdout
 
 
 def test_an_unknown_name_lists_what_was_added(installed: Path) -> None:

@@ -152,7 +152,7 @@ def monitor(
         list[Path] | None, typer.Option(help="Public traces of spoofed drives, .tar.xz, see study spoofing.")
     ] = None,
 ) -> None:
-    """Alarms of streams, calibrated on some worlds, told of others.
+    """Alarms of streams: calibrate on some worlds, report on others.
 
     Writes the calibration (monitor.npz) and the page. A stopped run goes on with the next stream.
 

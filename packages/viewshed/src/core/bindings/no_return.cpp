@@ -108,8 +108,9 @@ void bind_no_return(nb::module_& m) {
             std::optional<NoReturnBeams> beams;
             {
                 nb::gil_scoped_release unlocked;
+                const DepthImages images = sweep.images();  // checks the rows, which beam_slopes trusts
                 beam_slopes(view(points), view(range_m), sweep.sensor_height_m, view(isolated), sweep.rows, slope);
-                beams = guess_no_return_beams(sweep.images(), sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
+                beams = guess_no_return_beams(images, sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
                                               sweep.steep_m(), model);
             }
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams->count}); };
