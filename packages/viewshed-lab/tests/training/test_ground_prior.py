@@ -89,7 +89,9 @@ def test_the_base_goes_on_with_the_slope_of_what_is_seen_and_levels_off() -> Non
 def test_what_runs_without_torch_gives_the_quantiles_of_the_modes(leveled: LeveledSweep) -> None:
     torch.manual_seed(1)
     net = GroundNet(FOLD, (8, 12, 16, 16)).eval()
-    torch.nn.init.normal_(net.unfold[0].weight, std=0.5)
+    final = net.unfold[0]
+    assert isinstance(final, torch.nn.Conv2d)
+    torch.nn.init.normal_(final.weight, std=0.5)
     for norm in (module for module in net.modules() if isinstance(module, torch.nn.BatchNorm2d)):
         torch.nn.init.uniform_(norm.running_mean, -0.3, 0.3)
         torch.nn.init.uniform_(norm.running_var, 0.5, 2.0)

@@ -9,7 +9,6 @@ from viewshed.agents.honest import (
     HonestExamples,
     HonestModel,
     ObjectReports,
-    Weights,
     fit_honest,
     honest_model,
     own_box_columns,
@@ -22,6 +21,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects.cells import BoxCells
+from viewshed.objects.log_ratios import Weights
 from viewshed_lab.threats.view_attacks import with_objects
 
 GRID = BevGrid(128, 32.0)

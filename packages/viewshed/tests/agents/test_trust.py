@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from viewshed.agents.trust import Reports, Trust, TrustLimits, TrustRules, Verdicts, hypotheses
+from viewshed.arrays import F64
 
 STD_M = 0.3
 
@@ -137,7 +138,7 @@ def test_a_forged_view_vouches_little_for_its_own_reports() -> None:
     assert verdicts.suspects.tolist() == [True, False, False, False]
 
 
-def compared(pairs: dict[tuple[int, int], float], own: dict[int, float], agents: int = 4) -> tuple[np.ndarray, ...]:
+def compared(pairs: dict[tuple[int, int], float], own: dict[int, float], agents: int = 4) -> tuple[F64, F64]:
     """Return surprises in nats of pairs and of single views; where none is given nothing is compared or odd."""
     of_pairs, of_own = np.full((agents, agents, 2), np.nan), np.zeros((agents, 3))
     for (one, other), nats in pairs.items():

@@ -51,6 +51,9 @@ class Moved:
     def hides_near(self, boxes: F64, within_m: F64) -> F64:
         return self.view.hides_near(self._home(boxes), within_m)
 
+    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> F64 | None:
+        return self.view.false_odds(self._home(boxes), kinds)
+
 
 def _half_plane(angle: float) -> ScriptedView:
     """Return a view that sees less and less along a direction."""

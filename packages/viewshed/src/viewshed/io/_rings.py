@@ -167,7 +167,7 @@ def instant_ns(value: NDArray[np.generic]) -> int | None:
     if value.size == 0 or not np.isfinite(value.min()):
         return None
     earliest = value.min().item()
-    # A float64 of seconds since 1970 is right to a quarter of a microsecond; its product with 1e9 is not to a nanosecond.
+    # Microseconds, for a float64 of seconds since 1970 is right to a quarter of one.
     earliest_ns = earliest if value.dtype.kind in "iu" else round(earliest * 1e6) * 1000
     return earliest_ns if 946_684_800 <= earliest_ns / 1e9 < 4_102_444_800 else None
 

@@ -259,7 +259,7 @@ def _look(boxes: F64, kinds: NDArray[np.uint8], views: Sequence[SensorView], mod
     return _Look(ratio, surface, free, hidden, unknown)
 
 
-def cell_evidence(boxes: F64, kinds: NDArray[np.uint8], view: SensorView) -> tuple[BoxCells, NDArray[np.int64]]:
+def cell_evidence(boxes: F64, kinds: NDArray[np.uint8], view: SensorView) -> tuple[BoxCells, NDArray[np.int32]]:
     """Return what the cells of boxes (K, 7) are, and their bins (K, F) in the weights of a model.
 
     Raises:
