@@ -134,9 +134,14 @@ def test_poses_that_are_off_are_off_by_what_is_stated(scene: Scene) -> None:
     """Errors differ between agents, last for the scene, and only the one case states them."""
     cases = SceneCases(scene, (1, "test", 0), HonestModel.blank(), compared=False)
     seen, add = list[list[AgentReport]](), CommandCenter.add
+
+    def remembered(self: CommandCenter, t_s: float, said: list[AgentReport]) -> object:
+        seen.append(said)
+        return add(self, t_s, said)
+
     for case in (STATED, UNSTATED):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(CommandCenter, "add", lambda self, t_s, said: seen.append(said) or add(self, t_s, said))
+            patch.setattr(CommandCenter, "add", remembered)
             cases.run(case)
     stated, unstated = seen[: len(scene.times_s)], seen[len(scene.times_s) :]
     assert {report.pose_std for reports in stated for report in reports} == {POSE_STD}

@@ -26,7 +26,7 @@ class ScriptedView:
     def detectable(self, boxes: F64, kinds: NDArray[np.uint8]) -> F64:
         return np.full(len(boxes), self.found)
 
-    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> None:
+    def false_odds(self, boxes: F64, kinds: NDArray[np.uint8]) -> F64 | None:
         return None
 
     def hides_near(self, boxes: F64, within_m: F64) -> F64:

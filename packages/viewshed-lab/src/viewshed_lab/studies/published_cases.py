@@ -195,14 +195,14 @@ def trust_of_agents(scenes: int) -> Rows:
             distance_m[name].append(np.mean(apart[after:], axis=0))
     rows = []
     for name in ATTACKS:
-        areas = [_area(lowest[name], which) for which in (0, 1)]
+        areas = [_area(lowest[name], 0), _area(lowest[name], 1)]
         means = np.mean(distance_m[name], axis=0)
         rows.append([name, *(f"{area:.2f}" for area in areas), *(f"{value:.2f}" for value in means)])
     header = ("attack", "AUROC of the lowest trust, ours", "published", "GOSPA m, ours", "published", "no trust")
     return header, rows
 
 
-def _area(found: Sequence[tuple[F64, F64, list[int]]], which: int) -> float:
+def _area(found: Sequence[tuple[F64, F64, list[int]]], which: Literal[0, 1]) -> float:
     """Return the share of pairs of an attacked and an honest agent in which the attacked one is trusted less."""
     bad = np.concatenate([one[which][one[2]] for one in found])
     good = np.concatenate([np.delete(one[which], one[2]) for one in found])

@@ -214,8 +214,8 @@ class EvidenceCounts:
 
     honest: dict[str, F64] = field(default_factory=lambda: {name: np.zeros(bins) for name, bins in TABLES.items()})
     forged: dict[str, F64] = field(default_factory=lambda: {name: np.zeros(bins) for name, bins in TABLES.items()})
-    honest_cells: list[NDArray[np.int64]] = field(default_factory=list)
-    forged_cells: list[NDArray[np.int64]] = field(default_factory=list)
+    honest_cells: list[NDArray[np.int32]] = field(default_factory=list)
+    forged_cells: list[NDArray[np.int32]] = field(default_factory=list)
 
     def add(self, name: str, honest: NDArray[np.int64], forged: NDArray[np.int64]) -> None:
         """Add the bins of honest and of forged tracks to a table."""
