@@ -101,7 +101,7 @@ DAMAGES = {
         lambda cloud: replace(cloud, width=0, row_step=0, data=cloud.data[:0]), "must have usable returns",
         "a sensor that sees nothing: the monitor cannot say whether that is so",
     ),
-    "all NaN": Damage(_all_nan, "must have usable returns", "points that are no numbers are left out: none is left"),
+    "all NaN": Damage(_all_nan, "", "points that are no numbers are left out: none is left, and the monitor alarms"),
     "bytes the other way round": Damage(_swapped, "", "its numbers are noise, and no layout tells"),
 }  # fmt: skip
 """By name."""

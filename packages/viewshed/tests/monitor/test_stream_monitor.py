@@ -9,9 +9,9 @@ from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 
 from viewshed import Sweep
 from viewshed.monitor import Calibration, StreamMonitor
-from viewshed.monitor.calibration import CALM_SWEEPS
 from viewshed.monitor.evidence import EARLIER_SWEEPS
 from viewshed.monitor.stream_monitor import ALONE, EvidenceStream, StreamReport
+from viewshed.monitor.watch import MOST_HELD_SWEEPS
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 SWEEPS = 40
@@ -75,17 +75,17 @@ def test_an_attack_begins_an_alarm_there_which_is_latched_and_ends() -> None:
 
 
 @pytest.mark.slow
-def test_what_lasts_becomes_the_world() -> None:
+def test_after_ten_seconds_of_an_alarm_the_past_begins_anew() -> None:
     monitor = _monitor()
     _after(monitor, 20)
     raised = np.array([0.0, 0.0, 0.6], np.float32)
     shifted = [
         level(s.sweep.replace(points=s.sweep.points + raised, t_ns=(20 + k) * 10**8), GRID)
-        for k, s in enumerate((*_drive(50), *_drive(51)))
+        for k, s in enumerate((*_drive(50), *_drive(51), *_drive(52)))
     ]
-    alarms = [monitor.check(sweep).alarm for sweep in shifted]
-    assert all(alarms[: EARLIER_SWEEPS + CALM_SWEEPS])
-    assert not alarms[-1]
+    alarms = [monitor.check(sweep).alarm for sweep in shifted[: MOST_HELD_SWEEPS + 2]]
+    assert all(alarms[:MOST_HELD_SWEEPS])
+    assert not any(alarms[MOST_HELD_SWEEPS:])
 
 
 def test_empty_and_blinded_sweeps_are_alarms_even_alone() -> None:
