@@ -83,9 +83,9 @@ def test_after_ten_seconds_of_an_alarm_the_past_begins_anew() -> None:
         level(s.sweep.replace(points=s.sweep.points + raised, t_ns=(20 + k) * 10**8), GRID)
         for k, s in enumerate((*_drive(50), *_drive(51), *_drive(52)))
     ]
-    alarms = [monitor.check(sweep).alarm for sweep in shifted[: MOST_HELD_SWEEPS + 2]]
-    assert all(alarms[:MOST_HELD_SWEEPS])
-    assert not any(alarms[MOST_HELD_SWEEPS:])
+    alarms = [monitor.check(sweep).alarm for sweep in shifted]
+    ended = alarms.index(False)
+    assert MOST_HELD_SWEEPS - 10 <= ended <= MOST_HELD_SWEEPS
 
 
 def test_empty_and_blinded_sweeps_are_alarms_even_alone() -> None:
