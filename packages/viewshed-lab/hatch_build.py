@@ -15,11 +15,11 @@ class OneVersion(MetadataHookInterface):
     """Fills in version and dependencies; a source distribution has both in its PKG-INFO already."""
 
     def update(self, metadata: dict[str, Any]) -> None:
-        """Write the version, and the dependencies with the robot's package of that version before them."""
+        """Write the version, and the dependencies: the robot's package of that version, which reads and writes bags."""
         found = re.search(
             r'^__version__ = "(.*)"', (Path(self.root) / SOURCE).read_text(encoding="utf-8"), re.MULTILINE
         )
         if found is None:
             raise ValueError(f"{SOURCE} must have a line __version__ = …")
         metadata["version"] = found[1]
-        metadata["dependencies"] = [f"viewshed=={found[1]}", *self.config["dependencies"]]
+        metadata["dependencies"] = [f"viewshed[recordings]=={found[1]}", *self.config["dependencies"]]

@@ -138,7 +138,7 @@ def test_the_two_packages_have_one_version_and_one_place_for_it() -> None:
     hatchling = pytest.importorskip("hatchling.metadata.core", reason="needs hatchling, which builds the laboratory")
     built = hatchling.ProjectMetadata(str(ROOT / "packages" / "viewshed-lab"), hatchling_plugins())
     assert built.core.version == viewshed.__version__
-    assert f"viewshed=={viewshed.__version__}" in built.core.dependencies
+    assert f"viewshed[recordings]=={viewshed.__version__}" in built.core.dependencies
 
 
 def hatchling_plugins() -> Any:
