@@ -181,6 +181,42 @@ def use_everything() -> None:
     _use_ground(sweep)
     _use_polygons(rng)
     _use_codes(rng)
+    _use_guarantees(sweep)
+    _use_leveling(sweep)
+
+
+def _use_guarantees(sweep: Any) -> None:
+    """Certify an estimate against threats that bound beams, and one that controls a wedge."""
+    import viewshed
+    from viewshed.guarantees.certificate import certify
+    from viewshed.guarantees.envelope import Threat
+    from viewshed.preprocess.leveling import level
+
+    leveled = level(sweep.replace(attitude=np.eye(4)[0], sensor_height_m=1.8), viewshed.BevGrid())
+    estimate = viewshed.load_estimator("shadow_map").estimate(leveled)
+    for words in ("replaced:5", "wedge:10", "dropped:5"):
+        certify(leveled, estimate, Threat.parse(words))
+
+
+def _use_leveling(sweep: Any) -> None:
+    """Call stages of the leveling, and what the networks for ground and beams without a return are fed with."""
+    import viewshed
+    from viewshed import _core
+    from viewshed.preprocess.leveling import level
+    from viewshed.preprocess.no_return import no_return_groups
+
+    ring = np.zeros(len(sweep), np.int16) if sweep.ring is None else sweep.ring
+    upright = np.eye(3, dtype=np.float32)
+    _core.range_image(sweep.points, ring, 360, 16, 0.5, 100.0)
+    _core.vehicle_heading(sweep.points, upright)
+    ground_m, seen = np.zeros((64, 64), np.float32), np.ones((64, 64), np.bool_)
+    _core.level_points(sweep.points, None, np.eye(3, 4, dtype=np.float32), 0.5, 250.0, 0.0, ground_m, 64.0)
+    leveled = level(sweep, viewshed.BevGrid())
+    no_return_groups(leveled, 1.5)
+    inputs = _core.guess_inputs(leveled.points, leveled.azimuth, leveled.range_m, ground_m, seen, 64.0, 1.8)
+    # The answer of a network has as many positions as its inputs, and five numbers for each of their nodes.
+    nodes = ground_m.size // (inputs.shape[2] * inputs.shape[3])
+    _core.guessed_ground(np.zeros((1, 5 * nodes, *inputs.shape[2:]), np.float32), inputs, ground_m, seen, 64.0)
 
 
 def _use_evidence(sweep: Any) -> None:
