@@ -62,7 +62,10 @@ struct Attack {
 
     // How many of the beams that can change must, in a cell of this margin: those that are blocked where it opens, else those
     // that are not; 0 where none need to.
-    std::int32_t needed(std::int32_t margin) const { return std::max(opens ? least - margin : margin - least + 1, 0); }
+    std::int32_t needed(std::int32_t margin) const {
+        const std::int64_t apart = opens ? std::int64_t(least) - margin : std::int64_t(margin) - least + 1;
+        return std::int32_t(std::clamp<std::int64_t>(apart, 0, INT32_MAX));
+    }
 };
 
 // The horizontal range of the nearest return of each beam (rings, 2 * columns), the circle twice, so that no window is cut; +inf
