@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 _ALL = "all"
 
+Methods = Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")]
+
+Out = Annotated[Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")]
+
 evaluate_app = typer.Typer(help="Measure estimators against exact truth, or by other sweeps.")
 
 
@@ -33,14 +37,12 @@ def truth(
         list[str],
         typer.Argument(metavar="ARCHIVE…", help="Folders or URIs of simulated data sets.", show_default=False),
     ],
-    methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
+    methods: Methods = _ALL,
     weights: Weights = None,
     target: TargetName = "car",
     limit: Annotated[int, typer.Option(min=1, help="Most samples, spread evenly over each data set.")] = 200,
     split: Annotated[str | None, typer.Option(help="Only this split: train, test, …")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
-    ] = None,
+    out: Out = None,
 ) -> None:
     """Measure precision, recall and areas against exact truth.
 
@@ -93,11 +95,9 @@ def crossview(
     index: Annotated[
         Path, typer.Argument(metavar="INDEX", help="Index (JSON) of posed sweeps; each folder of it is one scene.")
     ],
-    methods: Annotated[str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")] = _ALL,
+    methods: Methods = _ALL,
     seed: Annotated[int, typer.Option(help="Seed of the bootstrap.")] = 0,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
-    ] = None,
+    out: Out = None,
     attacks: Annotated[
         str, typer.Option(help="Attacks, separated by commas: the sweeps are tried with 150 moved points as well.")
     ] = "",
@@ -123,12 +123,8 @@ def survey(
     log: Annotated[
         Path, typer.Argument(metavar="LOG", help="Folder of an Argoverse 2 log with its map.", show_default=False)
     ],
-    methods: Annotated[
-        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")
-    ] = _JUDGED,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
-    ] = None,
+    methods: Methods = _JUDGED,
+    out: Out = None,
 ) -> None:
     """Measure claims against the surveyed ground of a city.
 
@@ -146,13 +142,9 @@ def boxes(
     recording: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="nuScenes, KITTI or Argoverse 2, annotated.", show_default=False)
     ],
-    methods: Annotated[
-        str, typer.Option(help="Methods, separated by commas; 'all' for all but the networks.")
-    ] = _JUDGED,
+    methods: Methods = _JUDGED,
     limit: Annotated[int, typer.Option(min=1, help="Most sweeps, spread evenly over the recording.")] = 200,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the tables to this Markdown file and not to the screen.")
-    ] = None,
+    out: Out = None,
 ) -> None:
     """Measure claims and ground against boxes that people drew.
 

@@ -23,7 +23,7 @@ from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.io._input import open_input
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.recordings.read.source import ObjectBox, SweepRef, SweepSource
+from viewshed.recordings.read.source import ObjectBox, SweepSource
 from viewshed.sweep import Sweep
 from viewshed_lab._page import facts
 from viewshed_lab.studies.formatting import format_number, format_rate, lines, pivot
@@ -167,7 +167,7 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
     claims = {name: [np.zeros(len(BANDS_M)) for _ in range(3)] for name in estimators}
     sweeps = list(annotated(source, None))
     range_m = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
-    for _, sweep, _ in sweeps:
+    for sweep, _ in sweeps:
         leveled = level(sweep, grid)
         if leveled.world_from_level is None:
             raise ValueError(
@@ -203,7 +203,7 @@ def boxes_page(
         ValueError: nobody drew boxes in it.
     """
     sweeps = list(annotated(source, limit))
-    if not any(boxes for _, _, boxes in sweeps):
+    if not any(boxes for _, boxes in sweeps):
         raise ValueError(f"{place}: must hold annotated boxes, got {len(sweeps)} sweeps without one")
     page = fill_template(
         "judges.md", title="Judged by boxes that people drew", sweeps=len(sweeps), scenes=len(source.scenes()),
@@ -212,12 +212,12 @@ def boxes_page(
     return page.markdown(facts(recording=place.name, target=target.name))
 
 
-def annotated(source: SweepSource, limit: int | None) -> Iterable[tuple[SweepRef, Sweep, Sequence[ObjectBox]]]:
+def annotated(source: SweepSource, limit: int | None) -> Iterable[tuple[Sweep, Sequence[ObjectBox]]]:
     """Yield sweeps of a recording with their boxes: keyframes, at most ``limit``, spread evenly."""
     refs = [ref for scene in source.scenes() for ref in source.refs(scene) if ref.keyframe]
     count = len(refs) if limit is None else min(limit, len(refs))
     for ref in (refs[k * len(refs) // count] for k in range(count)):
-        yield ref, source.read(ref), source.boxes(ref) or ()
+        yield source.read(ref), source.boxes(ref) or ()
 
 
 def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> GroundErrors:
@@ -231,16 +231,15 @@ def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> GroundErrors:
 
 
 def _box_tables(
-    sweeps: Sequence[tuple[SweepRef, Sweep, Sequence[ObjectBox]]],
+    sweeps: Sequence[tuple[Sweep, Sequence[ObjectBox]]],
     estimators: Mapping[str, FovEstimator],
     target: Target,
 ) -> dict[str, Any]:
     """Return the tables of vehicles with enough returns, of those without one, and of the ground below all boxes."""
-    kinds = {"enough": target.min_returns, "none": 0}
-    counts = {(kind, name, band): [0, 0] for kind in kinds for name in estimators for band in BANDS_M}
+    counts = {(kind, name, band): [0, 0] for kind in ("enough", "none") for name in estimators for band in BANDS_M}
     errors: list[GroundErrors] = []
     left_out = 0
-    for _, sweep, boxes in sweeps:
+    for sweep, boxes in sweeps:
         leveled = level(sweep, GRIDS["road"])
         # Without a pose the boxes are in the sensor's frame.
         level_from_world = leveled.level_from_sensor @ (sweep.world_from_sensor or Rigid.identity()).inverse()
