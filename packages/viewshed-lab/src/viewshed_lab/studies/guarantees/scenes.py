@@ -174,7 +174,7 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
         masks: calibrations by name, and the confidence that is asked of them.
     """
     survey, found = SurveyedGround.read(log), []
-    for _, sweep, _ in annotated(open_source(log, "argoverse2"), None):
+    for sweep, _ in annotated(open_source(log, "argoverse2"), None):
         leveled = level(sweep, GRID)
         if leveled.world_from_level is None:
             raise ValueError(f"{log}: every sweep must have a pose, got one without")
