@@ -65,11 +65,13 @@ def test_public_definitions_have_docstrings(path: Path) -> None:
     assert [node.name for node in public if ast.get_docstring(node) is None] == []
 
 
-def test_version_is_in_changelog_and_citation() -> None:
+def test_one_version_stands_everywhere() -> None:
     newest = re.search(r"^## (\d\S*)", _text("CHANGELOG.md"), re.MULTILINE)  # "Unreleased" may stand above
     assert newest is not None
     assert newest[1] == viewshed.__version__
     assert yaml.safe_load(_text("CITATION.cff"))["version"] == viewshed.__version__
+    for name in ("viewshed_cpp/package.xml", "viewshed_ros/package.xml", "viewshed_ros/setup.py"):
+        assert re.findall(r'version(?:>|=")(\d[\d.]+)[<"]', _text(f"ros/{name}"))[-1] == viewshed.__version__, name
 
 
 def test_every_command_and_estimator_is_documented() -> None:
