@@ -4,8 +4,11 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 
 #include <initializer_list>
+#include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "arrays.hpp"
@@ -66,6 +69,18 @@ template <typename T>
 Out<T> array(Buffer<T>&& buffer) {
     const std::size_t size = buffer.size();
     return array(std::move(buffer), {size});
+}
+template <typename T>
+std::optional<Out<T>> array_or_none(std::optional<Buffer<T>>&& buffer) {
+    return buffer ? std::optional(array(std::move(*buffer))) : std::nullopt;
+}
+
+// Several values at once. Their types go into the module's stub, which the build writes.
+template <typename... T>
+using Tuple = nb::typed<nb::tuple, T...>;
+template <typename... T>
+Tuple<std::decay_t<T>...> tuple_of(T&&... values) {
+    return Tuple<std::decay_t<T>...>(nb::make_tuple(std::forward<T>(values)...));
 }
 
 }  // namespace viewshed

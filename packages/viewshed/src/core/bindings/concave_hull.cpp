@@ -66,7 +66,7 @@ void bind_concave_hull(nb::module_& m) {
                 xy[2 * k + 1] = thinned[k].y;
             }
             const bool spans = span_area(thinned);
-            return nb::make_tuple(array(std::move(xy), {thinned.size(), std::size_t{2}}), spans);
+            return tuple_of(array(std::move(xy), {thinned.size(), std::size_t{2}}), spans);
         },
         "points"_a.noconvert(), "range_m"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a,
         "Points (K, 2) in meters, the farthest of each cell; and whether they are three or more, not on one line.");

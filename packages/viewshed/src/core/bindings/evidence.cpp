@@ -84,7 +84,7 @@ void bind_evidence(nb::module_& m) {
                     std::copy_n(lanes[AIMED], size, &aimed[first]);
                 }
             }
-            return nb::make_tuple(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
+            return tuple_of(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
                                   array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
         },
         "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "half_extent_m"_a, "sensor_height_m"_a,
@@ -114,7 +114,7 @@ void bind_evidence(nb::module_& m) {
                                   within_reach.data()});
             }
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
-            return nb::make_tuple(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
+            return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
                                   shaped(visible_prob), shaped(within_reach));
         },
         "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
@@ -161,7 +161,7 @@ void bind_evidence(nb::module_& m) {
                 indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
             const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(), unsure_m,
                                                view(table), threshold);
-            return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
+            return tuple_of(claims.all, claims.over_unsure_ground, claims.inferred);
         },
         "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
         "table"_a.noconvert(), "threshold"_a, "unsure_m"_a,

@@ -34,7 +34,7 @@ void bind_files(nb::module_& m) {
         [](Points points, In1<std::int16_t> ring, float half_width) {
             require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
             const RingSpread spread = spread_of_rings(view(points), view(ring), half_width);
-            return nb::make_tuple(spread.count, spread.elevation_std, spread.beside, spread.any_two);
+            return tuple_of(spread.count, spread.elevation_std, spread.beside, spread.any_two);
         },
         "points"_a.noconvert(), "ring"_a.noconvert(), "half_width"_a,
         "Returns in four narrow sectors, their elevations' standard deviation, and the mean difference of the rings of "

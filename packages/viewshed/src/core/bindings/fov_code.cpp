@@ -42,7 +42,8 @@ void bind_fov_code(nb::module_& m) {
     m.def(
         "decode_view",
         [](In1<std::uint8_t> code, std::size_t cells, std::size_t row, std::size_t column, In1<float> prob,
-           In1<float> std) -> nb::object {
+           In1<float> std)
+            -> std::optional<Tuple<Out<std::uint8_t>, Out<float>, std::optional<Out<float>>>> {
             require_view(cells, row, column);
             require(prob.shape(0) == LEVELS, "prob must have a value for each of 16 levels");
             require(std.shape(0) == 0 || std.shape(0) == DEVIATIONS, "std must have a value for each of 9 levels, or none");
@@ -56,10 +57,10 @@ void bind_fov_code(nb::module_& m) {
                 is_view = decode_view(view(code), {row, column}, {prob.data(), std.data()},
                                       {state.view(cells, cells), probs.view(cells, cells), stds.view(side, side)});
             }
-            if (!is_view) return nb::none();
-            nb::object deviation = nb::none();
-            if (has_std) deviation = nb::cast(array(std::move(stds), {cells, cells}));
-            return nb::make_tuple(array(std::move(state), {cells, cells}), array(std::move(probs), {cells, cells}),
+            if (!is_view) return std::nullopt;
+            std::optional<Out<float>> deviation;
+            if (has_std) deviation = array(std::move(stds), {cells, cells});
+            return tuple_of(array(std::move(state), {cells, cells}), array(std::move(probs), {cells, cells}),
                                   deviation);
         },
         "code"_a.noconvert(), "cells"_a, "row"_a, "column"_a, "prob"_a.noconvert(), "std"_a.noconvert(),

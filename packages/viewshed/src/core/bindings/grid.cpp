@@ -35,7 +35,7 @@ void bind_grid(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 polar_of_cells({cells, cell_m, x0_m, y0_m}, range_m, azimuth);
             }
-            return nb::make_tuple(array(std::move(range_m), {cells, cells}), array(std::move(azimuth), {cells, cells}));
+            return tuple_of(array(std::move(range_m), {cells, cells}), array(std::move(azimuth), {cells, cells}));
         },
         "cells"_a, "cell_m"_a, "x0_m"_a, "y0_m"_a,
         "Range in meters and azimuth in [-pi, pi) (cells, cells) of the centers of cells.");

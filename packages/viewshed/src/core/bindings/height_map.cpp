@@ -14,7 +14,7 @@ void bind_height_map(nb::module_& m) {
             require(nodes >= 2 && nodes <= 16384, "a lattice must have 2 to 16384 nodes a side");
             require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
             LatticePositions at = lattice_positions(view(xy), half_extent_m, nodes);
-            return nb::make_tuple(array(std::move(at.node)), array(std::move(at.down)), array(std::move(at.right)));
+            return tuple_of(array(std::move(at.node)), array(std::move(at.down)), array(std::move(at.right)));
         },
         "xy"_a.noconvert(), "half_extent_m"_a, "nodes"_a,
         "Node (N,) before each of N points, and how far beyond it in i and in j (N,), of a lattice.");

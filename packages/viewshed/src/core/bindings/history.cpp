@@ -56,7 +56,7 @@ void bind_history(nb::module_& m) {
         []() {
             Buffer<float> azimuth(SIGHT_LINES), slope(SIGHT_LINES);
             sight_lines(azimuth, slope);
-            return nb::make_tuple(array(std::move(azimuth)), array(std::move(slope)));
+            return tuple_of(array(std::move(azimuth)), array(std::move(slope)));
         },
         "Azimuth and slope (L,) of lines of sight in every other row and column of the image of obstacles.");
     m.def(

@@ -1,7 +1,5 @@
 #include "level_sweep.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -44,7 +42,7 @@ void bind_level_sweep(nb::module_& m) {
                 made = level_sweep(sweep);
             }
             // The range image, the rotation, the height, the ground, and the level points.
-            nb::object image = nb::none();
+            std::optional<RangeImageArrays> image;
             if (made->image) image = range_image_arrays(std::move(*made->image));
             Buffer<double> rotation(9);
             std::copy(made->rotation.begin(), made->rotation.end(), rotation.begin());
@@ -52,10 +50,10 @@ void bind_level_sweep(nb::module_& m) {
             const std::size_t n = ground.nodes;
             const auto [a, b, c] = ground.plane;
             LevelPoints& level = made->level;
-            return nb::make_tuple(
+            return tuple_of(
                 image, array(std::move(rotation), {3, 3}), made->height_m,
-                nb::make_tuple(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
-                               array(std::move(ground.seen), {n, n}), nb::make_tuple(a, b, c), ground.support),
+                tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
+                               array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.support),
                 level_arrays(std::move(level)));
         },
         "points"_a.noconvert(), "ring"_a.noconvert().none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a,

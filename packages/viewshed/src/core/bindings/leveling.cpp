@@ -1,7 +1,5 @@
 #include "leveling.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,14 +10,16 @@
 
 namespace viewshed {
 
-nb::tuple level_arrays(LevelPoints&& level) {
-    return nb::make_tuple(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
+LevelArrays level_arrays(LevelPoints&& level) {
+    return tuple_of(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
                           array(std::move(level.azimuth)), array(std::move(level.height_m)), array(std::move(level.rows)));
 }
 
 void bind_leveling(nb::module_& m) {
-    m.attr("EGO_BOX_M") = nb::make_tuple(EGO_LENGTH_M, EGO_WIDTH_M);
-    m.attr("EGO_HEIGHTS_M") = nb::make_tuple(LEAST_EGO_HEIGHT_M, MOST_EGO_HEIGHT_M);
+    m.attr("EGO_LENGTH_M") = EGO_LENGTH_M;
+    m.attr("EGO_WIDTH_M") = EGO_WIDTH_M;
+    m.attr("LEAST_EGO_HEIGHT_M") = LEAST_EGO_HEIGHT_M;
+    m.attr("MOST_EGO_HEIGHT_M") = MOST_EGO_HEIGHT_M;
     using Rotation = nb::ndarray<const float, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
     using Transform = nb::ndarray<const float, nb::shape<3, 4>, nb::c_contig, nb::device::cpu>;
     m.def(

@@ -15,7 +15,7 @@ void bind_mc_dropout(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 find_moments(view(probability), mean, deviation);
             }
-            return nb::make_tuple(array(std::move(mean)), array(std::move(deviation)));
+            return tuple_of(array(std::move(mean)), array(std::move(deviation)));
         },
         "probability"_a.noconvert(), "Mean and standard deviation (cells,) of probabilities (passes, cells).");
 }

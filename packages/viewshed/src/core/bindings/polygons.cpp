@@ -103,7 +103,7 @@ void bind_polygons(nb::module_& m) {
             }
             Buffer<std::int16_t> corners(rings->corners.size());
             std::copy(rings->corners.begin(), rings->corners.end(), corners.begin());
-            return nb::make_tuple(array(std::move(corners), {rings->corners.size() / 2, std::size_t{2}}),
+            return tuple_of(array(std::move(corners), {rings->corners.size() / 2, std::size_t{2}}),
                                   array_of(rings->begin), array_of(rings->region));
         },
         "mask"_a.noconvert(), "regions"_a.noconvert(),
@@ -134,7 +134,7 @@ void bind_polygons(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 found = best_sectors(checked, sectors, inner);
             }
-            return nb::make_tuple(array_of(found.first), array_of(found.end), array_of(found.range));
+            return tuple_of(array_of(found.first), array_of(found.end), array_of(found.range));
         },
         "ranges"_a.noconvert(), "sectors"_a, "inner"_a,
         "First bin, end bin and range of the sectors below ranges (bins,) whose union is the largest.");

@@ -6,13 +6,11 @@
 namespace viewshed {
 
 // A range image as a tuple of arrays.
-nb::tuple range_image_arrays(RangeImage&& image) {
-    nb::object clutter = nb::none();
-    if (image.clutter) clutter = nb::cast(array(std::move(*image.clutter)));
+RangeImageArrays range_image_arrays(RangeImage&& image) {
     const std::size_t rings = image.rings, columns = image.columns;
-    return nb::make_tuple(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
+    return tuple_of(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
                           array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
-                          array(std::move(image.isolated)), array(std::move(image.behind)), clutter, image.has_full_rings);
+                          array(std::move(image.isolated)), array(std::move(image.behind)), array_or_none(std::move(image.clutter)), image.has_full_rings);
 }
 
 void bind_range_image(nb::module_& m) {
@@ -53,7 +51,7 @@ void bind_range_image(nb::module_& m) {
             auto kept = indices_of<std::int32_t>(view(column), -1, std::int32_t(columns - 1), "column");
             Buffer<std::uint8_t> fewer = copy_of(view(counts).flat());
             take_out(own, view(left_out), kept, fewer.view(rings, columns));
-            return nb::make_tuple(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
+            return tuple_of(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
         },
         "ring"_a.noconvert(), "left_out"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(),
         "Column (N,) and counts (rings, columns) without the returns left_out (N,).");

@@ -1,7 +1,5 @@
 #include "ray_trace.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <numbers>
 #include <optional>
 
@@ -82,7 +80,7 @@ void bind_ray_trace(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 found = find_ranges(returns, 0);
             }
-            return nb::make_tuple(array(std::move(found->farthest_m)), array(std::move(found->nearest_m)));
+            return tuple_of(array(std::move(found->farthest_m)), array(std::move(found->nearest_m)));
         },
         "azimuth"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(), "low_m"_a, "high_m"_a,
         "Range (bins,) of the farthest return, -1 where none, and of the nearest obstacle, +inf where none, by the "

@@ -1,7 +1,5 @@
 #include "reach.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <optional>
 
 #include "bindings.hpp"

@@ -1,7 +1,5 @@
 #include "sensor_id.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -30,11 +28,6 @@ std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn
 std::size_t checked_count(const Points& points) {
     require(points.shape(0) < (1u << 28), "a sweep must have fewer than 2^28 points");
     return points.shape(0);
-}
-
-template <typename T>
-nb::object array_or_none(std::optional<Buffer<T>>&& buffer) {
-    return buffer ? nb::cast(array(std::move(*buffer))) : nb::none();
 }
 
 template <typename T>
@@ -109,7 +102,7 @@ void bind_sensor_id(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 found = identify_by_rings(view(points), *known, tables, expected);
             }
-            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+            return tuple_of(array_or_none(std::move(found.ring)), found.table);
         },
         "points"_a.noconvert(), "ring"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "rings"_a.noconvert(), "columns"_a.noconvert(), "expected"_a,
@@ -128,7 +121,7 @@ void bind_sensor_id(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 found = identify_by_points(view(points), tables, expected);
             }
-            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+            return tuple_of(array_or_none(std::move(found.ring)), found.table);
         },
         "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rings"_a.noconvert(),
         "columns"_a.noconvert(), "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
@@ -169,7 +162,7 @@ void bind_sensor_id(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 found = infer_sensor(view(points), known, tables);
             }
-            return nb::make_tuple(found.first, found.second);
+            return tuple_of(found.first, found.second);
         },
         "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "rings"_a.noconvert(), "columns"_a.noconvert(),
@@ -186,7 +179,7 @@ void bind_sensor_id(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 made = recover_rings(view(points), known, table ? &*table : nullptr);
             }
-            return nb::make_tuple(array(std::move(made->ring)), array(std::move(made->column)), made->columns,
+            return tuple_of(array(std::move(made->ring)), array(std::move(made->column)), made->columns,
                                   array(std::move(made->elevation)), made->placed, made->alone, int(made->source));
         },
         "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
@@ -197,7 +190,7 @@ void bind_sensor_id(nb::module_& m) {
         "polar",
         [](Points points) {
             Directions seen = directions_of(view(points));
-            return nb::make_tuple(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
+            return tuple_of(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
                                   array(std::move(seen.range_m)));
         },
         "points"_a.noconvert(), "Azimuth, slope and horizontal range (N,) of points (N, 3).");
@@ -207,26 +200,26 @@ void bind_sensor_id(nb::module_& m) {
             const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
             require(slope.shape(0) == range_m.shape(0), "slope and range_m must be as long");
             BeamMatch match = match_beams(view(slope), view(range_m), table);
-            return nb::make_tuple(array(std::move(match.ring)), array_of(match.hits), match.excess);
+            return tuple_of(array(std::move(match.ring)), array_of(match.hits), match.excess);
         },
         "slope"_a.noconvert(), "range_m"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "The nearest beam of each return (N,), the returns close to each beam, and their share less chance.");
     m.def(
         "find_clusters",
-        [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> nb::object {
+        [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> std::optional<Tuple<Out<double>, Out<double>, double>> {
             const auto found = find_clusters(directions_from(azimuth, slope, range_m));
-            if (!found) return nb::none();
-            return nb::make_tuple(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
+            if (!found) return std::nullopt;
+            return tuple_of(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
         },
         "azimuth"_a.noconvert(), "slope"_a.noconvert(), "range_m"_a.noconvert(),
         "Elevations at which returns (N,) gather, heights of their origin, and sharpness; or None.");
     m.def(
         "find_motion",
-        [](Points points) -> nb::object {
+        [](Points points) -> std::optional<Tuple<double, double, double, double, double>> {
             checked_count(points);
             const auto motion = find_motion(view(points));
-            if (!motion) return nb::none();
-            return nb::make_tuple(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
+            if (!motion) return std::nullopt;
+            return tuple_of(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
         },
         "points"_a.noconvert(), "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
     m.def(
