@@ -18,7 +18,10 @@ namespace viewshed {
 namespace nb = nanobind;
 using namespace nb::literals;
 
-// What numpy hands in: contiguous, on the processor, of exactly this type (bindings say .noconvert()).
+// An argument that is taken as it is: an array of another type is refused, not converted.
+constexpr auto operator""_in(const char* name, std::size_t) { return nb::arg(name).noconvert(); }
+
+// What numpy hands in: contiguous, on the processor, of exactly this type (bindings name it by _in).
 template <typename T>
 using In1 = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 template <typename T>
@@ -70,6 +73,13 @@ Out<T> array(Buffer<T>&& buffer) {
     const std::size_t size = buffer.size();
     return array(std::move(buffer), {size});
 }
+// What a stage returns that runs without the interpreter's lock.
+template <typename Stage>
+auto without_lock(Stage&& stage) {
+    nb::gil_scoped_release unlocked;
+    return stage();
+}
+
 template <typename T>
 std::optional<Out<T>> array_or_none(std::optional<Buffer<T>>&& buffer) {
     return buffer ? std::optional(array(std::move(*buffer))) : std::nullopt;

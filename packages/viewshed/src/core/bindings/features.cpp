@@ -89,15 +89,14 @@ void bind_features(nb::module_& m) {
             Buffer<std::int16_t> cell_bin(0);
             if (bins <= MOST_BINS) cell_bin = indices_of<std::int16_t>(view(bin).flat(), 0, std::int16_t(bins - 1), "cell_bin");
             Buffer<std::uint8_t> codes(features * cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                write_features(wanted, {view(range_m), {cell_bin.data(), cells, cells}, view(x_m), view(y_m)}, half_extent_m, fold, codes);
-            }
+            without_lock([&] {
+                write_features(wanted, {view(range_m), {cell_bin.data(), cells, cells}, view(x_m), view(y_m)},
+                    half_extent_m, fold, codes);
+            });
             if (fold == 0) return array(std::move(codes), {features, cells, cells});
             return array(std::move(codes), {cells / fold, cells / fold, features * fold * fold});
         },
-        "features"_a, "cell_range_m"_a.noconvert(), "cell_bin"_a.noconvert(), "x_m"_a.noconvert(), "y_m"_a.noconvert(),
-        "half_extent_m"_a, "fold"_a,
+        "features"_a, "cell_range_m"_in, "cell_bin"_in, "x_m"_in, "y_m"_in, "half_extent_m"_a, "fold"_a,
         "Codes (features, cells, cells) of features, or of fold > 0 in blocks (side, side, features · fold²).");
     m.def(
         "height_codes",
@@ -105,13 +104,12 @@ void bind_features(nb::module_& m) {
             require(points.shape(0) == height_m.shape(0), "points and height_m must be as long");
             require(cells >= 1 && cells <= MOST_CELLS, "cells must lie in [1, 4096]");
             Buffer<std::uint8_t> lowest(cells * cells), highest(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 write_heights(view(points), view(height_m), x0_m, y0_m, cells_per_m, cells, lowest, highest);
-            }
+            });
             return tuple_of(array(std::move(lowest), {cells, cells}), array(std::move(highest), {cells, cells}));
         },
-        "points"_a.noconvert(), "height_m"_a.noconvert(), "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "cells"_a,
+        "points"_in, "height_m"_in, "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "cells"_a,
         "Codes (cells, cells) of the lowest and the highest return of each cell, 0 for none.");
     m.def(
         "fold_maps",
@@ -121,13 +119,10 @@ void bind_features(nb::module_& m) {
             require(fold >= 1 && cells % fold == 0, "fold must divide the cells of a side");
             const std::size_t blocks = cells / fold, block_size = features * fold * fold;
             Buffer<std::uint8_t> out(maps.size());
-            {
-                nb::gil_scoped_release unlocked;
-                fold_maps(view(maps), fold, out);
-            }
+            without_lock([&] { fold_maps(view(maps), fold, out); });
             return array(std::move(out), {blocks, blocks, block_size});
         },
-        "maps"_a.noconvert(), "fold"_a, "Maps (features, cells, cells) in blocks (side, side, features · fold²).");
+        "maps"_in, "fold"_a, "Maps (features, cells, cells) in blocks (side, side, features · fold²).");
 }
 
 }  // namespace viewshed

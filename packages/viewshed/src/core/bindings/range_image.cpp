@@ -20,14 +20,10 @@ void bind_range_image(nb::module_& m) {
             require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
             require_image(rings, columns);
             const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
-            std::optional<RangeImage> made;
-            {
-                nb::gil_scoped_release unlocked;
-                made = range_image(view(points), own, columns, rings, near_m, far_m);
-            }
-            return range_image_arrays(std::move(*made));
+            auto made = without_lock([&] { return range_image(view(points), own, columns, rings, near_m, far_m); });
+            return range_image_arrays(std::move(made));
         },
-        "points"_a.noconvert(), "ring"_a.noconvert(), "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
+        "points"_in, "ring"_in, "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
         "Column, counts, nearest_m2, phase, isolated, behind, clutter (or None) of points (N, 3) by ring (N,); and "
         "whether rings are as full as columns are many.");
     m.def(
@@ -37,7 +33,7 @@ void bind_range_image(nb::module_& m) {
             find_silent_columns(view(counts), silent);
             return array(std::move(silent));
         },
-        "counts"_a.noconvert(),
+        "counts"_in,
         "Columns (columns,) of counts (rings, columns) that hardly fired.");
     m.def("least_confirmations", &least_confirmations, "mean"_a,
           "Least number that a Poisson variable of a mean reaches with a chance of at most 1 %.");
@@ -53,7 +49,7 @@ void bind_range_image(nb::module_& m) {
             take_out(own, view(left_out), kept, fewer.view(rings, columns));
             return tuple_of(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
         },
-        "ring"_a.noconvert(), "left_out"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(),
+        "ring"_in, "left_out"_in, "column"_in, "counts"_in,
         "Column (N,) and counts (rings, columns) without the returns left_out (N,).");
 }
 
