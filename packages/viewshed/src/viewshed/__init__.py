@@ -9,7 +9,7 @@ np.False_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from viewshed import _core, _moved, _outputs
+from viewshed import _core, _outputs
 from viewshed._extras import needed_for, plugin
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from viewshed.sensors import LidarModel, lidar_model
     from viewshed.sweep import Sweep
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 if __version__ != _core.VERSION:
     raise ImportError(
@@ -79,5 +79,3 @@ def _later(module: str, name: str) -> Any:
 
 
 _outputs.save, _outputs.draw = _later("io.export", "save_estimate"), _later("show.plot", "draw_estimate")
-
-_moved.install()
