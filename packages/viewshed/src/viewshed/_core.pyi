@@ -9,7 +9,7 @@ import numpy
 from numpy.typing import NDArray
 
 
-VERSION: str = '0.3.0'
+VERSION: str = '0.4.0'
 
 def threads() -> int:
     """How many threads a stage may use."""
