@@ -7,6 +7,7 @@ here calls the code of the truth.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,12 +99,12 @@ def _with(snapshot: Snapshot, probes: Probes, first_thing: int) -> Snapshot:
     """Return the snapshot with probes as things from ``first_thing`` on; what was there keeps its place."""
     count = len(probes.yaw)
     rotation = np.stack([Rigid.from_yaw(float(yaw), (0, 0, 0)).rotation for yaw in probes.yaw])
-    added = (
+    added: tuple[NDArray[Any], ...] = (
         np.full(count, BOX, np.uint8), probes.center_m, rotation, np.broadcast_to(probes.half_m, (count, 3)),
         np.zeros((count, 3)), np.full(count, material_index("paint"), np.uint8),
         first_thing + np.arange(count, dtype=np.int32),
     )  # fmt: skip
-    there = (
+    there: tuple[NDArray[Any], ...] = (
         snapshot.kind, snapshot.center_m, snapshot.rotation, snapshot.half_m, snapshot.velocity_mps, snapshot.material,
         snapshot.thing,
     )  # fmt: skip
