@@ -144,11 +144,12 @@ def _placed(target: Target, count: int) -> tuple[Probes, NDArray[np.int64]]:
 def test_truth_and_placed_probes_say_the_same(target: Target) -> None:
     probes, met = _placed(target, 900)
     truth = _scene()[2]
-    seen = met >= target.min_returns
-    expected = truth.expected_returns[target.name][probes.cell[:, 0], probes.cell[:, 1]] >= target.min_returns
+    expected = truth.expected_returns[target.name][probes.cell[:, 0], probes.cell[:, 1]].astype(np.int64)
+    seen, few = met >= target.min_returns, met < 200  # the truth counts up to 255
     assert len(met) > 400
-    assert 0.1 < seen.mean() < 0.9
-    assert (expected == seen).mean() >= 0.985
+    assert 0.1 < seen.mean() < 0.95
+    assert ((expected >= target.min_returns) == seen).mean() >= 0.985
+    assert 0.9 < expected[few].sum() / met[few].sum() < 1.0  # a probe is met on its sides and its top as well
     mirrored = truth.visible(target)[:, ::-1]
     assert (mirrored[probes.cell[:, 0], probes.cell[:, 1]] == seen).mean() < 0.95
 
