@@ -27,7 +27,8 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     there = np.where(seen, 2.0, np.where(able, -2.0, 0.0))
     return Reports(
         np.arange(first, first + count), seen, able, able, np.log(odds / (1 - odds)),
-        np.zeros((5, 3)), np.zeros(seen.shape), np.full(seen.shape, -3.0), there, xy_m, np.full(seen.shape, STD_M),
+        np.zeros((5, 3)), np.zeros(seen.shape), np.zeros((2, *seen.shape)), np.zeros(2), np.full(seen.shape, -3.0),
+        there, 0.0, xy_m, np.full(seen.shape, STD_M),
     )  # fmt: skip
 
 
@@ -138,6 +139,27 @@ def test_a_forged_view_vouches_little_for_its_own_reports() -> None:
     assert verdicts.suspects.tolist() == [True, False, False, False]
 
 
+@pytest.mark.parametrize("reporters", [[0], [1, 2, 3]])
+def test_views_of_those_silent_tell_who_lies(reporters: list[int]) -> None:
+    """Free ground in silent views speaks against one reporter; against three it speaks of the one that claims it."""
+    seen = np.zeros((3, 4), bool)
+    seen[:, reporters] = True
+    reports = reports_of(seen, np.where(seen, 0.9, 0.02))
+    free = np.broadcast_to(np.where(seen, 0.0, 3.0), (2, 3, 4))
+    trust = Trust(4)
+    for _ in range(3):
+        verdicts = trust.add(replace(reports, silent_views=free), 1.0)
+    assert verdicts.evidence.argmax() == 0
+    assert verdicts.suspects.tolist() == [True, False, False, False]
+
+
+def test_who_lies_about_much_is_found_as_who_lies_about_little() -> None:
+    much, little = (np.array([[1, 1, 1, 0]] * count + [[1, 1, 1, 1]] * (8 - count)) for count in (6, 1))
+    for lied in (much, little):
+        assert after(4, lied.tolist()).evidence.argmax() == 3
+    assert after(4, much.tolist()).evidence[3] > after(4, little.tolist()).evidence[3] + 5.0
+
+
 def compared(pairs: dict[tuple[int, int], float], own: dict[int, float], agents: int = 4) -> tuple[F64, F64]:
     """Return surprises in nats of pairs and of single views; where none is given nothing is compared or odd."""
     of_pairs, of_own = np.full((agents, agents, 2), np.nan), np.zeros((agents, 3))
@@ -205,7 +227,11 @@ def test_agents_may_come_in_any_order() -> None:
     order = np.array([2, 0, 3, 1])
     reports = reports_of(seen, chance, rng)
     names = ("seen", "able", "sees", "reported", "invented", "displaced", "there", "xy_m", "std_m")
-    turned = replace(reports, **{name: getattr(reports, name)[:, order] for name in names})
+    views = rng.normal(size=(2, *seen.shape))
+    turned = replace(
+        reports, silent_views=views[..., order], **{name: getattr(reports, name)[:, order] for name in names}
+    )
+    reports = replace(reports, silent_views=views)
     one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
     assert np.allclose(one.evidence[order], other.evidence)
     assert np.allclose(one.trust[order], other.trust)
