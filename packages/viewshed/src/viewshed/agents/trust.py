@@ -71,11 +71,11 @@ class TrustRules:
     disc_m: float = 4.0  # radius of the disc over which a lie puts an object
     # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
     astray: float = 0.4
-    begins: float = 0.1  # chance that a lie about an object begins with a look at it: it was reported as it is before
+    begins: float = 0.3  # chance that a lie about an object begins with a look at it: it was reported as it is before
     objects: int = 4  # most objects that count against a hypothesis, those that say most
     most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
     look_s: float = 0.5  # reports of one object count once in this time: honest chances are those of looks so far apart
-    half_life_s: float = 10.0  # after this time a report counts half
+    half_life_s: float = 4.0  # after this time a report counts half
     mean_s: float = 1.0  # time over which comparisons of views are averaged
     temper: float = 4.0  # log-likelihoods are divided by this before they become probabilities
 
