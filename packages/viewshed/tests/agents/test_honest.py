@@ -109,7 +109,7 @@ def test_the_model_in_the_box_asks_what_it_was_fitted_on() -> None:
         assert getattr(model, name).of_bins.shape == getattr(blank, name).of_bins.shape
     assert (model.found.shape, model.views.pairs.shape) == (blank.found.shape, blank.views.pairs.shape)
     # Agreement of others counts, and so does their denial.
-    assert model.of_others[4, 0] > model.of_others[1, 0] > model.of_others[1, 2]
+    assert model.of_others[4, 0] > model.of_others[1, 0] > model.of_others[1, 1]
 
 
 def test_what_agents_say_and_could_have_seen() -> None:
