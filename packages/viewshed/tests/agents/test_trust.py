@@ -61,7 +61,7 @@ def test_a_third_view_tells_who_lies(said: list[int]) -> None:
     verdicts = after(4, [said, said], seconds=6)
     assert verdicts.evidence.argmax() == 3
     assert verdicts.suspects.tolist() == [False, False, False, True]
-    assert verdicts.trust[3] < 0.3
+    assert verdicts.trust[3] < 0.45
     assert (verdicts.trust[:3] > 0.9).all()
     assert np.allclose(verdicts.existence, said[0], atol=0.05)
 
@@ -72,7 +72,7 @@ def test_a_liar_that_goes_on_stays_as_suspicious(said: list[int]) -> None:
     lied = [after(4, [said, said], seconds=seconds) for seconds in (3, 10, 30)]
     evidence = [verdicts.evidence[3] for verdicts in lied]
     assert evidence[-1] > 0.9 * max(evidence)
-    assert lied[-1].trust[3] < 0.1
+    assert lied[-1].trust[3] < 0.2
     assert (lied[-1].trust[:3] > 0.9).all()
 
 

@@ -77,7 +77,7 @@ class TrustRules:
     look_s: float = 0.5  # reports of one object count once in this time: honest chances are those of looks so far apart
     half_life_s: float = 4.0  # after this time a report counts half
     mean_s: float = 1.0  # time over which comparisons of views are averaged
-    temper: float = 4.0  # log-likelihoods are divided by this before they become probabilities
+    temper: float = 5.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
         for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "begins"):
