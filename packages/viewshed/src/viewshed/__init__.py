@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 __version__ = "0.4.0"
 
-if _core.__version__ != __version__:
+if __version__ != _core.VERSION:
     raise ImportError(
-        f"viewshed's native core must be of version {__version__}, got {_core.__version__};"
+        f"viewshed's native core must be of version {__version__}, got {_core.VERSION};"
         " install viewshed anew (in a checkout: pip install packages/viewshed)"
     )
 
