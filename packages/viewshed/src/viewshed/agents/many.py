@@ -28,7 +28,7 @@ from viewshed.agents.honest import (
     own_box_columns,
     reported_columns,
 )
-from viewshed.agents.joint_fov import JointFov, claimed_at, confirmed, joint_fov
+from viewshed.agents.joint_fov import JointFov, confirmed, joint_fov
 from viewshed.agents.registration import registered_poses
 from viewshed.agents.report import FAR_M, AgentReport, visible_to
 from viewshed.agents.trust import Reports, Trust, TrustRules, Verdicts
@@ -42,7 +42,7 @@ from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import hidden_within
 
 __all__ = [
-    "AgentReport", "CommandCenter", "CommonPicture", "JointFov", "claimed_at", "confirmed", "joint_fov", "match_agents",
+    "AgentReport", "CommandCenter", "CommonPicture", "JointFov", "confirmed", "joint_fov", "match_agents",
 ]  # fmt: skip
 
 GATE_M, STORY_M = 4.0, 2.5
