@@ -232,7 +232,7 @@ class Trust:
         self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
         begins = weight * self.rules.begins
         for number, logs in zip(reports.ids.tolist(), weight * self._likelihoods(reports), strict=True):
-            # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): years of honesty excuse nothing.
+            # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): honesty before excuses nothing.
             known = np.logaddexp(
                 self._of_objects.get(number, np.zeros(len(self._lies))) + np.log1p(-begins), np.log(begins)
             )
