@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from scipy.stats import beta
 
+from viewshed.fov.estimate import FovEstimate
 from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, lower_bound
 from viewshed.guarantees.envelope import Threat
@@ -21,6 +23,7 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies.figures import compared
 from viewshed_lab.studies.formatting import format_interval, format_number, format_rate, format_rates
 from viewshed_lab.studies.guarantees import attacks
+from viewshed_lab.studies.guarantees.driving import CASES, LAST_S, MONITORS, drive_through
 from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
 from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, default_estimator, own_scene
 from viewshed_lab.studies.pages import Picture, Table, fill_template
@@ -34,8 +37,9 @@ def files_of(folder: Path) -> dict[str, bytes]:
         certificates=_certificates(lines["certificates"]), final=_final(lines["certificates"]),
         attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
-        development=_development(folder), survey=_survey(lines["survey"]),
-        picture=_picture() if lines["attacks"] else None,
+        development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
+        picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]), last_s=LAST_S,
+        strip=_strip() if lines["driving"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
     about = facts(
@@ -44,7 +48,21 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return page.files("guarantees.md", about)
 
 
-_PARTS = ("certificates", "broken", "adapted", "calibration", "development", "report", "attacks", "survey")
+_STATES = ListedColormap(["#b9b4c7", "#dcefff", "#4f6d8f", "#6d6875"])
+"""Colors of UNKNOWN, FREE, SURFACE and HIDDEN."""
+
+_PARTS = (
+    "certificates",
+    "broken",
+    "adapted",
+    "calibration",
+    "development",
+    "report",
+    "attacks",
+    "survey",
+    "driving",
+    "crossview",
+)
 
 
 def _sum(lines: list[Line], key: str, kind: str) -> Any:
@@ -242,6 +260,65 @@ def _survey(lines: list[Line]) -> Table | None:
         surveyed, off = np.sum([line[name] for line in lines], axis=0)
         rows.append([name, f"{surveyed / len(lines):.0f}", format_rate(off / max(surveyed, 1), 4)])
     return Table(["mask", "claimed cells on surveyed ground, a sweep", "of these off by more than .3 m"], rows)
+
+
+def _crossview(lines: list[Line]) -> Table | None:
+    """Return over-claim and under-claim on real posed sequences, by sensor and mask."""
+    if not lines:
+        return None
+    rows = []
+    for line in lines:
+        rates = [line[name] for name in ("over", "under")]
+        words = [f"{format_interval(r['value'], (r['low'], r['high']))} of {r['columns']}" for r in rates]
+        rows.append([line["sensor"], line["mask"], *words])
+    return Table(["sensor", "mask", "over-claim", "under-claim"], rows)
+
+
+def _driving(lines: list[Line]) -> Table | None:
+    """Return collisions, needless stops and travel times of the closed loop, by case and monitor."""
+    if not lines:
+        return None
+    rows = []
+    for case in CASES:
+        for monitor in MONITORS:
+            of = [line for line in lines if (line["case"], line["monitor"]) == (case, monitor)]
+            hit, passed = sum(line["collided"] for line in of), [x["time_s"] for x in of if x["time_s"] < LAST_S]
+            stood = np.array([line["needless_s"] for line in of])
+            spread = 1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)) if len(passed) > 1 else float("nan")
+            rows.append([
+                case, monitor, str(len(of)), f"{hit}: {format_interval(hit / len(of), _interval(hit, len(of)))}",
+                f"{stood.mean():.1f} s in {int((stood > 0).sum())}", f"{sum(line['alarm_s'] > 0 for line in of)}",
+                str(len(passed)), f"{np.mean(passed):.1f} ±{spread:.1f}" if passed else "–",
+            ])  # fmt: skip
+    header = ["attack", "monitor", "drives", "collisions", "stood needlessly, mean", "drives with an alarm",
+              "drives that passed", "time of these, s"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _strip(number: int = 0, case: str = "far wall", times: tuple[float, ...] = (1.0, 3.0, 5.0, 6.0, 7.0)) -> Picture:
+    """Return what the car believes at some times of a drive, a row for each monitor."""
+    figure = Figure((12.5, 6.0), dpi=80, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(MONITORS), len(times))
+    for monitor, row in zip(MONITORS, axes, strict=True):
+        frames: list[tuple[float, float, tuple[float, float], FovEstimate]] = []
+        drive = drive_through(number, case, monitor, lambda *frame, to=frames: to.append(frame))
+        for axis, wanted_s in zip(row, times, strict=True):
+            axis.set(xticks=[], yticks=[])
+            time_s, speed_mps, walker, estimate = min(frames, key=lambda frame: abs(frame[0] - wanted_s))
+            half_m = estimate.grid.half_extent_m
+            axis.imshow(
+                estimate.state.T, cmap=_STATES, vmin=0, vmax=3, extent=(-half_m, half_m, -half_m, half_m),
+                origin="lower", interpolation="nearest",
+            )  # fmt: skip
+            axis.set(xlim=(-5, 35), ylim=(-8, 8))
+            axis.plot(0.0, 0.0, "s", color="black", markersize=5)
+            axis.plot(*walker, "o", color="crimson", markersize=5)
+            axis.set_title(f"{time_s:.0f} s, {speed_mps:.0f} m/s", fontsize=8)
+        row[0].set_ylabel(monitor + (", hit" if drive.collided else ""), fontsize=8)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    return Picture("guarantees_driving.png", drawn.getvalue(), "What the car believes while it drives, by monitor.")
 
 
 def _picture(number: int = 1) -> Picture:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.data.wild import WildScene
+from viewshed_lab.studies.crossview.page import posed_scenes
+from viewshed_lab.studies.crossview.rates import evaluate_crossview
 from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
@@ -164,6 +166,51 @@ class Certified:
         certificate = certify(leveled, estimate, self.threat, trust_inferred=True)
         kept = certificate.certified_visible if self.only_certified else certificate.claim
         return without(estimate, estimate.visible() & ~kept)
+
+
+@dataclass(frozen=True, slots=True)
+class Guaranteed:
+    """The default estimator's mask of a promised error.
+
+    Attributes:
+        estimator: whose claims it keeps.
+        calibration: that promises.
+        confidence: with which.
+    """
+
+    estimator: Estimator
+    calibration: Calibration
+    confidence: float
+
+    @property
+    def grid(self) -> BevGrid:
+        """Its grid."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate without what is not guaranteed."""
+        leveled = level(sweep, self.grid)
+        estimate = self.estimator.estimate(leveled)
+        kept = self.calibration.mask(estimate, leveled.ground, confidence=self.confidence)
+        return without(estimate, estimate.visible() & ~kept)
+
+
+def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
+    """Return over-claim and under-claim of the default and of guaranteed masks on real posed sequences, by sensor.
+
+    Args:
+        index: JSON of the sweeps; each folder of it is one scene.
+        masks: calibrations by name, and the confidence that is asked of them.
+    """
+    default = default_estimator(TARGETS["car"])
+    tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": Certified(default, ADDED)}
+    tried |= {name: Guaranteed(default, *mask) for name, mask in masks.items()}
+    found = []
+    for sensor, scenes in posed_scenes(index).items():
+        for row in evaluate_crossview(scenes, tried, rng=np.random.default_rng(36)):
+            rates = {name: asdict(getattr(row, name)) for name in ("over", "under")}
+            found.append({"sensor": sensor, "mask": row.method, **rates})
+    return found
 
 
 def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
