@@ -24,7 +24,7 @@ from viewshed.preprocess.leveling import NULL_RANGE_M, level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
-TRIED = ("added", "replaced:5", "replaced:20", "replaced:150", "window:5", "wedge:10", "dropped:20")
+TRIED = ("added", "replaced:5", "replaced:20", "replaced:50", "replaced:150", "window:5", "wedge:10", "dropped:20")
 
 TRIED_TOY = ("added", "replaced:5", "replaced:20", "window:5", "wedge:60", "dropped:5")
 

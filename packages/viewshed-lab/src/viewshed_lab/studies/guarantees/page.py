@@ -25,7 +25,7 @@ from viewshed_lab.studies.formatting import format_interval, format_number, form
 from viewshed_lab.studies.guarantees import attacks
 from viewshed_lab.studies.guarantees.driving import CASES, LAST_S, MONITORS, drive_through
 from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
-from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, default_estimator, own_scene
+from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, WITHSTOOD, default_estimator, own_scene
 from viewshed_lab.studies.pages import Picture, Table, fill_template
 
 
@@ -35,7 +35,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     page = fill_template(
         "guarantees/page.md", counts={part: len(of) for part, of in lines.items()}, alpha=ALPHA, delta=DELTA,
         certificates=_certificates(lines["certificates"]), final=_final(lines["certificates"]),
-        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), adapted=_adapted(lines["adapted"]),
+        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]), last_s=LAST_S,
@@ -141,8 +141,8 @@ def _attacks(lines: list[Line]) -> Table | None:
     return Table(["threat", *kinds, "attacks", "violations"], rows)
 
 
-def _worst(lines: list[Line]) -> Table | None:
-    """Return the bound against the worst attack that was found, by threat, over the own scenes."""
+def _bounds(lines: list[Line]) -> dict[str, list[tuple[float, float]]]:
+    """Return by threat, for each own scene, the worst attack that was found and the bound, in m²."""
     found: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for line in lines:
         by_threat: dict[str, list[Line]] = defaultdict(list)
@@ -151,6 +151,12 @@ def _worst(lines: list[Line]) -> Table | None:
         for words, tallies in by_threat.items():
             if not line["toy"]:
                 found[words].append((max(tally["best_m2"] for tally in tallies), tallies[0]["bound_m2"]))
+    return found
+
+
+def _worst(lines: list[Line]) -> Table | None:
+    """Return the bound against the worst attack that was found, by threat, over the own scenes."""
+    found = _bounds(lines)
     if not found:
         return None
     rows = []
@@ -162,11 +168,37 @@ def _worst(lines: list[Line]) -> Table | None:
     return Table(["threat", "worst attack found, m²", "bound, m²", "bound / worst, mean over scenes"], rows)
 
 
+def _worst_picture(lines: list[Line]) -> Picture | None:
+    """Return bound and worst attack found by the number of replaced beams, each scene and their mean."""
+    found = {
+        int(words[9:]): np.array(pairs) for words, pairs in _bounds(lines).items() if words.startswith("replaced:")
+    }
+    if not found:
+        return None
+    figure = Figure((5.6, 3.2), dpi=90, layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    beams = sorted(found)
+    for column, (name, color) in enumerate((("worst attack found", "#c05a2b"), ("bound", "#2b5aa0"))):
+        for number in range(len(found[beams[0]])):
+            axis.plot(beams, [found[k][number, column] for k in beams], color=color, alpha=0.15, linewidth=1)
+        axis.plot(beams, [found[k][:, column].mean() for k in beams], "o-", color=color, label=name)
+    axis.set(xscale="log", yscale="log", xlabel="replaced beams", ylabel="opened, m²", xticks=beams, xticklabels=beams)
+    axis.minorticks_off()
+    axis.legend(frameon=False)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    return Picture(
+        "guarantees_bound.png", drawn.getvalue(), "Bound and worst attack found, by number of replaced beams."
+    )
+
+
 def _adapted(lines: list[Line]) -> Table | None:
     """Return what an attacker with 150 returns on beams opens who asks the victim."""
     if not lines:
         return None
-    names = {"default": "default", "final": "default ∩ envelope", "certified": "its certified part, `replaced:150`"}
+    names = {"default": "default", "final": "default ∩ envelope"}
+    names |= {words: f"its certified part, `{words}`" for words in WITHSTOOD}
     rows = [
         [words, *(f"{np.mean([line[name][k] for line in lines]):.0f}" for k in (0, 1)),
          f"{max(line[name][1] for line in lines):.0f}"]

@@ -37,7 +37,10 @@ SEEDS = {"calibration": 3601, "report": 3602, "certificates": 3603, "attacks": 3
 
 GRID = GRIDS["road"]
 
-THREATS = ("added", "replaced:5", "window:5", "replaced:150", "wedge:10", "dropped:20")
+THREATS = ("added", "replaced:5", "window:5", "window:20", "replaced:150", "wedge:10", "dropped:20")
+
+WITHSTOOD = ("window:5", "window:20", "replaced:150")
+"""Threats whose certified part an attacker who adapts is set on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,7 +248,7 @@ def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
     victims: dict[str, FovEstimator] = {
         "default": estimator,
         "final": Certified(estimator, threat),
-        "certified": Certified(estimator, threat, True),
+        **{words: Certified(estimator, Threat.parse(words), True) for words in WITHSTOOD},
     }
     for name, victim in victims.items():
         search = BlackBox(OverClaim(victim), 150, queries, placement="largest_hidden_area")
