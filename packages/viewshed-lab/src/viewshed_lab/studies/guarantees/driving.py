@@ -1,8 +1,9 @@
 """A closed loop: a car that only drives as fast as it can stop before whatever may step out of what it does not see.
 
-A straight street meets another one; at the right stands a van, and from behind it someone walks across the street. They
-set out so that they and the car would meet at the speed that it has then. Every .2 s the car measures a sweep, which an
-attacker may change, and a :class:`viewshed.pipeline.Pipeline` answers it: the speed follows from what that leaves FREE.
+A straight street meets another one; at the right stands a van, and from behind it someone walks into the lane, stays
+there for STAYS_S, and walks on. They set out so that they and the car would meet if it passes the van at PAST_MPS.
+Every .2 s the car measures a sweep, which an attacker may change, and a :class:`viewshed.pipeline.Pipeline` answers it:
+the speed follows from what that leaves FREE.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab.sim.assets.buildings import town_house
 from viewshed_lab.sim.assets.street import drive, person, place_at
 from viewshed_lab.sim.assets.vehicles import sensor_car, van
-from viewshed_lab.sim.lidar.weather import CONDITIONS
+from viewshed_lab.sim.lidar.weather import Conditions
 from viewshed_lab.sim.observe import Setting, measure_sweep
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Agent, Thing, Track, World
@@ -48,10 +49,15 @@ CRUISE_MPS, SPEED_UP_MPS2 = 11.0, 2.0
 WALK_MPS = 1.5
 """How fast the car expects someone to step out."""
 
-ATTACKED_S = (1.0, 9.0)
+STAYS_S, PAST_MPS = 4.0, 4.0
+
+ATTACKED_S = (1.0, 15.0)
 
 THREAT = Threat("wedge", 30)
 """All attacks here own one wedge of 30°, or less."""
+
+WEATHER = Conditions(extinction_per_m=0.0034, wet=0.3, noise=1.3)
+"""Heavy rain without its drops near the sensor: to this car each would be a place where someone may stand."""
 
 PASSES, FITTED = 5, 24
 """Passes of the published network, and benign sweeps that its detector is fitted on, and calibrated on."""
@@ -59,7 +65,7 @@ PASSES, FITTED = 5, 24
 ATTACKS: dict[str, Callable[[float], Attack]] = {
     "far wall": lambda azimuth: FarWall(azimuth=azimuth, near_m=40.0, spoofer=CLEAN_SPOOFER),
     "removal": lambda azimuth: PhysicalRemoval(azimuth=azimuth, spoofer=CLEAN_SPOOFER),
-    "ghost wall": lambda _: GhostWall(azimuth=0.0, range_m=15.0, spoofer=CLEAN_SPOOFER),
+    "ghost wall": lambda _: GhostWall(azimuth=0.0, range_m=4.0, spoofer=CLEAN_SPOOFER),
 }
 """By name, aimed at an azimuth: where the one who is hidden walks, but for the ghost, which stands ahead. The attacker
 wins every beam."""
@@ -94,7 +100,7 @@ class Junction:
 
     Attributes:
         number: of the run; everything random follows from it.
-        conditions: weather, a name of ``CONDITIONS``.
+        weather: what air and ground do to a measurement.
         lane_m: y of the middle of the car's lane.
         start_m: (x, y) where someone waits behind the van.
         walk_mps: how fast they walk.
@@ -102,7 +108,7 @@ class Junction:
     """
 
     number: int
-    conditions: str
+    weather: Conditions
     lane_m: float = -1.75
     start_m: tuple[float, float] = (0.0, 0.0)
     walk_mps: float = 1.5
@@ -138,7 +144,7 @@ class Junction:
         walker = drive(self.walker, along(self.start_m[0], walker_y_m, 0.0, pace, np.pi / 2))
         agent = Agent("ego", "hdl32e", Rigid.from_yaw(0.0, (ahead_m, 0.0, 1.84)), 0)
         world = World("crossing", self.terrain, (car, walker, *self.still), (agent,))
-        setting = Setting(GRIDS["road"], CONDITIONS[self.conditions])
+        setting = Setting(GRIDS["road"], self.weather)
         paths, noise = np.random.SeedSequence([36, self.number, step]).spawn(2)
         return measure_sweep(world, agent, t_s, setting, paths, noise)[1].sweep()
 
@@ -175,20 +181,20 @@ def drive_through(
         on_step: is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
             believes.
     """
-    place = Junction(number, "rain" if case == "weather" else "clear")
+    place = Junction(number, WEATHER if case == "weather" else Conditions())
     answers: SimpleQueue[Answer] = SimpleQueue()
     pipeline = Pipeline(
         load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]), answers.put, monitor=_monitor_named(monitor),
         certify=THREAT if monitor == MONITORS[-1] else None, vehicle=CAR, lossless=True,
     )  # fmt: skip
     x_m, speed_mps, walker_m, walks = -60.0, CRUISE_MPS, place.start_m[1], False
-    needless_s = alarm_s = 0.0
+    needless_s = alarm_s = stayed_s = 0.0
     with pipeline:
         for step in range(round(LAST_S / STEP_S)):
-            # 1. Whoever waits sets out such that both would be in the lane at the same time.
+            # 1. Whoever waits sets out such that both would be in the lane at the same time, at a speed past the van.
             to_go_m = place.start_m[0] - x_m - CAR.front_m
             in_lane_s = (place.lane_m - place.start_m[1]) / place.walk_mps
-            walks = walks or to_go_m < max(speed_mps, 2.0) * (in_lane_s + place.early_s)
+            walks = walks or to_go_m < PAST_MPS * (in_lane_s + place.early_s)
             # 2. The car looks, and an attacker changes what it sees.
             sweep = place.sweep(step, x_m, speed_mps, walker_m, walks=walks)
             if case in ATTACKS and ATTACKED_S[0] <= step * STEP_S < ATTACKED_S[1]:
@@ -208,7 +214,9 @@ def drive_through(
             for _ in range(4):
                 speed_mps = max(speed_mps + change / 4, 0.0)
                 x_m += speed_mps * STEP_S / 4
-                walker_m += place.walk_mps * STEP_S / 4 if walks else 0.0
+                stays = walker_m >= place.lane_m and stayed_s < STAYS_S
+                stayed_s += STEP_S / 4 if stays else 0.0
+                walker_m += place.walk_mps * STEP_S / 4 if walks and not stays else 0.0
                 met = abs(x_m - place.start_m[0]) < 2.6 and abs(walker_m - place.lane_m) < 1.1
                 if met and speed_mps > 0.5:
                     return Drive(True, LAST_S, needless_s, alarm_s)
@@ -246,7 +254,7 @@ def _published() -> PublishedDetector:
 
     def benign(first: int) -> Any:
         for number in range(first, first + FITTED):
-            place = Junction(number, "clear")
+            place = Junction(number, Conditions())
             x_m = -60.0 + 60.0 * (number % 12) / 12
             sweep = place.sweep(0, x_m, CRUISE_MPS, place.start_m[1], walks=False)
             yield estimator.estimate(level(sweep, GRIDS["road"]))

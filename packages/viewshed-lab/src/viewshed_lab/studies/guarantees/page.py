@@ -23,7 +23,7 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies.figures import compared
 from viewshed_lab.studies.formatting import format_interval, format_number, format_rate, format_rates
 from viewshed_lab.studies.guarantees import attacks
-from viewshed_lab.studies.guarantees.driving import CASES, LAST_S, MONITORS, drive_through
+from viewshed_lab.studies.guarantees.driving import CASES, LAST_S, MONITORS, STAYS_S, drive_through
 from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
 from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, WITHSTOOD, default_estimator, own_scene
 from viewshed_lab.studies.pages import Picture, Table, fill_template
@@ -35,10 +35,12 @@ def files_of(folder: Path) -> dict[str, bytes]:
     page = fill_template(
         "guarantees/page.md", counts={part: len(of) for part, of in lines.items()}, alpha=ALPHA, delta=DELTA,
         certificates=_certificates(lines["certificates"]), final=_final(lines["certificates"]),
-        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
+        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]),
+        worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
-        picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]), last_s=LAST_S,
+        picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
+        last_s=LAST_S, stays_s=STAYS_S,
         strip=_strip() if lines["driving"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
@@ -88,7 +90,7 @@ def _certificates(lines: list[Line]) -> Table | None:
         ground, words = key.split(" | ")
         clean = _sum(lines, key, "envelope")
         gain_m2 = sum(line[key]["gain_m2"] for line in lines)
-        worst = clean[0] / (clean[0] + clean[1] + gain_m2)
+        worst = clean[0] / (clean[0] + _sum(lines, key, "reference")[1] + gain_m2)
         rows.append([
             ground, f"`{words}`", _precision_recall(clean), _precision_recall(_sum(lines, key, "certified envelope")),
             f"{gain_m2 / len(lines):.0f}", format_rate(worst),
@@ -368,7 +370,7 @@ def _picture(number: int = 1) -> Picture:
         "final claim, certified against 5": certify(
             leveled, estimate, Threat("replaced", 5), victim.given
         ).certified_visible,
-        "opened by the attack": after.claim() & ~clean.claim(),
+        "opened by the attack": after.claim() & ~clean.open(),
     }
     figure = Figure((12.5, 3.4), dpi=90, layout="constrained")
     FigureCanvasAgg(figure)

@@ -114,10 +114,11 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
             threat = Threat.parse(words)
             certificate = certify(leveled, estimate, threat, given)
             # What is certified by the envelope alone, whatever an estimator claims.
-            gain_m2, _ = envelope.changeable(threat, ~envelope.claim(), opens=True)
+            gain_m2, _ = envelope.changeable(threat, ~envelope.reference(threat), opens=True)
             _, spent = envelope.changeable(threat, envelope.claim(), opens=False)
             found[f"{name} | {words}"] = {
                 "envelope": areas(envelope.claim(), visible, scene.known),
+                "reference": areas(envelope.reference(threat), visible, scene.known),
                 "certified envelope": areas(envelope.claim() & ~spent, visible, scene.known),
                 "final": areas(certificate.claim, visible, scene.known),
                 "certified": areas(certificate.certified_visible, visible, scene.known),
@@ -259,7 +260,7 @@ def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
         if name == "final":
             leveled = level(tampered.sweep, GRID)
             found["bound"] = certify(leveled, estimator.estimate(leveled), threat, trust_inferred=True).over_claim_m2
-            clean = Envelope.of(scene.leveled, Given.of(scene.leveled), GRID, TARGETS["car"]).claim()
+            clean = Envelope.of(scene.leveled, Given.of(scene.leveled), GRID, TARGETS["car"]).reference(threat)
             found["beyond the clean envelope"] = float((after & ~clean).sum()) * GRID.cell_area_m2
     return found
 
