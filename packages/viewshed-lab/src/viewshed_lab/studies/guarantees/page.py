@@ -329,7 +329,7 @@ def _driving(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
-def _strip(number: int = 0, case: str = "far wall", times: tuple[float, ...] = (1.0, 3.0, 5.0, 6.0, 7.0)) -> Picture:
+def _strip(number: int = 0, case: str = "far wall", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)) -> Picture:
     """Return what the car believes at some times of a drive, a row for each monitor."""
     figure = Figure((12.5, 6.0), dpi=80, layout="constrained")
     FigureCanvasAgg(figure)
