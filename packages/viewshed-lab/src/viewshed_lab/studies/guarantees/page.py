@@ -41,7 +41,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
         last_s=LAST_S, stays_s=STAYS_S,
-        strip=_strip() if lines["driving"] else None,
+        strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
     about = facts(
@@ -316,6 +316,8 @@ def _driving(lines: list[Line]) -> Table | None:
     for case in CASES:
         for monitor in MONITORS:
             of = [line for line in lines if (line["case"], line["monitor"]) == (case, monitor)]
+            if not of:
+                continue
             hit, passed = sum(line["collided"] for line in of), [x["time_s"] for x in of if x["time_s"] < LAST_S]
             stood = np.array([line["needless_s"] for line in of])
             spread = 1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)) if len(passed) > 1 else float("nan")
@@ -329,12 +331,15 @@ def _driving(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
-def _strip(number: int = 0, case: str = "far wall", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)) -> Picture:
-    """Return what the car believes at some times of a drive, a row for each monitor."""
+def _strip(
+    lines: list[Line], number: int = 0, case: str = "far wall", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
+) -> Picture:
+    """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
+    monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
     figure = Figure((12.5, 6.0), dpi=80, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(MONITORS), len(times))
-    for monitor, row in zip(MONITORS, axes, strict=True):
+    axes = figure.subplots(len(monitors), len(times), squeeze=False)
+    for monitor, row in zip(monitors, axes, strict=True):
         frames: list[tuple[float, float, tuple[float, float], FovEstimate]] = []
         drive = drive_through(number, case, monitor, lambda *frame, to=frames: to.append(frame))
         for axis, wanted_s in zip(row, times, strict=True):
