@@ -40,7 +40,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
-        last_s=LAST_S, stays_s=STAYS_S,
+        last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
         strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
@@ -320,11 +320,11 @@ def _driving(lines: list[Line]) -> Table | None:
                 continue
             hit, passed = sum(line["collided"] for line in of), [x["time_s"] for x in of if x["time_s"] < LAST_S]
             stood = np.array([line["needless_s"] for line in of])
-            spread = 1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)) if len(passed) > 1 else float("nan")
+            spread = f" ±{1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)):.1f}" if len(passed) > 1 else ""
             rows.append([
                 case, monitor, str(len(of)), f"{hit}: {format_interval(hit / len(of), _interval(hit, len(of)))}",
                 f"{stood.mean():.1f} s in {int((stood > 0).sum())}", f"{sum(line['alarm_s'] > 0 for line in of)}",
-                str(len(passed)), f"{np.mean(passed):.1f} ±{spread:.1f}" if passed else "–",
+                str(len(passed)), f"{np.mean(passed):.1f}{spread}" if passed else "–",
             ])  # fmt: skip
     header = ["attack", "monitor", "drives", "collisions", "stood needlessly, mean", "drives with an alarm",
               "drives that passed", "time of these, s"]  # fmt: skip
@@ -336,7 +336,7 @@ def _strip(
 ) -> Picture:
     """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
     monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
-    figure = Figure((12.5, 6.0), dpi=80, layout="constrained")
+    figure = Figure((12.5, 1.3 * len(monitors)), dpi=80, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(monitors), len(times), squeeze=False)
     for monitor, row in zip(monitors, axes, strict=True):
