@@ -123,7 +123,7 @@ WRITTEN = {
     "pixels_without": ("_core.pixels_without(ring, isolated, column, counts)", "column", 2**30),
     "beams_by_evidence": (
         "_core.beams_by_evidence(ring, column, counts, isolated, None, phase, origin_m, origin_m, np.eye(3), points, "
-        "range_m, range_m, rows, 1.7, ground_m, 50.0, 2.0, 0.3, no_return_model())",
+        "range_m, range_m, rows, 1.7, ground_m, 50.0, 2.0, 0.3)",
         "rows",
         2**30,
     ),
@@ -142,7 +142,6 @@ def test_arrays_that_another_thread_writes_meanwhile_do_no_harm(name: str) -> No
 import sys, threading, time
 import numpy as np
 from viewshed import _core
-from viewshed.preprocess.no_return import no_return_model
 sys.setswitchinterval(1e-4)
 _core.set_threads(2)
 rng = np.random.default_rng(0)

@@ -98,7 +98,7 @@ SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double t
     const DepthImages depths = depth_images(pixels, {level.range_m, level.height_m, level.rows}, LOW_M, steep_m);
     beam_slopes({level.points.data(), level.count, 3}, level.range_m, height_m, image.isolated, level.rows, split.slope);
     const RingAims aims{image.phase, beams.elevation, beams.origin_m, at.rotation.data()};
-    split.missing = guess_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m, shipped_no_return_model());
+    split.missing = guess_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m);
     return split;
 }
 
@@ -130,11 +130,10 @@ SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, co
     return split;
 }
 
-// The beams without a return, each as deep as one of its likely depths.
-Beams beams_of(const std::optional<NoReturnBeams>& beams, Buffer<float> NoReturnBeams::*depth_m) {
-    if (!beams) return {{nullptr, 0}, {nullptr, 0}, {nullptr, 0}};
-    const std::size_t count = beams->count;
-    return {{beams->azimuth.data(), count}, {beams->slope.data(), count}, {((*beams).*depth_m).data(), count}};
+LostBeams lost_beams(const std::optional<NoReturnBeams>& beams) {
+    if (!beams) return {};
+    const auto some = [&](const Buffer<float>& all) { return View1<const float>{all.data(), beams->count}; };
+    return {some(beams->azimuth), some(beams->slope), {some(beams->depth_m), some(beams->early_m), some(beams->late_m)}};
 }
 
 // How far the sensor sees a dark target; viewshed.preprocess.reach.sensing_reach.
@@ -210,15 +209,13 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     const std::size_t cells = grid_.size();
     Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
     Buffer<bool> within_reach(cells);
-    const std::array<Beams, KINDS> beams{
-        Beams{at.level.azimuth, split.slope, at.level.range_m}, beams_of(split.missing, &NoReturnBeams::depth_m),
-        beams_of(split.missing, &NoReturnBeams::early_m), beams_of(split.missing, &NoReturnBeams::late_m)};
     const std::size_t nodes = at.ground.nodes;
     const Ground ground = at.ground.view();
     const View2<const float> std_m{at.ground.std_m.data(), nodes, nodes};
     const Rule rule{1.0f - STEP_WEIGHT - STEP_WEIGHT, STEP_WEIGHT, STEP_WEIGHT, END_WEIGHT, END_WEIGHT, THRESHOLD,
                     std::nextafter(THRESHOLD, 0.0f), float(reach_m)};
-    measure_evidence(windows_, beams, {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
+    measure_evidence(windows_, {at.level.azimuth, split.slope, at.level.range_m}, lost_beams(split.missing),
+                     {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
                      float(target_.height_m), GROUND_STEPS, probabilities_, rule,
                      {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(), within_reach.data()});
     // 5. The states: what the evidence claims, and what it denies.

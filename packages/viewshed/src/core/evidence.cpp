@@ -119,12 +119,12 @@ void look_up(View1<const float> table, View1<const float> counts, View1<float> p
     look_up(Probabilities(table), counts.data, counts.size, prob.data);
 }
 
-void measure_evidence(const CellWindows& windows, const std::array<Beams, KINDS>& beams, const TargetGround& ground,
+void measure_evidence(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
                       float target_height_m, const std::array<float, 2>& deviations, View1<const float> table,
                       const Rule& rule, const Evidence& to) {
     const Probabilities probabilities(table);
     const std::size_t cells = windows.cells();
-    const CellCounts counts = count_beams(windows, beams, ground, target_height_m, &deviations);
+    const CellCounts counts = count_beams(windows, measured, lost, ground, target_height_m, &deviations);
     for_ranges(cells, count_parts(cells, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float lanes[LANES][CellCounts::BLOCK];
         for (std::size_t first = begin; first < end; first += CellCounts::BLOCK) {

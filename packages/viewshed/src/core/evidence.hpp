@@ -35,7 +35,7 @@ struct Evidence {
 
 // Write the evidence of the cells of a grid, from the kinds of beams. Lower and higher ground lie
 // `deviations` standard deviations away.
-void measure_evidence(const CellWindows& windows, const std::array<Beams, KINDS>& beams, const TargetGround& ground,
+void measure_evidence(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
                       float target_height_m, const std::array<float, 2>& deviations, View1<const float> table,
                       const Rule& rule, const Evidence& to);
 

@@ -203,19 +203,6 @@ def obstacle_cells(
 
 JITTER_COLUMNS: int
 
-class NoReturnModel:
-    def __init__(
-        self,
-        mean: NDArray[np.float32],
-        scale: NDArray[np.float32],
-        first: NDArray[np.float32],
-        first_bias: NDArray[np.float32],
-        second: NDArray[np.float32],
-        second_bias: NDArray[np.float32],
-        third: NDArray[np.float32],
-        third_bias: NDArray[np.float32],
-    ) -> None: ...
-
 def beams_by_evidence(
     ring: NDArray[np.int16],
     column: NDArray[np.int32],
@@ -235,7 +222,6 @@ def beams_by_evidence(
     half_extent_m: float,
     top_m: float,
     obstacle_m: float,
-    model: NoReturnModel,
 ) -> tuple[
     NDArray[np.float32],
     NDArray[np.float32],
@@ -329,9 +315,9 @@ class CellWindows:
 
 def poisson_table(min_returns: int) -> NDArray[np.float32]: ...
 def probability_of_visible(counts: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]: ...
-def returns_by_kind(
+def expected_returns(
     windows: CellWindows,
-    kinds: Sequence[_Beams],
+    beams: _Beams,
     heights_m: NDArray[np.float32],
     half_extent_m: float,
     sensor_height_m: float,
@@ -339,7 +325,10 @@ def returns_by_kind(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def beam_evidence(
     windows: CellWindows,
-    kinds: tuple[_Beams, _Beams, _Beams, _Beams],
+    measured: _Beams,
+    lost: tuple[
+        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]
+    ],
     heights_m: NDArray[np.float32],
     std_m: NDArray[np.float32],
     *,

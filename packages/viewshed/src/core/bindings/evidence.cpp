@@ -3,7 +3,6 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
@@ -15,8 +14,9 @@
 namespace viewshed {
 namespace {
 
-// The beams of one kind as Python hands them in: azimuth, slope, depth_m.
+// Azimuth, slope and depth_m of beams; and of those without a return, with their likely, early and late depth.
 using BeamArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
+using LostArrays = std::tuple<In1<float>, In1<float>, In1<float>, In1<float>, In1<float>>;
 
 Beams beams_of(const BeamArrays& arrays) {
     const auto& [azimuth, slope, depth_m] = arrays;
@@ -24,6 +24,16 @@ Beams beams_of(const BeamArrays& arrays) {
             "azimuth, slope and depth_m must have one shape (B,)");
     require(azimuth.shape(0) < (1u << 30), "beams must be fewer than 2^30");
     return {view(azimuth), view(slope), view(depth_m)};
+}
+
+LostBeams lost_beams_of(const LostArrays& arrays) {
+    const auto& [azimuth, slope, likely_m, early_m, late_m] = arrays;
+    LostBeams lost{};
+    for (std::size_t d = 0; const auto* depth_m : {&likely_m, &early_m, &late_m}) {
+        const Beams beams = beams_of({azimuth, slope, *depth_m});
+        lost.azimuth = beams.azimuth, lost.slope = beams.slope, lost.depth_m[d++] = beams.depth_m;
+    }
+    return lost;
 }
 
 const std::uint8_t* bytes_of(const In2<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); }
@@ -61,43 +71,38 @@ void bind_evidence(nb::module_& m) {
         },
         "counts"_a.noconvert(), "table"_a.noconvert(), "Probability (N,) at mean counts (N,), from a poisson_table.");
     m.def(
-        "returns_by_kind",
-        [](const CellWindows& windows, const std::vector<BeamArrays>& kinds, In2<float> heights_m, float half_extent_m,
+        "expected_returns",
+        [](const CellWindows& windows, const BeamArrays& beams_, In2<float> heights_m, float half_extent_m,
            float sensor_height_m, float target_height_m) {
-            require(kinds.size() >= 1 && kinds.size() <= KINDS, "kinds must be one to four sets of beams");
-            std::array<Beams, KINDS> beams{};
-            std::transform(kinds.begin(), kinds.end(), beams.begin(), beams_of);
+            const Beams beams = beams_of(beams_);
             const TargetGround ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
             const std::size_t cells = windows.cells();
-            Buffer<float> returns(kinds.size() * cells), aimed(cells);
+            Buffer<float> returns(cells), aimed(cells);
             {
                 nb::gil_scoped_release unlocked;
-                const CellCounts counts = count_beams(windows, beams, ground, target_height_m, nullptr);
+                const CellCounts counts = count_beams(windows, beams, {}, ground, target_height_m, nullptr);
                 float lanes[LANES][CellCounts::BLOCK];
                 for (std::size_t first = 0; first < cells; first += CellCounts::BLOCK) {
                     const std::size_t size = std::min(CellCounts::BLOCK, cells - first);
                     counts.read(first, size, lanes);
-                    for (std::size_t kind = 0; kind < kinds.size(); ++kind) {
-                        float* const out = &returns[kind * cells + first];
-                        for (std::size_t n = 0; n < size; ++n) out[n] = std::max(lanes[kind][n], 0.0f);
-                    }
+                    for (std::size_t n = 0; n < size; ++n) returns[first + n] = std::max(lanes[MEASURED][n], 0.0f);
                     std::copy_n(lanes[AIMED], size, &aimed[first]);
                 }
             }
-            return nb::make_tuple(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
-                                  array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
+            const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
+            return nb::make_tuple(shaped(returns), shaped(aimed));
         },
-        "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "half_extent_m"_a, "sensor_height_m"_a,
+        "windows"_a, "beams"_a.noconvert(), "heights_m"_a.noconvert(), "half_extent_m"_a, "sensor_height_m"_a,
         "target_height_m"_a,
-        "Expected returns (kinds, cells, cells) of a target in each cell, and the beams (cells, cells) of the first two kinds "
-        "that aim.");
+        "Expected returns (cells, cells) of a target in each cell, and the beams (cells, cells) that aim at it.");
     m.def(
         "beam_evidence",
-        [](const CellWindows& windows, const std::array<BeamArrays, KINDS>& kinds, In2<float> heights_m, In2<float> std_m,
-           float half_extent_m, float sensor_height_m, float target_height_m,
+        [](const CellWindows& windows, const BeamArrays& measured_beams, const LostArrays& lost_arrays, In2<float> heights_m,
+           In2<float> std_m, float half_extent_m, float sensor_height_m, float target_height_m,
            const std::array<std::pair<float, float>, 2>& ground_steps, const std::pair<float, float>& end_weights,
            In1<float> table, float threshold, float reach_m) {
-            const std::array<Beams, KINDS> beams{beams_of(kinds[0]), beams_of(kinds[1]), beams_of(kinds[2]), beams_of(kinds[3])};
+            const Beams beams = beams_of(measured_beams);
+            const LostBeams lost = lost_beams_of(lost_arrays);
             const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const View1<const float> probabilities = table_of(table);
             const std::array<float, 2> deviations{ground_steps[0].first, ground_steps[1].first};
@@ -109,7 +114,7 @@ void bind_evidence(nb::module_& m) {
             Buffer<bool> within_reach(cells);
             {
                 nb::gil_scoped_release unlocked;
-                measure_evidence(windows, beams, ground, target_height_m, deviations, probabilities, rule,
+                measure_evidence(windows, beams, lost, ground, target_height_m, deviations, probabilities, rule,
                                  {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
                                   within_reach.data()});
             }
@@ -117,11 +122,12 @@ void bind_evidence(nb::module_& m) {
             return nb::make_tuple(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
                                   shaped(visible_prob), shaped(within_reach));
         },
-        "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
+        "windows"_a, "measured"_a.noconvert(), "lost"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(),
+        nb::kw_only(),
         "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_a.noconvert(),
         "threshold"_a, "reach_m"_a,
-        "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from "
-        "beams of the four kinds.");
+        "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
+        "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,

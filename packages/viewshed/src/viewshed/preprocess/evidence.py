@@ -147,13 +147,15 @@ def beam_evidence(
 
 def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: Obstacles | None) -> BeamEvidence:
     beams = beams_by_evidence(leveled, target.height_m)
-    kinds = [beams.measured, beams.inferred, beams.early, beams.late]
-    if history is not None:
-        kinds = [history.within(kind) for kind in kinds]
+    measured, inferred, early, late = (
+        kind if history is None else history.within(kind)
+        for kind in (beams.measured, beams.inferred, beams.early, beams.late)
+    )
     ground, reach_m = leveled.ground, reach_of_sweep(leveled)
     arrays = _core.beam_evidence(
         cell_windows(grid, target.width_m),
-        (kinds[0].arrays, kinds[1].arrays, kinds[2].arrays, kinds[3].arrays),
+        measured.arrays,
+        (*inferred.arrays, early.arrays[2], late.arrays[2]),
         ground.heights_m,
         ground.std_m,
         half_extent_m=ground.half_extent_m,
