@@ -37,7 +37,7 @@ constexpr double PRIOR_BEAMS = 20;
 constexpr double REACH_SHARE = 0.001;
 
 // The beams of a gap are guessed in groups; a turn has about this many.
-constexpr std::size_t GROUPS = 512;
+constexpr std::size_t GROUPS = 256;
 
 // Columns of the pooled image.
 constexpr std::size_t POOLED = 128;
@@ -677,7 +677,9 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
                 if (kept == 0) continue;
                 float found[3][AT_ONCE];
                 guess_depths(groups, found[0]);
-                for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = {found[0][k], found[1][k], found[2][k]};
+                // What went on says nothing beyond the range up to which the sweep shows that its sensor sees.
+                const auto depth_m = [&](std::size_t d, std::size_t k) { return std::min(found[d][k], scene.farthest_m); };
+                for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = {depth_m(0, k), depth_m(1, k), depth_m(2, k)};
             }
         }
     });
