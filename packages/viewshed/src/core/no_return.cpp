@@ -36,6 +36,9 @@ constexpr double PRIOR_BEAMS = 20;
 // Beyond some range lies only this share of the returns.
 constexpr double REACH_SHARE = 0.001;
 
+// Beams say nothing beyond this many times that range: the sweep does not show that its sensor sees farther.
+constexpr float SHOWN_TIMES = 1.5f;
+
 // The beams of a gap are guessed in groups; a turn has about this many.
 constexpr std::size_t GROUPS = 256;
 
@@ -677,8 +680,9 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
                 if (kept == 0) continue;
                 float found[3][AT_ONCE];
                 guess_depths(groups, found[0]);
-                // What went on says nothing beyond the range up to which the sweep shows that its sensor sees.
-                const auto depth_m = [&](std::size_t d, std::size_t k) { return std::min(found[d][k], scene.farthest_m); };
+                const auto depth_m = [&](std::size_t d, std::size_t k) {
+                    return std::min(found[d][k], SHOWN_TIMES * scene.farthest_m);
+                };
                 for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = {depth_m(0, k), depth_m(1, k), depth_m(2, k)};
             }
         }

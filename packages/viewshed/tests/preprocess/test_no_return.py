@@ -151,7 +151,7 @@ def test_the_core_answers_as_the_formulas_do() -> None:
     )  # fmt: skip
     total = weights.sum(axis=1) + np.exp(outputs[:, stops])
     farthest_m = max(kind.depth_m.max() for kind in (split.early, split.inferred, split.late))
-    assert farthest_m == np.ceil(np.quantile(leveled.range_m, 0.999))
+    assert farthest_m == 1.5 * np.ceil(np.quantile(leveled.range_m, 0.999))
     # Of a group of one beam: the share that goes on beyond an end is at most what it stands for, before it more.
     alone = np.flatnonzero(groups.beams == 1)
     azimuth_apart = np.abs(split.inferred.azimuth[None] - groups.azimuth[alone, None])

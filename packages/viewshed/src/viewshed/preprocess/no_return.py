@@ -29,8 +29,8 @@ class BeamsByEvidence:
 
     Attributes:
         measured: beams of returns; those of isolated ones point straight up and meet nothing.
-        inferred: without a return, as deep as they went with a probability of .5; at most the range beyond which one
-            return in a thousand lies, since the sweep does not show that its sensor sees farther.
+        inferred: without a return, as deep as they went with a probability of .5; at most 1.5 times the range beyond
+            which one return in a thousand lies, since the sweep does not show that its sensor sees farther.
         early: the same, as deep as they went with a probability of .8.
         late: the same, as deep as they went with a probability of .2.
     """
