@@ -147,7 +147,7 @@ def use_everything() -> None:
     rows = np.zeros(4, np.int16), np.ones(4, np.bool_), np.arange(4, dtype=np.int32)
     _core.pixels_without(*rows, counts)
     # A sensor without a table: its reach is that of its returns.
-    _core.range_quantile(np.linspace(1.0, 60.0, 4, dtype=np.float32), rows[1], rows[2], 80.0, 0.9)
+    _core.sensing_reach(np.linspace(1.0, 60.0, 4, dtype=np.float32), rows[1], rows[2], 80.0)
     # A stream: earlier sweeps end beams and confirm cells.
     drive = [
         sweep.replace(world_from_sensor=viewshed.Rigid(np.eye(3), np.array([0.5 * k, 0.0, 1.8])), t_ns=k * 100_000_000)

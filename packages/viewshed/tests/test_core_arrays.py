@@ -84,7 +84,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "undo_motion": {"points": POINTS, "x_m": 1.0, "y_m": 0.1, "z_m": 0.0, "seam": 0.0, "reference": 0.5},
     "match_beams": {"slope": LONG, "range_m": LONG} | TABLE,
     "find_clusters": {"azimuth": LONG, "slope": LONG, "range_m": LONG},
-    "range_quantile": {"range_m": LONG, "left_out": MASK, "rows": None, "most_m": 80.0, "share": 0.9},
+    "sensing_reach": {"range_m": LONG, "left_out": MASK, "rows": None, "most_m": 80.0},
     "obstacle_image": {"clouds": [CLOUD], "least_m": 0.3, "sensor_height_m": 1.8},
     "end_at_obstacles": {"image": _core.obstacle_image([], 0.3, 1.8), "azimuth": LONG, "slope": LONG, "depth_m": LONG},
     "confirmed_cells": {
@@ -116,8 +116,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "beam_evidence": {
         "measured": KIND, "lost": (LONG,) * 5, "heights_m": FLAT, "std_m": FLAT,
         "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
-        "ground_steps": ((-1.22, 0.3), (1.22, 0.3)), "end_weights": (0.3, 0.3), "table": _core.poisson_table(5),
-        "threshold": 0.5, "reach_m": 60.0},
+        "table": _core.poisson_table(5), "reach_m": 60.0},
     "CellWindows": {"range_m": np.ones((4, 4), F4), "azimuth": np.ones((4, 4), F4), "cell_m": 0.5, "width_m": 1.8},
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
@@ -218,8 +217,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("match_beams", {"range_m": SHORT}, "slope and range_m must be as long"),
     ("find_clusters", {"azimuth": SHORT}, "azimuth, slope and range_m must be as long"),
     # Reach and history.
-    ("range_quantile", {"left_out": MASK[1:]}, "must"), ("range_quantile", {"rows": ROWS + 1}, "must"),
-    ("range_quantile", {"left_out": MASK[:0], "rows": ROWS}, "must"), ("range_quantile", {"share": 1.1}, "must"),
+    ("sensing_reach", {"left_out": MASK[1:]}, "must"), ("sensing_reach", {"rows": ROWS + 1}, "must"),
+    ("sensing_reach", {"left_out": MASK[:0], "rows": ROWS}, "must"),
     ("obstacle_image", {"clouds": [(CLOUD[0][:, :2].copy(), *CLOUD[1:])]}, TYPE),
     ("obstacle_image", {"clouds": [(CLOUD[0].astype(float), *CLOUD[1:])]}, TYPE),
     ("obstacle_image", {"clouds": [(CLOUD[0], CLOUD[1][:3], CLOUD[2])]}, "must"),
@@ -386,8 +385,11 @@ def ground_of_street() -> Any:
 def large_quantile() -> Any:
     range_m = np.random.default_rng(0).gamma(2.0, 10.0, 150_001).astype(F4)
     range_m[::7] = NAN
-    found = _core.range_quantile(range_m, np.zeros(len(range_m), np.bool_), None, 80.0, 0.9)
-    assert found == pytest.approx(np.quantile(range_m[range_m <= 80.0].astype(np.float64), 0.9), rel=1e-12)
+    range_m *= 2
+    found = _core.sensing_reach(range_m, np.zeros(len(range_m), np.bool_), None, 120.0)
+    quantile_m = np.quantile(range_m[range_m <= 120.0].astype(np.float64), 0.9)
+    assert 85.0 < found < 120.0
+    assert found == pytest.approx(np.cbrt(2.5 * quantile_m * 85.0**2), rel=1e-12)
     return found
 
 

@@ -131,12 +131,11 @@ def held_ground(
 
 # reach.cpp
 
-def range_quantile(
+def sensing_reach(
     range_m: NDArray[np.float32],
     left_out: NDArray[np.bool_],
     rows: NDArray[np.int32] | None,
     most_m: float,
-    share: float,
 ) -> float: ...
 
 # leveling.cpp
@@ -315,6 +314,10 @@ class CellWindows:
 
 def poisson_table(min_returns: int) -> NDArray[np.float32]: ...
 def probability_of_visible(counts: NDArray[np.float32], table: NDArray[np.float32]) -> NDArray[np.float32]: ...
+
+THRESHOLD: float
+UNSURE_M: float
+
 def expected_returns(
     windows: CellWindows,
     beams: _Beams,
@@ -335,10 +338,7 @@ def beam_evidence(
     half_extent_m: float,
     sensor_height_m: float,
     target_height_m: float,
-    ground_steps: tuple[tuple[float, float], tuple[float, float]],
-    end_weights: tuple[float, float],
     table: NDArray[np.float32],
-    threshold: float,
     reach_m: float,
 ) -> tuple[
     NDArray[np.float32],
@@ -355,8 +355,6 @@ def claims(
     std_m: NDArray[np.float32],
     *,
     table: NDArray[np.float32],
-    threshold: float,
-    unsure_m: float,
 ) -> tuple[int, int, int]: ...
 def states(
     measured: NDArray[np.float32],
@@ -369,8 +367,6 @@ def states(
     obstacle: NDArray[np.bool_],
     *,
     table: NDArray[np.float32],
-    threshold: float,
-    sure_aim: float,
 ) -> NDArray[np.uint8]: ...
 
 # boxes.cpp

@@ -158,8 +158,7 @@ def _evidence(
 ) -> Any:
     return _core.beam_evidence(
         cell_windows(GRID, 1.8), measured, lost, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
-        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), end_weights=(0.2, 0.1), table=table,
-        threshold=0.5, reach_m=60.0,
+        target_height_m=1.5, table=table, reach_m=60.0,
     )  # fmt: skip
 
 
@@ -192,7 +191,7 @@ def test_evidence_is_that_of_each_kind_height_and_end_counted_alone(seed: int) -
     assert np.abs(found[3] - counted[0][1]).max() < 1e-3
     enough, lower, higher = (probability_of_visible(returns, 5) for returns, _ in counted)
     prob = 0.4 * enough + 0.3 * lower + 0.3 * higher
-    for weight, ends in zip((0.2, 0.1), (early, late), strict=True):
+    for weight, ends in zip((0.3, 0.3), (early, late), strict=True):
         returns = expected_returns(measured + ends, 1.8, ground, GRID, CAR)[0]
         prob += weight * (probability_of_visible(returns, 5) - enough)
     prob = np.clip(prob, 0.0, 1.0)

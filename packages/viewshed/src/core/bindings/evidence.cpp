@@ -1,7 +1,5 @@
 #include "evidence.hpp"
 
-#include <nanobind/stl/array.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 
 #include <algorithm>
@@ -55,6 +53,8 @@ View1<const float> table_of(const In1<float>& table) {
 }  // namespace
 
 void bind_evidence(nb::module_& m) {
+    m.attr("THRESHOLD") = THRESHOLD;
+    m.attr("UNSURE_M") = UNSURE_M;
     m.def(
         "poisson_table",
         [](int min_returns) {
@@ -99,22 +99,17 @@ void bind_evidence(nb::module_& m) {
         "beam_evidence",
         [](const CellWindows& windows, const BeamArrays& measured_beams, const LostArrays& lost_arrays, In2<float> heights_m,
            In2<float> std_m, float half_extent_m, float sensor_height_m, float target_height_m,
-           const std::array<std::pair<float, float>, 2>& ground_steps, const std::pair<float, float>& end_weights,
-           In1<float> table, float threshold, float reach_m) {
+           In1<float> table, float reach_m) {
             const Beams beams = beams_of(measured_beams);
             const LostBeams lost = lost_beams_of(lost_arrays);
             const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const View1<const float> probabilities = table_of(table);
-            const std::array<float, 2> deviations{ground_steps[0].first, ground_steps[1].first};
-            const float lower = ground_steps[0].second, higher = ground_steps[1].second;
-            const Rule rule{1.0f - lower - higher, lower, higher, end_weights.first, end_weights.second, threshold,
-                            std::nextafter(threshold, 0.0f), reach_m};
             const std::size_t cells = windows.cells();
             Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
             Buffer<bool> within_reach(cells);
             {
                 nb::gil_scoped_release unlocked;
-                measure_evidence(windows, beams, lost, ground, target_height_m, deviations, probabilities, rule,
+                measure_evidence(windows, beams, lost, ground, target_height_m, probabilities, reach_m,
                                  {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
                                   within_reach.data()});
             }
@@ -124,14 +119,13 @@ void bind_evidence(nb::module_& m) {
         },
         "windows"_a, "measured"_a.noconvert(), "lost"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(),
         nb::kw_only(),
-        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_a.noconvert(),
-        "threshold"_a, "reach_m"_a,
+        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "table"_a.noconvert(), "reach_m"_a,
         "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
         "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
-           In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table, float threshold, float sure_aim) {
+           In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table) {
             const auto has_shape = [&](const auto& array) {
                 return array.shape(0) == measured.shape(0) && array.shape(1) == measured.shape(1);
             };
@@ -144,19 +138,17 @@ void bind_evidence(nb::module_& m) {
             Buffer<std::uint8_t> state(cells);
             {
                 nb::gil_scoped_release unlocked;
-                write_states(support, view(table), threshold, sure_aim,
-                             {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)}, state);
+                write_states(support, view(table), {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)}, state);
             }
             return array(std::move(state), {measured.shape(0), measured.shape(1)});
         },
         "measured"_a.noconvert(), "late"_a.noconvert(), "aimed"_a.noconvert(), "visible_prob"_a.noconvert(),
         "within_reach"_a.noconvert(), "visible"_a.noconvert(), "denied"_a.noconvert(), "obstacle"_a.noconvert(),
-        nb::kw_only(), "table"_a.noconvert(), "threshold"_a, "sure_aim"_a,
+        nb::kw_only(), "table"_a.noconvert(),
         "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
     m.def(
         "claims",
-        [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table,
-           float threshold, float unsure_m) {
+        [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table) {
             const auto has_shape = [&](const auto& array) {
                 return array.shape(0) == state.shape(0) && array.shape(1) == state.shape(1);
             };
@@ -165,12 +157,12 @@ void bind_evidence(nb::module_& m) {
             require(state.size() < (1u << 31), "cells must be fewer than 2^31");
             const Buffer<std::int32_t> nodes =
                 indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
-            const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(), unsure_m,
-                                               view(table), threshold);
+            const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(),
+                                               view(table));
             return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
         },
         "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
-        "table"_a.noconvert(), "threshold"_a, "unsure_m"_a,
+        "table"_a.noconvert(),
         "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
         "unsure; and how many measured returns alone would not support.");
 }
