@@ -69,7 +69,7 @@ void bind_evidence(nb::module_& m) {
             look_up(table_of(table), view(counts), prob);
             return array(std::move(prob));
         },
-        "counts"_a.noconvert(), "table"_a.noconvert(), "Probability (N,) at mean counts (N,), from a poisson_table.");
+        "counts"_in, "table"_in, "Probability (N,) at mean counts (N,), from a poisson_table.");
     m.def(
         "expected_returns",
         [](const CellWindows& windows, const BeamArrays& beams_, In2<float> heights_m, float half_extent_m,
@@ -78,8 +78,7 @@ void bind_evidence(nb::module_& m) {
             const TargetGround ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
             const std::size_t cells = windows.cells();
             Buffer<float> returns(cells), aimed(cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 const CellCounts counts = count_beams(windows, beams, {}, ground, target_height_m, nullptr);
                 float lanes[LANES][CellCounts::BLOCK];
                 for (std::size_t first = 0; first < cells; first += CellCounts::BLOCK) {
@@ -88,11 +87,11 @@ void bind_evidence(nb::module_& m) {
                     for (std::size_t n = 0; n < size; ++n) returns[first + n] = std::max(lanes[MEASURED][n], 0.0f);
                     std::copy_n(lanes[AIMED], size, &aimed[first]);
                 }
-            }
+            });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
-            return nb::make_tuple(shaped(returns), shaped(aimed));
+            return tuple_of(shaped(returns), shaped(aimed));
         },
-        "windows"_a, "beams"_a.noconvert(), "heights_m"_a.noconvert(), "half_extent_m"_a, "sensor_height_m"_a,
+        "windows"_a, "beams"_in, "heights_m"_in, "half_extent_m"_a, "sensor_height_m"_a,
         "target_height_m"_a,
         "Expected returns (cells, cells) of a target in each cell, and the beams (cells, cells) that aim at it.");
     m.def(
@@ -107,19 +106,17 @@ void bind_evidence(nb::module_& m) {
             const std::size_t cells = windows.cells();
             Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
             Buffer<bool> within_reach(cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 measure_evidence(windows, beams, lost, ground, target_height_m, probabilities, reach_m,
                                  {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
                                   within_reach.data()});
-            }
+            });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
-            return nb::make_tuple(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
-                                  shaped(visible_prob), shaped(within_reach));
+            return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
+                            shaped(visible_prob), shaped(within_reach));
         },
-        "windows"_a, "measured"_a.noconvert(), "lost"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(),
-        nb::kw_only(),
-        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "table"_a.noconvert(), "reach_m"_a,
+        "windows"_a, "measured"_in, "lost"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a,
+        "sensor_height_m"_a, "target_height_m"_a, "table"_in, "reach_m"_a,
         "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
         "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
     m.def(
@@ -136,15 +133,13 @@ void bind_evidence(nb::module_& m) {
             const SupportedCells support{measured.data(), late.data(), aimed.data(), visible_prob.data(),
                                          bytes_of(within_reach)};
             Buffer<std::uint8_t> state(cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 write_states(support, view(table), {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)}, state);
-            }
+            });
             return array(std::move(state), {measured.shape(0), measured.shape(1)});
         },
-        "measured"_a.noconvert(), "late"_a.noconvert(), "aimed"_a.noconvert(), "visible_prob"_a.noconvert(),
-        "within_reach"_a.noconvert(), "visible"_a.noconvert(), "denied"_a.noconvert(), "obstacle"_a.noconvert(),
-        nb::kw_only(), "table"_a.noconvert(),
+        "measured"_in, "late"_in, "aimed"_in, "visible_prob"_in, "within_reach"_in, "visible"_in, "denied"_in,
+        "obstacle"_in, nb::kw_only(), "table"_in,
         "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
     m.def(
         "claims",
@@ -159,10 +154,10 @@ void bind_evidence(nb::module_& m) {
                 indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
             const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(),
                                                view(table));
-            return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
+            return tuple_of(claims.all, claims.over_unsure_ground, claims.inferred);
         },
-        "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
-        "table"_a.noconvert(),
+        "state"_in, "measured"_in, "node"_in, "std_m"_in, nb::kw_only(),
+        "table"_in,
         "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
         "unsure; and how many measured returns alone would not support.");
 }

@@ -1,7 +1,5 @@
 #include "reach.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <optional>
 
 #include "bindings.hpp"
@@ -21,7 +19,7 @@ void bind_reach(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return sensing_reach(view(range_m), view(left_out), of_point, most_m);
         },
-        "range_m"_a.noconvert(), "left_out"_a.noconvert(), "rows"_a.noconvert().none(), "most_m"_a,
+        "range_m"_in, "left_out"_in, "rows"_in.none(), "most_m"_a,
         "Reach that ranges (M,) up to most_m show; those left out, by themselves or by their rows, do not count.");
 }
 

@@ -99,7 +99,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     nb::gil_scoped_release unlocked;
                     follow_all(self, others, around, placed, speed_mps, area_m2, lost);
                 }
-                return nb::make_tuple(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)));
+                return tuple_of(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)));
             },
             "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
             "sectors"_a,
@@ -165,7 +165,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     sigma_m[k] = found[k].sigma_m;
                     matches[k] = std::int64_t(found[k].matches);
                 }
-                return nb::make_tuple(array(std::move(step), {views.size(), 3}),
+                return tuple_of(array(std::move(step), {views.size(), 3}),
                                       array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
                                       array(std::move(matches)));
             },
