@@ -60,7 +60,8 @@ struct alignas(Lanes) GroupsAtOnce {
     float feature[FEATURES * AT_ONCE], stop[STOPS * AT_ONCE], unexplained[AT_ONCE];
 };
 
-// MEAN and SCALE of the features; WEIGHTS and BIAS of three layers, FIRST to THIRD, as `tools/fit_no_return.py fit` writes them.
+// The network's numbers: MEAN and SCALE of the features, weights and bias of three layers. `tools/fit_no_return.py fit` writes
+// them.
 #include "no_return_network.inc"
 
 constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
@@ -365,7 +366,8 @@ public:
 
     // Renew the surroundings of a group, where they are not those of the group before.
     void look_around(std::size_t r, const Group& group, Surroundings& around) const {
-        const std::size_t p = std::size_t(group.column) * POOLED / images.columns, wide = std::max<std::size_t>(pooled.rings / 6, 2);
+        const std::size_t p = std::size_t(group.column) * POOLED / images.columns;
+        const std::size_t wide = std::max<std::size_t>(pooled.rings / 6, 2);
         if (around.ring == r && around.column == p) return;
         around.ring = r, around.column = p;
         float some[3];
