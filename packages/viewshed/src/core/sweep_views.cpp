@@ -32,6 +32,9 @@ constexpr int MOST_COLUMNS = 4;
 // Returns that show a free passage, of them in the ring itself.
 constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
 
+// Of the returns about a place, the share that lies beyond it where most beams pass.
+constexpr float MOST_BEYOND = 0.6f;
+
 // Farther than this from the beams beside it a return is of another surface.
 constexpr float NEAR_M = 1.0f;
 
@@ -164,6 +167,22 @@ Seen SweepView::look_at(Point3 p) const {
     return Seen::UNKNOWN;
 }
 
+bool SweepView::is_passed(Point3 p) const {
+    const Pixel pixel = pixel_of(p);
+    if (pixel.ring < 0) return false;
+    const float step_m = pixel.range_m * (2 * PI / float(columns_));
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
+    const float* row = ring(std::size_t(pixel.ring));
+    int returns = 0, beyond = 0;
+    for (int k = -half; k <= half; ++k) {
+        const float range_m = row[wrapped(pixel.column + k)];
+        returns += range_m < NONE;
+        beyond += range_m > beyond_m && range_m < NONE;
+    }
+    return beyond >= 2 && beyond >= MOST_BEYOND * float(returns);
+}
+
 bool SweepView::is_covered(Point3 p) const {
     const Point3 level = leveled(p);
     const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
@@ -189,6 +208,11 @@ Point3 SweepView::leveled(Point3 p) const {
     const auto& m = sensor_from_level_.m;  // its rotation, transposed
     return {m[0] * p.x + m[4] * p.y + m[8] * p.z, m[1] * p.x + m[5] * p.y + m[9] * p.z,
             m[2] * p.x + m[6] * p.y + m[10] * p.z};
+}
+
+int SweepView::sector_of(Point3 p, int sectors) const {
+    const Point3 level = leveled(p);
+    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI)), sectors);
 }
 
 float SweepView::distance_to_cover(Point3 p) const {

@@ -66,6 +66,9 @@ public:
     // What this sweep found about a place p in its sensor's frame.
     Seen look_at(Point3 p) const;
 
+    // Whether most beams of the ring at p end far beyond it; an attacker who wins not all of them leaves some that do not.
+    bool is_passed(Point3 p) const;
+
     // Whether an obstacle stands before p: a car whose windows return no beam hides what is behind them.
     bool is_covered(Point3 p) const;
 
@@ -79,6 +82,9 @@ public:
 
     // p in the sensor's frame, turned level; the sensor stays the origin.
     Point3 leveled(Point3 p) const;
+
+    // The sector of azimuth in the level frame, of `sectors` from -pi on, of p in the sensor's frame.
+    int sector_of(Point3 p, int sectors) const;
 
 private:
     int wrapped(int column) const {

@@ -46,11 +46,6 @@ constexpr std::array<float, 4> GATES_M{2.0f, 1.2f, 0.7f, 0.4f};
 constexpr int BASE_COLUMNS = 3;
 constexpr float LEAST_BASE_M = 0.04f, MOST_BEND_M = 0.08f, MATCH_M = 2.5f;
 
-int sector_of(const SweepView& view, Point3 p, int sectors) {
-    const Point3 level = view.leveled(p);
-    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI)), sectors);
-}
-
 // What is followed of one obstacle.
 struct Followed {
     int sector;
@@ -94,7 +89,7 @@ void follow_all(const SweepView& view, const std::vector<Other>& others, const S
                            continue;
                        }
                        followed[k] = follow(view, p, others);
-                       followed[k].sector = sector_of(around, around_from_view(p), sectors);
+                       followed[k].sector = around.sector_of(around_from_view(p), sectors);
                    }
                });
     // 2. The sectors.
@@ -137,7 +132,7 @@ void jumps(const SweepView& view, const Other& last, const Other& second, float 
         const float one = last.view->range_difference(last.transform(p));
         const float two = second.view->range_difference(second.transform(p));
         if (std::isnan(one) || std::isnan(two)) continue;
-        differences[std::size_t(sector_of(view, p, int(jump_m.size)))].push_back(two - ratio * one);
+        differences[std::size_t(view.sector_of(p, int(jump_m.size)))].push_back(two - ratio * one);
     }
     for (std::size_t s = 0; s < jump_m.size; ++s) {
         std::vector<float>& of_sector = differences[s];
@@ -184,6 +179,61 @@ void find_repeats(const SweepView& view, const SweepView& other, View1<float> sh
         const auto [pairs, equal, noise] = counts[s];
         const float excess = float(equal) - EQUAL_OF_NOISE * float(noise - equal);
         share[s] = pairs >= LEAST_PAIRS ? excess / float(pairs) : NOT_KNOWN;
+    }
+}
+
+namespace {
+
+// Beams to either side among which a range of another sweep is sought, and by how much ranges of one surface differ as the sensor
+// moves on.
+constexpr int BESIDE = 3;
+constexpr float MOVED_M = 0.6f, MOVED_SHARE = 0.1f;
+constexpr int LEAST_IN_SECTOR = 20;
+
+}  // namespace
+
+void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
+                     const std::vector<float>& turned_columns, View1<float> nearer, View1<float> farther, View1<float> silent) {
+    const auto columns = int(view.columns()), sectors = int(nearer.size);
+    std::vector<int> returns(nearer.size, 0), near(nearer.size, 0), far(nearer.size, 0);
+    std::vector<int> steady(nearer.size, 0), lost(nearer.size, 0);
+    for (std::size_t r = 0; r < view.rings(); ++r) {
+        const float* now = view.ring(r);
+        for (int c = 0; c < columns; ++c) {
+            const float range_m = now[c], moved_m = MOVED_M + MOVED_SHARE * range_m;
+            const bool is_return = range_m < 1e6f;
+            const auto s = std::size_t(c * sectors / columns);
+            // 1. The beams about it in the other sweeps: has one such a range, are all of those nearer or farther, did each return?
+            bool is_known = false, is_near = true, is_far = true, is_steady = true;
+            int seen = 0;
+            for (std::size_t k = 0; k < others.size() && !is_known && (is_return || is_steady); ++k) {
+                const float* then = others[k]->ring(r);
+                const int middle = c + int(std::lround(turned_columns[k])) + columns;
+                for (int b = -BESIDE; b <= BESIDE; ++b) {
+                    const float other_m = then[(middle + b + columns) % columns];
+                    if (!(other_m < 1e6f)) {
+                        is_steady = false;
+                        continue;
+                    }
+                    ++seen;
+                    is_known |= std::fabs(other_m - range_m) <= moved_m;
+                    is_near &= other_m > range_m;
+                    is_far &= other_m < range_m;
+                }
+            }
+            // 2. What that makes of it.
+            returns[s] += is_return;
+            near[s] += is_return && !is_known && seen > 0 && is_near;
+            far[s] += is_return && !is_known && seen > 0 && is_far;
+            steady[s] += is_return || is_steady;
+            lost[s] += !is_return && is_steady;
+        }
+    }
+    const auto share = [](int count, int of) { return of >= LEAST_IN_SECTOR ? float(count) / float(of) : 0.0f; };
+    for (std::size_t s = 0; s < nearer.size; ++s) {
+        nearer[s] = share(near[s], returns[s]);
+        farther[s] = share(far[s], returns[s]);
+        silent[s] = share(lost[s], steady[s]);
     }
 }
 

@@ -607,6 +607,10 @@ class SweepView:
         sensor_from_level: NDArray[np.float32],
     ) -> None: ...
     @property
+    def rings(self) -> int: ...
+    @property
+    def columns(self) -> int: ...
+    @property
     def obstacles(self) -> int: ...
     def follow(
         self,
@@ -621,9 +625,35 @@ class SweepView:
         self, views: Sequence[SweepView], transforms: NDArray[np.float32], gaps_s: NDArray[np.float32], sectors: int
     ) -> NDArray[np.float32]: ...
     def repeats(self, views: Sequence[SweepView], sectors: int) -> NDArray[np.float32]: ...
+    def new_ranges(
+        self, views: Sequence[SweepView], turned: Sequence[float], sectors: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
     def register_on(
         self, views: Sequence[SweepView], transforms: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]: ...
+
+class CellMemory:
+    def __init__(self) -> None: ...
+    def copy(self) -> CellMemory: ...
+    @property
+    def cells(self) -> int: ...
+    def check(
+        self,
+        now: SweepView,
+        now_from_memory: NDArray[np.float32],
+        t_s: float,
+        views: Sequence[SweepView],
+        transforms: NDArray[np.float32],
+        gaps_s: NDArray[np.float32],
+        sectors: int,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+    def add(
+        self,
+        now: SweepView,
+        memory_from_now: NDArray[np.float32],
+        now_from_memory: NDArray[np.float32],
+        t_s: float,
+    ) -> None: ...
 
 # guarantees.cpp
 

@@ -18,7 +18,8 @@ from viewshed._files import write_atomic
 from viewshed.arrays import F32, Mask
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
-from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, MonitoredSweep, measure_all, sector_of
+from viewshed.monitor.evidence import EVIDENCE, SECTORS, sector_of
+from viewshed.monitor.stream_monitor import EvidenceStream
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed_lab.data.wild import wild_tables
@@ -196,7 +197,7 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     """Return what all evidence says of each sweep of a stream, and of each attack on it."""
     plan, grid = stream.plan, stream.grid
     every = round(plan.attack_every_s * plan.hz)
-    sweeps, recent = list[Sweep](), list[LeveledSweep]()
+    sweeps, past = list[Sweep](), EvidenceStream()
     benign, cases, attacked, touched = [], list[tuple[str, int]](), [], []
     sensor = ""
     for number in range(round(plan.seconds * plan.hz)):
@@ -210,16 +211,17 @@ def measure_stream(stream: Stream) -> StreamEvidence:
                     tampered = list(_tamper(stream, name, number, clean, sweeps))
                 except ValueError:
                     continue
-                seen, found = list(recent), []
+                branch, seen, found = past.copy(), list[LeveledSweep](), []
                 for one in tampered:
                     seen.append(level(one.sweep, grid))
-                    found.append(measure_all(MonitoredSweep(seen[-1], tuple(seen[-EARLIER_SWEEPS - 1 : -1]))))
+                    found.append(branch.measure(seen[-1]))
+                    branch.add(seen[-1])
                 cases.append((name, number))
                 attacked.append(np.stack(found))
-                touched.append(_touched_sectors(tampered[0], level(clean[0], grid), seen[-ATTACKED_SWEEPS]))
+                touched.append(_touched_sectors(tampered[0], level(clean[0], grid), seen[0]))
         leveled = level(sweep, grid)
-        benign.append(measure_all(MonitoredSweep(leveled, tuple(recent[-EARLIER_SWEEPS:]))))
-        recent = [*recent, leveled][-EARLIER_SWEEPS:]
+        benign.append(past.measure(leveled))
+        past.add(leveled)
         sweeps = [*sweeps, sweep][-REPLAYED_SWEEPS:]
         sensor = stream.sensor
     facts = {

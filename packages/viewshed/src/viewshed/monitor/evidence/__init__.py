@@ -10,14 +10,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from viewshed.arrays import F32
-from viewshed.monitor.evidence import history, sensor
+from viewshed.monitor.evidence import cells, history, sensor
 from viewshed.monitor.evidence.base import ABSTAINS, EARLIER_SWEEPS, SECTORS, Evidence, MonitoredSweep, sector_of
+from viewshed.monitor.evidence.cells import CellMemory
 
 __all__ = [
     "ABSTAINS",
     "EARLIER_SWEEPS",
     "EVIDENCE",
     "SECTORS",
+    "CellMemory",
     "Evidence",
     "MonitoredSweep",
     "measure_all",
@@ -43,6 +45,19 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
              "the pose is {value:.0f} standard deviations off that of the earlier sweeps"),
     Evidence("frame_noise", history.measure_frame_noise, 0.05,
              "surfaces at {degrees:.0f}° jump by {value:.2f} m from sweep to sweep"),
+    Evidence("nearer", history.measure_nearer, 0.02,
+             "{value:.0%} of the returns at {degrees:.0f}° are nearer than all about them were before"),
+    Evidence("farther", history.measure_farther, 0.02,
+             "{value:.0%} of the returns at {degrees:.0f}° are farther than all about them were before"),
+    Evidence("no_return", history.measure_no_return, 0.02,
+             "{value:.0%} of the beams at {degrees:.0f}° that returned in all sweeps before return nothing"),
+    # Standing surfaces and empty places of the last ten seconds.
+    Evidence("gone", cells.measure_gone, 0.5,
+             "{value:.1f} m of surfaces at {degrees:.0f}° that stood for seconds are gone, and beams pass there"),
+    Evidence("silent", cells.measure_silent, 0.05,
+             "at {degrees:.0f}° beams do not return any more from {value:.0%} of the surfaces that stood for seconds"),
+    Evidence("out_of_nowhere", cells.measure_new, 0.5,
+             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where nothing did for ten seconds, and came too fast"),
     # Without rings and poses.
     Evidence("fewer_returns", sensor.measure_fewer_returns, 1.0,
              "at {degrees:.0f}° there are fewer returns than before, by {value:.0f} standard deviations"),
