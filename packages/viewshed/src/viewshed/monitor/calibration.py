@@ -2,8 +2,10 @@
 
 What is counted are *alarms*, not sweeps: neighbors in a stream are nearly the same sweep, and a latched alarm is one.
 Above a level that benign streams pass often, the heights of their peaks are taken for exponential, as those of most
-distributions nearly are far out (peaks over a threshold; Pickands, 1975). So a limit for one alarm an hour can be given
-from less than an hour, and is an extrapolation then, which the promise says.
+distributions nearly are far out (peaks over a threshold; Pickands, 1975). How many there are an hour and how high they
+are on average is known from few, so both have a spread, and what is promised is its upper end: the expected height is a
+generalized Pareto's then, with a heavier tail the fewer peaks there were. So a limit for one alarm an hour can be given
+from less than an hour; it is an extrapolation, which the promise says.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
@@ -152,7 +155,7 @@ class Calibration:
         return 1.0 / self.hours
 
     def limit(self, per_hour: float, *, extrapolate: bool = False) -> float:
-        """Return the score above which the expected number of false alarms an hour is the chosen one.
+        """Return the score above which there are at most so many false alarms an hour, with ``CONFIDENCE``.
 
         Args:
             per_hour: false alarms.
@@ -168,21 +171,33 @@ class Calibration:
                 f"{per_hour:g} false alarms an hour need {60.0 / per_hour:.0f} minutes of benign driving, got"
                 f" {self.hours * 60.0:.1f}; give more drives, or ask for {math.ceil(self.least_per_hour * 10) / 10:g}"
             )
-        begin, mean, count = self._tail()
-        # One alarm more than was counted: the expected number of a further stream is at most that.
-        return begin + mean * max(math.log((count + 1) / (per_hour * self.hours)), 0.0)
+        # The rate falls as the limit rises: halve the interval in which it is the chosen one.
+        begin, mean, _ = self._tail()
+        low, high = begin, begin + 100.0 * mean
+        if self.per_hour(low) <= per_hour:
+            return low
+        for _ in range(50):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if self.per_hour(middle) > per_hour else (low, middle)
+        return high
 
-    def per_hour(self, limit: float) -> float:
-        """Return the expected number of false alarms an hour above a limit."""
+    def per_hour(self, limit: float, confidence: float = CONFIDENCE) -> float:
+        """Return the number of false alarms an hour above a limit that is not exceeded with a confidence.
+
+        Gamma posteriors of how many peaks an hour there are and of the inverse of their mean height (Jeffreys).
+        """
         begin, mean, count = self._tail()
-        return (count + 1) / self.hours * math.exp(-max(limit - begin, 0.0) / mean)
+        peaks_an_hour, per_height = _draws_of(count)
+        rates = peaks_an_hour / self.hours * np.exp(-max(limit - begin, 0.0) / mean * per_height)
+        return float(np.quantile(rates, confidence))
 
     def promise(self, per_hour: float) -> str:
         """Return in a line what a limit for so many false alarms an hour rests on."""
+        limit = self.limit(per_hour, extrapolate=True)
         how = "" if per_hour >= self.least_per_hour else ", an extrapolation of the tail of their scores"
         return (
-            f"score above {self.limit(per_hour, extrapolate=True):.2f}: {per_hour:g} false alarms an hour, by"
-            f" {self.hours * 60.0:.0f} minutes of benign driving{how}"
+            f"score above {limit:.2f}: {self.per_hour(limit, 0.5):.2g} false alarms an hour, at most {per_hour:g} with"
+            f" probability {CONFIDENCE:g}, by {self.hours * 60.0:.0f} minutes of benign driving{how}"
         )
 
     def _tail(self) -> tuple[float, float, int]:
@@ -193,6 +208,13 @@ class Calibration:
         begin = float(self.peaks[-count - 1])
         # The mean of an exponential by its median: a few attacks among the drives hardly move that.
         return begin, max((float(np.median(self.peaks[-count:])) - begin) / math.log(2.0), 0.1), count
+
+
+@lru_cache(maxsize=8)
+def _draws_of(count: int) -> tuple[F64, F64]:
+    """Return draws of the number of peaks and of the inverse of their mean height, of ``count`` peaks of mean 1."""
+    rng = np.random.default_rng(34)
+    return rng.gamma(count + 0.5, 1.0, 4000), rng.gamma(max(count, 1), 1.0 / max(count, 1), 4000)
 
 
 def changes_of(numbers: F32, prior_scale: F32, both: NDArray[np.bool_]) -> F32:

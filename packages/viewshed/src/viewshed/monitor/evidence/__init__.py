@@ -57,7 +57,7 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
     Evidence("silent", cells.measure_silent, 0.05,
              "at {degrees:.0f}° beams do not return any more from {value:.0%} of the surfaces that stood for seconds"),
     Evidence("out_of_nowhere", cells.measure_new, 0.5,
-             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where nothing did for ten seconds, and came too fast"),
+             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where nothing did for ten seconds, and came fast"),
     # Without rings and poses.
     Evidence("fewer_returns", sensor.measure_fewer_returns, 1.0,
              "at {degrees:.0f}° there are fewer returns than before, by {value:.0f} standard deviations"),

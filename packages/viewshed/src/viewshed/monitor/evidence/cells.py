@@ -1,4 +1,4 @@
-"""Evidence of a sweep against the cells of the last ten seconds: standing surfaces that are gone, obstacles out of nowhere.
+"""Evidence against the cells of the last ten seconds: standing surfaces that are gone, obstacles out of nowhere.
 
 Two sweeps cannot tell an edge, a fence or a thin pole, which some beams meet and some pass, from a thing that vanished.
 Cells that stand still in the world can: only what stood for a second in nearly all sweeps counts, and only what stands
