@@ -25,9 +25,6 @@ constexpr float LONGEST_M = 20.0f, SLOWEST_MPS = 4.0f, DRIVEN_MPS = 15.0f, SUDDE
 // What comes into view from cover may do so from this speed on.
 constexpr float CAME_MPS = 8.0f;
 
-// Cells that a sector and its two neighbors must have for a share of them to mean anything.
-constexpr int LEAST_CELLS = 6;
-
 std::int64_t key_of(float x, float y) {
     const auto u = std::int64_t(std::floor(x / CELL_M)), v = std::int64_t(std::floor(y / CELL_M));
     return u * (std::int64_t{1} << 32) + v;
@@ -38,14 +35,6 @@ bool is_near(Point3 p, float most_m) { return p.x * p.x + p.y * p.y < most_m * m
 // How sure a thing that needs this speed did not drive: 0 up to `driven_mps`, 1 from SUDDEN times that on.
 float suddenness(float speed_mps, float driven_mps) {
     return std::clamp((speed_mps / driven_mps - 1.0f) / (SUDDEN - 1.0f), 0.0f, 1.0f);
-}
-
-// Each sector with its two neighbors.
-std::vector<int> with_neighbors(const std::vector<int>& counts) {
-    const std::size_t n = counts.size();
-    std::vector<int> sums(n);
-    for (std::size_t s = 0; s < n; ++s) sums[s] = counts[(s + n - 1) % n] + counts[s] + counts[(s + 1) % n];
-    return sums;
 }
 
 // Whether earlier sweeps looked through a place: the newest that knows of it, and none of the others saw an obstacle there.
@@ -66,33 +55,21 @@ float arrival_mps(Point3 p, const std::vector<Other>& earlier) {
 }  // namespace
 
 void CellMemory::check(const SweepView& now, const Transform& now_from_memory, double t_s, const std::vector<Other>& earlier,
-                       View1<float> gone_m, View1<float> silent, View1<float> new_m2) const {
+                       View1<float> gone_m, View1<float> new_m2) const {
     const int sectors = int(gone_m.size);
-    std::vector<int> standing(gone_m.size, 0), lost(gone_m.size, 0);
     std::fill(gone_m.begin(), gone_m.end(), 0.0f);
     std::fill(new_m2.begin(), new_m2.end(), 0.0f);
-    // 1. Surfaces that stood until a moment ago: does the sweep look through them, or does nothing return from them?
+    // 1. Surfaces that stood until a moment ago: does the sweep look through them?
     for (const auto& [key, cell] : cells_) {
         const double stood_s = cell.last_s - cell.first_s;
         const bool stands = stood_s >= STANDS_S && t_s - cell.last_s <= MOMENT_S && float(cell.occupied) >= LEAST_OCCUPIED &&
                             float(cell.free) <= MOST_FREE * float(cell.occupied);
         const Point3 p = now_from_memory(cell.point);
         if (!stands || !is_near(p, FARTHEST_M)) continue;
-        Seen seen = now.look_at(p);
-        if (now.is_passed(p)) seen = Seen::FREE;
-        if (seen == Seen::UNKNOWN) continue;
-        const auto sector = std::size_t(now.sector_of(p, sectors));
-        ++standing[sector];
-        lost[sector] += seen == Seen::SILENT;
-        if (seen == Seen::FREE) {
-            const float speed_mps = now.distance_to_cover(p) / float(std::max(t_s - cell.last_s, 1e-3));
-            const float driven_mps = std::clamp(LONGEST_M / float(stood_s), SLOWEST_MPS, DRIVEN_MPS);
-            gone_m[sector] += CELL_M * suddenness(speed_mps, driven_mps);
-        }
-    }
-    const std::vector<int> of = with_neighbors(standing), losses = with_neighbors(lost);
-    for (std::size_t s = 0; s < silent.size; ++s) {
-        silent[s] = of[s] >= LEAST_CELLS ? float(losses[s]) / float(of[s]) : 0.0f;
+        if (!now.is_passed(p) && now.look_at(p) != Seen::FREE) continue;
+        const float speed_mps = now.distance_to_cover(p) / float(std::max(t_s - cell.last_s, 1e-3));
+        const float driven_mps = std::clamp(LONGEST_M / float(stood_s), SLOWEST_MPS, DRIVEN_MPS);
+        gone_m[std::size_t(now.sector_of(p, sectors))] += CELL_M * suddenness(speed_mps, driven_mps);
     }
     if (earlier.empty()) return;
     // 2. Obstacles where there never were any, nor beside, and which must have come too fast.

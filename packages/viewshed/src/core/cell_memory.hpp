@@ -12,11 +12,11 @@ namespace viewshed {
 
 class CellMemory {
 public:
-    // By sector about the sensor: meters of standing surfaces through which a sweep looks; the share of them from which no beam
-    // returns any more; the upright area m2 of obstacles in cells that were never occupied and that earlier sweeps looked
-    // through. Nothing is changed. earlier are sweeps before it, the newest first, with the transforms to their frames.
+    // By sector about the sensor: meters of standing surfaces through which a sweep looks, and the upright area m2 of obstacles in
+    // cells that were never occupied and that earlier sweeps looked through. Nothing is changed. earlier are sweeps before it, the
+    // newest first, with the transforms to their frames.
     void check(const SweepView& now, const Transform& now_from_memory, double t_s, const std::vector<Other>& earlier,
-               View1<float> gone_m, View1<float> silent, View1<float> new_m2) const;
+               View1<float> gone_m, View1<float> new_m2) const;
 
     // Remember a sweep at a time, and forget what was not seen for long.
     void add(const SweepView& now, const Transform& memory_from_now, const Transform& now_from_memory, double t_s);

@@ -161,7 +161,7 @@ Seen SweepView::look_at(Point3 p) const {
             farthest_m = std::max(farthest_m, range_m);
         }
     }
-    if (returns == 0) return is_covered(p) ? Seen::UNKNOWN : Seen::SILENT;
+    if (returns == 0) return Seen::UNKNOWN;
     if (nearest_m <= pixel.range_m + same_m && farthest_m >= pixel.range_m - same_m) return Seen::OCCUPIED;
     if (beyond == returns && beyond >= LEAST_BEYOND && beyond_in_ring >= LEAST_IN_RING) return Seen::FREE;
     return Seen::UNKNOWN;
@@ -181,17 +181,6 @@ bool SweepView::is_passed(Point3 p) const {
         beyond += range_m > beyond_m && range_m < NONE;
     }
     return beyond >= 2 && beyond >= MOST_BEYOND * float(returns);
-}
-
-bool SweepView::is_covered(Point3 p) const {
-    const Point3 level = leveled(p);
-    const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
-    const int middle = direction_of(level);
-    for (const int direction : {middle - 1, middle, middle + 1}) {
-        const float cover_m = cover_m_[std::size_t((direction + DIRECTIONS) % DIRECTIONS)];
-        if (cover_m > 0.0f && cover_m < range_m - SAME_M) return true;
-    }
-    return false;
 }
 
 float SweepView::range_difference(Point3 p) const {

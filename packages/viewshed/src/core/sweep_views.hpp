@@ -28,9 +28,9 @@ struct Transform {
     }
 };
 
-// What is found of a place where another sweep looked: an obstacle about there, free passage far beyond, beams that did not
-// return, or nothing that is known (hidden, not looked at, at an edge).
-enum class Seen : std::uint8_t { UNKNOWN, OCCUPIED, FREE, SILENT };
+// What is found of a place where another sweep looked: an obstacle about there, free passage far beyond, or nothing that is known
+// (hidden, not looked at, without a return, at an edge).
+enum class Seen : std::uint8_t { UNKNOWN, OCCUPIED, FREE };
 
 // A sweep's range image, its obstacles, and how far the air at their heights is free, by azimuth.
 class SweepView {
@@ -68,9 +68,6 @@ public:
 
     // Whether most beams of the ring at p end far beyond it; an attacker who wins not all of them leaves some that do not.
     bool is_passed(Point3 p) const;
-
-    // Whether an obstacle stands before p: a car whose windows return no beam hides what is behind them.
-    bool is_covered(Point3 p) const;
 
     // The difference of range from this sweep's surface to p, in the sensor's frame, between the two beams beside p; NaN
     // where they do not end on one surface near p.

@@ -17,9 +17,9 @@ struct Other {
     float gap_s;
 };
 
-// By sector: the speed that its fastest obstacles need, the area that needs too much, the share that is lost.
+// By sector: the speed that its fastest obstacles need.
 void follow_all(const SweepView& view, const std::vector<Other>& others, const SweepView& around,
-                const Transform& around_from_view, View1<float> speed_mps, View1<float> area_m2, View1<float> lost);
+                const Transform& around_from_view, View1<float> speed_mps);
 
 // By sector: how far its surfaces jump, against what moves at a constant speed: the median of the second differences of range
 // over the sweep and two before it, whose times before it are in the ratio `ratio`.

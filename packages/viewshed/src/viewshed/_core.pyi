@@ -620,7 +620,7 @@ class SweepView:
         around: SweepView,
         around_from_self: NDArray[np.float32],
         sectors: int,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+    ) -> NDArray[np.float32]: ...
     def jumps(
         self, views: Sequence[SweepView], transforms: NDArray[np.float32], gaps_s: NDArray[np.float32], sectors: int
     ) -> NDArray[np.float32]: ...
@@ -646,7 +646,7 @@ class CellMemory:
         transforms: NDArray[np.float32],
         gaps_s: NDArray[np.float32],
         sectors: int,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]: ...
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
     def add(
         self,
         now: SweepView,

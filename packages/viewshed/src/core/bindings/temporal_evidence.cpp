@@ -104,17 +104,17 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 const Transform placed = transform_of(around_from_self);
-                Buffer<float> speed_mps(sectors), area_m2(sectors), lost(sectors);
+                Buffer<float> speed_mps(sectors);
                 {
                     nb::gil_scoped_release unlocked;
-                    follow_all(self, others, around, placed, speed_mps, area_m2, lost);
+                    follow_all(self, others, around, placed, speed_mps);
                 }
-                return nb::make_tuple(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)));
+                return array(std::move(speed_mps));
             },
             "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
             "sectors"_a,
-            "Speed m/s that obstacles need to be found as these views found them, area m2 that the first of them saw "
-            "through and that needs too much, share lost in it (sectors,), by azimuth about the sweep `around`.")
+            "Speed m/s that obstacles need to be found as these views found them (sectors,), by azimuth about the sweep "
+            "`around`.")
         .def(
             "jumps",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms,
@@ -219,17 +219,17 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(std::isfinite(t_s), "t_s must be finite");
                 const Transform placed = bounded(transform_of(now_from_memory));
                 const std::vector<Other> earlier = others_of(views, transforms, gaps_s);
-                Buffer<float> gone_m(sectors), silent(sectors), new_m2(sectors);
+                Buffer<float> gone_m(sectors), new_m2(sectors);
                 {
                     nb::gil_scoped_release unlocked;
-                    self.check(now, placed, t_s, earlier, gone_m, silent, new_m2);
+                    self.check(now, placed, t_s, earlier, gone_m, new_m2);
                 }
-                return nb::make_tuple(array(std::move(gone_m)), array(std::move(silent)), array(std::move(new_m2)));
+                return nb::make_tuple(array(std::move(gone_m)), array(std::move(new_m2)));
             },
             "now"_a, "now_from_memory"_a.noconvert(), "t_s"_a, "views"_a, "transforms"_a.noconvert(),
             "gaps_s"_a.noconvert(), "sectors"_a,
-            "Meters of standing surfaces that the sweep looks through, share of them that is silent, area m2 of obstacles "
-            "that are new and came too fast (sectors,), by azimuth about the sweep.")
+            "Meters of standing surfaces that the sweep looks through, area m2 of obstacles that are new and came fast "
+            "(sectors,), by azimuth about the sweep.")
         .def(
             "add",
             [](CellMemory& self, const SweepView& now, In2<float> memory_from_now, In2<float> now_from_memory, double t_s) {

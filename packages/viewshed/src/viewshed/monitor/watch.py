@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.arrays import F32, Mask
 from viewshed.monitor.calibration import CALM_SWEEPS, Calibration
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
-from viewshed.monitor.score import RARE, Past, grains_of, in_grains, strongest, two_sided
+from viewshed.monitor.score import RARE, Past, grains_of, in_grains, strongest
 
 MOST_HELD_SWEEPS = 100
 """After so many sweeps of an alarm, 10 s, they become the past: the world changed, or nobody can tell."""
@@ -62,20 +62,20 @@ class Watch:
         self._past, self._of_alarm = self._nothing(), self._nothing()
 
     def _nothing(self) -> Past:
-        return Past(self.calibration.prior_scale, two_sided(EVIDENCE))
+        return Past(self.calibration.prior_scale, EVIDENCE)
 
     def check(self, evidence: F32, *, impossible: bool = False) -> Verdict:
         """Return what the evidence (E, SECTORS) of the next sweep says, and keep it.
 
         A sweep that is ``impossible`` is inconsistent in all sectors, whatever its score.
         """
-        numbers = strongest(evidence)
+        onset = self._past.onset(evidence)
         # 1. Changes against the past, all sectors together and each by itself.
-        score, surprises, sectors = np.nan, np.full(len(numbers), np.nan, np.float32), np.full_like(evidence, np.nan)
+        score, surprises, sectors = np.nan, np.full(len(evidence), np.nan, np.float32), np.full_like(evidence, np.nan)
         if self._past.sweeps >= EARLIER_SWEEPS:
             reference = self._past.reference()
-            score, surprises = self.calibration.score(reference.changes(numbers))
-            of_sectors = reference.changes(in_grains(evidence.T, grains_of(EVIDENCE))).T
+            score, surprises = self.calibration.score(reference.changes(strongest(onset)))
+            of_sectors = reference.changes(in_grains(onset.T, grains_of(EVIDENCE))).T
             sectors = self.calibration.changes(of_sectors[None])[0]
         # 2. The alarm begins, goes on, or ends after enough calm sweeps.
         inconsistent = impossible or score > self.limit
@@ -90,7 +90,7 @@ class Watch:
             self._suspect = self._suspect | impossible | suspect_sectors(surprises, sectors)
         # 3. What is usual from now on.
         if not impossible:
-            (self._of_alarm if inconsistent else self._past).add(numbers)
+            (self._of_alarm if inconsistent else self._past).add(evidence)
         if self._of_alarm.sweeps >= MOST_HELD_SWEEPS:
             self._past, self._of_alarm = self._of_alarm, self._nothing()
         alarm = self._sweeps > 0

@@ -58,20 +58,21 @@ class Judged:
 
 
 def judge(calibration: Calibration, stream: StreamEvidence) -> Judged:
-    """Return a stream as a calibration judges it; attacks branch off its past, none becomes part of it."""
-    both, numbers = two_sided(EVIDENCE), strongest(stream.benign)
-    surprises = calibration.changes(changes_of(numbers, calibration.prior_scale, both))
-    # The references at which the attacks begin.
-    attacked_numbers, past = strongest(stream.attacked), Past(calibration.prior_scale, both)
+    """Return a stream as a calibration judges it; attacks branch off its past, and their sweeps become part of it."""
+    surprises = calibration.changes(changes_of(stream.benign, calibration.prior_scale))
     begins: dict[int, list[int]] = defaultdict(list)
     for case, (_, first) in enumerate(stream.cases):
         begins[first].append(case)
-    attacked = np.zeros(attacked_numbers.shape, np.float32)
-    for number, one in enumerate(numbers):
+    past, attacked = Past(calibration.prior_scale, EVIDENCE), np.zeros(stream.attacked.shape[:3], np.float32)
+    for number, evidence in enumerate(stream.benign):
         for case in begins.get(number, ()):
-            attacked[case] = calibration.changes(past.reference().changes(attacked_numbers[case]))
-        past.add(one)
-    return Judged(stream, added(surprises, both), surprises, attacked)
+            branch, reference = past.copy(), past.reference()
+            for k, tampered in enumerate(stream.attacked[case]):
+                changes = reference.changes(strongest(branch.onset(tampered)))
+                attacked[case, k] = calibration.changes(changes[None])[0]
+                branch.add(tampered)
+        past.add(evidence)
+    return Judged(stream, added(surprises, two_sided(EVIDENCE)), surprises, attacked)
 
 
 def rate_interval(alarms: int, hours: float) -> tuple[float, float]:

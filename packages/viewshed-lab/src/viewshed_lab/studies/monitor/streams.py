@@ -245,7 +245,8 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     return StreamEvidence(
         stream.name, stream.style, facts, tuple(EVIDENCE), np.stack(benign), tuple(cases),
         np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
-        np.array(degraded, np.bool_), {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in CORRUPTIONS},
+        np.array(degraded, np.bool_),
+        {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in CORRUPTIONS},
     )  # fmt: skip
 
 

@@ -56,7 +56,7 @@ class CellMemory:
         self._cells.add(view, self._memory_from(pose), self._from_memory(pose), self._seconds_at(now_ns))
         self.sweeps += 1
 
-    def check(self, monitored: MonitoredSweep) -> tuple[F32, F32, F32] | None:
+    def check(self, monitored: MonitoredSweep) -> tuple[F32, F32] | None:
         """Return what a sweep contradicts (SECTORS,) each, see ``_core.CellMemory.check``; None where it cannot."""
         now = monitored.leveled
         view, pose, comparison = view_of(now), now.sweep.world_from_sensor, compare(monitored)
@@ -85,14 +85,14 @@ def _part(part: int) -> Callable[[MonitoredSweep], F32]:
     def measure(monitored: MonitoredSweep) -> F32:
         if monitored.memory is None:
             return ABSTAINS
-        # Three kinds of evidence are of one look.
+        # Both kinds of evidence are of one look.
         key = ("cells", ref(monitored.memory), monitored.memory.sweeps)
         if key not in monitored.leveled.derived:
             monitored.leveled.derived[key] = monitored.memory.check(monitored)
-        found: tuple[F32, F32, F32] | None = monitored.leveled.derived[key]
+        found: tuple[F32, F32] | None = monitored.leveled.derived[key]
         return ABSTAINS if found is None else found[part]
 
     return measure
 
 
-measure_gone, measure_silent, measure_new = map(_part, range(3))
+measure_gone, measure_new = map(_part, range(2))
