@@ -108,11 +108,27 @@ def _without(sweep: Sweep, degrees: float, half: float) -> Sweep:
 
 def test_beams_that_fall_silent_are_found_on_the_ground_as_well() -> None:
     stream = after(YARD, step_m=0.0)
-    now = _without(look(YARD, SWEEPS), 90.0, 12.5)
-    assert measured(stream, "silent", now)[sector_at(90.0)] == 1.0
+    now = _without(look(YARD, SWEEPS), 90.0, 17.5)
     lost = measured(stream, "no_return", now)
     assert lost[sector_at(90.0)] > 0.95
-    assert lost[sector_at(60.0)] == 0.0
+    assert lost[sector_at(45.0)] == 0.0
+
+
+def test_where_a_turning_sweep_begins_no_beam_is_lost() -> None:
+    # The sensor turns by 8.6° in a revolution, so 8.6° behind it are not looked at.
+    stream = after(YARD, 5, 0.0)
+    now = look(YARD, 5, yaw=0.15)
+    azimuth = np.arctan2(now.points[:, 1], now.points[:, 0])
+    gap = np.abs(azimuth) > np.pi - 0.075
+    assert now.ring is not None
+    assert now.azimuth is not None
+    turning = now.replace(
+        points=now.points[~gap], ring=now.ring[~gap], azimuth=now.azimuth[~gap],
+        time_s=((azimuth[~gap] + np.pi) / (2 * np.pi) * 0.1).astype(np.float32),
+    )  # fmt: skip
+    assert measured(stream, "no_return", turning).max() < 0.1
+    still = turning.replace(world_from_sensor=look(YARD, 5).world_from_sensor)
+    assert measured(stream, "no_return", still).max() > 0.12
 
 
 @pytest.mark.parametrize(("name", "degrees", "share"), [("nearer", 30.0, 0.6), ("farther", -30.0, 0.6)])
@@ -122,10 +138,10 @@ def test_ranges_that_are_new_in_a_narrow_room(name: str, degrees: float, share: 
             Box(0.0, -5.0, 10.0, 0.2, 4.0))  # fmt: skip
     stream, now = after(room, step_m=0.0), look(room, SWEEPS)
     azimuth = np.rad2deg(np.arctan2(now.points[:, 1], now.points[:, 0]))
-    won = (np.abs(azimuth - degrees) < 10.0) & (np.random.default_rng(3).random(len(now)) < share)
+    won = (np.abs(azimuth - degrees) < 15.0) & (np.random.default_rng(3).random(len(now)) < share)
     factor = np.where(won, 0.5 if name == "nearer" else 1.8, 1.0).astype(np.float32)
     found = measured(stream, name, now.replace(points=now.points * factor[:, None]))
-    assert found[sector_at(degrees)] == pytest.approx(share, abs=0.12)
+    assert found[sector_at(degrees)] == pytest.approx(share, abs=0.15)
     assert found[sector_at(degrees + 90.0)] == 0.0
     assert measured(stream, "arrival", now).max() < 5.0
 
@@ -137,4 +153,4 @@ def test_a_sensor_that_turns_sees_no_new_ranges() -> None:
     sweep = look(YARD, 10, 0.0, rng, yaw=1.0)
     assert max(measured(stream, name, sweep).max() for name in ("nearer", "farther")) < 0.1
     still = sweep.replace(world_from_sensor=look(YARD, 9, yaw=0.9).world_from_sensor)
-    assert measured(stream, "nearer", still).max() > 0.2
+    assert measured(stream, "nearer", still).max() > 0.15
