@@ -128,15 +128,16 @@ class Past:
         """Return the evidence (E, SECTORS) of a sweep without what was there before; two-sided kinds as they are."""
         if not self._last:
             return evidence
-        before = np.fmax.reduce(list(self._last))
-        around = np.fmax.reduce([np.roll(before, step, axis=1) for step in range(-BESIDE, BESIDE + 1)])
-        beyond = np.maximum(evidence - np.nan_to_num(around), np.float32(0.0))
-        return np.where(two_sided(self.kinds)[:, None], evidence, beyond)
+        before = np.nan_to_num(np.fmax.reduce(list(self._last)))
+        return np.where(two_sided(self.kinds)[:, None], evidence, np.maximum(evidence - before, np.float32(0.0)))
 
     def add(self, evidence: F32) -> None:
         """Add the evidence (E, SECTORS) of a sweep."""
         self._numbers[:, self.sweeps % MEMORY_SWEEPS] = strongest(self.onset(evidence), self.kinds)
-        self._last.append(evidence)
+        # What the sectors beside had counts as a sector's own.
+        closed = np.concatenate([evidence[:, -BESIDE:], evidence, evidence[:, :BESIDE]], axis=1)
+        sides = [closed[:, step : step + evidence.shape[1]] for step in range(2 * BESIDE + 1)]
+        self._last.append(np.fmax.reduce(sides))
         self.sweeps += 1
 
     def reference(self) -> Reference:
@@ -162,7 +163,7 @@ def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32
 
     def quantile(share: float) -> F32:
         rank = np.round(share * np.maximum(count - 1, 0)).astype(np.intp)
-        return np.asarray(np.take_along_axis(ordered, rank[:, None], axis=1)[:, 0], np.float32)
+        return np.asarray(ordered[np.arange(len(ordered)), rank], np.float32)
 
     low, first, middle, third, high = map(quantile, (0.05, 0.25, 0.5, 0.75, 0.95))
     scale = np.maximum((third - first) / 1.349, (high - middle) / 1.645)
