@@ -11,37 +11,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 tool: Any = import_module("planted_faults")
 FAULTS = tool.read_faults(ROOT / "tools" / "planted_faults.toml")
-SOURCE = """\
-namespace house {
-constexpr float LOW_M = 1.0f, HIGH_M = 2.0f;
-constexpr int TABLE[] = {
-    1,
-    2,
-};
-struct Wall {
-    int width;
-};
-
-INLINE bool is_low(float z,
-                   int i) {
-    return place(
-        z,
-        i,  \n    ) < LOW_M;
-}
-
-void declared(int i);
-
-float same(float z) {
-    return is_low(z, 1) ? z : 0.0f;
-}
-}  // namespace house
-"""
-
-
-@pytest.fixture
-def core(tmp_path: Path) -> Path:
-    (tmp_path / "walls.cpp").write_text(SOURCE)
-    return tmp_path
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=[fault.what for fault in FAULTS])
@@ -58,35 +27,11 @@ def test_every_fault_is_described_in_its_own_words() -> None:
     assert [what for what, times in Counter(fault.what for fault in FAULTS).items() if times > 1] == []
 
 
-def test_functions_constants_and_classes_are_found() -> None:
-    found = set(tool.definitions(SOURCE.splitlines()))
-    assert found == {
-        ("LOW_M", 2, 2),
-        ("HIGH_M", 2, 2),
-        ("TABLE", 3, 6),
-        ("Wall", 7, 9),
-        ("is_low", 11, 17),
-        ("same", 21, 23),
-    }
-
-
-def test_a_fault_is_planted_in_its_symbol_alone(core: Path) -> None:
-    path, faulty = tool.plant(tool.Fault("x", "core.walls:is_low", "place(z, i)", "place(i, z)", ()), core)
-    assert path == core / "walls.cpp"
-    assert "    return place(i, z) < LOW_M;\n}\n\nvoid declared(int i);" in faulty
-    assert faulty.replace("place(i, z)", "place(\n        z,\n        i,  \n    )") == SOURCE
-
-
-@pytest.mark.parametrize(
-    ("symbol", "find", "message"),
-    [
-        ("core.walls:is_lo", "z", "must be one place of the core, 'core.walls:is_lo' is 0"),
-        ("core.bath:same", "z", "is 0"),
-        ("core.walls:same", "place", "must occur once in core.walls:same, found 0 times"),
-        ("core.walls:same", "z", "found 3 times"),
-        ("core.walls:same", "retur", "found 0 times"),
-    ],
-)
-def test_a_fault_that_does_not_fit_is_refused(core: Path, symbol: str, find: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        tool.plant(tool.Fault("x", symbol, find, "k", ()), core)
+@pytest.mark.parametrize(("find", "times"), [("lace", 0), ("LOW_M", 2)])
+def test_a_text_is_found_whatever_its_white_space_and_must_occur_once(find: str, times: int, tmp_path: Path) -> None:
+    source = "float LOW_M;\nreturn place(\n    z,\n    i) < LOW_M;\n"
+    (tmp_path / "walls.cpp").write_text(source)
+    path, faulty = tool.plant(tool.Fault("x", "walls.cpp", "place(z, i)", "place(i, z)", ()), tmp_path)
+    assert (path.name, faulty) == ("walls.cpp", "float LOW_M;\nreturn place(i, z) < LOW_M;\n")
+    with pytest.raises(ValueError, match=f"must occur once in walls.cpp, found {times} times"):
+        tool.plant(tool.Fault("x", "walls.cpp", find, "k", ()), tmp_path)

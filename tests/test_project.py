@@ -20,11 +20,6 @@ import viewshed
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "packages").glob("*/src/**/*.py"))
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-NOT_RUN = {
-    "release": "opens an archive of 66 MB that its command makes in minutes",
-    **dict.fromkeys(("fusion", "monitor", "perception", "tracking"), "parts of a program that is longer"),
-}
-"""Pages whose Python blocks are not run, and why."""
 HEAVY = ("numpy", "numba", "matplotlib", "PIL", "shapely", "onnxruntime", "pyarrow", "scipy", "typer")
 
 
@@ -163,7 +158,7 @@ def test_make_commands_in_the_pages_are_targets() -> None:
 SNIPPETS = [
     str(path.relative_to(ROOT))
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-    if re.search(r"^```py", path.read_text(encoding="utf-8"), re.MULTILINE) and path.stem not in NOT_RUN
+    if re.search(r"^```py", path.read_text(encoding="utf-8"), re.MULTILINE)
 ]
 
 

@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->\n(?:.*?\n)?<!-- end of \1 -->$", re.MULTILINE | re.DOTALL)
 TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
 """The real sweep of the tutorial, in the folder of real sweeps."""
-RESULTS = ("gallery.md", "ugv.md", "first_hour.md", "release.md")
+RESULTS = ("gallery.md", "first_hour.md", "release.md")
 """Pages that commands write as a whole."""
 ELSEWHERE = {
     "contribute/contributing.md": "CONTRIBUTING.md",

@@ -2,13 +2,13 @@
 
     python tools/fuzz_core.py [--seconds S] [--only NAME] [--seed N] [--sanitize] [--tests FILE …]
 
-The arguments are those of real calls: estimates, files, polygons and streams are made once while every function of the
-core is watched. Then, for S seconds a function, some arguments are damaged: other types and shapes, rows left out or
-doubled, values that are not finite, huge, denormal or out of range, all values the same, numbers far too large. For
-half that time another thread writes such values into an array of a call, and the real ones back, while it runs. A call
-may raise ValueError, TypeError, OverflowError or MemoryError. With --sanitize the core is compiled with checks of
-addresses and of undefined behavior first (into build/sanitize), and the calls run against that; with --tests these
-tests run against it beforehand.
+The arguments are those of real calls, for which estimates, files and streams are made once while every function of the
+core is watched, and the good ones of ``test_core_arrays.py``. Then, for S seconds a function, some arguments are
+damaged: other types and shapes, rows left out or doubled, values that are not finite, huge, denormal or out of range,
+all values the same, numbers far too large. For half that time another thread writes such values into an array of a
+call, and the real ones back, while it runs. A call may raise ValueError, TypeError, OverflowError or MemoryError. With
+--sanitize the core is compiled with checks of addresses and of undefined behavior first (into build/sanitize), and the
+calls run against that; with --tests these tests run against it beforehand.
 
 The exit code is 1 if a call raises anything else or a function of the core was never called; a crash ends the process,
 and the line printed last names function, seed and round.
@@ -86,7 +86,10 @@ def use_core_of(folder: str) -> None:
 
 
 def record_calls() -> Calls:
-    """Return arguments of real calls of each function of the core, at most four of each."""
+    """Return arguments of real calls of each function of the core, at most four of each, and those of its tests."""
+    sys.path[:0] = [str(ROOT / "packages" / name) for name in ("viewshed", "viewshed-lab")]
+    from tests.test_core_arrays import GOOD
+
     from viewshed import _core
 
     offered = {name: getattr(_core, name) for name in dir(_core) if not name.startswith("_")}
@@ -108,188 +111,74 @@ def record_calls() -> Calls:
     finally:
         for name, original in originals.items():
             setattr(_core, name, original)
+    for name, made in calls.items():
+        if name in GOOD and name != "beam_evidence":  # the test adds its windows, which real calls have
+            made.append(((), GOOD[name]))
     return calls
 
 
 def use_everything() -> None:
-    """Do what calls the functions of the core: threads, files, each estimator, streams, polygons."""
+    """Do what calls the functions of the core that the table of the tests leaves out: files, estimators, streams."""
     import tempfile
 
     import viewshed
     from viewshed import _core
     from viewshed.estimators import ESTIMATORS
+    from viewshed.fov.polygons import inner_polygon_of_mask, sectors_of_mask
+    from viewshed.guarantees.certificate import certify
+    from viewshed.guarantees.envelope import Threat
     from viewshed.io import read_sweep, write_sweep
+    from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
+    from viewshed.networks.features import FEATURES, FeatureContext, feature_maps
     from viewshed.objects.detector import Detector
-    from viewshed.preprocess.beam_matching import match_beams, polar
-    from viewshed.preprocess.elevation_clusters import find_clusters
-    from viewshed.preprocess.history import History
     from viewshed.preprocess.leveling import level
-    from viewshed.preprocess.ring_recovery import recover_rings
-    from viewshed.preprocess.sensor_identification import identify_sensor, infer_sensor
-    from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
-    from viewshed.sensors import lidar_model
+    from viewshed.preprocess.no_return import no_return_beams, no_return_groups
     from viewshed_lab.sim import Box, Scene, cast
 
+    # 1. What nothing below calls, or not always.
+    counts = np.ones((16, 360), np.uint8)
     _core.set_threads(_core.threads())
     _core.least_confirmations(1.0)
+    _core.silent_columns(counts)
+    _core.pixels_without(np.zeros(4, np.int16), np.ones(4, np.bool_), np.arange(4, dtype=np.int32), counts)
+    _core.unpack_lzf(np.array([0, 65, 224, 1, 0], np.uint8), np.empty(11, np.uint8))  # "A", then ten bytes from it
+    # 2. Sweeps of a VLP-16, in files, and with more and less known of them.
     scene = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
-    sweep = cast(lidar_model("vlp16"), scene, 1.8)
-    rng = np.random.default_rng(0)
-    noisy = sweep.replace(points=sweep.points * rng.uniform(0.5, 2.0, (len(sweep), 1)).astype(np.float32))
+    sweep = cast(viewshed.lidar_model("vlp16"), scene, 1.8)
     with tempfile.TemporaryDirectory() as folder:
         for ending in (".bin", ".pcd.bin", ".pcd", ".ply", ".npz"):
             write_sweep(sweep, Path(folder) / f"sweep{ending}")
             read_sweep(Path(folder) / f"sweep{ending}", file_frame="carla")
-        packed = np.array([0, 65, 224, 1, 0], np.uint8)  # one literal, then 10 bytes from one byte before
-        _core.unpack_lzf(packed, np.empty(11, np.uint8))
-    counts = np.ones((16, 360), np.uint8)
-    _core.silent_columns(counts)
-    rows = np.zeros(4, np.int16), np.ones(4, np.bool_), np.arange(4, dtype=np.int32)
-    _core.pixels_without(*rows, counts)
-    # A sensor without a table: its reach is that of its returns.
-    _core.range_quantile(np.linspace(1.0, 60.0, 4, dtype=np.float32), rows[1], rows[2], 80.0, 0.9)
-    # A stream: earlier sweeps end beams and confirm cells.
-    drive = [
-        sweep.replace(world_from_sensor=viewshed.Rigid(np.eye(3), np.array([0.5 * k, 0.0, 1.8])), t_ns=k * 100_000_000)
-        for k in range(4)
-    ]
+    rng, grid = np.random.default_rng(0), viewshed.BevGrid()
+    noisy = sweep.replace(points=sweep.points * rng.uniform(0.5, 2.0, (len(sweep), 1)).astype(np.float32))
+    bare, shuffled = (viewshed.Sweep(sweep.points[rows]) for rows in (slice(None), rng.permutation(len(sweep))))
+    # 3. All that is answered of a sweep: estimates, evidence, objects, certificates, features, polygons.
+    for each in (sweep, noisy, bare, shuffled):
+        leveled = level(each, grid)
+        for method in ESTIMATORS:
+            estimate = viewshed.load_estimator(method).estimate(leveled)
+        for evidence in EVIDENCE.values():
+            evidence.measure(MonitoredSweep(leveled))
+        Detector().detect(leveled)
+        _core.free_plane(each.points)
+    leveled = level(sweep.replace(attitude=np.eye(4)[0], sensor_height_m=1.8), grid)
+    for words in ("replaced:5", "wedge:10", "dropped:5"):
+        certify(leveled, estimate, Threat.parse(words))
+    no_return_groups(leveled, 1.5)
+    no_return_beams(leveled, fill=True)
+    feature_maps(
+        tuple(FEATURES),
+        FeatureContext(leveled, grid, viewshed.CAR, grid.count(leveled.points).clip(0, 255).astype(np.uint8)),
+        4,
+    )
+    inner_polygon_of_mask(estimate.visible(), grid, 12)
+    sectors_of_mask(estimate.visible(), grid, 4)
+    # 4. A stream: earlier sweeps end beams and confirm cells.
+    poses = [viewshed.Rigid(np.eye(3), np.array([0.5 * k, 0.0, 1.8])) for k in range(4)]
+    drive = [sweep.replace(world_from_sensor=pose, t_ns=k * 100_000_000) for k, pose in enumerate(poses)]
     for method in ("shadow_map", "viewnet"):
         for _ in viewshed.load_estimator(method).stream(drive, history=3):
             pass
-    bare = viewshed.Sweep(sweep.points)
-    shuffled = viewshed.Sweep(sweep.points[rng.permutation(len(sweep))])
-    for each in (bare, shuffled, sweep.replace(model=None), shuffled.replace(model=sweep.model)):
-        recover_rings(each)
-        identify_sensor(each)
-        identify_sensor(each.replace(infer_sensor=False))
-        infer_sensor(each.points, each.ring)
-    azimuth, slope, range_m = polar(sweep.points)
-    find_clusters(azimuth, slope, range_m)
-    match_beams(slope, range_m, lidar_model("vlp16"))
-    SensorMotion(np.array([1.0, 0.2, 0.0]), 0.0, 0.5).undo(sweep.points)
-    find_motion(shuffled.points)
-    for method in ESTIMATORS:
-        for each in (sweep, noisy, bare, shuffled):
-            estimator = viewshed.load_estimator(method)
-            estimate = estimator.estimate(each)
-    del estimate, History
-    for each in (sweep, noisy, shuffled):
-        _use_evidence(each)
-    for each in (sweep, noisy, bare):
-        Detector().detect(level(each, viewshed.BevGrid()))
-    _use_features(sweep)
-    _use_ground(sweep)
-    _use_polygons(rng)
-    _use_codes(rng)
-    _use_guarantees(sweep)
-    _use_leveling(sweep)
-
-
-def _use_guarantees(sweep: Any) -> None:
-    """Certify an estimate against threats that bound beams, and one that controls a wedge."""
-    import viewshed
-    from viewshed.guarantees.certificate import certify
-    from viewshed.guarantees.envelope import Threat
-    from viewshed.preprocess.leveling import level
-
-    leveled = level(sweep.replace(attitude=np.eye(4)[0], sensor_height_m=1.8), viewshed.BevGrid())
-    estimate = viewshed.load_estimator("shadow_map").estimate(leveled)
-    for words in ("replaced:5", "wedge:10", "dropped:5"):
-        certify(leveled, estimate, Threat.parse(words))
-
-
-def _use_leveling(sweep: Any) -> None:
-    """Call stages of the leveling, and what the networks for ground and beams without a return are fed with."""
-    import viewshed
-    from viewshed import _core
-    from viewshed.preprocess.leveling import level
-    from viewshed.preprocess.no_return import no_return_groups
-
-    ring = np.zeros(len(sweep), np.int16) if sweep.ring is None else sweep.ring
-    upright = np.eye(3, dtype=np.float32)
-    _core.range_image(sweep.points, ring, 360, 16, 0.5, 100.0)
-    _core.vehicle_heading(sweep.points, upright)
-    ground_m, seen = np.zeros((64, 64), np.float32), np.ones((64, 64), np.bool_)
-    _core.level_points(sweep.points, None, np.eye(3, 4, dtype=np.float32), 0.5, 250.0, 0.0, ground_m, 64.0)
-    leveled = level(sweep, viewshed.BevGrid())
-    no_return_groups(leveled, 1.5)
-    inputs = _core.guess_inputs(leveled.points, leveled.azimuth, leveled.range_m, ground_m, seen, 64.0, 1.8)
-    # The answer of a network has as many positions as its inputs, and five numbers for each of their nodes.
-    nodes = ground_m.size // (inputs.shape[2] * inputs.shape[3])
-    _core.guessed_ground(np.zeros((1, 5 * nodes, *inputs.shape[2:]), np.float32), inputs, ground_m, seen, 64.0)
-
-
-def _use_evidence(sweep: Any) -> None:
-    """Measure all evidence of a sweep by itself."""
-    from viewshed import BevGrid
-    from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
-    from viewshed.preprocess.leveling import level
-
-    monitored = MonitoredSweep(level(sweep, BevGrid(64, 32.0)))
-    for evidence in EVIDENCE.values():
-        evidence.measure(monitored)
-
-
-def _use_features(sweep: Any) -> None:
-    """Compute features of a sweep as maps and in blocks, and moments of passes."""
-    from viewshed import CAR, BevGrid
-    from viewshed.networks.features import FEATURES, FeatureContext, feature_maps, fold_maps
-    from viewshed.networks.mc_dropout import mean_and_deviation
-    from viewshed.preprocess.azimuth_bins import Crop
-    from viewshed.preprocess.leveling import level
-
-    grid = BevGrid(32, 32.0)
-    leveled = level(sweep, grid)
-    context = FeatureContext(leveled, grid, CAR, grid.count(leveled.points).clip(0, 255).astype(np.uint8))
-    for fold in (0, 4):
-        feature_maps(tuple(FEATURES), context, fold)
-    for name in FEATURES:
-        feature_maps((name,), context)
-    maps = feature_maps(tuple(FEATURES), context)
-    fold_maps(maps, 2)
-    mean_and_deviation(maps.astype(np.float32))
-    Crop(20.0).any_on(leveled, grid)
-
-
-def _use_ground(sweep: Any) -> None:
-    """Find the ground by points and by low points, fill it, and hold that of an earlier sweep."""
-    from viewshed import BevGrid, Rigid, _core
-    from viewshed.preprocess.ground import ground_of_lows
-    from viewshed.preprocess.held_ground import hold
-    from viewshed.preprocess.leveling import level
-
-    here, there = (sweep.replace(world_from_sensor=Rigid.from_yaw(0.1 * k, (2.0 * k, 0.0, 0.0))) for k in range(2))
-    grid = BevGrid(32, 32.0)
-    ground = hold(level(there, grid), level(here, grid)).ground
-    _core.fill_ground(ground.heights_m, ground.seen, np.array(ground.plane, np.float32), ground.half_extent_m)
-    _core.free_plane(sweep.points)
-    middles = np.arange(16, dtype=np.float32) - 7.5
-    x, y = np.meshgrid(middles, middles, indexing="ij")
-    ground_of_lows(np.stack([x, y, -1.8 + 0.1 * np.sin(x)], axis=-1), np.abs(0.02 * y), 8.0, None)
-
-
-def _use_polygons(rng: np.random.Generator) -> None:
-    """Make polygons and sectors of a mask."""
-    from viewshed import BevGrid
-    from viewshed.fov.polygons import inner_polygon_of_mask, sectors_of_mask
-
-    grid = BevGrid(24, 12.0)
-    mask = (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < 9.0) & (rng.random(grid.shape) < 0.95)
-    inner_polygon_of_mask(mask, grid, 12)
-    for whole in (True, False):
-        sectors_of_mask(mask, grid, 4, whole_cells=whole)
-
-
-def _use_codes(rng: np.random.Generator) -> None:
-    """Encode and decode views, with deviations and without."""
-    from viewshed import BevGrid, FovEstimate
-    from viewshed.agents.fov_code import decode_fov, encode_fov
-
-    grid = BevGrid(40, 10.0, (3.0, -2.0))
-    prob = np.clip(0.8 - np.hypot(*np.moveaxis(grid.centers, -1, 0)) / 20 + rng.normal(0, 0.03, grid.shape), 0.0, 1.0)
-    state = np.where(prob >= 0.5, 1, 3)
-    for std in (None, 0.3 * (1.0 - prob)):
-        decode_fov(encode_fov(FovEstimate(grid, prob, state, std)), grid, 0.5, std is not None)
 
 
 def _copied(value: Any) -> Any:
@@ -444,7 +333,7 @@ def main() -> int:
             answered, refused = map(sum, zip(*counts, strict=True))
             print(f"\r{name}: {answered} calls answered, {refused} refused")
     if unused:
-        print(f"never called: {', '.join(unused)}; add what calls them to use_everything", file=sys.stderr)
+        print(f"never called: {', '.join(unused)}; add good arguments to test_core_arrays.py", file=sys.stderr)
     return int(bool(unused))
 
 

@@ -2,7 +2,7 @@
 
     python tools/planted_faults.py [--only WORD]
 
-A fault names a function or constant of the core and one replaced text in it, so it follows the symbol within its file.
+A fault names a file of the core and one replaced text in it.
 The core of the copy is compiled again for each, and the tests named beside it run until the first one fails. The exit
 code is 1 if a fault is not caught, or could not be judged: its tests fail without it, or it does not compile.
 """
@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,19 +24,14 @@ from with_checkout import environment_of
 ROOT = Path(__file__).resolve().parents[1]
 CORE = Path("packages") / "viewshed" / "src" / "core"
 LIMIT_S = 600
-_NO_DEFINITION = r"(namespace|using|enum|template|public|private)\b"
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: in the source of ``symbol``, ``find`` (which must occur once) becomes ``replace``.
-
-    ``symbol`` is a function or constant after "core.FILE:" or "core.bindings.FILE:". ``find`` is compared without
-    regard to white space and to a comma before a closing bracket.
-    """
+    """One fault: in ``file`` of the core ``find``, which occurs once whatever its white space, becomes ``replace``."""
 
     what: str
-    symbol: str
+    file: str
     find: str
     replace: str
     tests: tuple[str, ...]
@@ -49,70 +43,21 @@ def read_faults(path: Path) -> list[Fault]:
     return [Fault(**(table | {"tests": tuple(table["tests"])})) for table in tables]
 
 
-def definitions(lines: list[str]) -> Iterator[tuple[str, int, int]]:
-    """Yield name, first and last line of the functions, constants and classes of a C++ file, from a line's start on."""
-    at = 0
-    while at < len(lines):
-        first = at
-        at += 1
-        if not re.match(r"\w", lines[first]) or re.match(_NO_DEFINITION, lines[first]):
-            continue
-        # A statement or a signature may go on over several lines.
-        while not re.search(r"[;{]\s*(?://.*)?$", lines[at - 1]) and at < len(lines):
-            at += 1
-        text = " ".join(lines[first:at])
-        if text.startswith("constexpr") and "{" not in text.partition("=")[0]:
-            while not lines[at - 1].rstrip().endswith(";") and at < len(lines):
-                at += 1
-            text = " ".join(lines[first:at])
-            yield from ((name, first + 1, at) for name in re.findall(r"\b([A-Z]\w*)(?:\[\w*\])?\s*=", text))
-        elif name := re.match(r"(?:class|struct) (\w+) \{", text):
-            while lines[at - 1] != "};" and at < len(lines):
-                at += 1
-            yield name[1], first + 1, at
-        elif (name := re.search(r"([\w~]+)\s*\(", text)) and text.rstrip().endswith("{"):
-            while lines[at - 1] != "}" and at < len(lines):
-                at += 1
-            yield name[1], first + 1, at
-
-
 def plant(fault: Fault, core: Path) -> tuple[Path, str]:
     """Return the file of the core that a fault is in, and its content with the fault.
 
     Raises:
-        ValueError: the symbol is not there or not the only one, or it does not hold the text exactly once.
+        ValueError: the file does not hold the text exactly once.
     """
-    file, _, name = fault.symbol.removeprefix("core.").partition(":")
-    file = file.replace(".", "/")
-    path = next((path for path in sorted(core.glob(f"{file}.[ch]pp")) if _places(path, name)), core / f"{file}.cpp")
-    places = _places(path, name) if path.exists() else []
-    if len(places) != 1:
-        raise ValueError(f"`symbol` must be one place of the core, {fault.symbol!r} is {len(places)}; mend it")
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    first, last = places[0]
-    source = "".join(lines[first - 1 : last])
-    found = list(_pattern(fault.find).finditer(source))
+    path = core / fault.file
+    source = path.read_text(encoding="utf-8")
+    tokens = re.findall(r"\w+|[^\w\s]", fault.find)
+    pattern = r"\s*".join(rf"\b{token}\b" if token[0].isalnum() else re.escape(token) for token in tokens)
+    found = list(re.finditer(pattern, source))
     if len(found) != 1:
-        raise ValueError(f"`find` must occur once in {fault.symbol}, found {len(found)} times: {fault.find!r}; mend it")
+        raise ValueError(f"`find` must occur once in {fault.file}, found {len(found)} times: {fault.find!r}; mend it")
     start, end = found[0].span()
-    faulty = source[:start] + fault.replace + source[end:]
-    return path, "".join([*lines[: first - 1], faulty, *lines[last:]])
-
-
-def _places(path: Path, name: str) -> list[tuple[int, int]]:
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return [(first, last) for found, first, last in definitions(lines) if found == name]
-
-
-def _pattern(text: str) -> re.Pattern[str]:
-    """Return what finds a piece of code however it is broken into lines, and never part of a name."""
-    pieces = []
-    for token in re.findall(r"\w+|[^\w\s]", text):
-        if re.match(r"\w", token):
-            pieces.append(rf"\b{token}\b")
-        else:
-            pieces.append((r",?\s*" if token in ")]}" else "") + re.escape(token))
-    return re.compile(r"\s*".join(pieces))
+    return path, source[:start] + fault.replace + source[end:]
 
 
 def make_copy(project: Path) -> None:
@@ -121,14 +66,8 @@ def make_copy(project: Path) -> None:
         shutil.copytree(ROOT / name, project / name, ignore=shutil.ignore_patterns("__pycache__", "build", "_core*.so"))
     for name in ("pyproject.toml", "conftest.py"):
         shutil.copy2(ROOT / name, project / name)
-    configure = (
-        "cmake",
-        "-S",
-        str(project / "packages" / "viewshed"),
-        "-B",
-        str(project / "build"),
-        f"-DPython_EXECUTABLE={sys.executable}",
-    )
+    places = ("-S", str(project / "packages" / "viewshed"), "-B", str(project / "build"))
+    configure = ("cmake", *places, f"-DPython_EXECUTABLE={sys.executable}")
     subprocess.run(configure, capture_output=True, check=True)
     build(project)
     command = (sys.executable, "-c", "import viewshed; print(viewshed.__file__)")
@@ -174,10 +113,10 @@ def judge(fault: Fault, project: Path) -> str | None:
 def main() -> int:
     """Run the faults; return 1 if one was not caught."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="run only the faults whose description or symbol holds this text")
+    parser.add_argument("--only", default="", help="run only the faults whose description or file holds this text")
     given = parser.parse_args()
     faults = [
-        each for each in read_faults(Path(__file__).with_suffix(".toml")) if given.only in f"{each.what} {each.symbol}"
+        each for each in read_faults(Path(__file__).with_suffix(".toml")) if given.only in f"{each.what} {each.file}"
     ]
     missed = []
     with tempfile.TemporaryDirectory() as folder:

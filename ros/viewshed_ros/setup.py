@@ -9,7 +9,7 @@ FOLDERS = ("launch", "config", "rviz")
 
 setup(
     name=NAME,
-    version="0.3.0",
+    version="0.4.0",
     packages=[NAME],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

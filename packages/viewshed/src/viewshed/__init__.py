@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from viewshed.sensors import LidarModel, lidar_model
     from viewshed.sweep import Sweep
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
-if _core.__version__ != __version__:
+if __version__ != _core.VERSION:
     raise ImportError(
-        f"viewshed's native core must be of version {__version__}, got {_core.__version__};"
+        f"viewshed's native core must be of version {__version__}, got {_core.VERSION};"
         " install viewshed anew (in a checkout: pip install packages/viewshed)"
     )
 

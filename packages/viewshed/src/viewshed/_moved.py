@@ -1,4 +1,4 @@
-"""Import paths of version 0.3, taken as well for one version: ``viewshed.integrity.report`` is now in ``monitor``."""
+"""Import paths of version 0.3, taken as well in version 0.4: ``viewshed.integrity.report`` is now in ``monitor``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
 """Each bad message is refused for its own counted reason, and the others go on."""
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from viewshed.agents.signing import (
     sign_message,
 )
 from viewshed.agents.streams import write_state
-from viewshed.agents.view_message import MAX_BYTES, decode_message, encode_message
+from viewshed.agents.view_message import MAX_BYTES, encode_message
 
 NOW_NS = samples.NOW_NS
 MS = 1_000_000
@@ -547,28 +546,18 @@ def test_limits_are_checked() -> None:
         ReceiverLimits(max_ahead_s=-1.0)
 
 
-def least_s(call: Callable[[], object], times: int = 200) -> float:
-    found = []
-    for _ in range(times):
-        begin = time.perf_counter()
-        call()
-        found.append(time.perf_counter() - begin)
-    return min(found)
-
-
 @pytest.mark.parametrize("name", ["100 MB", "text", "an unknown key", "yesterday's", "a clock 3 s ahead"])
-def test_what_needs_no_signature_is_refused_within_a_tenth_of_a_millisecond(name: str) -> None:
-    here, data = receiver(), REFUSED[name][0]()
-    assert least_s(lambda: give(here, data)) < 1e-4
+def test_what_needs_no_signature_is_refused_without_verifying_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signature costs most of a message's time; ``benchmarks/messages.py`` says how much."""
+    verified: list[bytes] = []
 
+    def verify(data: bytes, key: VerifyingKey) -> bool:
+        verified.append(data)
+        return is_signed_by(data, key)
 
-def test_what_needs_its_signature_is_refused_within_half_a_millisecond() -> None:
-    here, data = receiver(), forged(1)
-    assert least_s(lambda: give(here, data)) < 5e-4
-
-
-def test_a_small_message_is_verified_and_decoded_within_a_millisecond() -> None:
-    payload = open_envelope(DATA).payload
-    assert is_signed_by(DATA, CAR1.verifying())
-    key = CAR1.verifying()
-    assert least_s(lambda: (is_signed_by(DATA, key), decode_message(payload))) < 1e-3
+    monkeypatch.setattr("viewshed.agents.receiver.is_signed_by", verify)
+    here = receiver()
+    assert give(here, REFUSED[name][0]()).reason is REFUSED[name][1]
+    assert not verified
+    assert give(here, forged(1)).reason is Reason.FORGED
+    assert len(verified) == 1

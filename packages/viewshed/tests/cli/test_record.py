@@ -7,8 +7,10 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -248,6 +250,33 @@ def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.C
         listener(Answer(agent, number, None, None, None, ReactionState(), 0.0, (), "nothing was usable", 0.01))
     assert failures.count == 2
     assert [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()] == ["0.200 s", "0.100 s"]
+
+
+def test_sweeps_are_sent_while_answers_are_taken() -> None:
+    """Two threads, as of a pipeline; no answer waits for its sweep here, and none is lost."""
+    sweep = read_sweep(junction_path()).select(np.arange(10))
+    failures, count = Failures(), 3000
+    listener = Listener([], failures, is_live=True)
+    sent: SimpleQueue[int] = SimpleQueue()
+
+    def send() -> None:
+        for number in range(count):
+            listener.expect(number, Awaited(str(number), 0.1 * number, sweep, None))
+            sent.put(number)
+
+    old = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(1) as sender:
+            sending = sender.submit(send)
+            for _ in range(count):
+                number = sent.get(timeout=30)
+                state = ReactionState()
+                listener(Answer(str(number), number, None, None, None, state, 0.0, (), "nothing was usable", 0.01))
+            sending.result()
+    finally:
+        sys.setswitchinterval(old)
+    assert failures.count == count
 
 
 def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tmp_path: Path) -> None:

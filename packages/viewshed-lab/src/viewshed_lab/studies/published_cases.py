@@ -14,12 +14,13 @@ from typing import Literal
 
 import numpy as np
 
-from viewshed.agents.joint_fov import claimed_at, joint_fov
+from viewshed.agents.joint_fov import joint_fov
 from viewshed.agents.many import CommandCenter
 from viewshed.arrays import F64, Mask
 from viewshed.estimators import load_estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.truth import Truth
+from viewshed.fov.union import claimed_at
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
 from viewshed.metrics import ConfusionCounts

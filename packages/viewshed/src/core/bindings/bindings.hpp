@@ -4,8 +4,11 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 
 #include <initializer_list>
+#include <optional>
+#include <type_traits>
 #include <utility>
 
 #include "arrays.hpp"
@@ -15,7 +18,10 @@ namespace viewshed {
 namespace nb = nanobind;
 using namespace nb::literals;
 
-// What numpy hands in: contiguous, on the processor, of exactly this type (bindings say .noconvert()).
+// An argument that is taken as it is: an array of another type is refused, not converted.
+constexpr auto operator""_in(const char* name, std::size_t) { return nb::arg(name).noconvert(); }
+
+// What numpy hands in: contiguous, on the processor, of exactly this type (bindings name it by _in).
 template <typename T>
 using In1 = nb::ndarray<const T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 template <typename T>
@@ -66,6 +72,25 @@ template <typename T>
 Out<T> array(Buffer<T>&& buffer) {
     const std::size_t size = buffer.size();
     return array(std::move(buffer), {size});
+}
+// What a stage returns that runs without the interpreter's lock.
+template <typename Stage>
+auto without_lock(Stage&& stage) {
+    nb::gil_scoped_release unlocked;
+    return stage();
+}
+
+template <typename T>
+std::optional<Out<T>> array_or_none(std::optional<Buffer<T>>&& buffer) {
+    return buffer ? std::optional(array(std::move(*buffer))) : std::nullopt;
+}
+
+// Several values at once. Their types go into the module's stub, which the build writes.
+template <typename... T>
+using Tuple = nb::typed<nb::tuple, T...>;
+template <typename... T>
+Tuple<std::decay_t<T>...> tuple_of(T&&... values) {
+    return Tuple<std::decay_t<T>...>(nb::make_tuple(std::forward<T>(values)...));
 }
 
 }  // namespace viewshed

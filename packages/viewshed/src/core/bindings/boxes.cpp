@@ -15,7 +15,7 @@ void bind_boxes(nb::module_& m) {
                         "azimuth, slope and depth_m must have one shape (B,)");
                 new (self) BeamsByAzimuth(view(azimuth), view(slope), view(depth_m));
             },
-            "azimuth"_a.noconvert(), "slope"_a.noconvert(), "depth_m"_a.noconvert())
+            "azimuth"_in, "slope"_in, "depth_m"_in)
         .def(
             "expected_returns",
             [](const BeamsByAzimuth& beams, In2<float> boxes, float sensor_height_m, bool leave_out_own) {
@@ -29,13 +29,10 @@ void bind_boxes(nb::module_& m) {
                     require(!is_size || number > 0, "length, width and height of boxes must be positive");
                 }
                 Buffer<std::int32_t> returns(count);
-                {
-                    nb::gil_scoped_release unlocked;
-                    beams.count({own.data(), count, NUMBERS}, sensor_height_m, leave_out_own, returns);
-                }
+                without_lock([&] { beams.count({own.data(), count, NUMBERS}, sensor_height_m, leave_out_own, returns); });
                 return array(std::move(returns));
             },
-            "boxes"_a.noconvert(), "sensor_height_m"_a, "leave_out_own"_a,
+            "boxes"_in, "sensor_height_m"_a, "leave_out_own"_a,
             "Beams (K,) int32 that would meet each box (K, 7): center, length, width, height, yaw in level.");
 }
 

@@ -54,7 +54,7 @@ void bind_concave_hull(nb::module_& m) {
             }
             return array(std::move(visible), {cells, cells});
         },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "concavity"_a, "length_m"_a, "x_m"_a, "y_m"_a, "cell_m"_a,
+        "points"_in, "range_m"_in, "concavity"_a, "length_m"_a, "x_m"_a, "y_m"_a, "cell_m"_a,
         "cells"_a, "1 in cells (cells, cells) inside the concave hull of returns (M, 3), 0 elsewhere.");
     m.def(
         "thin_returns",
@@ -66,9 +66,9 @@ void bind_concave_hull(nb::module_& m) {
                 xy[2 * k + 1] = thinned[k].y;
             }
             const bool spans = span_area(thinned);
-            return nb::make_tuple(array(std::move(xy), {thinned.size(), std::size_t{2}}), spans);
+            return tuple_of(array(std::move(xy), {thinned.size(), std::size_t{2}}), spans);
         },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a,
+        "points"_in, "range_m"_in, "x_m"_a, "y_m"_a, "cell_m"_a,
         "Points (K, 2) in meters, the farthest of each cell; and whether they are three or more, not on one line.");
     m.def(
         "fill_rings",
@@ -88,7 +88,7 @@ void bind_concave_hull(nb::module_& m) {
             }
             return array(std::move(inside), {cells, cells});
         },
-        "edges"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a, "cells"_a,
+        "edges"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "cells"_a,
         "Cells (cells, cells) inside closed rings of edges (E, 4), by the even-odd rule.");
 }
 

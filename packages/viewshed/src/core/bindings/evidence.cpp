@@ -59,7 +59,7 @@ void bind_evidence(nb::module_& m) {
             look_up(table_of(table), view(counts), prob);
             return array(std::move(prob));
         },
-        "counts"_a.noconvert(), "table"_a.noconvert(), "Probability (N,) at mean counts (N,), from a poisson_table.");
+        "counts"_in, "table"_in, "Probability (N,) at mean counts (N,), from a poisson_table.");
     m.def(
         "returns_by_kind",
         [](const CellWindows& windows, const std::vector<BeamArrays>& kinds, In2<float> heights_m, float half_extent_m,
@@ -84,11 +84,10 @@ void bind_evidence(nb::module_& m) {
                     std::copy_n(lanes[AIMED], size, &aimed[first]);
                 }
             }
-            return nb::make_tuple(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
+            return tuple_of(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
                                   array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
         },
-        "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "half_extent_m"_a, "sensor_height_m"_a,
-        "target_height_m"_a,
+        "windows"_a, "kinds"_in, "heights_m"_in, "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a,
         "Expected returns (kinds, cells, cells) of a target in each cell, and the beams (cells, cells) of the first two kinds "
         "that aim.");
     m.def(
@@ -107,19 +106,17 @@ void bind_evidence(nb::module_& m) {
             const std::size_t cells = windows.cells();
             Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
             Buffer<bool> within_reach(cells);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 measure_evidence(windows, beams, ground, target_height_m, deviations, probabilities, rule,
                                  {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
                                   within_reach.data()});
-            }
+            });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
-            return nb::make_tuple(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
+            return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
                                   shaped(visible_prob), shaped(within_reach));
         },
-        "windows"_a, "kinds"_a.noconvert(), "heights_m"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
-        "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_a.noconvert(),
-        "threshold"_a, "reach_m"_a,
+        "windows"_a, "kinds"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a, "sensor_height_m"_a,
+        "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_in, "threshold"_a, "reach_m"_a,
         "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from "
         "beams of the four kinds.");
     m.def(
@@ -136,16 +133,14 @@ void bind_evidence(nb::module_& m) {
             const SupportedCells support{measured.data(), late.data(), aimed.data(), visible_prob.data(),
                                          bytes_of(within_reach)};
             Buffer<std::uint8_t> state(cells);
-            {
-                nb::gil_scoped_release unlocked;
-                write_states(support, view(table), threshold, sure_aim,
-                             {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)}, state);
-            }
+            without_lock([&] {
+                write_states(support, view(table), threshold, sure_aim, {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)},
+                             state);
+            });
             return array(std::move(state), {measured.shape(0), measured.shape(1)});
         },
-        "measured"_a.noconvert(), "late"_a.noconvert(), "aimed"_a.noconvert(), "visible_prob"_a.noconvert(),
-        "within_reach"_a.noconvert(), "visible"_a.noconvert(), "denied"_a.noconvert(), "obstacle"_a.noconvert(),
-        nb::kw_only(), "table"_a.noconvert(), "threshold"_a, "sure_aim"_a,
+        "measured"_in, "late"_in, "aimed"_in, "visible_prob"_in, "within_reach"_in, "visible"_in, "denied"_in, "obstacle"_in,
+        nb::kw_only(), "table"_in, "threshold"_a, "sure_aim"_a,
         "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
     m.def(
         "claims",
@@ -161,10 +156,9 @@ void bind_evidence(nb::module_& m) {
                 indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
             const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(), unsure_m,
                                                view(table), threshold);
-            return nb::make_tuple(claims.all, claims.over_unsure_ground, claims.inferred);
+            return tuple_of(claims.all, claims.over_unsure_ground, claims.inferred);
         },
-        "state"_a.noconvert(), "measured"_a.noconvert(), "node"_a.noconvert(), "std_m"_a.noconvert(), nb::kw_only(),
-        "table"_a.noconvert(), "threshold"_a, "unsure_m"_a,
+        "state"_in, "measured"_in, "node"_in, "std_m"_in, nb::kw_only(), "table"_in, "threshold"_a, "unsure_m"_a,
         "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
         "unsure; and how many measured returns alone would not support.");
 }

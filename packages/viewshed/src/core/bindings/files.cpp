@@ -13,7 +13,7 @@ void bind_files(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             split_four(rows.data(), count, points.data(), intensity.data());
         },
-        "rows"_a.noconvert(), "points"_a.noconvert(), "intensity"_a.noconvert(),
+        "rows"_in, "points"_in, "intensity"_in,
         "Split rows of x, y, z, intensity into points (3 N,) and intensity (N,).");
     m.def(
         "split_xyzir",
@@ -25,8 +25,7 @@ void bind_files(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return split_five(rows.data(), count, quarter_turn, points.data(), intensity.data(), ring.data());
         },
-        "rows"_a.noconvert(), "points"_a.noconvert(), "intensity"_a.noconvert(), "ring"_a.noconvert(),
-        "quarter_turn"_a,
+        "rows"_in, "points"_in, "intensity"_in, "ring"_in, "quarter_turn"_a,
         "Split rows of x, y, z, intensity, ring; how many rings are no whole numbers. With quarter_turn points are "
         "(y, -x, z).");
     m.def(
@@ -34,9 +33,9 @@ void bind_files(nb::module_& m) {
         [](Points points, In1<std::int16_t> ring, float half_width) {
             require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
             const RingSpread spread = spread_of_rings(view(points), view(ring), half_width);
-            return nb::make_tuple(spread.count, spread.elevation_std, spread.beside, spread.any_two);
+            return tuple_of(spread.count, spread.elevation_std, spread.beside, spread.any_two);
         },
-        "points"_a.noconvert(), "ring"_a.noconvert(), "half_width"_a,
+        "points"_in, "ring"_in, "half_width"_a,
         "Returns in four narrow sectors, their elevations' standard deviation, and the mean difference of the rings of "
         "neighbors and of any two.");
     m.def(
@@ -45,14 +44,14 @@ void bind_files(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return are_finite(values.data(), values.size());
         },
-        "values"_a.noconvert(), "Whether all of the values (N, K) are finite.");
+        "values"_in, "Whether all of the values (N, K) are finite.");
     m.def(
         "plausible_rows",
         [](In1<float> rows, std::size_t columns) {
             require(columns == 4 || columns == 5, "columns must be 4 or 5");
             return is_plausible(rows.data(), rows.shape(0) / columns, columns);
         },
-        "rows"_a.noconvert(), "columns"_a,
+        "rows"_in, "columns"_a,
         "Whether rows (N · columns,) read as meters within 10 km, an intensity and, if five, a ring in 0…127.");
     m.def(
         "move_points",
@@ -62,12 +61,12 @@ void bind_files(nb::module_& m) {
                     "a transform must be a rotation (3, 3) and a shift (3,)");
             move_points({points.data(), points.shape(0), 3}, rotation.data(), shift.data());
         },
-        "points"_a.noconvert(), "rotation"_a.noconvert(), "shift"_a.noconvert(),
+        "points"_in, "rotation"_in, "shift"_in,
         "Replace points (N, 3) by rotation @ point + shift, computed in float64.");
     m.def(
         "unpack_lzf",
         [](In1<std::uint8_t> packed, InOut1<std::uint8_t> unpacked) { return unpack_lzf(view(packed), view(unpacked)); },
-        "packed"_a.noconvert(), "unpacked"_a.noconvert(),
+        "packed"_in, "unpacked"_in,
         "Decode an LZF stream; the bytes written, or -1 where it is damaged.");
 }
 

@@ -28,21 +28,20 @@ void bind_fov_code(nb::module_& m) {
             const auto levels = indices_of<std::uint8_t>(view(level).flat(), 0, LEVELS - 1, "level");
             const auto deviations = indices_of<std::uint8_t>(view(deviation).flat(), 0, DEVIATIONS - 1, "deviation");
             const std::size_t side = deviation.shape(0);
-            std::vector<std::uint8_t> code;
-            {
-                nb::gil_scoped_release unlocked;
-                code = encode_view({{states.data(), cells, cells}, {levels.data(), cells, cells}, {deviations.data(), side, side}},
+            auto code = without_lock([&] {
+                return encode_view({{states.data(), cells, cells}, {levels.data(), cells, cells}, {deviations.data(), side, side}},
                                    {row, column});
-            }
+            });
             return nb::bytes(code.data(), code.size());
         },
-        "state"_a.noconvert(), "level"_a.noconvert(), "deviation"_a.noconvert(), "row"_a, "column"_a,
+        "state"_in, "level"_in, "deviation"_in, "row"_a, "column"_a,
         "The code of a view: state 0…3, level of the probability 0…15 and, unless (0, 0), deviation 0…8 of each cell. "
         "Empty where it would take too many decisions.");
     m.def(
         "decode_view",
         [](In1<std::uint8_t> code, std::size_t cells, std::size_t row, std::size_t column, In1<float> prob,
-           In1<float> std) -> nb::object {
+           In1<float> std)
+            -> std::optional<Tuple<Out<std::uint8_t>, Out<float>, std::optional<Out<float>>>> {
             require_view(cells, row, column);
             require(prob.shape(0) == LEVELS, "prob must have a value for each of 16 levels");
             require(std.shape(0) == 0 || std.shape(0) == DEVIATIONS, "std must have a value for each of 9 levels, or none");
@@ -50,19 +49,17 @@ void bind_fov_code(nb::module_& m) {
             Buffer<std::uint8_t> state(cells * cells);
             Buffer<float> probs(cells * cells), stds(has_std ? cells * cells : 0);
             const std::size_t side = has_std ? cells : 0;
-            bool is_view = false;
-            {
-                nb::gil_scoped_release unlocked;
-                is_view = decode_view(view(code), {row, column}, {prob.data(), std.data()},
-                                      {state.view(cells, cells), probs.view(cells, cells), stds.view(side, side)});
-            }
-            if (!is_view) return nb::none();
-            nb::object deviation = nb::none();
-            if (has_std) deviation = nb::cast(array(std::move(stds), {cells, cells}));
-            return nb::make_tuple(array(std::move(state), {cells, cells}), array(std::move(probs), {cells, cells}),
+            const auto is_view = without_lock([&] {
+                return decode_view(view(code), {row, column}, {prob.data(), std.data()},
+                                   {state.view(cells, cells), probs.view(cells, cells), stds.view(side, side)});
+            });
+            if (!is_view) return std::nullopt;
+            std::optional<Out<float>> deviation;
+            if (has_std) deviation = array(std::move(stds), {cells, cells});
+            return tuple_of(array(std::move(state), {cells, cells}), array(std::move(probs), {cells, cells}),
                                   deviation);
         },
-        "code"_a.noconvert(), "cells"_a, "row"_a, "column"_a, "prob"_a.noconvert(), "std"_a.noconvert(),
+        "code"_in, "cells"_a, "row"_a, "column"_a, "prob"_in, "std"_in,
         "State, probability and deviation (None without values for it) of each cell; None where the code is none.");
 }
 

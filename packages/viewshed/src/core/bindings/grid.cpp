@@ -17,25 +17,19 @@ void bind_grid(nb::module_& m) {
             const Counted counted{float(origin_x_m), float(origin_y_m), float(1.0 / cell_m), float(cells),
                                   low_m,             high_m,            most_m2,             null_m2};
             Buffer<std::int32_t> counts(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                count_points(view(points), rotation.data(), translation.data(), counted, counts);
-            }
+            without_lock([&] { count_points(view(points), rotation.data(), translation.data(), counted, counts); });
             return array(std::move(counts), {cells, cells});
         },
-        "points"_a.noconvert(), "rotation"_a.noconvert(), "translation"_a.noconvert(), nb::kw_only(), "cells"_a,
-        "cell_m"_a, "origin_x_m"_a, "origin_y_m"_a, "low_m"_a, "high_m"_a, "max_range_m"_a, "null_range_m"_a,
+        "points"_in, "rotation"_in, "translation"_in, nb::kw_only(), "cells"_a, "cell_m"_a, "origin_x_m"_a, "origin_y_m"_a,
+        "low_m"_a, "high_m"_a, "max_range_m"_a, "null_range_m"_a,
         "Counts (cells, cells) int32 of points (N, 3) after a transform to level, by height there and by range.");
     m.def(
         "polar_of_cells",
         [](std::size_t cells, double cell_m, double x0_m, double y0_m) {
             require(cells >= 1 && cells <= 16384, "cells must lie in [1, 16384]");
             Buffer<float> range_m(cells * cells), azimuth(cells * cells);
-            {
-                nb::gil_scoped_release unlocked;
-                polar_of_cells({cells, cell_m, x0_m, y0_m}, range_m, azimuth);
-            }
-            return nb::make_tuple(array(std::move(range_m), {cells, cells}), array(std::move(azimuth), {cells, cells}));
+            without_lock([&] { polar_of_cells({cells, cell_m, x0_m, y0_m}, range_m, azimuth); });
+            return tuple_of(array(std::move(range_m), {cells, cells}), array(std::move(azimuth), {cells, cells}));
         },
         "cells"_a, "cell_m"_a, "x0_m"_a, "y0_m"_a,
         "Range in meters and azimuth in [-pi, pi) (cells, cells) of the centers of cells.");

@@ -17,10 +17,10 @@ void bind_ground_guess(nb::module_& m);  // ground_guess.cpp
 namespace {
 
 // Heights, standard deviations, seen nodes, plane and support as numpy arrays; and the z of level ground, NaN where it is seen.
-nb::tuple as_tuple(FoundGround& ground, std::size_t n) {
+auto as_tuple(FoundGround& ground, std::size_t n) {
     const auto& [a, b, c] = ground.carrier.plane;
-    return nb::make_tuple(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
-                          array(std::move(ground.seen), {n, n}), nb::make_tuple(a, b, c), ground.carrier.support,
+    return tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
+                          array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.carrier.support,
                           ground.level_m);
 }
 
@@ -88,7 +88,7 @@ void bind_ground(nb::module_& m) {
                 fill_ground(*lattice_of(n, half_m), view(walked_m).flat(), view(accepted).flat(), carrier, heights_m,
                             std_m);
             }
-            return nb::make_tuple(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
+            return tuple_of(array(std::move(heights_m), {n, n}), array(std::move(std_m), {n, n}));
         },
         "walked_m"_a.noconvert(), "accepted"_a.noconvert(), "plane"_a.noconvert(), "half_m"_a,
         "Heights and standard deviations (n, n) of the ground between and beyond the accepted nodes (n, n).");
@@ -102,7 +102,7 @@ void bind_ground(nb::module_& m) {
             }
             Buffer<float> normal(3);
             std::copy_n(found.normal.data(), 3, normal.data());
-            return nb::make_tuple(array(std::move(normal)), found.support);
+            return tuple_of(array(std::move(normal)), found.support);
         },
         "points"_a.noconvert(),
         "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");

@@ -58,7 +58,7 @@ void bind_ground_guess(nb::module_& m) {
                 nb::gil_scoped_release unlocked;
                 guessed_ground({outputs.data(), outputs.size()}, {inputs.data(), inputs.size()}, shown, median, std);
             }
-            return nb::make_tuple(array(std::move(median), {n, n}), array(std::move(std), {n, n}));
+            return tuple_of(array(std::move(median), {n, n}), array(std::move(std), {n, n}));
         },
         "outputs"_a.noconvert(), "inputs"_a.noconvert(), "heights_m"_a.noconvert(), "seen"_a.noconvert(), "half_m"_a,
         "Heights and standard deviations (n, n) of the ground that outputs (1, 80, n / 4, n / 4) of the network stand for.");

@@ -1,6 +1,5 @@
 #include "guarantees.hpp"
 
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 
@@ -53,7 +52,7 @@ void bind_guarantees(nb::module_& m) {
                 new (self) TargetColumns({ranges.data(), rows, cells}, {angles.data(), rows, cells}, fired ? view(*fired) : all,
                                          rings, columns, cell_m, width_m, farthest_m);
             },
-            "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "fired"_a.noconvert().none(), "rings"_a, "columns"_a, "cell_m"_a,
+            "range_m"_in, "azimuth"_in, "fired"_in.none(), "rings"_a, "columns"_a, "cell_m"_a,
             "width_m"_a, "farthest_m"_a);
     nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
         .def(
@@ -67,7 +66,7 @@ void bind_guarantees(nb::module_& m) {
                 const nb::gil_scoped_release unlocked;
                 new (self) SentBeams(std::move(columns), view(low_m), view(high_m), view(slope), view(start_m));
             },
-            "columns"_a, "low_m"_a.noconvert(), "high_m"_a.noconvert(), "slope"_a.noconvert(), "start_m"_a.noconvert());
+            "columns"_a, "low_m"_in, "high_m"_in, "slope"_in, "start_m"_in);
     m.def(
         "nearest_returns",
         [](Points points, std::optional<In1<std::int16_t>> ring, In2<float> rotation, In1<float> tangent, In1<float> origin_m,
@@ -86,8 +85,7 @@ void bind_guarantees(nb::module_& m) {
             };
             return array(found(), {rings, 2 * columns});
         },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "rotation"_a.noconvert(), "tangent"_a.noconvert(),
-        "origin_m"_a.noconvert(), "columns"_a, "near_m"_a, "far_m"_a,
+        "points"_in, "ring"_in.none(), "rotation"_in, "tangent"_in, "origin_m"_in, "columns"_a, "near_m"_a, "far_m"_a,
         "Horizontal range (rings, 2 * columns) of the nearest return of each beam, the circle twice; +inf for none.");
     m.def(
         "envelope_margins",
@@ -99,7 +97,7 @@ void bind_guarantees(nb::module_& m) {
             };
             return array(found(), {sent.of->rows, sent.of->grid_columns});
         },
-        "sent"_a, "nearest"_a.noconvert(), "Beams (cells, cells) that are sent through a target and not blocked before it.");
+        "sent"_a, "nearest"_in, "Beams (cells, cells) that are sent through a target and not blocked before it.");
     m.def(
         "cells_of_beams",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
@@ -112,7 +110,7 @@ void bind_guarantees(nb::module_& m) {
             };
             return array(found(), {sent.of->rings, sent.of->columns});
         },
-        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "most"_a, "opens"_a,
+        "sent"_a, "nearest"_in, "margins"_in, "counts"_in, "least"_a, "most"_a, "opens"_a,
         "For each beam (rings, columns), the sum of 1 / beams needed over the cells that it helps to change.");
     m.def(
         "wedge_changes",
@@ -133,7 +131,7 @@ void bind_guarantees(nb::module_& m) {
             }
             return std::pair(most, array(std::move(changes), {sent.of->rows, sent.of->grid_columns}));
         },
-        "sent"_a, "nearest"_a.noconvert(), "margins"_a.noconvert(), "counts"_a.noconvert(), "least"_a, "wide"_a, "opens"_a,
+        "sent"_a, "nearest"_in, "margins"_in, "counts"_in, "least"_a, "wide"_a, "opens"_a,
         "How many cells one wedge of columns changes at most, and which (cells, cells) any does.");
 }
 

@@ -14,9 +14,9 @@ void bind_height_map(nb::module_& m) {
             require(nodes >= 2 && nodes <= 16384, "a lattice must have 2 to 16384 nodes a side");
             require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
             LatticePositions at = lattice_positions(view(xy), half_extent_m, nodes);
-            return nb::make_tuple(array(std::move(at.node)), array(std::move(at.down)), array(std::move(at.right)));
+            return tuple_of(array(std::move(at.node)), array(std::move(at.down)), array(std::move(at.right)));
         },
-        "xy"_a.noconvert(), "half_extent_m"_a, "nodes"_a,
+        "xy"_in, "half_extent_m"_a, "nodes"_a,
         "Node (N,) before each of N points, and how far beyond it in i and in j (N,), of a lattice.");
     m.def(
         "interpolate",
@@ -31,7 +31,7 @@ void bind_height_map(nb::module_& m) {
             interpolate(view(heights_m), before, view(down), view(right), out);
             return array(std::move(out));
         },
-        "heights_m"_a.noconvert(), "node"_a.noconvert(), "down"_a.noconvert(), "right"_a.noconvert(),
+        "heights_m"_in, "node"_in, "down"_in, "right"_in,
         "Heights (N,) at positions of a lattice, bilinear.");
 }
 

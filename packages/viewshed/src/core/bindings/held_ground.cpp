@@ -15,7 +15,8 @@ void bind_held_ground(nb::module_& m) {
         "held_ground",
         [](In2<float> heights_m, In2<float> std_m, In2<bool> seen, double half_m, In2<float> before_heights_m,
            In2<float> before_std_m, In2<bool> before_seen, double before_half_m, In2<float> before_from_now,
-           In1<float> now_from_before, float variance_m2, std::array<float, 3> plane, float height_m) -> nb::object {
+           In1<float> now_from_before, float variance_m2, std::array<float, 3> plane, float height_m)
+            -> std::optional<Tuple<Out<float>, Out<float>, Out<bool>>> {
             const auto require_ground = [](const auto& heights, const auto& std, const auto& saw, double half) {
                 const std::size_t n = heights.shape(0);
                 require(heights.shape(1) == n, "heights_m must be (n, n)");
@@ -45,8 +46,8 @@ void bind_held_ground(nb::module_& m) {
                                     {view(before_heights_m), view(before_std_m), view(before_seen), before_half_m},
                                     poses, variance_m2, plane, height_m, out_m, out_std_m, out_seen);
             }
-            if (!taken) return nb::none();
-            return nb::make_tuple(array(std::move(out_m), {n, n}), array(std::move(out_std_m), {n, n}),
+            if (!taken) return std::nullopt;
+            return tuple_of(array(std::move(out_m), {n, n}), array(std::move(out_std_m), {n, n}),
                                   array(std::move(out_seen), {n, n}));
         },
         "heights_m"_a.noconvert(), "std_m"_a.noconvert(), "seen"_a.noconvert(), "half_m"_a,

@@ -36,7 +36,7 @@ void bind_history(nb::module_& m) {
             }
             return array(std::move(image), {SLOPE_ROWS, AZIMUTHS});
         },
-        "clouds"_a.noconvert(), "least_m"_a, "sensor_height_m"_a,
+        "clouds"_in, "least_m"_a, "sensor_height_m"_a,
         "Range (rows, columns) of the nearest obstacle by slope and azimuth; +inf for none. Of sweeps (points, height_m, "
         "transform), each with returns higher than least_m.");
     m.def(
@@ -49,14 +49,14 @@ void bind_history(nb::module_& m) {
             end_at_obstacles(image.data(), azimuth.data(), slope.data(), depth_m.data(), size, out.data());
             return array(std::move(out));
         },
-        "image"_a.noconvert(), "azimuth"_a.noconvert(), "slope"_a.noconvert(), "depth_m"_a.noconvert(),
+        "image"_in, "azimuth"_in, "slope"_in, "depth_m"_in,
         "Depth (B,) of beams, none deeper than the obstacle of an image in its direction.");
     m.def(
         "sight_lines",
         []() {
             Buffer<float> azimuth(SIGHT_LINES), slope(SIGHT_LINES);
             sight_lines(azimuth, slope);
-            return nb::make_tuple(array(std::move(azimuth)), array(std::move(slope)));
+            return tuple_of(array(std::move(azimuth)), array(std::move(slope)));
         },
         "Azimuth and slope (L,) of lines of sight in every other row and column of the image of obstacles.");
     m.def(
@@ -78,8 +78,7 @@ void bind_history(nb::module_& m) {
                           confirmed.data());
             return array(std::move(confirmed), {cells, cells});
         },
-        "seen"_a.noconvert(), "earlier_from_now"_a.noconvert(), "origin_x_m"_a, "origin_y_m"_a, "cell_m"_a,
-        "in_view"_a.noconvert(), "whole"_a.noconvert(),
+        "seen"_in, "earlier_from_now"_in, "origin_x_m"_a, "origin_y_m"_a, "cell_m"_a, "in_view"_in, "whole"_in,
         "Cells (cells, cells) that an earlier sweep saw, and to which enough of the whole view is open.");
 }
 

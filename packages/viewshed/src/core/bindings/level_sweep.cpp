@@ -1,7 +1,5 @@
 #include "level_sweep.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -38,28 +36,24 @@ void bind_level_sweep(nb::module_& m) {
                 const auto is_bounded = [](double value) { return std::fabs(value) <= MOST_M; };
                 require(std::all_of(sweep.attitude->begin(), sweep.attitude->end(), is_bounded), "attitude must be finite");
             }
-            std::optional<SweepLevel> made;
-            {
-                nb::gil_scoped_release unlocked;
-                made = level_sweep(sweep);
-            }
+            auto made = without_lock([&] { return level_sweep(sweep); });
             // The range image, the rotation, the height, the ground, and the level points.
-            nb::object image = nb::none();
-            if (made->image) image = range_image_arrays(std::move(*made->image));
+            std::optional<RangeImageArrays> image;
+            if (made.image) image = range_image_arrays(std::move(*made.image));
             Buffer<double> rotation(9);
-            std::copy(made->rotation.begin(), made->rotation.end(), rotation.begin());
-            GroundMap& ground = made->ground;
+            std::copy(made.rotation.begin(), made.rotation.end(), rotation.begin());
+            GroundMap& ground = made.ground;
             const std::size_t n = ground.nodes;
             const auto [a, b, c] = ground.plane;
-            LevelPoints& level = made->level;
-            return nb::make_tuple(
-                image, array(std::move(rotation), {3, 3}), made->height_m,
-                nb::make_tuple(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
-                               array(std::move(ground.seen), {n, n}), nb::make_tuple(a, b, c), ground.support),
+            LevelPoints& level = made.level;
+            return tuple_of(
+                image, array(std::move(rotation), {3, 3}), made.height_m,
+                tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
+                               array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.support),
                 level_arrays(std::move(level)));
         },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a,
-        "attitude"_a.noconvert().none(), "height_m"_a.none(), "yaw"_a.none(), "half_extent_m"_a,
+        "points"_in, "ring"_in.none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a, "attitude"_in.none(),
+        "height_m"_a.none(), "yaw"_a.none(), "half_extent_m"_a,
         "Range image (as range_image gives it, or None), rotation (3, 3) to level, height of the sensor, ground (heights, "
         "deviations, seen nodes, plane, support), and level points (as level_points gives them) of points (N, 3).");
 }

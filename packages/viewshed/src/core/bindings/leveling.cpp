@@ -1,7 +1,5 @@
 #include "leveling.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,14 +10,16 @@
 
 namespace viewshed {
 
-nb::tuple level_arrays(LevelPoints&& level) {
-    return nb::make_tuple(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
+LevelArrays level_arrays(LevelPoints&& level) {
+    return tuple_of(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
                           array(std::move(level.azimuth)), array(std::move(level.height_m)), array(std::move(level.rows)));
 }
 
 void bind_leveling(nb::module_& m) {
-    m.attr("EGO_BOX_M") = nb::make_tuple(EGO_LENGTH_M, EGO_WIDTH_M);
-    m.attr("EGO_HEIGHTS_M") = nb::make_tuple(LEAST_EGO_HEIGHT_M, MOST_EGO_HEIGHT_M);
+    m.attr("EGO_LENGTH_M") = EGO_LENGTH_M;
+    m.attr("EGO_WIDTH_M") = EGO_WIDTH_M;
+    m.attr("LEAST_EGO_HEIGHT_M") = LEAST_EGO_HEIGHT_M;
+    m.attr("MOST_EGO_HEIGHT_M") = MOST_EGO_HEIGHT_M;
     using Rotation = nb::ndarray<const float, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
     using Transform = nb::ndarray<const float, nb::shape<3, 4>, nb::c_contig, nb::device::cpu>;
     m.def(
@@ -28,7 +28,7 @@ void bind_leveling(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return vehicle_heading(view(points), {rotation.data(), 3, 3});
         },
-        "points"_a.noconvert(), "rotation"_a.noconvert(),
+        "points"_in, "rotation"_in,
         "Heading of the own vehicle in radians, of points (N, 3) and the rotation (3, 3) to a level frame.");
     m.def(
         "level_points",
@@ -50,8 +50,8 @@ void bind_leveling(nb::module_& m) {
             }
             return level_arrays(std::move(*made));
         },
-        "points"_a.noconvert(), "clutter"_a.noconvert().none(), "level_from_sensor"_a.noconvert(), "near_m"_a,
-        "far_m"_a, "heading"_a, "ground_m"_a.noconvert(), "half_extent_m"_a,
+        "points"_in, "clutter"_in.none(), "level_from_sensor"_in, "near_m"_a, "far_m"_a, "heading"_a, "ground_m"_in,
+        "half_extent_m"_a,
         "Level points (M, 3), range, azimuth, height above the ground and row (M,) of the points (N, 3) that count.");
     m.def(
         "beam_slopes",
@@ -67,14 +67,11 @@ void bind_leveling(nb::module_& m) {
                 of_point = indices_of<std::int32_t>(view(rows), 0, std::int32_t(std::max<std::size_t>(mask.size, 1) - 1), "rows");
             }
             Buffer<float> slope(count);
-            {
-                nb::gil_scoped_release unlocked;
-                beam_slopes(view(points), view(range_m), sensor_height_m, mask, of_point, slope);
-            }
+            without_lock([&] { beam_slopes(view(points), view(range_m), sensor_height_m, mask, of_point, slope); });
             return array(std::move(slope));
         },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "sensor_height_m"_a, "left_out"_a.noconvert().none(),
-        "rows"_a.noconvert(), "Rise over range (M,) of level points (M, 3); +inf for rows that are left out.");
+        "points"_in, "range_m"_in, "sensor_height_m"_a, "left_out"_in.none(),
+        "rows"_in, "Rise over range (M,) of level points (M, 3); +inf for rows that are left out.");
     m.def(
         "obstacle_cells",
         [](Points points, In1<float> height_m, float x0_m, float y0_m, float cells_per_m, float low_m, float high_m,
@@ -83,14 +80,12 @@ void bind_leveling(nb::module_& m) {
             require(height_m.shape(0) == count, "points and height_m must be as long");
             require(cells >= 1 && cells <= 32768, "cells must lie in [1, 32768]");
             Buffer<bool> mask(std::size_t(cells) * cells + 1);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 mark_cells(view(points), view(height_m), {x0_m, y0_m, cells_per_m, low_m, high_m, cells}, mask);
-            }
+            });
             return array(std::move(mask), {std::size_t(cells), std::size_t(cells)});
         },
-        "points"_a.noconvert(), "height_m"_a.noconvert(), "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "low_m"_a, "high_m"_a,
-        "cells"_a,
+        "points"_in, "height_m"_in, "x0_m"_a, "y0_m"_a, "cells_per_m"_a, "low_m"_a, "high_m"_a, "cells"_a,
         "Mask (cells, cells) of cells that hold a point (N, 3) between two heights above the ground.");
 }
 

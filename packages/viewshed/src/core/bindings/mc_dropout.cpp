@@ -11,13 +11,10 @@ void bind_mc_dropout(nb::module_& m) {
         [](In2<float> probability) {
             require(probability.shape(0) >= 1, "there must be a pass");
             Buffer<float> mean(probability.shape(1)), deviation(probability.shape(1));
-            {
-                nb::gil_scoped_release unlocked;
-                find_moments(view(probability), mean, deviation);
-            }
-            return nb::make_tuple(array(std::move(mean)), array(std::move(deviation)));
+            without_lock([&] { find_moments(view(probability), mean, deviation); });
+            return tuple_of(array(std::move(mean)), array(std::move(deviation)));
         },
-        "probability"_a.noconvert(), "Mean and standard deviation (cells,) of probabilities (passes, cells).");
+        "probability"_in, "Mean and standard deviation (cells,) of probabilities (passes, cells).");
 }
 
 }  // namespace viewshed

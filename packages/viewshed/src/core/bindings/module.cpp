@@ -3,7 +3,7 @@
 
 NB_MODULE(_core, m) {
     m.doc() = "The native core: from points to estimate, a stage a file (packages/viewshed/src/core).";
-    m.attr("__version__") = VIEWSHED_CORE_VERSION;
+    m.attr("VERSION") = VIEWSHED_CORE_VERSION;
     m.def("threads", &viewshed::threads, "How many threads a stage may use.");
     m.def(
         "set_threads", [](std::size_t count) { viewshed::set_threads(count); }, nanobind::arg("count"),

@@ -1,7 +1,5 @@
 #include "no_return.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -40,9 +38,9 @@ Pixels pixels_of(const In1<std::int16_t>& ring, const In1<std::int32_t>& column,
     return {view(ring), view(column), view(counts), left_out ? view(*left_out) : none, clutter ? view(*clutter) : none};
 }
 
-nb::tuple arrays_of(BeamColumns&& beams) {
+auto arrays_of(BeamColumns&& beams) {
     const std::size_t count = beams.count;
-    return nb::make_tuple(array(std::move(beams.azimuth), {count}), array(std::move(beams.slope), {count}),
+    return tuple_of(array(std::move(beams.azimuth), {count}), array(std::move(beams.slope), {count}),
                           array(std::move(beams.depth_m), {count}));
 }
 
@@ -114,7 +112,7 @@ void bind_no_return(nb::module_& m) {
                                               sweep.steep_m(), model);
             }
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams->count}); };
-            return nb::make_tuple(array(std::move(slope)), shaped(beams->azimuth), shaped(beams->slope),
+            return tuple_of(array(std::move(slope)), shaped(beams->azimuth), shaped(beams->slope),
                                   shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
@@ -141,7 +139,7 @@ void bind_no_return(nb::module_& m) {
                                                   sweep.steep_m());
             }
             const std::size_t size = groups->azimuth.size();
-            return nb::make_tuple(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
+            return tuple_of(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
                                   array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
                                   array(std::move(groups->stop), {size, std::size_t(STOPS)}));
         },

@@ -31,10 +31,10 @@ void bind_object_candidates(nb::module_& m) {
                 std::copy(found.sides[k].begin(), found.sides[k].end(), sides.begin() + k * 6);
                 std::copy(found.shapes[k].begin(), found.shapes[k].end(), shapes.begin() + k * SHAPES);
             }
-            return nb::make_tuple(whole(found.rows), whole(found.first), whole(found.last), whole(found.parent),
+            return tuple_of(whole(found.rows), whole(found.first), whole(found.last), whole(found.parent),
                                   array(std::move(sides), {count, 6}), array(std::move(shapes), {count, SHAPES}));
         },
-        "points"_a.noconvert(), "height_m"_a.noconvert(), "range_m"_a.noconvert(), "sensor_height_m"_a,
+        "points"_in, "height_m"_in, "range_m"_in, "sensor_height_m"_a,
         "Candidates for objects: rows (P,) by candidate, first, last, parent (C,), sides (C, 6) and shapes (C, 32).");
 }
 

@@ -44,10 +44,7 @@ Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, st
     require(cells >= 1 && cells <= MOST_CELLS, "cells must lie in [1, 4096]");
     const Buffer<std::int64_t> from = checked_begin(points, begin);
     Buffer<bool> marked(cells * cells);
-    {
-        nb::gil_scoped_release unlocked;
-        mark({view(points), from}, marked.view(cells, cells));
-    }
+    without_lock([&] { mark({view(points), from}, marked.view(cells, cells)); });
     return array(std::move(marked), {cells, cells});
 }
 
@@ -67,25 +64,19 @@ void bind_polygons(nb::module_& m) {
         [](In2<bool> mask, bool diagonal) {
             const std::size_t rows = mask.shape(0), columns = mask.shape(1);
             Buffer<std::int32_t> labels(rows * columns);
-            {
-                nb::gil_scoped_release unlocked;
-                label_regions(view(mask), diagonal, labels.view(rows, columns));
-            }
+            without_lock([&] { label_regions(view(mask), diagonal, labels.view(rows, columns)); });
             return array(std::move(labels), {rows, columns});
         },
-        "mask"_a.noconvert(), "diagonal"_a, "Number (rows, columns) of each cell's connected region, 0 for none.");
+        "mask"_in, "diagonal"_a, "Number (rows, columns) of each cell's connected region, 0 for none.");
     m.def(
         "squared_depth",
         [](In2<bool> mask) {
             const std::size_t rows = mask.shape(0), columns = mask.shape(1);
             Buffer<std::int64_t> depth(rows * columns);
-            {
-                nb::gil_scoped_release unlocked;
-                find_squared_depth(view(mask), depth.view(rows, columns));
-            }
+            without_lock([&] { find_squared_depth(view(mask), depth.view(rows, columns)); });
             return array(std::move(depth), {rows, columns});
         },
-        "mask"_a.noconvert(), "Squared distance (rows, columns) to the nearest false cell, in cells.");
+        "mask"_in, "Squared distance (rows, columns) to the nearest false cell, in cells.");
     m.def(
         "rings_of_mask",
         [](In2<bool> mask, In2<std::int32_t> regions) {
@@ -96,17 +87,14 @@ void bind_polygons(nb::module_& m) {
             const Buffer<bool> inside = copy_of(view(mask).flat());
             const Buffer<std::int32_t> numbers =
                 indices_of<std::int32_t>(view(regions).flat(), 0, std::numeric_limits<std::int32_t>::max(), "regions");
-            std::optional<MaskRings> rings;
-            {
-                nb::gil_scoped_release unlocked;
-                rings = trace_rings({inside.data(), cells, cells}, {numbers.data(), cells, cells});
-            }
-            Buffer<std::int16_t> corners(rings->corners.size());
-            std::copy(rings->corners.begin(), rings->corners.end(), corners.begin());
-            return nb::make_tuple(array(std::move(corners), {rings->corners.size() / 2, std::size_t{2}}),
-                                  array_of(rings->begin), array_of(rings->region));
+            auto rings = without_lock(
+                [&] { return trace_rings({inside.data(), cells, cells}, {numbers.data(), cells, cells}); });
+            Buffer<std::int16_t> corners(rings.corners.size());
+            std::copy(rings.corners.begin(), rings.corners.end(), corners.begin());
+            return tuple_of(array(std::move(corners), {rings.corners.size() / 2, std::size_t{2}}),
+                                  array_of(rings.begin), array_of(rings.region));
         },
-        "mask"_a.noconvert(), "regions"_a.noconvert(),
+        "mask"_in, "regions"_in,
         "Corners (V, 2) of the rings around a mask's true cells, where rings begin (R + 1,), and the region of each "
         "(R,), negative where it is a hole.");
     m.def(
@@ -114,14 +102,14 @@ void bind_polygons(nb::module_& m) {
         [](In2<double> points, In1<std::int64_t> begin, std::size_t cells) {
             return cells_of(points, begin, cells, fill_closed_rings);
         },
-        "points"_a.noconvert(), "begin"_a.noconvert(), "cells"_a,
+        "points"_in, "begin"_in, "cells"_a,
         "Cells (cells, cells) whose center lies inside closed rings of points (V, 2), by the even-odd rule.");
     m.def(
         "cells_met",
         [](In2<double> points, In1<std::int64_t> begin, std::size_t cells) {
             return cells_of(points, begin, cells, find_cells_met);
         },
-        "points"_a.noconvert(), "begin"_a.noconvert(), "cells"_a,
+        "points"_in, "begin"_in, "cells"_a,
         "Cells (cells, cells) that an edge of closed rings of points (V, 2) passes through, or merely meets.");
     m.def(
         "best_sectors",
@@ -130,13 +118,10 @@ void bind_polygons(nb::module_& m) {
             require(sectors >= 1 && sectors <= MOST_SECTORS, "sectors must lie in [1, 256]");
             require(inner >= 0.0 && std::isfinite(inner), "inner must be finite, and not negative");
             BestSectors found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = best_sectors(checked, sectors, inner);
-            }
-            return nb::make_tuple(array_of(found.first), array_of(found.end), array_of(found.range));
+            without_lock([&] { found = best_sectors(checked, sectors, inner); });
+            return tuple_of(array_of(found.first), array_of(found.end), array_of(found.range));
         },
-        "ranges"_a.noconvert(), "sectors"_a, "inner"_a,
+        "ranges"_in, "sectors"_a, "inner"_a,
         "First bin, end bin and range of the sectors below ranges (bins,) whose union is the largest.");
     m.def(
         "free_ranges",
@@ -149,25 +134,20 @@ void bind_polygons(nb::module_& m) {
             require(half_m > 0.0 && is_near(half_m), "half_m must lie in (0, 1e9]");
             require(bins >= 4 && bins <= MOST_BINS, "bins must lie in [4, 7200]");
             Buffer<double> ranges(bins);
-            {
-                nb::gil_scoped_release unlocked;
+            without_lock([&] {
                 find_free_ranges(view(mask), {x_m, y_m, cell_m, mask.shape(0)}, {apex_x_m, apex_y_m}, half_m, is_solid,
-                                 ranges);
-            }
+                    ranges);
+            });
             return array(std::move(ranges));
         },
-        "mask"_a.noconvert(), "x_m"_a, "y_m"_a, "cell_m"_a, "apex_x_m"_a, "apex_y_m"_a, "half_m"_a, "bins"_a,
+        "mask"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "apex_x_m"_a, "apex_y_m"_a, "half_m"_a, "bins"_a,
         "is_solid"_a, "How far (bins,) each wedge reaches from an apex before boxes about the false cells of a mask.");
     m.def(
         "star_vertices",
         [](In1<double> ranges, double price_m2) {
             const Buffer<double> checked = checked_ranges(ranges);
             require(std::isfinite(price_m2), "price_m2 must be finite");
-            std::vector<StarVertex> found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = star_vertices(checked, price_m2);
-            }
+            auto found = without_lock([&] { return star_vertices(checked, price_m2); });
             Buffer<double> vertices(2 * found.size());
             for (std::size_t k = 0; k < found.size(); ++k) {
                 vertices[2 * k] = found[k].angle;
@@ -175,7 +155,7 @@ void bind_polygons(nb::module_& m) {
             }
             return array(std::move(vertices), {found.size(), std::size_t{2}});
         },
-        "ranges"_a.noconvert(), "price_m2"_a,
+        "ranges"_in, "price_m2"_a,
         "Angle and range (V, 2) of the star polygon below ranges (bins,) with the most area less a price a vertex.");
 }
 

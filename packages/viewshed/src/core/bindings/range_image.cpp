@@ -6,13 +6,11 @@
 namespace viewshed {
 
 // A range image as a tuple of arrays.
-nb::tuple range_image_arrays(RangeImage&& image) {
-    nb::object clutter = nb::none();
-    if (image.clutter) clutter = nb::cast(array(std::move(*image.clutter)));
+RangeImageArrays range_image_arrays(RangeImage&& image) {
     const std::size_t rings = image.rings, columns = image.columns;
-    return nb::make_tuple(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
+    return tuple_of(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
                           array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
-                          array(std::move(image.isolated)), array(std::move(image.behind)), clutter, image.has_full_rings);
+                          array(std::move(image.isolated)), array(std::move(image.behind)), array_or_none(std::move(image.clutter)), image.has_full_rings);
 }
 
 void bind_range_image(nb::module_& m) {
@@ -22,14 +20,10 @@ void bind_range_image(nb::module_& m) {
             require(ring.shape(0) == points.shape(0), "ring must have one row for each point");
             require_image(rings, columns);
             const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
-            std::optional<RangeImage> made;
-            {
-                nb::gil_scoped_release unlocked;
-                made = range_image(view(points), own, columns, rings, near_m, far_m);
-            }
-            return range_image_arrays(std::move(*made));
+            auto made = without_lock([&] { return range_image(view(points), own, columns, rings, near_m, far_m); });
+            return range_image_arrays(std::move(made));
         },
-        "points"_a.noconvert(), "ring"_a.noconvert(), "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
+        "points"_in, "ring"_in, "columns"_a, "rings"_a, "near_m"_a, "far_m"_a,
         "Column, counts, nearest_m2, phase, isolated, behind, clutter (or None) of points (N, 3) by ring (N,); and "
         "whether rings are as full as columns are many.");
     m.def(
@@ -39,7 +33,7 @@ void bind_range_image(nb::module_& m) {
             find_silent_columns(view(counts), silent);
             return array(std::move(silent));
         },
-        "counts"_a.noconvert(),
+        "counts"_in,
         "Columns (columns,) of counts (rings, columns) that hardly fired.");
     m.def("least_confirmations", &least_confirmations, "mean"_a,
           "Least number that a Poisson variable of a mean reaches with a chance of at most 1 %.");
@@ -53,9 +47,9 @@ void bind_range_image(nb::module_& m) {
             auto kept = indices_of<std::int32_t>(view(column), -1, std::int32_t(columns - 1), "column");
             Buffer<std::uint8_t> fewer = copy_of(view(counts).flat());
             take_out(own, view(left_out), kept, fewer.view(rings, columns));
-            return nb::make_tuple(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
+            return tuple_of(array(std::move(kept)), array(std::move(fewer), {rings, columns}));
         },
-        "ring"_a.noconvert(), "left_out"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(),
+        "ring"_in, "left_out"_in, "column"_in, "counts"_in,
         "Column (N,) and counts (rings, columns) without the returns left_out (N,).");
 }
 

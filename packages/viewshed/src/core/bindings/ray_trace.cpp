@@ -1,7 +1,5 @@
 #include "ray_trace.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <numbers>
 #include <optional>
 
@@ -32,7 +30,7 @@ void bind_ray_trace(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return bins_filled_by(view(azimuth));
         },
-        "azimuth"_a.noconvert(), "How many azimuth bins returns (M,) fill without gaps.");
+        "azimuth"_in, "How many azimuth bins returns (M,) fill without gaps.");
     m.def(
         "farthest_in_bins",
         [](In1<float> azimuth, In1<float> range_m, std::optional<std::size_t> bins, std::size_t drop) {
@@ -52,7 +50,7 @@ void bind_ray_trace(nb::module_& m) {
             }
             return array(std::move(*limit_m));
         },
-        "azimuth"_a.noconvert(), "range_m"_a.noconvert(), "bins"_a.none(), "drop"_a,
+        "azimuth"_in, "range_m"_in, "bins"_a.none(), "drop"_a,
         "Range (bins,) of the farthest return but `drop` of each azimuth bin; -1 where there are no more.");
     m.def(
         "first_blocker",
@@ -63,28 +61,21 @@ void bind_ray_trace(nb::module_& m) {
             if (bins) require_bins(*bins);
             require(rank >= 1 && rank <= 1000, "rank must lie in [1, 1000]");
             require(median_bins <= 999, "median_bins must lie in [0, 999]");
-            std::optional<Buffer<float>> limit_m;
-            {
-                nb::gil_scoped_release unlocked;
-                limit_m = first_blocker(returns, bins.value_or(0), {rank, median_bins, reach_m, margin_m});
-            }
-            return array(std::move(*limit_m));
+            auto limit_m = without_lock(
+                [&] { return first_blocker(returns, bins.value_or(0), {rank, median_bins, reach_m, margin_m}); });
+            return array(std::move(limit_m));
         },
-        "azimuth"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(), "low_m"_a, "high_m"_a,
-        "bins"_a.none(), "rank"_a, "median_bins"_a, "reach_m"_a.none(), "margin_m"_a,
+        "azimuth"_in, "range_m"_in, "height_m"_in, "low_m"_a, "high_m"_a, "bins"_a.none(), "rank"_a, "median_bins"_a,
+        "reach_m"_a.none(), "margin_m"_a,
         "Range (bins,) up to which each azimuth is visible before its blocker; -1 without a return.");
     m.def(
         "ranges_in_bins",
         [](In1<float> azimuth, In1<float> range_m, In1<float> height_m, float low_m, float high_m) {
             const Returns returns = returns_of(azimuth, range_m, height_m, low_m, high_m);
-            std::optional<BinRanges> found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = find_ranges(returns, 0);
-            }
-            return nb::make_tuple(array(std::move(found->farthest_m)), array(std::move(found->nearest_m)));
+            auto found = without_lock([&] { return find_ranges(returns, 0); });
+            return tuple_of(array(std::move(found.farthest_m)), array(std::move(found.nearest_m)));
         },
-        "azimuth"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(), "low_m"_a, "high_m"_a,
+        "azimuth"_in, "range_m"_in, "height_m"_in, "low_m"_a, "high_m"_a,
         "Range (bins,) of the farthest return, -1 where none, and of the nearest obstacle, +inf where none, by the "
         "azimuth bins that the returns fill.");
     m.def(
@@ -96,13 +87,10 @@ void bind_ray_trace(nb::module_& m) {
             require_bins(limit_m.shape(0));
             const auto bin = indices_of<std::int16_t>(view(cell_bin).flat(), 0, std::int16_t(limit_m.shape(0) - 1), "cell_bin");
             Buffer<float> visible(rows * columns);
-            {
-                nb::gil_scoped_release unlocked;
-                find_cells_within(view(limit_m), view(cell_range_m).flat(), bin, visible);
-            }
+            without_lock([&] { find_cells_within(view(limit_m), view(cell_range_m).flat(), bin, visible); });
             return array(std::move(visible), {rows, columns});
         },
-        "limit_m"_a.noconvert(), "cell_range_m"_a.noconvert(), "cell_bin"_a.noconvert(),
+        "limit_m"_in, "cell_range_m"_in, "cell_bin"_in,
         "1 in cells (rows, columns) no farther than the limit (bins,) of their azimuth bin, 0 elsewhere.");
     m.def(
         "trace_windows",
@@ -127,8 +115,8 @@ void bind_ray_trace(nb::module_& m) {
             }
             return array(std::move(visible), {rows, columns});
         },
-        "azimuth"_a.noconvert(), "range_m"_a.noconvert(), "slices"_a, "window"_a, "margin_m"_a,
-        "cell_range_m"_a.noconvert(), "cell_azimuth"_a.noconvert(), "cell_slice"_a.noconvert(),
+        "azimuth"_in, "range_m"_in, "slices"_a, "window"_a, "margin_m"_a, "cell_range_m"_in, "cell_azimuth"_in,
+        "cell_slice"_in,
         "1 in cells (rows, columns) that a return within a window of their azimuth reaches, 0 elsewhere.");
     m.def(
         "any_return_on",
@@ -145,8 +133,8 @@ void bind_ray_trace(nb::module_& m) {
             }
             return false;
         },
-        "points"_a.noconvert(), "range_m"_a.noconvert(), "far_m"_a, "low_m"_a, "high_m"_a, "sensor_m"_a, "x0_m"_a,
-        "y0_m"_a, "cells_per_m"_a, "cells"_a,
+        "points"_in, "range_m"_in, "far_m"_a, "low_m"_a, "high_m"_a, "sensor_m"_a, "x0_m"_a, "y0_m"_a, "cells_per_m"_a,
+        "cells"_a,
         "Whether a return within limits of range, and of height from the sensor, lies on a grid of cells².");
 }
 

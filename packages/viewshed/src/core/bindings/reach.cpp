@@ -1,7 +1,5 @@
 #include "reach.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <optional>
 
 #include "bindings.hpp"
@@ -22,7 +20,7 @@ void bind_reach(nb::module_& m) {
             nb::gil_scoped_release unlocked;
             return range_quantile(view(range_m), view(left_out), of_point, most_m, share);
         },
-        "range_m"_a.noconvert(), "left_out"_a.noconvert(), "rows"_a.noconvert().none(), "most_m"_a, "share"_a,
+        "range_m"_in, "left_out"_in, "rows"_in.none(), "most_m"_a, "share"_a,
         "Quantile of ranges (M,) up to most_m; those left out, by themselves or by their rows, do not count. NaN without any.");
 }
 

@@ -1,7 +1,5 @@
 #include "sensor_id.hpp"
 
-#include <nanobind/stl/optional.h>
-
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -30,11 +28,6 @@ std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn
 std::size_t checked_count(const Points& points) {
     require(points.shape(0) < (1u << 28), "a sweep must have fewer than 2^28 points");
     return points.shape(0);
-}
-
-template <typename T>
-nb::object array_or_none(std::optional<Buffer<T>>&& buffer) {
-    return buffer ? nb::cast(array(std::move(*buffer))) : nb::none();
 }
 
 template <typename T>
@@ -105,14 +98,10 @@ void bind_sensor_id(nb::module_& m) {
             check_expected(expected, tables);
             const auto known = checked_rings(ring, checked_count(points));
             SensorId found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = identify_by_rings(view(points), *known, tables, expected);
-            }
-            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+            without_lock([&] { found = identify_by_rings(view(points), *known, tables, expected); });
+            return tuple_of(array_or_none(std::move(found.ring)), found.table);
         },
-        "points"_a.noconvert(), "ring"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-        "rings"_a.noconvert(), "columns"_a.noconvert(), "expected"_a,
+        "points"_in, "ring"_in, "elevation"_in, "origin_m"_in, "rings"_in, "columns"_in, "expected"_a,
         "The ring of each point (N, 3) as the table's beams, or None where they are the known rings (N,), and the "
         "number of the table that the rings agree with, -1 for none. Tables follow each other: elevation (K,) and "
         "origin_m (K,) of the beams, rings (T,) and columns (T,) of each table.");
@@ -124,39 +113,28 @@ void bind_sensor_id(nb::module_& m) {
             const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             check_expected(expected, tables);
             SensorId found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = identify_by_points(view(points), tables, expected);
-            }
-            return nb::make_tuple(array_or_none(std::move(found.ring)), found.table);
+            without_lock([&] { found = identify_by_points(view(points), tables, expected); });
+            return tuple_of(array_or_none(std::move(found.ring)), found.table);
         },
-        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(), "rings"_a.noconvert(),
-        "columns"_a.noconvert(), "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
+        "points"_in, "elevation"_in, "origin_m"_in, "rings"_in,
+        "columns"_in, "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
     m.def(
         "rings_of_points",
         [](Points points) {
             checked_count(points);
-            std::optional<Buffer<std::int16_t>> ring;
-            {
-                nb::gil_scoped_release unlocked;
-                ring = rings_of_points(view(points));
-            }
+            auto ring = without_lock([&] { return rings_of_points(view(points)); });
             return array_or_none(std::move(ring));
         },
-        "points"_a.noconvert(), "The ring of each point (N, 3) by their order or their elevations, or None.");
+        "points"_in, "The ring of each point (N, 3) by their order or their elevations, or None.");
     m.def(
         "beams_of_sensor",
         [](Points points, In1<double> elevation, In1<double> origin_m) {
             checked_count(points);
             const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
-            std::optional<Buffer<std::int16_t>> ring;
-            {
-                nb::gil_scoped_release unlocked;
-                ring = beams_of_sensor(view(points), table);
-            }
+            auto ring = without_lock([&] { return beams_of_sensor(view(points), table); });
             return array_or_none(std::move(ring));
         },
-        "points"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "points"_in, "elevation"_in, "origin_m"_in,
         "The beam of each point (N, 3) of a sensor that is known, or None.");
     m.def(
         "infer_sensor",
@@ -165,14 +143,10 @@ void bind_sensor_id(nb::module_& m) {
             const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             const auto known = checked_rings(ring, checked_count(points));
             std::pair<int, double> found;
-            {
-                nb::gil_scoped_release unlocked;
-                found = infer_sensor(view(points), known, tables);
-            }
-            return nb::make_tuple(found.first, found.second);
+            without_lock([&] { found = infer_sensor(view(points), known, tables); });
+            return tuple_of(found.first, found.second);
         },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-        "rings"_a.noconvert(), "columns"_a.noconvert(),
+        "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "rings"_in, "columns"_in,
         "The number of the table that explains points (N, 3) best, -1 for none, and its score.");
     m.def(
         "recover_rings",
@@ -181,54 +155,49 @@ void bind_sensor_id(nb::module_& m) {
             std::optional<BeamTable> table;
             if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), columns);
             const auto known = checked_rings(ring, checked_count(points));
-            std::optional<RingAssignment> made;
-            {
-                nb::gil_scoped_release unlocked;
-                made = recover_rings(view(points), known, table ? &*table : nullptr);
-            }
-            return nb::make_tuple(array(std::move(made->ring)), array(std::move(made->column)), made->columns,
-                                  array(std::move(made->elevation)), made->placed, made->alone, int(made->source));
+            auto made = without_lock([&] { return recover_rings(view(points), known, table ? &*table : nullptr); });
+            return tuple_of(array(std::move(made.ring)), array(std::move(made.column)), made.columns,
+                                  array(std::move(made.elevation)), made.placed, made.alone, int(made.source));
         },
-        "points"_a.noconvert(), "ring"_a.noconvert().none(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
-        "columns"_a,
+        "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "columns"_a,
         "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source. "
         "A table of no beams is none.");
     m.def(
         "polar",
         [](Points points) {
             Directions seen = directions_of(view(points));
-            return nb::make_tuple(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
+            return tuple_of(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
                                   array(std::move(seen.range_m)));
         },
-        "points"_a.noconvert(), "Azimuth, slope and horizontal range (N,) of points (N, 3).");
+        "points"_in, "Azimuth, slope and horizontal range (N,) of points (N, 3).");
     m.def(
         "match_beams",
         [](In1<float> slope, In1<float> range_m, In1<double> elevation, In1<double> origin_m) {
             const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
             require(slope.shape(0) == range_m.shape(0), "slope and range_m must be as long");
             BeamMatch match = match_beams(view(slope), view(range_m), table);
-            return nb::make_tuple(array(std::move(match.ring)), array_of(match.hits), match.excess);
+            return tuple_of(array(std::move(match.ring)), array_of(match.hits), match.excess);
         },
-        "slope"_a.noconvert(), "range_m"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
+        "slope"_in, "range_m"_in, "elevation"_in, "origin_m"_in,
         "The nearest beam of each return (N,), the returns close to each beam, and their share less chance.");
     m.def(
         "find_clusters",
-        [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> nb::object {
+        [](In1<float> azimuth, In1<float> slope, In1<float> range_m) -> std::optional<Tuple<Out<double>, Out<double>, double>> {
             const auto found = find_clusters(directions_from(azimuth, slope, range_m));
-            if (!found) return nb::none();
-            return nb::make_tuple(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
+            if (!found) return std::nullopt;
+            return tuple_of(array_of(found->elevation), array_of(found->origin_m), found->sharpness);
         },
-        "azimuth"_a.noconvert(), "slope"_a.noconvert(), "range_m"_a.noconvert(),
+        "azimuth"_in, "slope"_in, "range_m"_in,
         "Elevations at which returns (N,) gather, heights of their origin, and sharpness; or None.");
     m.def(
         "find_motion",
-        [](Points points) -> nb::object {
+        [](Points points) -> std::optional<Tuple<double, double, double, double, double>> {
             checked_count(points);
             const auto motion = find_motion(view(points));
-            if (!motion) return nb::none();
-            return nb::make_tuple(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
+            if (!motion) return std::nullopt;
+            return tuple_of(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
         },
-        "points"_a.noconvert(), "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
+        "points"_in, "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
     m.def(
         "undo_motion",
         [](Points points, double x_m, double y_m, double z_m, double seam, double reference) {
@@ -236,7 +205,7 @@ void bind_sensor_id(nb::module_& m) {
             undo_motion(view(points), {{x_m, y_m, z_m}, seam, reference}, measured.view(points.shape(0), 3));
             return array(std::move(measured), {points.shape(0), 3});
         },
-        "points"_a.noconvert(), "x_m"_a, "y_m"_a, "z_m"_a, "seam"_a, "reference"_a,
+        "points"_in, "x_m"_a, "y_m"_a, "z_m"_a, "seam"_a, "reference"_a,
         "Points (N, 3) as a sensor in motion measured them.");
 }
 

@@ -23,15 +23,11 @@ void bind_shape_classifier(nb::module_& m) {
             }
             require(inputs <= MOST_UNITS, "shapes must have at most 128 columns");
             Buffer<float> prob(count * classes);
-            {
-                nb::gil_scoped_release unlocked;
-                classify_shapes(view(shapes), {view(mean), view(scale), layers}, prob);
-            }
+            without_lock([&] { classify_shapes(view(shapes), {view(mean), view(scale), layers}, prob); });
             return array(std::move(prob), {count, classes});
         },
-        "shapes"_a.noconvert(), "mean"_a.noconvert(), "scale"_a.noconvert(), "first"_a.noconvert(),
-        "first_bias"_a.noconvert(), "second"_a.noconvert(), "second_bias"_a.noconvert(), "third"_a.noconvert(),
-        "third_bias"_a.noconvert(), "Probability (C, classes) of each class for shapes (C, S), by a network of three layers.");
+        "shapes"_in, "mean"_in, "scale"_in, "first"_in, "first_bias"_in, "second"_in, "second_bias"_in, "third"_in,
+        "third_bias"_in, "Probability (C, classes) of each class for shapes (C, S), by a network of three layers.");
 }
 
 }  // namespace viewshed

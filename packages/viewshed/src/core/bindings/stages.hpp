@@ -8,8 +8,11 @@ namespace viewshed {
 // Results of stages that several bindings hand back.
 struct RangeImage;
 struct LevelPoints;
-nb::tuple range_image_arrays(RangeImage&& image);
-nb::tuple level_arrays(LevelPoints&& level);
+using RangeImageArrays = Tuple<Out<std::int32_t>, Out<std::uint8_t>, Out<float>, Out<float>, Out<bool>, Out<bool>,
+                               std::optional<Out<bool>>, bool>;
+using LevelArrays = Tuple<Out<float>, Out<float>, Out<float>, Out<float>, Out<std::int32_t>>;
+RangeImageArrays range_image_arrays(RangeImage&& image);
+LevelArrays level_arrays(LevelPoints&& level);
 
 void bind_range_image(nb::module_& m);
 void bind_reach(nb::module_& m);

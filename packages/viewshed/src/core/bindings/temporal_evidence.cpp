@@ -172,7 +172,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     nb::gil_scoped_release unlocked;
                     find_new_ranges(self, views, columns, nearer, farther, silent);
                 }
-                return nb::make_tuple(array(std::move(nearer)), array(std::move(farther)), array(std::move(silent)));
+                return tuple_of(array(std::move(nearer)), array(std::move(farther)), array(std::move(silent)));
             },
             "views"_a, "turned"_a, "sectors"_a,
             "Share of the returns nearer, and farther, than all that beams about them had in other views, and of the beams that "
@@ -198,7 +198,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     sigma_m[k] = found[k].sigma_m;
                     matches[k] = std::int64_t(found[k].matches);
                 }
-                return nb::make_tuple(array(std::move(step), {views.size(), 3}),
+                return tuple_of(array(std::move(step), {views.size(), 3}),
                                       array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
                                       array(std::move(matches)));
             },
@@ -224,7 +224,7 @@ void bind_temporal_evidence(nb::module_& m) {
                     nb::gil_scoped_release unlocked;
                     self.check(now, placed, t_s, earlier, gone_m, new_m2);
                 }
-                return nb::make_tuple(array(std::move(gone_m)), array(std::move(new_m2)));
+                return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
             },
             "now"_a, "now_from_memory"_a.noconvert(), "t_s"_a, "views"_a, "transforms"_a.noconvert(),
             "gaps_s"_a.noconvert(), "sectors"_a,

@@ -24,7 +24,7 @@ void bind_visibility(nb::module_& m) {
                 }
                 new (self) CellWindows(view(range_m), view(azimuth), cell_m, width_m);
             },
-            "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "cell_m"_a, "width_m"_a);
+            "range_m"_in, "azimuth"_in, "cell_m"_a, "width_m"_a);
 }
 
 }  // namespace viewshed

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
 from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.union import claimed_at
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 
@@ -61,23 +62,6 @@ def joint_fov(
         surest[better], state[better], most = number, claimed[better], np.maximum(most, prob)
     agents = tuple(view.agent for view in views)
     return JointFov(grid, world_from_grid, agents, (1.0 - missed).astype(np.float32), seen_by, surest, state)
-
-
-def claimed_at(view: FovEstimate, grid: BevGrid, world_from_grid: Rigid) -> tuple[F64, NDArray[np.uint8]]:
-    """Return the probability and the state (cells, cells) that a view claims in the cells of another grid.
-
-    Outside its own they are 0 and UNKNOWN.
-
-    Raises:
-        ValueError: the view has no pose.
-    """
-    if view.world_from_level is None:
-        raise ValueError(f"the view of {view.agent} must have a pose: without one it cannot be placed")
-    pose = view.world_from_level.inverse() @ world_from_grid
-    centers = grid.centers @ pose.rotation[:2, :2].T + pose.translation[:2]
-    cells, inside = view.grid.index(centers)
-    state = np.where(inside, view.state[cells[..., 0], cells[..., 1]], np.uint8(CellState.UNKNOWN))
-    return np.nan_to_num(view.at(centers).astype(np.float64), nan=0.0), state
 
 
 def confirmed(

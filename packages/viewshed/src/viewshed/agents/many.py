@@ -28,7 +28,7 @@ from viewshed.agents.honest import (
     own_box_columns,
     reported_columns,
 )
-from viewshed.agents.joint_fov import JointFov, claimed_at, confirmed, joint_fov
+from viewshed.agents.joint_fov import JointFov, confirmed, joint_fov
 from viewshed.agents.registration import registered_poses
 from viewshed.agents.report import FAR_M, AgentReport, visible_to
 from viewshed.agents.trust import Reports, Trust, TrustRules, Verdicts
@@ -42,7 +42,7 @@ from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import hidden_within
 
 __all__ = [
-    "AgentReport", "CommandCenter", "CommonPicture", "JointFov", "claimed_at", "confirmed", "joint_fov", "match_agents",
+    "AgentReport", "CommandCenter", "CommonPicture", "JointFov", "confirmed", "joint_fov", "match_agents",
 ]  # fmt: skip
 
 GATE_M, STORY_M = 4.0, 2.5
@@ -268,10 +268,12 @@ class CommandCenter:
             hit = members[:, place] >= 0
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
             std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
-        model, own = self.honest, own_box_columns(said)[0]
+        model = self.honest
+        own = own_box_columns(said)[0]
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
-            model.invented(own), model.displaced(own), model.there(said), xy_m, std_m,
+            model.invented(own), model.silent_views(said), np.array([model.alone.bias, model.shared.bias]),
+            model.displaced(own), model.there(said), model.real.bias, xy_m, std_m,
         )  # fmt: skip
 
 
@@ -321,8 +323,8 @@ def object_reports(
         theirs[hit] = found[members[hit, place]]
         if own is not None:
             theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
-        # What stands beneath a mast is seen in parts, and nobody sees itself: such reports say nothing.
-        hit = hit & (range_m[:, column] >= report.blind_m) & ~report.is_own(boxes)
+        # Nobody sees itself: such reports say nothing.
+        hit = hit & ~report.is_own(boxes)
         height[column], seen[:, column] = report.height, hit
         near = nearby[:, column]
         able[:, column] = near & ~report.is_own(boxes)

@@ -245,6 +245,24 @@ class Run:
             return summary
         return replace(summary, verdicts=stream_verdicts(self.monitor.check(leveled)))
 
+    def together(self, sweeps: Iterable[Named], name: str) -> Iterator[Summary]:
+        """Yield the one summary of the sweeps of one vehicle, if there are any; the picture shows the first's returns.
+
+        Raises:
+            ValueError: mountings are missing or cannot be, or the sweeps are of different times.
+        """
+        from viewshed.fov.union import union_of_views
+        from viewshed.preprocess.leveling import level
+
+        named = list(sweeps)
+        if not named:
+            return
+        leveled = [level(each.sweep, self.estimator.grid) for each in named]
+        for each, one in zip(named[1:], leveled[1:], strict=True):
+            report_doubts(one, each.name)
+        estimate = union_of_views([self.estimator.estimate(each) for each in leveled])
+        yield self.write(leveled[0], name, replace(estimate, method=f"{estimate.method} of {len(named)} sensors"))
+
     def _in_batches(self, sweeps: Iterable[Named], failures: Failures, batch: int) -> Iterator[Summary]:
         """Estimate in batches and write in threads."""
         from viewshed.estimators.batch import cores, in_order

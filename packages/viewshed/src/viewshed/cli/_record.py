@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
@@ -63,6 +64,7 @@ class Listener:
     ) -> None:
         self._records, self._failures, self._is_live = records, failures, is_live
         self._awaited: dict[int, Awaited] = {}
+        self._awaited_lock = Lock()  # sweeps are sent by one thread while another takes the answers
         self._times: RisingTimes | None = None
         self._center = Center(adversary) if following.fuse else None
         self._adversary, self._forged = adversary, set[str]()
@@ -74,7 +76,8 @@ class Listener:
 
     def expect(self, number: int, awaited: Awaited) -> None:
         """Keep a sweep until its answer comes, or that of a later one of its agent."""
-        self._awaited[number] = awaited
+        with self._awaited_lock:
+            self._awaited[number] = awaited
 
     def __call__(self, answer: Answer) -> None:
         """Take an answer, unless one could not be taken before: what is recorded has no gaps."""
@@ -87,10 +90,13 @@ class Listener:
             raise
 
     def _take(self, answer: Answer) -> None:
-        awaited = self._awaited[answer.number]
-        # Earlier sweeps of the agent have no answer any more: they were dropped.
-        for number in [k for k, each in self._awaited.items() if each.agent == awaited.agent and k <= answer.number]:
-            del self._awaited[number]
+        with self._awaited_lock:
+            awaited = self._awaited[answer.number]
+            # Earlier sweeps of the agent have no answer any more: they were dropped.
+            for number in [
+                k for k, each in self._awaited.items() if each.agent == awaited.agent and k <= answer.number
+            ]:
+                del self._awaited[number]
         if answer.estimate is None:
             self._failures.report(f"{awaited.due_s:.3f} s", ValueError(answer.refused))
         else:

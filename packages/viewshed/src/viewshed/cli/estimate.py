@@ -66,6 +66,15 @@ Certify = Annotated[
     ),
 ]
 
+Together = Annotated[
+    bool,
+    typer.Option(
+        "--together",
+        help="The sweeps are of the LiDARs of one vehicle at one time: one estimate of all. Needs their mountings,"
+        " by --poses or --index.",
+    ),
+]
+
 Results = Annotated[
     str, typer.Option(help="What is written of each sweep: some of png,geojson,npz, or other formats of export.")
 ]
@@ -90,6 +99,7 @@ def estimate(
     require_confirmation: RequireConfirmation = False,
     batch: Batch = 1,
     certify: Certify = None,
+    together: Together = False,
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     results: Results = "png,geojson,npz",
@@ -114,6 +124,8 @@ def estimate(
         raise ValueError("--monitor goes with --batch 1: it judges a sweep by those before it")
     if require_confirmation and not history:
         raise ValueError("--require-confirmation goes with --history 1 or more: it claims what earlier sweeps saw")
+    if together and (history or batch > 1 or certify or monitor or monitor_file):
+        raise ValueError("--together makes one estimate: --history, --batch, --certify and --monitor go without it")
     if json and quiet:
         raise ValueError("--json and --quiet exclude each other; leave one out")
     kinds = parse_results(results)
@@ -129,11 +141,14 @@ def estimate(
         crs_of(crs)
     jobs = list(chosen_files(files or [], index))
     names = output_names([file for file, _ in jobs])
-    refuse_inputs((place for name in names for place in run.places(name)), (file for file, _ in jobs))
+    one_name = f"{names[0]}_together"
+    written = [one_name] if together else names
+    refuse_inputs((place for name in written for place in run.places(name)), (file for file, _ in jobs))
     make_folder(out)
     failures = Failures()
     total = Total()
-    for summary in run.summaries(named_sweeps(reading, jobs, names, failures, history=history), failures, batch):
+    sweeps = named_sweeps(reading, jobs, names, failures, history=history)
+    for summary in run.together(sweeps, one_name) if together else run.summaries(sweeps, failures, batch):
         total.add(summary)
         if not quiet:
             typer.echo(summary.json if json else summary.line)

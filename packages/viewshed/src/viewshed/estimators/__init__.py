@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Protocol
@@ -18,6 +19,7 @@ from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace,
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import LEARNED, load_network
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.union import union_of_views
 from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
@@ -53,7 +55,7 @@ ESTIMATORS: dict[str, EstimatorFactory] = {**CLASSICAL, **LEARNED}
 """All of them. A network is made for the grids and targets that weights are shipped for."""
 
 FORMER_NAMES = {"vote": "majority_vote", "polygon_fit": "delaunay", "mcd": "mc_dropout"}
-"""Names of version 0.3, taken as well for one version."""
+"""Names of version 0.3, taken as well in version 0.4."""
 
 
 def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
@@ -157,7 +159,7 @@ def load_estimator(
 
 
 def estimate(
-    sweep: Sweep | LeveledSweep | ArrayLike | str | Path,
+    sweep: Sweep | LeveledSweep | Sequence[Sweep] | ArrayLike | str | Path,
     *,
     method: str | Path | None = None,
     grid: str | BevGrid = "road",
@@ -174,7 +176,8 @@ def estimate(
 
     Args:
         sweep: a Sweep; a file that :func:`viewshed.read_sweep` reads; or points (N, 3+) in meters, x forward, y left,
-            z up, the sensor at the origin; a fourth column is intensity.
+            z up, the sensor at the origin; a fourth column is intensity. Or a list of sweeps, one of each LiDAR of
+            one vehicle, with their mountings as ``world_from_sensor`` in one frame (:mod:`viewshed.fov.union`).
         method: as ``name`` of :func:`load_estimator`.
         grid: a name of :data:`GRIDS`, or a grid.
         target: a name of :data:`TARGETS`, or a target.
@@ -186,13 +189,32 @@ def estimate(
 
     Raises:
         OSError: the file cannot be opened.
-        ValueError: the points are no sweep, a name is unknown, or a value is given for a Sweep that has its own.
+        ValueError: the points are no sweep, a name is unknown, a value is given for a Sweep that has its own, or sweeps
+            of one vehicle have no mountings or are of different times.
 
     >>> import numpy as np
     >>> estimate(np.zeros((0, 4)), sensor="vlp16", world_from_sensor=Rigid.identity()).method
     'shadow_map'
     """
     estimator = _loaded(method, grid_named(grid), target_named(target), device)
+    if isinstance(sweep, list | tuple) and sweep and all(isinstance(each, Sweep) for each in sweep):
+        if history is not None:
+            raise ValueError("history goes with one sweep, got several of one vehicle; leave it out")
+        return union_of_views(
+            [
+                estimate(
+                    each,
+                    method=method,
+                    grid=grid,
+                    target=target,
+                    device=device,
+                    sensor=sensor,
+                    sensor_height_m=sensor_height_m,
+                    world_from_sensor=world_from_sensor,
+                )
+                for each in sweep
+            ]
+        )
     if isinstance(sweep, Sweep | LeveledSweep):
         if sensor is not None or sensor_height_m is not None or world_from_sensor is not None:
             raise ValueError(

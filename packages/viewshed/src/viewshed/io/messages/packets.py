@@ -1,7 +1,7 @@
 """Raw packets in messages as sweeps: velodyne_msgs/VelodyneScan, and PacketMsg of Ouster's drivers.
 
 Packets of Velodyne are decoded by velodyne-decoder, those of Ouster by numpy alone
-(:mod:`viewshed.io.ouster_packets`). Those of Hesai are not decoded.
+(:mod:`viewshed.io.ouster_packets`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,7 @@ from viewshed.io.ouster_packets import OusterDecoder
 from viewshed.io.velodyne import is_velodyne, revolution_of_packets
 from viewshed.sweep import Sweep
 
-UNREAD = {
-    "pandar_msgs/msg/PandarScan": "Hesai packets", "nebula_msgs/msg/NebulaPackets": "packets of many makers",
-}  # fmt: skip
+UNREAD = {"nebula_msgs/msg/NebulaPackets": "packets of many makers"}
 """Types of messages that hold a LiDAR's returns and are not read, and what they hold."""
 
 _PACKETS_MAX = 4096

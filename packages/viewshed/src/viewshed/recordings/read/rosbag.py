@@ -15,6 +15,7 @@ from typing import Any, Literal
 from viewshed._extras import needed_for
 from viewshed.geometry import Rigid
 from viewshed.io._input import one_line
+from viewshed.io.messages.hesai import PANDAR, sweep_of_hesai
 from viewshed.io.messages.laserscan import sweep_of_scan
 from viewshed.io.messages.livox import sweep_of_livox
 from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velodyne
@@ -34,7 +35,7 @@ OUSTER = ("ouster_sensor_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg")
 
 LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_ros_driver/msg/CustomMsg")
 
-RETURNS = ((CLOUD,), (VELODYNE, *OUSTER, *LIVOX), (SCAN,))
+RETURNS = ((CLOUD,), (VELODYNE, *OUSTER, *PANDAR, *LIVOX), (SCAN,))
 """Types of messages that hold a LiDAR's returns, the preferred ones first: what one sensor tells twice is read once."""
 
 OUSTER_FRAME = "os_sensor"
@@ -68,6 +69,11 @@ _DEFINITIONS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     VELODYNE: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
     **dict.fromkeys(OUSTER, "uint8[] buf"),
+    **{
+        kind.replace("PandarScan", "PandarPacket"): "builtin_interfaces/Time stamp\nuint8[1500] data\nuint32 size"
+        for kind in PANDAR
+    },
+    **{kind: f"std_msgs/Header header\n{kind.partition('/')[0]}/PandarPacket[] packets" for kind in PANDAR},
     **{
         kind.replace("CustomMsg", "CustomPoint"): (
             "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
@@ -145,7 +151,7 @@ def scan_bag(root: Path, scene: str, path: Path, damage: list[str], topic: str |
         return None
     contents, encoding = _Contents(), "cdr"
     try:
-        for message in file.messages((CLOUD, VELODYNE, *LIVOX, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
+        for message in file.messages((CLOUD, VELODYNE, *PANDAR, *LIVOX, SCAN, STRING, ODOMETRY, *TRANSFORMS)):
             encoding = message.encoding
             _add_message(contents, message, damage)
         if not any(cloud.kind == CLOUD for cloud in contents.clouds) and set(OUSTER) & set(file.types.values()):
@@ -165,7 +171,7 @@ def _add_message(contents: _Contents, message: Message, damage: list[str]) -> No
     try:
         if message.encoding not in ("cdr", "ros1"):
             raise ValueError(f"messages must be written as cdr or ros1, got {message.encoding!r}")
-        if message.kind in (CLOUD, VELODYNE, *LIVOX, SCAN):
+        if message.kind in (CLOUD, VELODYNE, *PANDAR, *LIVOX, SCAN):
             t_ns, frame = _header(message)
             contents.clouds.append(_Cloud(message.topic, message.kind, t_ns, frame, message.where))
             return
@@ -285,12 +291,12 @@ def _note_topics(types: dict[str, str], contents: _Contents, damage: list[str], 
             note_damage(contents.notes if with_clouds else damage, line)
         elif kind == CLOUD and topic not in with_clouds:
             note_damage(contents.notes if with_clouds else damage, f"topic {topic} has no cloud")
-        elif preferred and kind in (VELODYNE, *LIVOX, SCAN) and topic not in with_clouds:
+        elif preferred and kind in (VELODYNE, *PANDAR, *LIVOX, SCAN) and topic not in with_clouds:
             line = f"topic {topic} ({kind}) is not read beside {', '.join(sorted(with_clouds))}"
             note_damage(contents.notes, line)
     if not with_clouds and CLOUD not in types.values():
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
-        wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, Velodyne or Ouster packets"
+        wanted = "sensor_msgs/msg/PointCloud2 or LaserScan, packets of Velodyne, Ouster or Hesai"
         note_damage(damage, f"no topic has {wanted}; topics that exist: {topics}")
 
 
@@ -380,6 +386,7 @@ def _height_m(contents: _Contents, cloud: _Cloud) -> float | None:
 
 _SWEEP_OF: dict[str, Callable[[Any], Sweep]] = {
     CLOUD: sweep_of_cloud, VELODYNE: sweep_of_velodyne, SCAN: sweep_of_scan, **dict.fromkeys(LIVOX, sweep_of_livox),
+    **dict.fromkeys(PANDAR, sweep_of_hesai),
 }  # fmt: skip
 """From a message to its sweep, by type."""
 
