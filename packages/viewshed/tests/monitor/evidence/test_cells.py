@@ -8,8 +8,10 @@ import pytest
 from numpy.typing import NDArray
 from tests.monitor.evidence.drives import PLATE, YARD, leveled, look, sector_at
 
+from viewshed.geometry import Rigid
 from viewshed.monitor.evidence import EVIDENCE, CellMemory, MonitoredSweep
 from viewshed.monitor.evidence.cells import LEAST_SWEEPS
+from viewshed.monitor.evidence.history import view_of
 from viewshed.monitor.stream_monitor import EvidenceStream
 from viewshed.sweep import Sweep
 from viewshed_lab.sim import Box
@@ -96,6 +98,18 @@ def test_far_from_where_it_began_the_memory_begins_anew() -> None:
         memory.add(leveled(look(YARD, number)))
     memory.add(leveled(look(YARD, 3, 3000.0)))
     assert memory.sweeps == 1
+
+
+def test_a_pose_that_jumps_out_of_the_world_is_answered() -> None:
+    stream = after(YARD)
+    jumped = look(YARD, SWEEPS).replace(world_from_sensor=Rigid(np.eye(3), np.array([1e9, -1e9, 0.0])))
+    assert np.isnan(measured(stream, "gone", jumped)).all()
+    view, far = view_of(leveled(look(YARD))), np.full((3, 4), 1e8, np.float32)
+    assert view is not None
+    with pytest.raises(ValueError, match="transforms must be less than 1e7"):
+        stream._memory._cells.add(view, far, far, 0.0)
+    with pytest.raises(ValueError, match="turned must have one value for each view"):
+        view.new_ranges([view], [], 72)
 
 
 def _without(sweep: Sweep, degrees: float, half: float) -> Sweep:

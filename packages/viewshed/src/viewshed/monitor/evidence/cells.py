@@ -50,7 +50,7 @@ class CellMemory:
         view, pose, now_ns = view_of(leveled), leveled.sweep.world_from_sensor, leveled.sweep.t_ns
         if view is None or pose is None:
             return
-        if self.sweeps == 0 or np.abs(pose.translation - self._origin_m).max() > FAR_M:
+        if self.sweeps == 0 or self._is_far(pose):
             self.sweeps, self._cells = 0, _core.CellMemory()
             self._origin_m, self._begin_ns = pose.translation.copy(), now_ns or 0
         self._cells.add(view, self._memory_from(pose), self._from_memory(pose), self._seconds_at(now_ns))
@@ -60,12 +60,15 @@ class CellMemory:
         """Return what a sweep contradicts (SECTORS,) each, see ``_core.CellMemory.check``; None where it cannot."""
         now = monitored.leveled
         view, pose, comparison = view_of(now), now.sweep.world_from_sensor, compare(monitored)
-        if view is None or pose is None or comparison is None or self.sweeps < LEAST_SWEEPS:
+        if view is None or pose is None or comparison is None or self.sweeps < LEAST_SWEEPS or self._is_far(pose):
             return None
         return self._cells.check(
             view, self._from_memory(pose), self._seconds_at(now.sweep.t_ns), comparison.earlier[:FOLLOWED],
             comparison.to_earlier[:FOLLOWED], comparison.gaps_s[:FOLLOWED], SECTORS,
         )  # fmt: skip
+
+    def _is_far(self, pose: Rigid) -> bool:
+        return float(np.abs(pose.translation - self._origin_m).max()) > FAR_M
 
     def _seconds_at(self, t_ns: int | None) -> float:
         """Return the time since the memory began; of sweeps without times by their number."""
