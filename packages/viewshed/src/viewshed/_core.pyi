@@ -437,11 +437,17 @@ class SweepView:
     def __init__(self, squared_m2: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], phase: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], elevation: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], origin_m: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], height_m: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], range_m: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], azimuth: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], isolated: Annotated[NDArray[numpy.bool_], dict(shape=(None,), order='C', device='cpu', writable=False)], sensor_from_level: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> None: ...
 
     @property
+    def rings(self) -> int: ...
+
+    @property
+    def columns(self) -> int: ...
+
+    @property
     def obstacles(self) -> int: ...
 
-    def follow(self, views: Sequence[SweepView], transforms: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], gaps_s: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], around: SweepView, around_from_self: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], sectors: int) -> tuple[Annotated[NDArray[numpy.float32], dict(order='C')], Annotated[NDArray[numpy.float32], dict(order='C')], Annotated[NDArray[numpy.float32], dict(order='C')]]:
+    def follow(self, views: Sequence[SweepView], transforms: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], gaps_s: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], around: SweepView, around_from_self: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], sectors: int) -> Annotated[NDArray[numpy.float32], dict(order='C')]:
         """
-        Speed m/s that obstacles need to be found as these views found them, area m2 that the first of them saw through and that needs too much, share lost in it (sectors,), by azimuth about the sweep `around`.
+        Speed m/s that obstacles need to be found as these views found them (sectors,), by azimuth about the sweep `around`.
         """
 
     def jumps(self, views: Sequence[SweepView], transforms: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], gaps_s: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], sectors: int) -> Annotated[NDArray[numpy.float32], dict(order='C')]:
@@ -454,9 +460,34 @@ class SweepView:
         Share of the ranges that repeat those of other views, less what noise repeats (views, sectors); NaN where too few beams returned in both.
         """
 
+    def new_ranges(self, views: Sequence[SweepView], turned: Sequence[float], sectors: int) -> tuple[Annotated[NDArray[numpy.float32], dict(order='C')], Annotated[NDArray[numpy.float32], dict(order='C')], Annotated[NDArray[numpy.float32], dict(order='C')]]:
+        """
+        Share of the returns nearer, and farther, than all that beams about them had in other views, and of the beams that returned in all of those and do not now (sectors,); turned is by how many radians the sensor turned since each.
+        """
+
     def register_on(self, views: Sequence[SweepView], transforms: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> tuple[Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.float64], dict(order='C')], Annotated[NDArray[numpy.int64], dict(order='C')]]:
         """
         Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).
+        """
+
+class CellMemory:
+    """The obstacles of the last seconds of a stream, in cells of the world."""
+
+    def __init__(self) -> None: ...
+
+    def copy(self) -> CellMemory: ...
+
+    @property
+    def cells(self) -> int: ...
+
+    def check(self, now: SweepView, now_from_memory: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], t_s: float, views: Sequence[SweepView], transforms: Annotated[NDArray[numpy.float32], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], gaps_s: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], sectors: int) -> tuple[Annotated[NDArray[numpy.float32], dict(order='C')], Annotated[NDArray[numpy.float32], dict(order='C')]]:
+        """
+        Meters of standing surfaces that the sweep looks through, area m2 of obstacles that are new and came fast (sectors,), by azimuth about the sweep.
+        """
+
+    def add(self, now: SweepView, memory_from_now: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], now_from_memory: Annotated[NDArray[numpy.float32], dict(shape=(None, None), order='C', device='cpu', writable=False)], t_s: float) -> None:
+        """
+        Remember the obstacles of a sweep; forget what was not seen for ten seconds.
         """
 
 def encode_view(state: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], level: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], deviation: Annotated[NDArray[numpy.uint8], dict(shape=(None, None), order='C', device='cpu', writable=False)], row: int, column: int) -> bytes:
