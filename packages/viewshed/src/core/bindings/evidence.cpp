@@ -85,7 +85,7 @@ void bind_evidence(nb::module_& m) {
                 }
             }
             return tuple_of(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
-                                  array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
+                            array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
         },
         "windows"_a, "kinds"_in, "heights_m"_in, "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a,
         "Expected returns (kinds, cells, cells) of a target in each cell, and the beams (cells, cells) of the first two kinds "
@@ -113,7 +113,7 @@ void bind_evidence(nb::module_& m) {
             });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
             return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
-                                  shaped(visible_prob), shaped(within_reach));
+                            shaped(visible_prob), shaped(within_reach));
         },
         "windows"_a, "kinds"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a, "sensor_height_m"_a,
         "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_in, "threshold"_a, "reach_m"_a,
