@@ -9,6 +9,8 @@ from pathlib import Path
 import docs_site
 import pytest
 
+from viewshed.cli import main
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
@@ -125,6 +127,24 @@ def test_the_tutorial_prints_what_it_says(real_data: Path, tmp_path: Path) -> No
     shutil.copy(real_data / docs_site.TUTORIAL_SWEEP, tmp_path)
     fresh = docs_site.transcript(text, tmp_path)
     assert _without_times(fresh) == _without_times(text), "python tools/docs_site.py writes it"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("attack", ["replay", "relay"])
+def test_verdicts_of_the_readme_are_those_of_its_commands(
+    attack: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each row quotes what the monitor says of the first forged sweep, the one of second 2."""
+    text = (ROOT / "README.md").read_text("utf-8")
+    [quoted] = re.findall(rf"^\| `{attack}`.*?\| `(.*?)`", text, re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "demo").mkdir()
+    for command in re.findall(rf"^viewshed ((?:record|monitor) .*demo/{attack}\.mcap)$", text, re.MULTILINE):
+        with pytest.raises(SystemExit) as ended:
+            main(command.split())
+        assert not ended.value.code
+    [said] = re.findall(rf"^{attack}\.mcap 00020: (.*)", capsys.readouterr().out, re.MULTILINE)
+    assert said == quoted
 
 
 def _without_times(text: str) -> str:

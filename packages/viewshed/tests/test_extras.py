@@ -218,3 +218,27 @@ def _without_laboratory(code: str, folder: Path) -> subprocess.CompletedProcess[
     alone = "import importlib.metadata; importlib.metadata.entry_points = lambda **of: ()\n"
     command = [sys.executable, "-c", alone + code]
     return subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("viewshed.integrity.report", "viewshed.monitor.report"), ("viewshed.fusion.single", "viewshed.objects.single"),
+        ("viewshed.fusion.trust", "viewshed.agents.trust"), ("viewshed.messages.signing", "viewshed.agents.signing"),
+        ("viewshed.tracking.tracker", "viewshed.objects.tracker"), ("viewshed.plot", "viewshed.show.plot"),
+        ("viewshed.perception", "viewshed.objects"), ("viewshed.sim.worlds", "viewshed_lab.sim.worlds"),
+        ("viewshed.datasets.recordings", "viewshed.recordings.read"), ("viewshed.datasets", "viewshed_lab.data"),
+    ],
+)  # fmt: skip
+def test_paths_of_version_0_3_are_taken_and_name_the_path_now(former: str, now: str) -> None:
+    code = f"""
+import sys, warnings
+from importlib import import_module
+with warnings.catch_warnings(record=True) as seen:
+    warnings.simplefilter("always")
+    former = import_module({former!r})
+now = import_module({now!r})
+print(former is now, now.__spec__.name, str(seen[-1].message))
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout == f"True {now} {former} is now {now}\n"

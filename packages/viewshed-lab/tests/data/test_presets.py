@@ -1,4 +1,4 @@
-"""Presets mirror the paper's composition; scenes and shards add up."""
+"""Presets have the paper's numbers of sweeps and scenes; scenes and shards add up."""
 
 import tomllib
 from collections import Counter

@@ -9,7 +9,7 @@ np.False_
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from viewshed import _core, _outputs
+from viewshed import _core, _moved, _outputs
 from viewshed._extras import needed_for, plugin
 
 if TYPE_CHECKING:
@@ -79,3 +79,5 @@ def _later(module: str, name: str) -> Any:
 
 
 _outputs.save, _outputs.draw = _later("io.export", "save_estimate"), _later("show.plot", "draw_estimate")
+
+_moved.install()

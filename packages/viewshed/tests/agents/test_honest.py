@@ -21,7 +21,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects.cells import BoxCells
-from viewshed.objects.log_ratios import Weights
+from viewshed.objects.log_ratios import Weights, counted
 from viewshed_lab.threats.view_attacks import with_objects
 
 GRID = BevGrid(128, 32.0)
@@ -46,15 +46,23 @@ def test_weights_are_the_log_odds_of_the_bins() -> None:
     rng = np.random.default_rng(2)
     columns = np.column_stack([rng.integers(0, 3, 60000), 3 + rng.integers(0, 2, 60000)])
     odds = np.array([-2.0, 0.0, 1.5])[columns[:, 0]] + np.array([-0.5, 0.5])[columns[:, 1] - 3]
-    fitted = Weights.fit(columns, 5, rng.random(60000) < 1 / (1 + np.exp(-odds)))
+    fitted = Weights.fit(counted(columns, 5), rng.random(60000) < 1 / (1 + np.exp(-odds)))
     assert np.allclose(fitted(columns), odds, atol=0.1)
     with pytest.raises(ValueError, match="both classes"):
-        Weights.fit(columns, 5, np.ones(60000, bool))
+        Weights.fit(counted(columns, 5), np.ones(60000, bool))
+
+
+def test_a_column_that_occurs_twice_weighs_twice() -> None:
+    rng = np.random.default_rng(4)
+    columns = rng.integers(0, 4, (60000, 2))  # the last number is no column
+    odds = 1.2 * (columns == 0).sum(axis=1) - 0.8 * (columns == 1).sum(axis=1)
+    fitted = Weights.fit(counted(columns, 3), rng.random(60000) < 1 / (1 + np.exp(-odds)))
+    assert np.allclose(fitted.of_bins, [1.2, -0.8, 0.0], atol=0.1)
 
 
 def test_rows_that_weigh_more_count_more() -> None:
     columns, label = np.zeros((100, 1), np.int32), np.arange(100) < 50
-    odds = Weights.fit(columns, 1, label, np.where(label, 3.0, 1.0))(columns)[0]
+    odds = Weights.fit(counted(columns, 1), label, np.where(label, 3.0, 1.0))(columns)[0]
     assert odds == pytest.approx(np.log(3.0), abs=0.05)
 
 
@@ -77,11 +85,17 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     assert odds[0] > 1.0
     assert odds[1] < 0.0
     displaced, invented = (question(own_box_columns(said)[0])[0] for question in (model.displaced, model.invented))
+    assert invented[3] > invented[0]
     assert displaced[3] > 1.0
     assert displaced[0] < 0.0
-    assert invented[3] > invented[0]
     there = model.there(said)[0]
-    assert there[0] > 0.0 > there[1]  # a report speaks for an object, silence against it
+    assert there[0] > there[1]  # a report speaks for an object, silence against it
+    # Who alone reports a place that others see free is as one that puts an object there.
+    alone = reports(np.eye(4, dtype=bool)[:1], np.array([[0.45, 0.0, 0.0, 0.0]]), rng)
+    hedge = reports(np.eye(4, dtype=bool)[:1], np.array([[0.45, 0.45, 0.45, 0.45]]), rng)
+    free, covered = (model.silent_views(each)[0, 0] for each in (alone, hedge))
+    assert free[0] == covered[0] == 0.0
+    assert (free[1:] > covered[1:] + 0.5).all()
     assert (np.diff(model.found, axis=-1) >= 0).all()  # and never less where more is claimed
     again = HonestModel.from_json(model.to_json())
     assert np.allclose(again.reported.of_bins, model.reported.of_bins, atol=1e-3)
@@ -91,11 +105,11 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
 
 def test_the_model_in_the_box_asks_what_it_was_fitted_on() -> None:
     model, blank = honest_model(), HonestModel.blank()
-    for name in ("reported", "invented", "displaced"):
+    for name in ("reported", "alone", "shared", "invented", "real", "displaced"):
         assert getattr(model, name).of_bins.shape == getattr(blank, name).of_bins.shape
     assert (model.found.shape, model.views.pairs.shape) == (blank.found.shape, blank.views.pairs.shape)
     # Agreement of others counts, and so does their denial.
-    assert model.of_others[4, 0] > model.of_others[1, 0] > model.of_others[1, 2]
+    assert model.of_others[4, 0] > model.of_others[1, 0] > model.of_others[1, 1]
 
 
 def test_what_agents_say_and_could_have_seen() -> None:

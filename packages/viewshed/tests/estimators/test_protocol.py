@@ -15,6 +15,7 @@ from viewshed.estimators import (
     CLASSICAL,
     DEFAULT_ESTIMATOR,
     ESTIMATORS,
+    FORMER_NAMES,
     LEARNED,
     Estimator,
     load_estimator,
@@ -135,6 +136,9 @@ def test_load_estimator_takes_names_and_values() -> None:
     assert by_name == by_value
     own = Target("pallet", 1.2, 0.8, 0.3, 4)
     assert load_estimator("first_blocker", target=own).target is own
+    for former, name in FORMER_NAMES.items():
+        assert load_estimator(former).name == name
+    assert load_estimator("paper_polygon_fit").name == "paper_delaunay"
 
 
 def test_the_default_is_the_same_on_every_grid_and_target() -> None:

@@ -14,6 +14,7 @@ import viewshed
 from viewshed import BevGrid, CellState, FovEstimate, Rigid, Sweep
 from viewshed.fov.union import union_of_views
 from viewshed.io import write_sweep
+from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
 
@@ -100,6 +101,29 @@ def test_a_second_lidar_sees_past_the_wall_that_hides_from_the_first() -> None:
     assert (other.at(places - [0.0, 12.0]) >= 0.5).tolist() == [True, False, False]
     assert (both.at(places) >= 0.5).tolist() == [True, True, False]
     assert both.area_m2() > max(one.area_m2(), other.area_m2())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["0001", "0002", "0003"])
+def test_three_lidars_of_a_real_car_see_all_around_it(real_data: Path, place: str) -> None:
+    """Yaw and place are those of the recording's file; the tilt, which it lacks, is that of each sweep's ground."""
+    folder = real_data.parent / "recordings/PJLab-ADG__SensorsCalibration/lidar2lidar/auto_calib/data" / place
+    if not folder.is_dir():
+        pytest.skip("no recordings")
+    sweeps = []
+    for line, name in zip(
+        (folder / "initial_extrinsic.txt").read_text().splitlines()[1::2], ("top", "left", "right"), strict=True
+    ):
+        _, _, yaw_deg, *place_m = map(float, line.partition(": ")[2].split())
+        sweep = viewshed.read_sweep(next(folder.glob(f"{name}*.pcd")))
+        mounting = Rigid.from_yaw(np.deg2rad(yaw_deg), place_m) @ Rigid(
+            level(sweep, viewshed.GRIDS["road"]).level_from_sensor.rotation, np.zeros(3)
+        )
+        sweeps.append(sweep.replace(world_from_sensor=mounting))
+    roof, all_three = viewshed.estimate(sweeps[0]), viewshed.estimate(sweeps)
+    near = np.hypot(*np.moveaxis(roof.grid.centers, -1, 0)) < 10.0
+    assert not roof.visible()[near].all()
+    assert all_three.visible()[near].all()
 
 
 def test_the_command_makes_one_estimate_of_all_its_files(tmp_path: Path) -> None:

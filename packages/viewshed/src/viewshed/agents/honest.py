@@ -5,12 +5,13 @@ contradicts another is evidence only as far as honest agents hardly ever do so. 
 on ground of all kinds:
 
 - ``found``: P(report | object, probability of visible, range, size), of an object in truth;
-- ``false``: P(report | no object), of what another agent reports and is none;
 - *reported*: log-odds that an agent reports what others report, by all that its own view shows of it, by its next own
   detection, and by whether it reported the object before;
-- *invented*: log-ratio that the cells of a box are those of a place where nobody reports anything, over those of what
-  honest agents alone report;
+- *alone*, *shared*: log-ratio that a report is put at a place where nobody reports anything, over one that an honest
+  agent makes alone, or several together, by what the views of those show there who could report it and do not;
+- *invented*: the same by what the reporter's own view shows, which may be forged;
 - *displaced*: log-ratio that the cells of a box are those of one that was moved, over those of an honest one;
+- *real*: log-odds that what is reported is an object, by the same cells;
 - ``views``: how rare numbers of comparisons of views are.
 
 No lie is needed to fit them: what is put elsewhere, or moved, is an honest box put elsewhere.
@@ -32,7 +33,7 @@ from viewshed.agents.report import HEIGHTS
 from viewshed.agents.view_evidence import Surprises
 from viewshed.arrays import F64, Mask
 from viewshed.objects.cells import BoxCells
-from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, evenly
+from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, counted, evenly
 
 LEAST_SEEN, SEEN_AT_0_M, SEEN_PER_M = 0.5, 0.43, 0.008
 """From these probabilities of visible on an agent is expected to see an object: at least, by a line in range."""
@@ -49,6 +50,8 @@ MOST_OTHERS, MOST_DENIERS = 4, 2
 SMALL_M = 2.4
 """Objects shorter than this are people and bicycles, which give few returns."""
 
+Rows = NDArray[np.uint8]
+
 _COLUMNS = {name: column for column, name in enumerate(BoxCells._fields)}
 
 _BOUNDS: dict[str, tuple[float, ...]] = {
@@ -62,9 +65,6 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
 
 _LEAST_SURFACE = 0.03
 """Whether a surface still stands is asked of those that filled such a share of a box."""
-
-_KNOWN = (0.02, 0.9)
-"""Whether an object exists, no report and no silence says more than with these chances."""
 
 _FEW = 20.0
 """A bin counts as if this number more had been seen, at the share of all like bins."""
@@ -109,8 +109,13 @@ class ObjectReports:
         return reporters.sum(axis=1, keepdims=True) - reporters, deniers.sum(axis=1, keepdims=True) - deniers
 
     @property
+    def silent_now(self) -> Mask:
+        """(J, A) bool, who could report the object and does not."""
+        return self.able & ~self.seen
+
+    @property
     def bins(self) -> tuple[NDArray[np.intp], ...]:
-        """Where ``found`` and ``false`` hold each agent's share (J, A)."""
+        """Where ``found`` holds each agent's share (J, A)."""
         small = np.broadcast_to((self.size_m < SMALL_M)[:, None], self.range_m.shape)
         height = np.broadcast_to(self.height, self.range_m.shape)
         return _share_bins(height, small, self.range_m, self.visible)
@@ -185,9 +190,24 @@ def others_column(reporters: NDArray[Any], deniers: NDArray[Any]) -> NDArray[Any
 
 
 def own_box_columns(reports: ObjectReports) -> tuple[Columns, int]:
-    """Return the columns (J, A, F) of *invented* and *displaced*: what the agent's own view says of its own box."""
+    """Return the columns (J, A, F) of what the agent's own view says of its own box, and how many there are."""
     bins, _ = _cell_bins(reports, reports.own_cells)
     return bins.columns(), bins.size
+
+
+def place_columns(reports: ObjectReports) -> tuple[Columns, int]:
+    """Return the columns (J, A, F) of what an agent's view says of the place of an object, and how many there are."""
+    bins, kind = _cell_bins(reports, reports.cells)
+    visible = bins.of("visible", reports.visible)
+    bins.add(visible, kind)
+    bins.add(visible, bins.of("free", reports.cells[..., _COLUMNS["free"]]))
+    return bins.columns(), bins.size
+
+
+def _summed(columns: Columns, size: int, chosen: Mask) -> Rows:
+    """Return how often each column occurs (J, size) among the chosen agents of each object."""
+    some = np.where(chosen[..., None], columns, size)
+    return counted(some.reshape(len(some), int(np.prod(some.shape[1:]))), size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,18 +215,19 @@ class HonestModel:
     """What honest agents do; see the module."""
 
     found: F64  # (heights, sizes, ranges, visibilities) chance that an agent reports an object
-    false: F64  # the same that it reports what is none
     reported: Weights  # log-odds that an agent reports what others report; the last columns are those of the others
-    invented: Weights  # log-ratio of places elsewhere over what honest agents alone report
+    alone: Weights  # log-ratio of reports of places elsewhere over those that honest agents alone make
+    shared: Weights  # the same over those that several honest agents make
+    invented: Weights  # the same by the reporter's own view
+    real: Weights  # log-odds that what is reported is an object
     displaced: Weights  # log-ratio of boxes that were moved over honest ones
     views: Surprises  # how rare numbers of comparisons of views are
 
     @classmethod
     def blank(cls) -> Self:
         """Return a model that knows nothing: reports are as likely as not, and no comparison is rare."""
-        half, counts = np.full(_SHARES, 0.5), _counts()
-        reported, invented, displaced = (Weights(np.zeros(count), 0.0) for count in counts)
-        return cls(half, half, reported, invented, displaced, Surprises.blank())
+        weights = {name: Weights(np.zeros(count), 0.0) for name, count in _counts().items()}
+        return cls(np.full(_SHARES, 0.5), views=Surprises.blank(), **weights)
 
     @property
     def of_others(self) -> F64:
@@ -219,18 +240,25 @@ class HonestModel:
         small = boxes[:, 3:5].max(axis=1, initial=0.0) < SMALL_M
         return np.asarray(self.found[_share_bins(np.full(len(boxes), height), small, range_m, visible)])
 
+    def silent_views(self, reports: ObjectReports) -> F64:
+        """Return what the views of those who could report an object and do not add to *alone* and *shared*, (2, J, A).
+
+        The biases of the sums are left out.
+        """
+        columns, silent = place_columns(reports)[0], reports.silent_now
+        return np.stack([np.where(silent, of(columns) - of.bias, 0.0) for of in (self.alone, self.shared)])
+
     def there(self, reports: ObjectReports) -> F64:
         """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one."""
-        found, false = np.clip(self.found[reports.bins], *_KNOWN), np.clip(self.false[reports.bins], *_KNOWN)
-        odds = np.where(reports.seen, np.log(found / false), np.log((1.0 - found) / (1.0 - false)))
-        # Silence speaks where the agent claims to see, and its view holds no surface.
-        return np.where(reports.sees | reports.seen, odds, 0.0)
+        (place, size), own, of_bins = place_columns(reports), own_box_columns(reports)[0], self.real.of_bins
+        of_silence = np.where(reports.silent_now, of_bins[place].sum(axis=-1), 0.0)
+        return np.where(reports.seen, of_bins[size + own].sum(axis=-1), of_silence)
 
     def to_json(self) -> str:
         """Return the model as text."""
         table: dict[str, Any] = {"bounds": _BOUNDS, "views": self.views.to_json()}
-        table |= {name: getattr(self, name).round(4).tolist() for name in ("found", "false")}
-        for name in _QUESTIONS:
+        table["found"] = self.found.round(4).tolist()
+        for name in _counts():
             weights = getattr(self, name)
             table[name] = {"of_bins": weights.of_bins.round(3).tolist(), "bias": round(weights.bias, 3)}
         return json.dumps(table) + "\n"
@@ -245,14 +273,10 @@ class HonestModel:
         table = json.loads(text)
         if table["bounds"] != {name: list(bounds) for name, bounds in _BOUNDS.items()}:
             raise ValueError("bounds must be those of this version; fit the model again")
-        reported, invented, displaced = (
-            Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in _QUESTIONS
-        )
-        found, false = (np.array(table[name], np.float64) for name in ("found", "false"))
-        return cls(found, false, reported, invented, displaced, Surprises.from_json(table["views"]))
-
-
-_QUESTIONS = ("reported", "invented", "displaced")
+        weights = {
+            name: Weights(np.array(table[name]["of_bins"]), float(table[name]["bias"])) for name in _counts()
+        }  # fmt: skip
+        return cls(np.array(table["found"]), views=Surprises.from_json(table["views"]), **weights)
 
 
 @lru_cache(maxsize=1)
@@ -265,11 +289,13 @@ def honest_model() -> HonestModel:
 class HonestExamples:
     """Rows that a model is fitted on, of one time of a scene in which nobody lies."""
 
-    found: Columns  # bins (N, 4) of objects in truth near agents, then whether the agent reported them
-    false: Columns  # the same of what another agent reports and is no object
-    reported: Columns  # columns (N, F + 1) with those of others, then whether the agent reported the object
-    invented: Columns  # columns (N, F), then whether the place is one elsewhere
-    displaced: Columns  # columns (N, F), then whether the box was moved
+    found: Rows  # bins (N, 4) of objects in truth near agents, then whether the agent reported them
+    reported: Rows  # counts of columns (N, W), then whether the agent reported the object
+    alone: Rows  # counts of columns of what one agent reports, in views of others, then whether it is elsewhere
+    shared: Rows  # the same of what several agents report
+    invented: Rows  # counts of columns of what one agent reports, in its own view, then whether it is elsewhere
+    real: Rows  # counts of columns of what anybody reports, then whether it is an object
+    displaced: Rows  # counts of columns, then whether the box was moved
 
     @classmethod
     def of(
@@ -287,15 +313,23 @@ class HonestExamples:
         """
         reporters, deniers = reports.others()
         columns, count = reported_columns(reports)
-        chosen = reports.able & (reporters > 0)
-        reported = np.concatenate([columns, count + others_column(reporters, deniers)[..., None]], axis=-1)
-        clutter = chosen & ~is_object[:, None]
+        columns = np.concatenate([columns, count + others_column(reporters, deniers)[..., None]], axis=-1)
+        judged = (reports.able | reports.seen) & (reporters > 0)
+        places, number = _summed(*place_columns(reports), reports.silent_now), reports.seen.sum(axis=1)
+        own = own_box_columns(reports)
+        turned = own_box_columns(elsewhere)[0][elsewhere.seen]
+        turned_places = _summed(*place_columns(elsewhere), elsewhere.silent_now)
+        alone = number == 1
         return cls(
             _labeled(np.stack(objects.bins, axis=-1)[objects.able], objects.seen[objects.able]),
-            _labeled(np.stack(reports.bins, axis=-1)[clutter], reports.seen[clutter]),
-            _labeled(reported[chosen], reports.seen[chosen]),
-            _contrasted((reports, reports.seen & (reporters == 0)), (elsewhere, elsewhere.seen)),
-            _contrasted((reports, reports.seen), (moved, moved.seen)),
+            _labeled(counted(columns[judged], _counts()["reported"]), reports.seen[judged]),
+            _contrasted(places[alone], turned_places),
+            _contrasted(places[number > 1], turned_places),
+            _contrasted(*(counted(some, own[1]) for some in (own[0][reports.seen & alone[:, None]], turned))),
+            _labeled(np.concatenate([places, _summed(*own, reports.seen)], axis=1), is_object),
+            _contrasted(
+                *(counted(some, own[1]) for some in (own[0][reports.seen], own_box_columns(moved)[0][moved.seen]))
+            ),
         )
 
 
@@ -306,36 +340,34 @@ def fit_honest(examples: Sequence[HonestExamples], views: Surprises) -> HonestMo
         ValueError: there are too few.
     """
     rows = {each.name: np.concatenate([getattr(one, each.name) for one in examples]) for each in fields(HonestExamples)}
-    found, false = (fit_shares(tuple(rows[name][:, :-1].T), rows[name][:, -1]) for name in ("found", "false"))
-    fitted = []
-    for name, count in zip(_QUESTIONS, _counts(), strict=True):
-        columns, label = rows[name][:, :-1], rows[name][:, -1]
+    found = fit_shares(tuple(rows["found"][:, :-1].T), rows["found"][:, -1])
+    fitted = {}
+    for name in _counts():
+        counts, label = rows[name][:, :-1], rows[name][:, -1]
         # Of what is made up there is as much as one likes: both classes weigh the same.
-        fitted.append(Weights.fit(columns, count, label, None if name == "reported" else evenly(label)))
-    reported, invented, displaced = fitted
-    return HonestModel(found, false, reported, invented, displaced, views)
+        fitted[name] = Weights.fit(counts, label, None if name in ("reported", "real") else evenly(label))
+    return HonestModel(found, views=views, **fitted)
 
 
-def _contrasted(honest: tuple[ObjectReports, Mask], other: tuple[ObjectReports, Mask]) -> Columns:
-    """Return the labeled columns (N, F + 1) of some honest boxes (label 0) and of some made-up ones (label 1)."""
-    rows = (
-        _labeled(own_box_columns(reports)[0][chosen], np.full(int(chosen.sum()), label))
-        for label, (reports, chosen) in enumerate((honest, other))
-    )
-    return np.concatenate(list(rows))
+def _contrasted(honest: NDArray[Any], other: NDArray[Any]) -> Rows:
+    """Return the labeled counts (N, W + 1) of some honest rows (label 0) and of some made-up ones (label 1)."""
+    return _labeled(np.concatenate([honest, other]), np.repeat([0, 1], [len(honest), len(other)]))
 
 
-def _labeled(columns: NDArray[Any], label: NDArray[Any]) -> Columns:
-    return np.column_stack([columns, np.asarray(label, np.int32)]).astype(np.int32)
+def _labeled(counts: NDArray[Any], label: NDArray[Any]) -> Rows:
+    return np.column_stack([counts, np.asarray(label, np.uint8)]).astype(np.uint8)
 
 
 @lru_cache(maxsize=1)
-def _counts() -> tuple[int, int, int]:
+def _counts() -> dict[str, int]:
     """Return how many columns each question has."""
     nothing = ObjectReports(
         *(np.zeros((0, 1), np.bool_),) * 2, *(np.zeros((0, 1)),) * 2, np.zeros(1, np.int64), np.zeros(0),
         *(np.zeros((0, 1, len(BoxCells._fields))),) * 2, np.zeros((0, 1)), *(np.zeros((0, 1), np.int64),) * 2,
         np.zeros((0, 1)),
     )  # fmt: skip
-    own = own_box_columns(nothing)[1]
-    return reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1), own, own
+    place, own = place_columns(nothing)[1], own_box_columns(nothing)[1]
+    reported = reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1)
+    return {
+        "reported": reported, "alone": place, "shared": place, "invented": own, "real": place + own, "displaced": own,
+    }  # fmt: skip

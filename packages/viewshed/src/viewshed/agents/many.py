@@ -268,10 +268,12 @@ class CommandCenter:
             hit = members[:, place] >= 0
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
             std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
-        model, own = self.honest, own_box_columns(said)[0]
+        model = self.honest
+        own = own_box_columns(said)[0]
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
-            model.invented(own), model.displaced(own), model.there(said), xy_m, std_m,
+            model.invented(own), model.silent_views(said), np.array([model.alone.bias, model.shared.bias]),
+            model.displaced(own), model.there(said), model.real.bias, xy_m, std_m,
         )  # fmt: skip
 
 
@@ -321,8 +323,8 @@ def object_reports(
         theirs[hit] = found[members[hit, place]]
         if own is not None:
             theirs, hit = own[:, place], np.isfinite(own[:, place, 0])
-        # What stands beneath a mast is seen in parts, and nobody sees itself: such reports say nothing.
-        hit = hit & (range_m[:, column] >= report.blind_m) & ~report.is_own(boxes)
+        # Nobody sees itself: such reports say nothing.
+        hit = hit & ~report.is_own(boxes)
         height[column], seen[:, column] = report.height, hit
         near = nearby[:, column]
         able[:, column] = near & ~report.is_own(boxes)

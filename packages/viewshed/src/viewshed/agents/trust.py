@@ -7,11 +7,13 @@ other and no third could see, "the one lies" and "the other lies" explain it abo
 is *disputed*.
 
 **Objects.** What an honest agent reports follows :mod:`viewshed.agents.honest`: whether it reports what other honest
-agents report and deny, whether it alone reports an object (*invented* by its own view), whether its box lies on the
-surfaces of its own view (*displaced*), and whether its position agrees with theirs. A liar's own view may be forged to
-agree with its lies, so it vouches for them within a bound only. Each agent is judged given the other honest ones: a
-pseudo-likelihood (Besag, 1975). About an
-object that it lies about, a liar says one thing as likely as the other.
+agents report and deny, whether its box lies on the surfaces of its own view (*displaced*), and whether its position
+agrees with theirs. Each agent is judged given the other honest ones: a pseudo-likelihood (Besag, 1975). What honest
+agents report together is judged once by what the views of those show who are silent (*made up*): where three claim
+free ground, the one that reports a car lies; where three report a car, the one that claims free ground does. A liar's
+own view may be forged to agree with its lies, so it vouches for them within a bound only. About an object that it lies
+about, a liar says one thing as likely as the other; about how many it lies is unknown: all of
+:attr:`TrustRules.lies` are as likely.
 
 **Views.** A comparison of two views (:mod:`viewshed.agents.view_evidence`) that honest views hardly ever fail speaks
 for all hypotheses in which one of the two lies; one of a view with its past or with all others for those in which its
@@ -60,26 +62,28 @@ class TrustRules:
     """
 
     false_report: float = 0.2  # chance that an honest agent reports an object that nobody else does where others see
-    lie: float = 0.05  # share of the objects about which a liar lies
+    lies: tuple[float, ...] = (0.05, 0.2, 0.5)  # shares of the objects about which a liar may lie
     prior: float = 0.1  # chance that an agent is a liar, before it reports anything
     # no report, and no silence, of an honest agent is less likely: what is rare is known no better
     least: float = 0.005
-    most_ratio: float = 6.0  # bound in nats of what views say about an invented or a displaced box
+    most_ratio: float = 6.0  # bound in nats of what views say about a made-up or a displaced box
     agreeing: float = 0.5  # share of the liars' boxes that agree with the liars' views, which may be forged as well
     disc_m: float = 4.0  # radius of the disc over which a lie puts an object
     # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
     astray: float = 0.4
+    begins: float = 0.3  # chance that a lie about an object begins with a look at it: it was reported as it is before
     objects: int = 4  # most objects that count against a hypothesis, those that say most
     most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
     look_s: float = 0.5  # reports of one object count once in this time: honest chances are those of looks so far apart
-    half_life_s: float = 10.0  # after this time a report counts half
+    half_life_s: float = 4.0  # after this time a report counts half
     mean_s: float = 1.0  # time over which comparisons of views are averaged
-    temper: float = 4.0  # log-likelihoods are divided by this before they become probabilities
+    temper: float = 5.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lie", "prior", "least", "agreeing", "astray"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name):g}")
+        for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "begins"):
+            values = np.atleast_1d(getattr(self, name))
+            if not (len(values) and ((values > 0.0) & (values < 1.0)).all()):
+                raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name)}")
         for name in ("most_ratio", "disc_m", "objects", "most_of_object", "look_s", "half_life_s", "mean_s", "temper"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be positive and finite, got {getattr(self, name):g}")
@@ -99,9 +103,14 @@ class Reports:
     sees: Mask  # (J, A) bool, who could and claims to see it, so that its silence denies the object
     reported: F64  # (J, A) log-odds that an honest agent reports what others report, but for how many they are
     of_others: F64  # (others, deniers) log-odds by the numbers of others that report an object and that deny it
-    invented: F64  # (J, A) log-ratio of an invented object over one that an honest agent alone reports, in its own view
+    invented: F64  # (J, A) log-ratio of a place elsewhere over what honest agents report, in the reporter's own view
+    # (2, J, A) what the view of each who could report an object and does not adds to the log-ratio of a place elsewhere
+    # over what one honest agent reports alone, and over what several do, ...
+    silent_views: F64
+    silent_bias: F64  # (2,) ... and the ratios without any
     displaced: F64  # (J, A) log-ratio of a box that was moved over one of an honest agent
-    there: F64  # (J, A) log-odds that each agent's report or silence adds to those that the object is one
+    there: F64  # (J, A) log-odds that each agent's report or silence adds to those that the object is one, ...
+    there_bias: float  # ... and those without any
     xy_m: F64  # (J, A, 2) where it is reported, in the world; NaN where it is not
     std_m: F64  # (J, A) standard deviation of an honest report's position along each axis
 
@@ -111,9 +120,9 @@ class Reports:
             raise ValueError(
                 f"reports of {len(self.ids)} objects must have seen (J, A) and xy_m (J, A, 2), got {shape}"
             )
-        for name in ("able", "sees", "reported", "invented", "displaced", "there", "std_m"):
+        for name in ("able", "sees", "reported", "invented", "silent_views", "displaced", "there", "std_m"):
             values = getattr(self, name)
-            if values.shape != shape or not np.isfinite(values).all():
+            if values.shape != ((2, *shape) if name == "silent_views" else shape) or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be {shape} finite numbers, got {values.shape}")
         if not (self.std_m > 0).all():
             raise ValueError("std_m must be positive, got others")
@@ -163,10 +172,10 @@ class Trust:
 
     def _follow(self, agents: int) -> None:
         self.agents, self._lies = agents, hypotheses(agents)
-        # Chance (H, H) that the liars of a hypothesis lie about an object as a set of agents, and all others do not.
+        # Chance (L, H, H) that the liars of a hypothesis lie about an object as a set of agents, and all others do not.
         liars, among = self._lies.sum(axis=1), ~(self._lies[None] & ~self._lies[:, None]).any(axis=2)
-        shares = self.rules.lie ** liars[None] * (1 - self.rules.lie) ** (liars[:, None] - liars[None])
-        self._share_of_lies = np.where(among, shares, 0.0)
+        lie = np.array(self.rules.lies)[:, None, None]
+        self._share_of_lies = np.where(among, lie ** liars[None] * (1 - lie) ** (liars[:, None] - liars[None]), 0.0)
 
     def regroup(self, kept: Sequence[int]) -> None:
         """Follow other agents: who stays keeps its record, who comes begins at the prior.
@@ -193,7 +202,7 @@ class Trust:
             gains = np.array([logs.get(frozenset({liar}), nobody) - nobody for liar in liars])
             columns.append(nobody + np.minimum(gains.sum(axis=0), gains.max(axis=0)))
         carried = np.stack(columns, axis=1)
-        carried -= carried.max(axis=1, initial=-np.inf, keepdims=True)
+        carried -= carried[:, :1]
         self._of_objects = dict(zip(self._of_objects, carried, strict=True))
         # The last row and column are those of who comes.
         self._pairs = np.pad(self._pairs, ((0, 1), (0, 1), (0, 0)))[np.ix_(kept, kept)]
@@ -220,8 +229,14 @@ class Trust:
         weight = min(seconds / self.rules.look_s, 1.0)
         faded = {number: fade * known for number, known in self._of_objects.items()}
         self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
+        begins = weight * self.rules.begins
         for number, logs in zip(reports.ids.tolist(), weight * self._likelihoods(reports), strict=True):
-            self._of_objects[number] = self._of_objects.get(number, 0.0) + logs - logs.max()
+            # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): years of honesty excuse nothing.
+            known = np.logaddexp(
+                self._of_objects.get(number, np.zeros(len(self._lies))) + np.log1p(-begins), np.log(begins)
+            )
+            known[0] = 0.0
+            self._of_objects[number] = known + logs - logs[0]
         if views is not None:
             part = -np.expm1(-seconds / self.rules.mean_s)
             pairs, own = (
@@ -244,22 +259,29 @@ class Trust:
         odds = reports.reported[:, None] + reports.of_others[np.minimum(others, most[0]), np.minimum(denied, most[1])]
         chance = np.clip(1.0 / (1.0 + np.exp(-odds)), rules.least, 1.0 - rules.least)
         # A lie's box may agree with its own view as an honest one does, for the view may be forged.
-        displaced, invented = (self._unless_forged(ratio)[:, None] for ratio in (reports.displaced, reports.invented))
-        # Who alone reports an object errs seldom where others see; where they do not, it is as good as silence.
-        silence = np.log1p(-rules.false_report)
-        alone = np.where(denied > 0, np.log(rules.false_report), silence) - invented
+        displaced = self._unless_forged(reports.displaced)[:, None]
         with_others = np.where(
             seen, np.log(chance) - displaced + self._agreement(reports, reporters), np.log1p(-chance)
         )
-        by_itself = np.where(seen, alone, silence)
+        # Who alone reports an object errs seldom where others see; where they do not, it is as good as silence.
+        silence = np.log1p(-rules.false_report)
+        alone = np.where(seen & (denied > 0), np.log(rules.false_report), silence)
         # Those who lie together agree on a place as well.
         lied = np.log(0.5) + np.where(seen & ~honest, self._agreement(reports, seen & ~honest), 0.0)
-        logs = np.where(honest, np.where(others > 0, with_others, by_itself), lied)
+        logs = np.where(honest, np.where(others > 0, with_others, alone), lied)
         summed: F64 = np.where((reports.able | reports.seen)[:, None], logs, 0.0).sum(axis=2)
-        return summed
+        return summed - self._made_up(reports, reporters)
+
+    def _made_up(self, reports: Reports, reporters: Mask) -> F64:
+        """Return the log-ratio (J, H) that what honest agents report is a place elsewhere, 0 where none reports it."""
+        count, own = reporters.sum(axis=2), np.where(reports.seen, self._unless_forged(reports.invented), 0.0)
+        own_mean = (own[:, None] * reporters).sum(axis=2) / np.maximum(count, 1)
+        alone, shared = reports.silent_views @ (~self._lies).T.astype(np.float64) + reports.silent_bias[:, None, None]
+        ratio = self._unless_forged(own_mean + np.where(count > 1, shared, alone))
+        return np.where(count > 0, ratio, 0.0)
 
     def _unless_forged(self, ratios: F64) -> F64:
-        """Return log-ratios (J, A) of what an agent's own view says, if the views of liars agree with some lies."""
+        """Return log-ratios (…,) of what views say, if those of liars agree with some lies."""
         bounded = np.exp(np.clip(ratios, -self.rules.most_ratio, self.rules.most_ratio))
         return np.log(self.rules.agreeing + (1.0 - self.rules.agreeing) * bounded)
 
@@ -296,16 +318,18 @@ class Trust:
     def _verdicts(self, reports: Reports) -> Verdicts:
         """Return what is believed of the agents, and of the objects of the last reports."""
         known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
-        # A hypothesis is the mean over the sets of its liars that may lie about an object.
+        # A hypothesis is the mean over the sets of its liars that may lie about an object, ...
         of_objects = _mixed(known, self._share_of_lies)
         # What an object says for hypotheses, against that nobody lies, is scaled down to the bound, and few objects
         # count. All hypotheses are scaled alike: the worse ones, bounded each by itself, would catch up over time.
-        gain, bound = of_objects - of_objects[:, :1], self.rules.most_of_object
-        largest = np.maximum(np.abs(gain).max(axis=1, initial=0.0, keepdims=True), 1e-9)
+        gain, bound = of_objects - of_objects[..., :1], self.rules.most_of_object
+        largest = np.maximum(np.abs(gain).max(axis=2, initial=0.0, keepdims=True), 1e-9)
         gain *= bound * np.tanh(largest / bound) / largest
-        most = np.sort(np.maximum(gain, 0.0), axis=0)[::-1][: self.rules.objects]
+        most = np.sort(np.maximum(gain, 0.0), axis=1)[:, ::-1][:, : self.rules.objects]
         against, of_views = self._of_views()
-        logs = most.sum(axis=0) + np.minimum(gain, 0.0).sum(axis=0) + of_views
+        of_shares = most.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
+        # ... and over the shares of the objects about which they may.
+        logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
         # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
         evidence = np.empty(self.agents)
         for agent in range(self.agents):
@@ -319,7 +343,8 @@ class Trust:
         best = logs >= logs.max() - 1.0
         best &= liars == liars[best].min()
         # An object is one by what those say who are honest.
-        existence = 1.0 / (1.0 + np.exp(-reports.there @ (~self._lies).T.astype(np.float64))) @ posterior
+        odds = reports.there_bias + reports.there @ (~self._lies).T.astype(np.float64)
+        existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
             evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
             self._lies[best].any(axis=0), against,
@@ -420,10 +445,9 @@ def hypotheses(agents: int) -> Mask:
 
 
 def _mixed(logs: F64, shares: F64) -> F64:
-    """Return the logarithms of the means (J, H) of likelihoods (J, H) given as logarithms, by shares (H, H)."""
+    """Return the logarithms of the means (L, J, H) of likelihoods (J, H) given as logarithms, by shares (L, H, H)."""
     highest = logs.max(axis=1, keepdims=True)
-    highest = np.where(np.isfinite(highest), highest, 0.0)
-    return np.log(np.maximum(np.exp(logs - highest) @ shares.T, 1e-300)) + highest
+    return np.log(np.maximum(np.exp(logs - highest) @ np.swapaxes(shares, 1, 2), 1e-300)) + highest
 
 
 def _log_mean_exp(logs: F64) -> float:

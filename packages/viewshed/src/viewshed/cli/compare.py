@@ -47,7 +47,7 @@ def compare(
     from viewshed.show.plot import Panel, comparison
 
     cells = options.parse_grid(grid)
-    names = _all_names(parameters, cells) if methods == "all" else methods.split(",")
+    names = _all_names(parameters, cells) if methods == "all" else _current_names(methods)
     estimators = _estimators(names, cells, target, parameters, NetworkOptions(weights, passes, seed, device=device))
     place = place_of_result(out, "compare.png")
     refuse_inputs([place], [file])
@@ -76,6 +76,12 @@ def _all_names(parameters: str, grid: BevGrid) -> list[str]:
     from viewshed.estimators import CLASSICAL, paper_estimators_on
 
     return list(paper_estimators_on(grid) if parameters == "paper" else CLASSICAL)
+
+
+def _current_names(methods: str) -> list[str]:
+    from viewshed.estimators import FORMER_NAMES
+
+    return [FORMER_NAMES.get(name, name) for name in methods.split(",")]
 
 
 def _estimators(

@@ -54,6 +54,9 @@ CLASSICAL: dict[str, EstimatorFactory] = {
 ESTIMATORS: dict[str, EstimatorFactory] = {**CLASSICAL, **LEARNED}
 """All of them. A network is made for the grids and targets that weights are shipped for."""
 
+FORMER_NAMES = {"vote": "majority_vote", "polygon_fit": "delaunay", "mcd": "mc_dropout"}
+"""Names of version 0.3, taken as well in version 0.4."""
+
 
 def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
     """Return the estimators with the settings of arXiv 2503.07375 and its code, for returns up to ``max_range_m``.
@@ -135,7 +138,7 @@ def load_estimator(
         name, weights = None, name
     if name is None:
         name = DEFAULT_ESTIMATOR if weights is None else load_runner(weights).card.kind
-    method = str(name)
+    method = FORMER_NAMES.get(str(name), str(name)).replace("paper_polygon_fit", "paper_delaunay")
     options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
     given = {option: value for option, value in options.items() if value is not None}
     if method in LEARNED:
@@ -256,7 +259,7 @@ def target_named(target: str | Target) -> Target:
 
 
 __all__ = [
-    "CLASSICAL", "DEFAULT_ESTIMATOR", "ESTIMATORS", "LEARNED", "PAPER_ESTIMATORS",
+    "CLASSICAL", "DEFAULT_ESTIMATOR", "ESTIMATORS", "FORMER_NAMES", "LEARNED", "PAPER_ESTIMATORS",
     "PAPER_INDOOR_ESTIMATORS", "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "estimate", "grid_named",
     "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
 ]  # fmt: skip

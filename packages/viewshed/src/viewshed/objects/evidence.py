@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from viewshed._files import write_atomic
 from viewshed.arrays import F64
 from viewshed.objects.cells import BoxCells
-from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, evenly
+from viewshed.objects.log_ratios import CELL_BOUNDS, Bins, Columns, Weights, counted, evenly
 
 CAP = 300.0
 """No ratio is above this or below its inverse: rare cells of a table are known no better."""
@@ -112,7 +112,7 @@ def fit_weights(honest: Columns, forged: Columns) -> F64:
     """Return the weights (W + 1,) of bins (N, F) of honest and (M, F) of forged boxes; the last one is the bias."""
     honest, forged = honest[honest[:, 0] != BLIND], forged[forged[:, 0] != BLIND]
     label = np.repeat([0.0, 1.0], [len(honest), len(forged)])
-    fitted = Weights.fit(np.concatenate([honest, forged]), WEIGHTS, label, evenly(label))
+    fitted = Weights.fit(counted(np.concatenate([honest, forged]), WEIGHTS), label, evenly(label))
     return np.append(fitted.of_bins, fitted.bias)
 
 

@@ -24,8 +24,11 @@ CELL_BOUNDS: dict[str, tuple[float, ...]] = {
 }
 """Bounds of the bins of what ``BoxCells`` measures."""
 
-_RIDGE, _NEWTON_STEPS = 3.0, 15
+_RIDGE = 3.0
 """Prior of the weights: bins that are rarely seen stay near 0."""
+
+_NEWTON_STEPS, _SETTLED = 15, 1e-3
+"""Most steps of a fit, which ends earlier where no weight changes by more."""
 
 
 class Bins:
@@ -72,38 +75,44 @@ class Weights:
         return total
 
     @classmethod
-    def fit(cls, columns: Columns, count: int, label: NDArray[Any], share: F64 | None = None) -> Self:
-        """Return the weights of N rows of columns (N, F) out of ``count``, by logistic regression with a ridge.
+    def fit(cls, counts: NDArray[Any], label: NDArray[Any], share: F64 | None = None) -> Self:
+        """Return the weights of N rows, by logistic regression with a ridge (Newton's method).
 
         Args:
-            columns: of each row.
-            count: of all columns.
+            counts: (N, W) how often each column occurs in each row; see :func:`counted`.
             label: (N,) bool.
             share: (N,) weights of the rows; None is 1 each. :func:`evenly` lets both classes weigh the same.
 
         Raises:
             ValueError: there is no row of one of the classes.
         """
-        label, rows = np.asarray(label, np.float64), np.asarray(columns)
+        label = np.asarray(label, np.float64)
         if not 0 < label.sum() < len(label):
             raise ValueError(f"rows must be of both classes, got {int(label.sum())} of {len(label)} of one")
         share = np.ones(len(label)) if share is None else share
-        # A further column is that of the bias.
-        rows, size = np.column_stack([rows, np.full(len(rows), count)]), count + 1
-        ridge = np.append(np.full(count, _RIDGE), 1e-6)
-        weights = np.zeros(size)
+        # A further column is that of the bias, which has no prior.
+        rows = np.column_stack([counts, np.ones(len(label))]).astype(np.float32)
+        ridge, weights = np.append(np.full(rows.shape[1] - 1, _RIDGE), 1e-6), np.zeros(rows.shape[1])
         for _ in range(_NEWTON_STEPS):
-            prob = 1.0 / (1.0 + np.exp(-weights[rows].sum(axis=1)))
-            error, worth = share * (label - prob), share * prob * (1.0 - prob)
-            slope, curve = -ridge * weights, np.zeros(size * size)
-            for place, one in enumerate(rows.T):
-                slope += np.bincount(one, error, size)
-                # Newton's matrix of one-hot rows: how often two columns occur together.
-                for apart, other in enumerate(rows.T[place:]):
-                    pair = np.bincount(one * size + other, worth, size * size).reshape(size, size)
-                    curve += (pair + pair.T if apart else pair).ravel()
-            weights = weights + np.linalg.solve(curve.reshape(size, size) + np.diag(ridge), slope)
-        return cls(weights[:count], float(weights[count]))
+            prob = 1.0 / (1.0 + np.exp(-rows @ weights))
+            slope = (share * (label - prob)) @ rows - ridge * weights
+            curve = (rows * (share * prob * (1.0 - prob))[:, None].astype(np.float32)).T @ rows + np.diag(ridge)
+            step = np.linalg.solve(curve, slope)
+            weights += step
+            if np.abs(step).max() < _SETTLED:
+                break
+        return cls(weights[:-1], float(weights[-1]))
+
+
+def counted(columns: NDArray[Any], size: int) -> NDArray[np.uint8]:
+    """Return how often each of ``size`` columns occurs (N, size) in rows of columns (N, F); others are left out.
+
+    >>> counted(np.array([[0, 2, 2], [1, 0, 3]]), 3).tolist()
+    [[1, 0, 2], [1, 1, 0]]
+    """
+    cells = np.arange(len(columns))[:, None] * (size + 1) + np.minimum(columns, size)
+    counts = np.bincount(cells.ravel(), minlength=len(columns) * (size + 1)).reshape(-1, size + 1)
+    return counts[:, :size].astype(np.uint8)
 
 
 def evenly(label: NDArray[Any]) -> F64:

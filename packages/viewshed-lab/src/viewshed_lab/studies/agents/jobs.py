@@ -60,11 +60,10 @@ def run_study(
 
 def fitted_honest(store: ResultStore[AgentsPlan]) -> HonestModel:
     """Return what honest agents do in the scenes of their split."""
-    rng = generator(store.plan.seed, "honest")
     examples, compared, elevated = list[HonestExamples](), list[Comparisons](), list[Mask]()
     for number in range(store.plan.learning):
         scene = Scene.load(scene_path(store.folder, "learning", number))
-        some, views = honest_examples(scene, rng)
+        some, views = honest_examples(scene, generator(store.plan.seed, "honest", number))
         examples, compared = examples + some, compared + views
         elevated += [np.array([report.elevated for report in scene.reports(0)])] * len(views)
     return fit_honest(examples, Surprises.fit(compared, elevated))

@@ -1,0 +1,70 @@
+"""Import paths of version 0.3, taken as well in version 0.4: ``viewshed.integrity.report`` is now in ``monitor``."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_loader
+from types import ModuleType
+
+_OBJECTS = (
+    "before", "calibration", "cells", "evidence", "explained", "jumps", "memory", "object_stream", "sensor_view",
+    "single",
+)  # fmt: skip
+MOVED = {
+    "viewshed.integrity": "viewshed.monitor",
+    "viewshed.perception": "viewshed.objects",
+    "viewshed.tracking": "viewshed.objects",
+    "viewshed.object_metrics": "viewshed.objects.metrics",
+    **{f"viewshed.fusion.{name}": f"viewshed.objects.{name}" for name in _OBJECTS},
+    "viewshed.fusion": "viewshed.agents",
+    "viewshed.messages": "viewshed.agents",
+    "viewshed.plot": "viewshed.show.plot",
+    "viewshed.view": "viewshed.show.view",
+    "viewshed.datasets.recording": "viewshed.recordings.recording",
+    "viewshed.datasets.recordings": "viewshed.recordings.read",
+    "viewshed.datasets.recorder": "viewshed.recordings.write",
+    "viewshed.datasets": "viewshed_lab.data",
+    "viewshed.sim": "viewshed_lab.sim",
+    "viewshed.studies": "viewshed_lab.studies",
+    "viewshed.threats": "viewshed_lab.threats",
+    "viewshed.training": "viewshed_lab.training",
+}
+"""Path of version 0.3 → path now; of several that fit the longest counts."""
+
+
+class _MovedFinder(MetaPathFinder):
+    """Finds a module under its former path."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        parts = name.split(".")
+        for count in range(len(parts), 1, -1):
+            now = MOVED.get(".".join(parts[:count]))
+            if now is not None:
+                return spec_from_loader(name, _NowAt(".".join([now, *parts[count:]])))
+        return None
+
+
+class _NowAt(Loader):
+    """Loads a module from its path now: both names are one module."""
+
+    def __init__(self, now: str) -> None:
+        self._now = now
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        warnings.warn(f"{spec.name} is now {self._now}", DeprecationWarning, stacklevel=2)
+        module = import_module(self._now)
+        self._spec = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__spec__ = self._spec
+
+
+def install() -> None:
+    """Let former paths be imported."""
+    if not any(isinstance(finder, _MovedFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _MovedFinder())
