@@ -41,7 +41,7 @@ Pixels pixels_of(const In1<std::int16_t>& ring, const In1<std::int32_t>& column,
 auto arrays_of(BeamColumns&& beams) {
     const std::size_t count = beams.count;
     return tuple_of(array(std::move(beams.azimuth), {count}), array(std::move(beams.slope), {count}),
-                          array(std::move(beams.depth_m), {count}));
+                    array(std::move(beams.depth_m), {count}));
 }
 
 Ground ground_of(const In2<float>& heights_m, float half_extent_m) {
@@ -97,7 +97,7 @@ void bind_no_return(nb::module_& m) {
             }
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams->count}); };
             return tuple_of(array(std::move(slope)), shaped(beams->azimuth), shaped(beams->slope),
-                                  shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
+                            shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
@@ -124,8 +124,8 @@ void bind_no_return(nb::module_& m) {
             }
             const std::size_t size = groups->azimuth.size();
             return tuple_of(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
-                                  array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
-                                  array(std::move(groups->stop), {size, std::size_t(STOPS)}));
+                            array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
+                            array(std::move(groups->stop), {size, std::size_t(STOPS)}));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),

@@ -199,8 +199,8 @@ void bind_temporal_evidence(nb::module_& m) {
                     matches[k] = std::int64_t(found[k].matches);
                 }
                 return tuple_of(array(std::move(step), {views.size(), 3}),
-                                      array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
-                                      array(std::move(matches)));
+                                array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
+                                array(std::move(matches)));
             },
             "views"_a, "transforms"_a.noconvert(),
             "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
