@@ -47,7 +47,7 @@ for number, (sweep, _) in enumerate(drive_sweeps(plan)):
     height_m, reach_m = (view.basis.sensor_height_m, view.basis.reach_m) if view.basis else (np.nan, np.nan)
     message = ViewMessage(
         sweep.agent, number, t_ns, "map", pose, np.diag([0.01, 0.01, 0.01, 1e-4, 1e-4, 1e-4]),
-        SensorFacts("lidar", height_m, reach_m), view=view, detections=found,
+        SensorFacts("lidar", height_m, reach_m), view=view, ground=leveled.ground, detections=found,
     )  # fmt: skip
     data = sign_message(message, keys[sweep.agent])
     sent_bytes += len(data)

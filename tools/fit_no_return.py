@@ -3,12 +3,10 @@
     python tools/fit_no_return.py make learning road --scenes 0:1500 --out samples
     python tools/fit_no_return.py make training road --scenes 0:1000 --out samples
     python tools/fit_no_return.py make training indoor --scenes 0:500 --out samples
-    python tools/fit_no_return.py fit samples --out packages/viewshed/src/viewshed/preprocess/no_return.npz
-    python tools/fit_no_return.py ship
+    python tools/fit_no_return.py fit samples --out packages/viewshed/src/core/no_return_network.inc
 
 ``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
-validation. ``ship`` writes the network of the package as C++ too, for programs without Python. The sealed
-set is not opened.
+validation, and writes the network as C++, which is compiled into the core. The sealed set is not opened.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import Mask
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.preprocess.no_return import MODEL, MODEL_ARRAYS
 from viewshed.sweep import Sweep
 from viewshed_lab.data.wild import WildScene, wild_scenes
 from viewshed_lab.training.no_return import (
@@ -32,7 +29,6 @@ from viewshed_lab.training.no_return import (
     NoReturnNet,
     Samples,
     samples_of,
-    save_model,
     source_of,
     within_windows,
 )
@@ -181,7 +177,7 @@ def fit(given: argparse.Namespace) -> None:
                     f"step {step}: {float(loss):.3f}, held {-float(_likelihood(net, tensors, other).mean()):.3f}",
                     flush=True,
                 )
-    save_model(net, given.out)
+    given.out.write_text(source_of(net.arrays()), encoding="ascii")
     report(net, tensors, report_rows)
 
 
@@ -205,13 +201,6 @@ def _likelihood(net: NoReturnNet, tensors: dict[str, torch.Tensor], rows: torch.
     return mixture.log_likelihood(tensors["end"][rows])
 
 
-def ship(given: argparse.Namespace) -> None:
-    """Write the package's network as C++ for the core."""
-    with np.load(MODEL) as stored:
-        arrays = {name: stored[name] for name in MODEL_ARRAYS}
-    (MODEL.parents[2] / "core" / "no_return_network.inc").write_text(source_of(arrays), encoding="ascii")
-
-
 def main(words: Sequence[str] | None = None) -> None:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(
@@ -229,7 +218,6 @@ def main(words: Sequence[str] | None = None) -> None:
     step.add_argument("folder", type=Path)
     step.add_argument("--steps", type=int, default=6000)
     step.add_argument("--out", type=Path, required=True)
-    steps.add_parser("ship").set_defaults(work=ship)
     given = parser.parse_args(words)
     given.work(given)
 

@@ -98,11 +98,11 @@ for each in workers: each.join()
 
 # Calls with an array that another thread writes meanwhile: right values, then one that is far out of range.
 WRITTEN = {
-    "range_quantile": ("_core.range_quantile(range_m, isolated, rows, 80.0, 0.9)", "rows", 2**30),
+    "sensing_reach": ("_core.sensing_reach(range_m, isolated, rows, 80.0)", "rows", 2**30),
     "beam_slopes": ("_core.beam_slopes(points, range_m, 1.7, isolated, rows)", "rows", 2**30),
     "interpolate": ("_core.interpolate(ground_m, node, part, part)", "node", 2**30),
     "claims": (
-        "_core.claims(state, many, cell_node, ground_m, table=table, threshold=0.5, unsure_m=0.5)",
+        "_core.claims(state, many, cell_node, ground_m, table=table)",
         "cell_node",
         2**30,
     ),
@@ -110,7 +110,7 @@ WRITTEN = {
     "pixels_without": ("_core.pixels_without(ring, isolated, column, counts)", "column", 2**30),
     "beams_by_evidence": (
         "_core.beams_by_evidence(ring, column, counts, isolated, None, phase, origin_m, origin_m, np.eye(3), points, "
-        "range_m, range_m, rows, 1.7, ground_m, 50.0, 2.0, 0.3, no_return_model())",
+        "range_m, range_m, rows, 1.7, ground_m, 50.0, 2.0, 0.3)",
         "rows",
         2**30,
     ),
@@ -129,7 +129,6 @@ def test_arrays_that_another_thread_writes_meanwhile_do_no_harm(name: str) -> No
 import sys, threading, time
 import numpy as np
 from viewshed import _core
-from viewshed.preprocess.no_return import no_return_model
 sys.setswitchinterval(1e-4)
 _core.set_threads(2)
 rng = np.random.default_rng(0)

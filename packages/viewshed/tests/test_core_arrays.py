@@ -19,7 +19,7 @@ from viewshed.networks.features import FEATURES, FeatureContext, feature_maps
 from viewshed.objects.detector import Detector
 from viewshed.preprocess.azimuth_bins import bins_of_cells
 from viewshed.preprocess.leveling import level
-from viewshed.preprocess.no_return import MODEL, MODEL_ARRAYS, beams_by_evidence, no_return_beams, no_return_model
+from viewshed.preprocess.no_return import beams_by_evidence, no_return_beams
 from viewshed.sensors import lidar_model
 from viewshed_lab.sim import cast, junction
 
@@ -54,8 +54,7 @@ GOOD: dict[str, dict[str, Any]] = {
         "isolated": MASK, "clutter": None, "phase": np.zeros(RINGS, F4), "elevation": np.linspace(-0.3, 0.0, RINGS),
         "origin_m": np.zeros(RINGS), "rotation": np.eye(3), "points": POINTS, "height_m": LONG,
         "range_m": LONG + F4(5.0), "rows": ROWS, "sensor_height_m": 1.8, "ground_m": FLAT,
-        "half_extent_m": 32.0, "top_m": 1.5, "obstacle_m": 0.3, "model": no_return_model()},
-    "NoReturnModel": {name: np.load(MODEL)[name] for name in MODEL_ARRAYS},
+        "half_extent_m": 32.0, "top_m": 1.5, "obstacle_m": 0.3},
     "vehicle_heading": {"points": POINTS, "rotation": np.eye(3, dtype=F4)},
     "beam_slopes": {"points": POINTS, "range_m": LONG + 1, "sensor_height_m": 1.8, "left_out": None, "rows": ROWS},
     "obstacle_cells": {"points": POINTS, "height_m": LONG, "x0_m": -2.0, "y0_m": -2.0, "cells_per_m": 1.0, "low_m": 0.3,
@@ -85,7 +84,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "undo_motion": {"points": POINTS, "x_m": 1.0, "y_m": 0.1, "z_m": 0.0, "seam": 0.0, "reference": 0.5},
     "match_beams": {"slope": LONG, "range_m": LONG} | TABLE,
     "find_clusters": {"azimuth": LONG, "slope": LONG, "range_m": LONG}, "polar": {"points": POINTS},
-    "range_quantile": {"range_m": LONG, "left_out": MASK, "rows": None, "most_m": 80.0, "share": 0.9},
+    "sensing_reach": {"range_m": LONG, "left_out": MASK, "rows": None, "most_m": 80.0},
     "obstacle_image": {"clouds": [CLOUD], "least_m": 0.3, "sensor_height_m": 1.8},
     "end_at_obstacles": {"image": _core.obstacle_image([], 0.3, 1.8), "azimuth": LONG, "slope": LONG, "depth_m": LONG},
     "confirmed_cells": {
@@ -116,10 +115,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "best_sectors": {"ranges": RANGES, "sectors": 2, "inner": 0.0},
     "star_vertices": {"ranges": RANGES, "price_m2": 1.0}, "free_ranges": {"mask": MASK3, "is_solid": True} | APEX,
     "beam_evidence": {
-        "kinds": (KIND,) * 4, "heights_m": FLAT, "std_m": FLAT,
+        "measured": KIND, "lost": (LONG,) * 5, "heights_m": FLAT, "std_m": FLAT,
         "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
-        "ground_steps": ((-1.22, 0.3), (1.22, 0.3)), "end_weights": (0.3, 0.3), "table": _core.poisson_table(5),
-        "threshold": 0.5, "reach_m": 60.0},
+        "table": _core.poisson_table(5), "reach_m": 60.0},
     "CellWindows": {"range_m": np.ones((4, 4), F4), "azimuth": np.ones((4, 4), F4), "cell_m": 0.5, "width_m": 1.8},
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
@@ -166,10 +164,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"phase": np.zeros(RINGS)}, {"elevation": np.full(RINGS, NAN)}, {"rotation": np.eye(3, dtype=F4)},
         {"rotation": np.full((3, 3), INF)}, {"rows": ROWS + 1}, {"rows": ROWS - 1}, {"range_m": SHORT},
         {"points": np.zeros((N + 1, 3), F4)}, {"ground_m": FLAT[:, :2].copy()}, {"half_extent_m": -1.0})),
-    *(("NoReturnModel", changes, "must") for changes in (
-        {"mean": np.zeros(3, F4)}, {"first": np.zeros((3, 32), F4)}, {"second_bias": np.zeros(31, F4)},
-        {"third": np.zeros((32, 3), F4), "third_bias": np.zeros(3, F4)},
-        {"first": np.zeros((42, 65), F4), "first_bias": np.zeros(65, F4), "second": np.zeros((65, 32), F4)})),
     ("vehicle_heading", {"rotation": np.eye(3)}, TYPE), ("vehicle_heading", {"rotation": np.eye(2, dtype=F4)}, TYPE),
     *(("beam_slopes", changes, "must|incompatible") for changes in (
         {"range_m": SHORT}, {"left_out": MASK[1:]}, {"left_out": MASK, "rows": ROWS - 1}, {"left_out": MASK[:0]},
@@ -224,8 +218,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("match_beams", {"range_m": SHORT}, "slope and range_m must be as long"),
     ("find_clusters", {"azimuth": SHORT}, "azimuth, slope and range_m must be as long"),
     # Reach and history.
-    ("range_quantile", {"left_out": MASK[1:]}, "must"), ("range_quantile", {"rows": ROWS + 1}, "must"),
-    ("range_quantile", {"left_out": MASK[:0], "rows": ROWS}, "must"), ("range_quantile", {"share": 1.1}, "must"),
+    ("sensing_reach", {"left_out": MASK[1:]}, "must"), ("sensing_reach", {"rows": ROWS + 1}, "must"),
+    ("sensing_reach", {"left_out": MASK[:0], "rows": ROWS}, "must"),
     ("obstacle_image", {"clouds": [(CLOUD[0][:, :2].copy(), *CLOUD[1:])]}, TYPE),
     ("obstacle_image", {"clouds": [(CLOUD[0].astype(float), *CLOUD[1:])]}, TYPE),
     ("obstacle_image", {"clouds": [(CLOUD[0], CLOUD[1][:3], CLOUD[2])]}, "must"),
@@ -282,9 +276,10 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("free_ranges", {"x_m": NAN}, "grid must lie within"), ("free_ranges", {"apex_y_m": INF}, "apex must lie within"),
     ("free_ranges", {"half_m": 0.0}, "half_m must lie"), ("free_ranges", {"bins": 0}, "bins must lie"),
     # Evidence, lattices, objects, codes of views.
-    ("beam_evidence", {"kinds": (KIND, KIND)}, TYPE),
-    ("beam_evidence", {"kinds": ((LONG, LONG, SHORT),) * 4}, "must have one shape"),
-    ("beam_evidence", {"kinds": ((LONG.astype(float), LONG, LONG),) * 4}, TYPE),
+    ("beam_evidence", {"lost": KIND}, TYPE),
+    ("beam_evidence", {"measured": (LONG, LONG, SHORT)}, "must have one shape"),
+    ("beam_evidence", {"lost": (LONG, LONG, LONG, LONG, SHORT)}, "must have one shape"),
+    ("beam_evidence", {"measured": (LONG.astype(float), LONG, LONG)}, TYPE),
     ("beam_evidence", {"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()}, "heights_m must have shape"),
     ("beam_evidence", {"heights_m": FLAT[:4].copy()}, "heights_m must have shape"),
     ("beam_evidence", {"heights_m": FLAT.astype(float)}, TYPE),
@@ -391,8 +386,11 @@ def ground_of_street() -> Any:
 def large_quantile() -> Any:
     range_m = np.random.default_rng(0).gamma(2.0, 10.0, 150_001).astype(F4)
     range_m[::7] = NAN
-    found = _core.range_quantile(range_m, np.zeros(len(range_m), np.bool_), None, 80.0, 0.9)
-    assert found == pytest.approx(np.quantile(range_m[range_m <= 80.0].astype(np.float64), 0.9), rel=1e-12)
+    range_m *= 2
+    found = _core.sensing_reach(range_m, np.zeros(len(range_m), np.bool_), None, 120.0)
+    quantile_m = np.quantile(range_m[range_m <= 120.0].astype(np.float64), 0.9)
+    assert 85.0 < found < 120.0
+    assert found == pytest.approx(np.cbrt(2.5 * quantile_m * 85.0**2), rel=1e-12)
     return found
 
 
@@ -404,8 +402,8 @@ def moments() -> Any:
 
 
 def evidence(*counts: int) -> Any:
-    kinds = tuple(random_beams(np.random.default_rng(7 + k), count).arrays for k, count in enumerate(counts))
-    found = call("beam_evidence", kinds=kinds)
+    measured, lost = (random_beams(np.random.default_rng(7 + k), count).arrays for k, count in enumerate(counts))
+    found = call("beam_evidence", measured=measured, lost=(*lost, lost[2] / 2, lost[2] * 2))
     assert (found[0].sum() > 0) == (counts[0] > 0)
     return found
 
@@ -450,7 +448,7 @@ SAME: dict[str, Callable[[], Any]] = {
     "view": lambda: encode_fov(street_view(with_std=True)),
     "objects": lambda: Detector().detect(seen(*car(14.0, 2.0), *car(-8.0, 7.0, 0.6), person(9.0, 1.0))).boxes,
     **{f"evidence of {counts}": lambda counts=counts: evidence(*counts)  # type: ignore[misc]
-       for counts in ((0, 0, 0, 0), (1, 0, 0, 0), (0, 0, 0, 1), (40_000, 9000, 9000, 9000))},
+       for counts in ((0, 0), (1, 0), (0, 1), (40_000, 9000))},
     **{f"{name} of {cloud}": lambda call=call, points=points: call(points)  # type: ignore[misc]
        for name, call in SENSOR_CALLS.items() for cloud, points in CLOUDS.items()},
 }  # fmt: skip

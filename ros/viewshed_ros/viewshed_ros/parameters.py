@@ -15,6 +15,7 @@ from viewshed.estimators import load_estimator
 from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import GRIDS
+from viewshed.guarantees.envelope import Threat
 from viewshed.monitor.calibration import load_calibration
 from viewshed.pipeline.profiles import PROFILES, Profile, profile_named
 from viewshed.pipeline.reactions import VEHICLE, Vehicle
@@ -82,6 +83,11 @@ def _check_monitor_file(value: str) -> None:
         load_calibration(value)
 
 
+def _threat(value: str, profile: Profile) -> Threat | None:
+    """Return the threat of a word; that of the profile, or none."""
+    return profile.certify if value == OF_PROFILE else None if value == "never" else Threat.parse(value)
+
+
 def _check_sensors(names: Sequence[str]) -> None:
     if not names or len(set(names)) != len(names) or not all(name.isidentifier() and name.isascii() for name in names):
         raise ValueError(f"sensors must be different names of letters and digits, got {list(names)}")
@@ -125,6 +131,11 @@ PARAMETERS: dict[str, Parameter] = {
     "monitor": Parameter(OF_PROFILE, "Whether streams are watched.", (OF_PROFILE, "always", "never")),
     "monitor_file": Parameter(
         "", "File of viewshed monitor calibrate; empty for the shipped one.", check=_check_monitor_file
+    ),
+    "certify": Parameter(
+        OF_PROFILE,
+        "What stays claimed on an alarm: what no such attack can have opened (added, window:5, …), profile, or never.",
+        check=lambda value: _threat(value, PROFILES["robot"]),
     ),
     "sensors": Parameter(
         ["lidar"], "Names of the sensors; each has the parameters and topics below its name.", check=_check_sensors
@@ -223,6 +234,7 @@ class NodeSettings:
     rate_hz: float
     monitor: str
     monitor_file: str
+    certify: Threat | None
     sensors: tuple[SensorSettings, ...]
     pose_source: str
     pose_topic: str
@@ -271,6 +283,7 @@ def read(node: Node) -> NodeSettings:
         rate_hz=_rate_hz(profile, given["rate_hz"]),
         monitor=given["monitor"],
         monitor_file=given["monitor_file"],
+        certify=_threat(given["certify"], profile),
         sensors=tuple(_sensor(node, name) for name in names),
         pose_source=given["pose_source"],
         pose_topic=given["pose_topic"],

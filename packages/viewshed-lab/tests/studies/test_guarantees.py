@@ -27,7 +27,8 @@ def test_attacks_open_what_a_wrong_bound_denies() -> None:
     # By its envelope nothing is claimed without an attack, and its bound counts on that: an attack shows it wrong.
     victim, tally = toy(), Tally()
     own = victim.envelope
-    wrong = Envelope(own.grid, own.target, own.sent, own.nearest_m, np.zeros_like(own.margins))
+    none = np.zeros_like(own.margins)
+    wrong = Envelope(own.grid, own.target, own.sent, own.nearest_m, none, none)
     victim.envelope = wrong
     attacks.try_attacks(victim, "dropped:5", "gradient", 60, np.random.default_rng(1), tally)
     assert tally.violations > 0

@@ -5,7 +5,15 @@ import torch
 
 from viewshed.preprocess.leveling import level
 from viewshed_lab.data.wild import wild_scenes
-from viewshed_lab.training.no_return import LOG_NONE, Mixture, NoReturnNet, samples_of, within_windows
+from viewshed_lab.training.no_return import (
+    LOG_NONE,
+    Mixture,
+    NoReturnNet,
+    arrays_of,
+    samples_of,
+    source_of,
+    within_windows,
+)
 
 
 def test_the_mixture_is_a_distribution() -> None:
@@ -46,3 +54,11 @@ def test_most_labels_are_where_something_proposed_stands() -> None:
     blind = samples_of(seen, level(seen.told("rings"), seen.truth.grid), np.array([[0.0, 0.0, 4.0, 2.0]]), 0.6)
     assert blind is not None
     assert (blind.end <= np.log2(0.6) + 1e-6).all()
+
+
+def test_the_source_for_the_core_holds_the_network() -> None:
+    arrays = NoReturnNet(torch.randn(5), torch.ones(5), stops=3, units=7).arrays()
+    back = arrays_of(source_of(arrays))
+    assert list(back) == list(arrays)
+    for name, array in arrays.items():
+        assert np.array_equal(back[name], array)

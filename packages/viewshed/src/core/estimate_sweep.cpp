@@ -16,13 +16,9 @@
 namespace viewshed {
 namespace {
 
-// As viewshed.preprocess.leveling, .evidence and .reach have them.
+// As viewshed.preprocess.leveling has them.
 constexpr double NULL_RANGE_M = 0.5, MAX_RANGE_M = 250.0;
 constexpr float LOW_M = 0.3f, HIGH_M = 3.0f;
-constexpr std::array<float, 2> GROUND_STEPS{-1.22f, 1.22f};
-constexpr float STEP_WEIGHT = 0.3f, END_WEIGHT = 0.3f;
-constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
-constexpr double LEAST_REACH_M = 20.0, BULK_SHARE = 0.9, REACH_TIMES = 2.5, USUAL_REACH_M = 85.0;
 
 // Columns of a revolution where the sensor is not known.
 constexpr std::size_t DEFAULT_COLUMNS = 1024;
@@ -98,7 +94,7 @@ SplitBeams split_by_image(const BeamImage& beams, const SweepLevel& at, double t
     const DepthImages depths = depth_images(pixels, {level.range_m, level.height_m, level.rows}, LOW_M, steep_m);
     beam_slopes({level.points.data(), level.count, 3}, level.range_m, height_m, image.isolated, level.rows, split.slope);
     const RingAims aims{image.phase, beams.elevation, beams.origin_m, at.rotation.data()};
-    split.missing = guess_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m, shipped_no_return_model());
+    split.missing = guess_no_return_beams(depths, aims, at.ground.view(), height_m, top_m, steep_m);
     return split;
 }
 
@@ -130,23 +126,18 @@ SplitBeams split_beams(const SweepInput& sweep, const UnleveledSweep& limits, co
     return split;
 }
 
-// The beams without a return, each as deep as one of its likely depths.
-Beams beams_of(const std::optional<NoReturnBeams>& beams, Buffer<float> NoReturnBeams::*depth_m) {
-    if (!beams) return {{nullptr, 0}, {nullptr, 0}, {nullptr, 0}};
-    const std::size_t count = beams->count;
-    return {{beams->azimuth.data(), count}, {beams->slope.data(), count}, {((*beams).*depth_m).data(), count}};
+LostBeams lost_beams(const std::optional<NoReturnBeams>& beams) {
+    if (!beams) return {};
+    const auto some = [&](const Buffer<float>& all) { return View1<const float>{all.data(), beams->count}; };
+    return {some(beams->azimuth), some(beams->slope), {some(beams->depth_m), some(beams->early_m), some(beams->late_m)}};
 }
 
-// How far the sensor sees a dark target; viewshed.preprocess.reach.sensing_reach.
-double sensing_reach(const SweepLevel& at, const SensorModel* model, std::size_t count) {
+// How far the sensor sees a dark target: by its table, else by its returns.
+double reach_of(const SweepLevel& at, const SensorModel* model, std::size_t count) {
     if (model != nullptr && model->reach_m) return *model->reach_m;
-    const double most_m = model == nullptr ? NONE : model->max_range_m;
     const Buffer<bool> none(at.image ? 0 : count, false);
     const View1<const bool> isolated = at.image ? View1<const bool>(at.image->isolated) : View1<const bool>(none);
-    const double quantile_m = range_quantile(at.level.range_m, isolated, at.level.rows, float(most_m), BULK_SHARE);
-    if (std::isnan(quantile_m)) return std::min(LEAST_REACH_M, most_m);  // no return is supported
-    const double shown_m = REACH_TIMES * quantile_m;
-    return std::min(std::max(USUAL_REACH_M, std::cbrt(shown_m * USUAL_REACH_M * USUAL_REACH_M)), most_m);
+    return sensing_reach(at.level.range_m, isolated, at.level.rows, model == nullptr ? NONE : model->max_range_m);
 }
 
 CellWindows windows_of(const BevGrid& grid, const Target& target) {
@@ -205,21 +196,17 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     if (refine_ground_) refine_ground_(sweep, at);
     // 3. Beams by what is known of their depth, and how far the sensor sees.
     const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
-    const double reach_m = sensing_reach(at, model, sweep.points.rows);
+    const double reach_m = reach_of(at, model, sweep.points.rows);
     // 4. The evidence of each cell.
     const std::size_t cells = grid_.size();
     Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
     Buffer<bool> within_reach(cells);
-    const std::array<Beams, KINDS> beams{
-        Beams{at.level.azimuth, split.slope, at.level.range_m}, beams_of(split.missing, &NoReturnBeams::depth_m),
-        beams_of(split.missing, &NoReturnBeams::early_m), beams_of(split.missing, &NoReturnBeams::late_m)};
     const std::size_t nodes = at.ground.nodes;
     const Ground ground = at.ground.view();
     const View2<const float> std_m{at.ground.std_m.data(), nodes, nodes};
-    const Rule rule{1.0f - STEP_WEIGHT - STEP_WEIGHT, STEP_WEIGHT, STEP_WEIGHT, END_WEIGHT, END_WEIGHT, THRESHOLD,
-                    std::nextafter(THRESHOLD, 0.0f), float(reach_m)};
-    measure_evidence(windows_, beams, {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
-                     float(target_.height_m), GROUND_STEPS, probabilities_, rule,
+    measure_evidence(windows_, {at.level.azimuth, split.slope, at.level.range_m}, lost_beams(split.missing),
+                     {ground.heights_m, std_m, ground.half_extent_m, float(at.height_m)},
+                     float(target_.height_m), probabilities_, float(reach_m),
                      {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(), within_reach.data()});
     // 5. The states: what the evidence claims, and what it denies.
     Buffer<bool> obstacle(cells + 1);
@@ -231,10 +218,9 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     for (std::size_t n = 0; n < cells; ++n) denied[n] = !visible[n];
     const auto bytes = [](const Buffer<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); };
     write_states({measured.data(), late.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
-                 THRESHOLD, SURE_AIM, {visible.data(), denied.data(), bytes(obstacle)}, state);
+                 {visible.data(), denied.data(), bytes(obstacle)}, state);
     // 6. What the estimate rests on.
-    const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), UNSURE_M,
-                                       probabilities_, THRESHOLD);
+    const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), probabilities_);
     const double claimed = double(std::max<std::size_t>(claims.all, 1));
     const HeightSource source = sweep.height_m                 ? HeightSource::GIVEN
                                 : at.ground.support > 0.0 ? HeightSource::ESTIMATED

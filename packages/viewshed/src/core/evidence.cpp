@@ -16,6 +16,17 @@ constexpr int STEPS = 32;
 // Where a cell needs this many returns or more, its probability is 0 or 1.
 constexpr int MANY_RETURNS = 100;
 
+// Heights of the ground, in standard deviations, and the weight of each; the height itself has what is left. Together they have
+// nearly the variance of a normal distribution.
+constexpr std::array<float, 2> GROUND_STEPS{-1.22f, 1.22f};
+constexpr float STEP_WEIGHT = 0.3f, OWN_WEIGHT = 1.0f - STEP_WEIGHT - STEP_WEIGHT;
+
+// Weight of the early and of the late ends of beams without a return; the likely ones have what is left.
+constexpr float END_WEIGHT = 0.3f;
+
+// The largest probability below the threshold.
+const float BELOW_THRESHOLD = std::nextafter(THRESHOLD, 0.0f);
+
 // Cells of a part that is worth a thread.
 constexpr std::size_t PART = 16384;
 
@@ -67,9 +78,9 @@ INLINE void write_returns(const float* __restrict sums, std::size_t size, float*
 
 // Write the evidence of the cells [first, first + size) from their sums (LANES, size).
 MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size_t first, std::size_t size,
-                              const float* range_m, const Probabilities& probabilities_, const Rule& rule_,
+                              const float* range_m, const Probabilities& probabilities_, float reach_m,
                               const Evidence& to) {
-    const Rule rule = rule_;
+    const float below_threshold = BELOW_THRESHOLD;
     const Probabilities probabilities = probabilities_;
     write_returns(lanes[MEASURED], size, to.measured + first);
     write_returns(lanes[INFERRED], size, to.inferred + first);
@@ -101,16 +112,16 @@ MULTIVERSION void judge_block(const float (*lanes)[CellCounts::BLOCK], std::size
     for (std::size_t n = 0; n < size; ++n) {
         const float supported = supported_by[n];
         // The average over the heights of the ground, and what other ends of the beams change.
-        const float over_ground = rule.own * supported + rule.lower * if_lower[n] + rule.higher * if_higher[n];
-        const float changed = rule.early * (if_early[n] - supported) + rule.late * (if_late[n] - supported);
+        const float over_ground = OWN_WEIGHT * supported + STEP_WEIGHT * if_lower[n] + STEP_WEIGHT * if_higher[n];
+        const float changed = END_WEIGHT * (if_early[n] - supported) + END_WEIGHT * (if_late[n] - supported);
         const float sum = over_ground + changed, positive = sum > 0.0f ? sum : 0.0f;
         const float prob = positive < 1.0f ? positive : 1.0f;
         // No claim rests on other heights of the ground alone, and none lies beyond the reach, where things may be too dark.
-        const float cut = prob < rule.below_threshold ? prob : rule.below_threshold;
-        visible_prob[n] = (supported >= rule.threshold) & (range_m[first + n] <= rule.reach_m) ? prob : cut;
+        const float cut = prob < below_threshold ? prob : below_threshold;
+        visible_prob[n] = (supported >= THRESHOLD) & (range_m[first + n] <= reach_m) ? prob : cut;
     }
     bool* __restrict const within_reach = to.within_reach + first;
-    for (std::size_t n = 0; n < size; ++n) within_reach[n] = range_m[first + n] <= rule.reach_m;
+    for (std::size_t n = 0; n < size; ++n) within_reach[n] = range_m[first + n] <= reach_m;
 }
 
 }  // namespace
@@ -119,18 +130,17 @@ void look_up(View1<const float> table, View1<const float> counts, View1<float> p
     look_up(Probabilities(table), counts.data, counts.size, prob.data);
 }
 
-void measure_evidence(const CellWindows& windows, const std::array<Beams, KINDS>& beams, const TargetGround& ground,
-                      float target_height_m, const std::array<float, 2>& deviations, View1<const float> table,
-                      const Rule& rule, const Evidence& to) {
+void measure_evidence(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
+                      float target_height_m, View1<const float> table, float reach_m, const Evidence& to) {
     const Probabilities probabilities(table);
     const std::size_t cells = windows.cells();
-    const CellCounts counts = count_beams(windows, beams, ground, target_height_m, &deviations);
+    const CellCounts counts = count_beams(windows, measured, lost, ground, target_height_m, &GROUND_STEPS);
     for_ranges(cells, count_parts(cells, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         float lanes[LANES][CellCounts::BLOCK];
         for (std::size_t first = begin; first < end; first += CellCounts::BLOCK) {
             const std::size_t size = std::min(CellCounts::BLOCK, end - first);
             counts.read(first, size, lanes);
-            judge_block(lanes, first, size, windows.cell_range_m.data(), probabilities, rule, to);
+            judge_block(lanes, first, size, windows.cell_range_m.data(), probabilities, reach_m, to);
         }
     });
 }
@@ -143,10 +153,10 @@ float mean_of(View1<const float> table, float prob) {
     return first == table.end() ? std::numeric_limits<float>::infinity() : float(first - table.begin()) / STEPS;
 }
 
-// What an estimator's cells must have: enough returns, a sure aim, a probability.
+// What an estimator's cells must have: enough returns, and a sure aim.
 struct Support {
     SupportedCells of;
-    float enough, sure_aim, threshold;
+    float enough, sure_aim;
 };
 
 // By bytes of 0 or 1, which become vectors, as bools do not.
@@ -155,7 +165,7 @@ MULTIVERSION void write_range(const Support& support_, const std::uint8_t* visib
                               std::uint8_t* __restrict state) {
     const Support s = support_;
     for (std::size_t n = begin; n < end; ++n) {
-        const std::uint8_t claimed = visible[n] & (s.of.visible_prob[n] >= s.threshold);
+        const std::uint8_t claimed = visible[n] & (s.of.visible_prob[n] >= THRESHOLD);
         const bool aimed = s.of.aimed[n] >= s.sure_aim;
         const bool enough = s.of.measured[n] + s.of.late[n] >= s.enough;
         const std::uint8_t hidden = denied[n] & aimed & !enough & s.of.within_reach[n];
@@ -182,19 +192,18 @@ MULTIVERSION Claims count_claims(const std::uint8_t* state, const float* measure
 
 }  // namespace
 
-void write_states(const SupportedCells& cells, View1<const float> table, float threshold, float sure_aim,
-                  const Calls& calls, View1<std::uint8_t> state) {
-    const Support support{cells, mean_of(table, threshold), mean_of(table, sure_aim), threshold};
+void write_states(const SupportedCells& cells, View1<const float> table, const Calls& calls, View1<std::uint8_t> state) {
+    const Support support{cells, mean_of(table, THRESHOLD), mean_of(table, SURE_AIM)};
     for_ranges(state.size, count_parts(state.size, PART), [&](std::size_t, std::size_t begin, std::size_t end) {
         write_range(support, calls.visible, calls.denied, calls.obstacle, begin, end, state.data);
     });
 }
 
 Claims count_claims(View1<const std::uint8_t> state, const float* measured, const std::int32_t* node,
-                    View1<const float> std_m, float unsure_m, View1<const float> table, float threshold) {
+                    View1<const float> std_m, View1<const float> table) {
     Buffer<std::int32_t> is_unsure(std_m.size);
-    for (std::size_t at = 0; at < is_unsure.size(); ++at) is_unsure[at] = std_m[at] > unsure_m;
-    return count_claims(state.data, measured, node, state.size, is_unsure.data(), mean_of(table, threshold));
+    for (std::size_t at = 0; at < is_unsure.size(); ++at) is_unsure[at] = std_m[at] > UNSURE_M;
+    return count_claims(state.data, measured, node, state.size, is_unsure.data(), mean_of(table, THRESHOLD));
 }
 
 }  // namespace viewshed

@@ -18,14 +18,9 @@ Buffer<float> poisson_table(int min_returns);
 // Write the probability (N,) at mean counts (N,), from a poisson_table.
 void look_up(View1<const float> table, View1<const float> counts, View1<float> prob);
 
-// What evidence weighs: the weights of the ground's own height, and of the lower and the higher one; those of early and of
-// late ends of the beams without a return; the probability from which a claim is supported, and the largest one below it;
-// and the reach.
-struct Rule {
-    float own, lower, higher, early, late;
-    float threshold, below_threshold;
-    float reach_m;
-};
+// A cell counts as visible from this probability on, and as hidden if enough beams aim at it with that one: a beam more or less
+// must not decide. Ground of a larger deviation is unsure.
+constexpr float THRESHOLD = 0.5f, SURE_AIM = 0.9f, UNSURE_M = 0.5f;
 
 // The arrays (N,) of viewshed.preprocess.evidence.BeamEvidence.
 struct Evidence {
@@ -33,11 +28,9 @@ struct Evidence {
     bool* within_reach;
 };
 
-// Write the evidence of the cells of a grid, from the kinds of beams. Lower and higher ground lie
-// `deviations` standard deviations away.
-void measure_evidence(const CellWindows& windows, const std::array<Beams, KINDS>& beams, const TargetGround& ground,
-                      float target_height_m, const std::array<float, 2>& deviations, View1<const float> table,
-                      const Rule& rule, const Evidence& to);
+// Write the evidence of the cells of a grid, from the beams of a sweep that sees dark targets up to reach_m.
+void measure_evidence(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
+                      float target_height_m, View1<const float> table, float reach_m, const Evidence& to);
 
 // The evidence (N,) that decides which claims hold.
 struct SupportedCells {
@@ -51,17 +44,15 @@ struct Calls {
 };
 
 // Write the state (N,) of cells.
-void write_states(const SupportedCells& cells, View1<const float> table, float threshold, float sure_aim,
-                  const Calls& calls, View1<std::uint8_t> state);
+void write_states(const SupportedCells& cells, View1<const float> table, const Calls& calls, View1<std::uint8_t> state);
 
-// How many cells are claimed, how many of these lie over ground whose height is unsure by more than unsure_m, and how many
-// measured beams alone would not support.
+// How many cells are claimed, how many of these lie over unsure ground, and how many measured beams alone would not support.
 struct Claims {
     std::size_t all = 0, over_unsure_ground = 0, inferred = 0;
 };
 
-// Count the claims among states (N,); the node of each cell says whether the ground's deviation is more than unsure_m.
+// Count the claims among states (N,); the node of each cell says how unsure its ground is.
 Claims count_claims(View1<const std::uint8_t> state, const float* measured, const std::int32_t* node,
-                    View1<const float> std_m, float unsure_m, View1<const float> table, float threshold);
+                    View1<const float> std_m, View1<const float> table);
 
 }  // namespace viewshed

@@ -36,8 +36,11 @@ constexpr double PRIOR_BEAMS = 20;
 // Beyond some range lies only this share of the returns.
 constexpr double REACH_SHARE = 0.001;
 
+// Beams say nothing beyond this many times that range: the sweep does not show that its sensor sees farther.
+constexpr float SHOWN_TIMES = 1.5f;
+
 // The beams of a gap are guessed in groups; a turn has about this many.
-constexpr std::size_t GROUPS = 512;
+constexpr std::size_t GROUPS = 256;
 
 // Columns of the pooled image.
 constexpr std::size_t POOLED = 128;
@@ -48,7 +51,20 @@ constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
 // Pixels of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
-typedef NoReturnModel::Lanes Lanes;
+// Groups that go through the network at once, and one number of each.
+constexpr std::size_t AT_ONCE = 16;
+typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
+
+// Of these groups, number after number: features, logarithms of the ranges of stops, and 1 where nothing explains them.
+struct alignas(Lanes) GroupsAtOnce {
+    float feature[FEATURES * AT_ONCE], stop[STOPS * AT_ONCE], unexplained[AT_ONCE];
+};
+
+// The network's numbers: MEAN and SCALE of the features, weights and bias of three layers. `tools/fit_no_return.py fit` writes
+// them.
+#include "no_return_network.inc"
+
+constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
 
 // Features are cut off this many standard deviations from their mean.
 constexpr float MOST_DEVIATIONS = 6.0f;
@@ -60,10 +76,16 @@ constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};
 // the mean and log deviation of the logarithm of the range of that.
 enum Output { FREE = STOPS, UNSEEN, UNSEEN_MEAN, UNSEEN_LOG_DEVIATION, OUTPUTS };
 
+static_assert(std::size(MEAN) == FEATURES && std::size(SCALE) == FEATURES && std::size(THIRD_BIAS) == OUTPUTS);
+static_assert(std::size(FIRST) == FEATURES * std::size(FIRST_BIAS));
+static_assert(std::size(SECOND) == std::size(FIRST_BIAS) * std::size(SECOND_BIAS));
+static_assert(std::size(THIRD) == std::size(SECOND_BIAS) * OUTPUTS);
+
 // Fail safe: where at least this share of the ground returns, a beam without a return neither met it nor passed it, nor did
 // the beams above that one. What goes on is weighed less there, for the network has seen too few things that swallow light.
 constexpr double EXPECTED_SHARE = 0.9;
-constexpr float UNEXPLAINED_WEIGHT = 0.02f;
+constexpr float NO_LOGIT = -1e9f;  // of what is not there
+constexpr float LOG_UNEXPLAINED_WEIGHT = -3.91202f;  // of a weight of .02
 
 // A gap between two returns of a ring of similar range that is narrower than this lies on what the two lie on.
 constexpr float GAP_M = 1.5f, SIMILAR = 1.25f;
@@ -85,13 +107,20 @@ INLINE float log2_of(float x) {
 
 // 2 to the power of x, x in [-120, 120], within a share of 1e-6.
 INLINE float exp2_of(float x) {
-    const auto whole = std::int32_t(std::floor(x));
+    const auto toward_zero = std::int32_t(x);
+    const auto whole = toward_zero - std::int32_t(x < float(toward_zero));
     const float part = x - float(whole);
     float p = 0.00189437942f * part + 0.00894058253f;
     p = p * part + 0.0558765569f;
     p = p * part + 0.240131692f;
     p = p * part + 0.693156777f;
     return (p * part + 0.99999977f) * std::bit_cast<float>(std::uint32_t(whole + 127) << 23);
+}
+
+// exp(x), x in [-40, 80].
+INLINE float exp_of(float x) {
+    const float log2 = 1.442695f * x;
+    return exp2_of(log2 > -60.0f ? log2 : -60.0f);
 }
 
 INLINE float log_m(float meters) {
@@ -305,6 +334,9 @@ public:
           rings_below(rings * images_.columns), pooled(images_, silent) {
         find_rings_below(images.counts.data(), rings, images.columns, rings_below.data());
         for (std::size_t r = 0; r < images.rings; ++r) tangent.push_back(std::tan(aims.elevation[r]));
+        of_sweep = {log_m(farthest_m), log_m(sensor_height_m),
+                    std::log2(float(tangent[images.rings - 1] - tangent[0]) / float(images.rings) + 1e-3f),
+                    std::log2(float(images.columns))};
         // In each ring the missing beams and their groups. Rings and columns without returns have none.
         const Turn turn(images.columns);
         const std::size_t parts = std::min(count_parts(rings * images.columns, PART), rings);
@@ -324,63 +356,78 @@ public:
         find_unexplained();
     }
 
-    // Write the features (FEATURES,) of a group, and the logarithms of the ranges (STOPS,) at which it may have ended.
-    void describe(std::size_t r, const Group& group, float* feature, float* stop) const {
-        const std::size_t c = std::size_t(group.column), p = c * POOLED / images.columns;
+    // What stands around the groups of one ring in one pooled column: the features that they share, in their order.
+    struct Surroundings {
+        std::size_t ring, column;
+        float near[3], near_farthest;       // some rings and columns around
+        float wide[3], above[3], below[2];  // a sixth of the rings and eleven columns; the rings above; those below
+        float own_ring[2], wide_farthest, everything[3];
+    };
+
+    // Renew the surroundings of a group, where they are not those of the group before.
+    void look_around(std::size_t r, const Group& group, Surroundings& around) const {
+        const std::size_t p = std::size_t(group.column) * POOLED / images.columns;
+        const std::size_t wide = std::max<std::size_t>(pooled.rings / 6, 2);
+        if (around.ring == r && around.column == p) return;
+        around.ring = r, around.column = p;
+        float some[3];
+        pooled.describe(r > 2 ? r - 2 : 0, std::min(r + 3, pooled.rings), p, 1, around.near);
+        around.near_farthest = pooled.farthest_around(p, 1);
+        pooled.describe(r > wide ? r - wide : 0, std::min(r + wide + 1, pooled.rings), p, 5, around.wide);
+        pooled.describe(std::min(r + 1, pooled.rings), pooled.rings, p, 2, around.above);
+        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, some);
+        std::copy_n(some, 2, around.below);
+        pooled.describe(r, r + 1, p, POOLED / 2 - 1, some);
+        std::copy_n(some, 2, around.own_ring);
+        around.wide_farthest = pooled.farthest_around(p, 5);
+        pooled.describe(0, pooled.rings, p, POOLED / 2 - 1, around.everything);
+    }
+
+    // Write the features of a group, and the logarithms of the ranges at which it may have ended: each `stride` behind the
+    // one before.
+    void describe(const Group& group, const Surroundings& around, std::size_t stride, float* feature, float* stop) const {
+        const std::size_t r = around.ring, c = std::size_t(group.column);
         const std::size_t below = rings_below[r * images.columns + c];
         const bool has_below = below <= NEIGHBOR_RINGS;
         const Depth low = has_below ? depth_of(images, r - below, c) : Depth{NONE, NONE};
         const int high = next_above(images.all_counts(), r, c);
         const Depth upper = high >= 0 ? depth_of(images, std::size_t(high), c) : Depth{NONE, NONE};
-        float around[3];
-        pooled.describe(r > 2 ? r - 2 : 0, std::min(r + 3, pooled.rings), p, 1, around);
-        stop[NEARER] = log_m(group.near_m);
-        stop[FARTHER] = log_m(group.far_m);
-        stop[BELOW] = log_m(low.nearest_m);
-        stop[ABOVE] = log_m(upper.nearest_m);
-        stop[ON_GROUND] = log_m(group.ground_m);
-        stop[AROUND] = around[1];
-        stop[FARTHEST] = pooled.farthest_around(p, 1);
-        std::copy_n(stop, STOPS, feature);
-        float* f = feature + STOPS;
+        std::size_t k = 0;
+        const auto add = [&](float value) { feature[stride * k++] = value; };
+        const auto add_all = [&](const auto& values) { for (const float value : values) add(value); };
+        const float stops[STOPS] = {log_m(group.near_m), log_m(group.far_m), log_m(low.nearest_m), log_m(upper.nearest_m),
+                                    log_m(group.ground_m), around.near[1], around.near_farthest};
+        for (std::size_t n = 0; n < STOPS; ++n) stop[stride * n] = stops[n];
+        add_all(stops);
         // Meters to the returns beside, below and above it.
         const auto apart = [](double rise, float meters) {
             return meters < NONE ? log_m(float(rise) * meters) : LOG_NONE;
         };
-        *f++ = apart(group.near_turn, group.near_m);
-        *f++ = apart(group.far_turn, group.far_m);
-        *f++ = has_below ? apart(tangent[r] - tangent[r - below], low.nearest_m) : LOG_NONE;
-        *f++ = high >= 0 ? apart(tangent[std::size_t(high)] - tangent[r], upper.nearest_m) : LOG_NONE;
-        *f++ = log2_of(group.near_turn + 1e-3f);
-        *f++ = log2_of(group.far_turn + 1e-3f);
-        *f++ = group.is_near_obstacle;
-        *f++ = group.is_far_obstacle;
-        *f++ = low.obstacle_m < NONE;
-        *f++ = upper.obstacle_m < NONE;
-        *f++ = log_m(group.bound_m);
-        *f++ = group.ground_m < NONE && group.ground_m > steep_m ? float(share[share_bin(group.ground_m)]) : 1.0f;
-        *f++ = std::clamp(group.slope, -1.0f, 1.0f);
-        *f++ = std::clamp(sensor_height_m + group.slope * (group.near_m < NONE ? group.near_m : 64.0f), -8.0f, 16.0f);
-        *f++ = around[0];
-        *f++ = around[2];
-        const std::size_t wide = std::max<std::size_t>(pooled.rings / 6, 2);
-        pooled.describe(r > wide ? r - wide : 0, std::min(r + wide + 1, pooled.rings), p, 5, f);
-        f += 3;
-        pooled.describe(std::min(r + 1, pooled.rings), pooled.rings, p, 2, f);  // above
-        f += 3;
-        pooled.describe(r > 4 ? r - 4 : 0, r, p, 1, f);  // below
-        f += 2;
-        pooled.describe(r, r + 1, p, POOLED / 2 - 1, f);  // its ring
-        f += 2;
-        *f++ = pooled.farthest_around(p, 5);
-        pooled.describe(0, pooled.rings, p, POOLED / 2 - 1, f);  // everything
-        f += 3;
-        *f++ = log_m(farthest_m);
-        *f++ = log_m(sensor_height_m);
-        *f++ = std::log2(float(tangent[images.rings - 1] - tangent[0]) / float(images.rings) + 1e-3f);
-        *f++ = std::log2(float(images.columns));
-        *f++ = float(r) / float(images.rings);
-        static_assert(STOPS + 35 == FEATURES);
+        add(apart(group.near_turn, group.near_m));
+        add(apart(group.far_turn, group.far_m));
+        add(has_below ? apart(tangent[r] - tangent[r - below], low.nearest_m) : LOG_NONE);
+        add(high >= 0 ? apart(tangent[std::size_t(high)] - tangent[r], upper.nearest_m) : LOG_NONE);
+        add(log2_of(group.near_turn + 1e-3f));
+        add(log2_of(group.far_turn + 1e-3f));
+        add(group.is_near_obstacle);
+        add(group.is_far_obstacle);
+        add(low.obstacle_m < NONE);
+        add(upper.obstacle_m < NONE);
+        add(log_m(group.bound_m));
+        add(group.ground_m < NONE && group.ground_m > steep_m ? float(share[share_bin(group.ground_m)]) : 1.0f);
+        add(std::clamp(group.slope, -1.0f, 1.0f));
+        add(std::clamp(sensor_height_m + group.slope * (group.near_m < NONE ? group.near_m : 64.0f), -8.0f, 16.0f));
+        add(around.near[0]);
+        add(around.near[2]);
+        add_all(around.wide);
+        add_all(around.above);
+        add_all(around.below);
+        add_all(around.own_ring);
+        add(around.wide_farthest);
+        add_all(around.everything);
+        // Of the sweep.
+        add_all(of_sweep);
+        add(float(r) / float(images.rings));
     }
 
     // Whether all beams of a group pass above all targets, by a margin.
@@ -469,18 +516,26 @@ private:
     }
 
     std::vector<double> tangent;
+    std::array<float, 4> of_sweep;  // its reach, sensor height, gap between rings, and columns, as features
     Buffer<std::uint8_t> rings_below;
     PooledImage pooled;
     Shares share;
 };
 
-}  // namespace
+// Write features (FEATURES, AT_ONCE) less their mean, in deviations.
+MULTIVERSION void standardize(const float* feature, float* out) {
+    for (std::size_t k = 0; k < FEATURES; ++k) {
+        for (std::size_t n = k * AT_ONCE; n < (k + 1) * AT_ONCE; ++n) {
+            const float value = (feature[n] - MEAN[k]) * SCALE[k], high = value < MOST_DEVIATIONS ? value : MOST_DEVIATIONS;
+            out[n] = high > -MOST_DEVIATIONS ? high : -MOST_DEVIATIONS;
+        }
+    }
+}
 
-// out (units, LANES_AT_ONCE) = weights · in (inputs, LANES_AT_ONCE) + bias, for a vector of groups at once, four units at a
-// time so that their sums stay in registers. Sums go in the order of the inputs.
-MULTIVERSION void apply_layer(const NoReturnModel::Layer& layer, const Lanes* in, bool is_hidden, Lanes* out) {
-    const std::size_t units = layer.bias.size(), inputs = layer.inputs;
-    const float *const weights = layer.weights.data(), *const bias = layer.bias.data();
+// out (units,) = weights (inputs, units) · in (inputs,) + bias (units,), for all groups at once, four units at a time so that
+// their sums stay in registers. Sums go in the order of the inputs.
+MULTIVERSION void apply_layer(const float* weights, const float* bias, std::size_t inputs, std::size_t units, const Lanes* in,
+                              bool is_hidden, Lanes* out) {
     std::size_t u = 0;
     for (; u + 4 <= units; u += 4) {
         Lanes a = Lanes{} + bias[u], b = Lanes{} + bias[u + 1], c = Lanes{} + bias[u + 2], d = Lanes{} + bias[u + 3];
@@ -499,95 +554,85 @@ MULTIVERSION void apply_layer(const NoReturnModel::Layer& layer, const Lanes* in
         out[u] = a;
     }
     if (!is_hidden) return;
-    for (std::size_t v = 0; v < units; ++v) out[v] = out[v] > 0.0f ? out[v] : Lanes{};
+    auto* const number = reinterpret_cast<float*>(out);
+    for (std::size_t n = 0; n < units * AT_ONCE; ++n) number[n] = number[n] > 0.0f ? number[n] : 0.0f;
 }
 
-namespace {
-
-// exp(x) of a logit that lies x below the largest one.
-INLINE float weight_of(float x) { return exp2_of(std::max(1.442695f * x, -60.0f)); }
-
-// The ranges that shares SURVIVED of a group's beams passed, from the outputs of the network and the stops that there are.
-std::array<float, 3> survived_depths(const float* output, const float* stop) {
-    float most = std::max(output[FREE], output[UNSEEN]);
+// Write the ranges (3, AT_ONCE) that shares SURVIVED of the beams of each group passed, from the outputs (OUTPUTS, AT_ONCE) of
+// the network. In loops over the groups, which become vectors, as their count is not known before: nothing is sorted.
+MULTIVERSION void write_depths(const float* __restrict output, const GroupsAtOnce& groups, std::size_t count,
+                               float* __restrict depth_m) {
+    constexpr std::size_t ENDS = STOPS + LAPLACE.size(), LOGITS = UNSEEN + 1;
+    const float *const stop = groups.stop, *const unexplained = groups.unexplained;
+    // 1. The weights of what may have ended a beam, less that of the likeliest.
+    float logit[LOGITS][AT_ONCE], most[AT_ONCE], total[AT_ONCE], log_m[ENDS][AT_ONCE], weight[ENDS][AT_ONCE];
+    for (std::size_t k = 0; k < LOGITS; ++k) {
+        const float held_back = k == FREE || k == ON_GROUND || k == FARTHEST ? LOG_UNEXPLAINED_WEIGHT : 0.0f;
+        for (std::size_t n = 0; n < count; ++n) {
+            const float own = output[k * AT_ONCE + n] + unexplained[n] * held_back;
+            logit[k][n] = k >= STOPS || stop[k * AT_ONCE + n] < LOG_NONE ? own : NO_LOGIT;
+        }
+    }
+    std::copy_n(logit[0], AT_ONCE, most);
+    for (std::size_t k = 1; k < LOGITS; ++k) {
+        for (std::size_t n = 0; n < count; ++n) most[n] = logit[k][n] > most[n] ? logit[k][n] : most[n];
+    }
     for (std::size_t k = 0; k < STOPS; ++k) {
-        if (stop[k] < LOG_NONE) most = std::max(most, output[k]);
+        for (std::size_t n = 0; n < count; ++n) {
+            log_m[k][n] = stop[k * AT_ONCE + n];
+            weight[k][n] = log_m[k][n] < LOG_NONE ? exp_of(logit[k][n] - most[n]) : 0.0f;
+        }
     }
-    std::array<std::pair<float, float>, STOPS + LAPLACE.size()> ends;  // logarithm of the range, and weight
-    std::size_t count = 0;
-    for (std::size_t k = 0; k < STOPS; ++k) {
-        if (stop[k] < LOG_NONE) ends[count++] = {stop[k], weight_of(output[k] - most)};
+    for (std::size_t n = 0; n < count; ++n) {
+        // What stopped an unexplained beam stands no farther than the return below it, as far as is known.
+        const float mean = output[UNSEEN_MEAN * AT_ONCE + n], below = stop[BELOW * AT_ONCE + n];
+        const float bound = unexplained[n] > 0.0f && below < LOG_NONE ? below : NONE, center = mean < bound ? mean : bound;
+        const float log_deviation = output[UNSEEN_LOG_DEVIATION * AT_ONCE + n];
+        const float least = log_deviation > -3.0f ? log_deviation : -3.0f, deviation = exp_of(least < 1.5f ? least : 1.5f);
+        const float part = exp_of(logit[UNSEEN][n] - most[n]) / float(LAPLACE.size());
+        for (std::size_t k = 0; k < LAPLACE.size(); ++k) {
+            log_m[STOPS + k][n] = center + LAPLACE[k] * deviation;
+            weight[STOPS + k][n] = part;
+        }
+        total[n] = exp_of(logit[FREE][n] - most[n]);
     }
-    const float deviation = std::exp(std::clamp(output[UNSEEN_LOG_DEVIATION], -3.0f, 1.5f));
-    const float unseen = weight_of(output[UNSEEN] - most) / float(LAPLACE.size());
-    for (const float at : LAPLACE) ends[count++] = {output[UNSEEN_MEAN] + at * deviation, unseen};
-    float total = weight_of(output[FREE] - most);
-    for (std::size_t k = 0; k < count; ++k) total += ends[k].second;
-    std::sort(ends.begin(), ends.begin() + std::ptrdiff_t(count));
-    std::array<float, 3> depth_m{NONE, NONE, NONE};
-    float ended = 0.0f;
-    std::size_t level = 0;
-    for (std::size_t k = 0; k < count && level < SURVIVED.size(); ++k) {
-        ended += ends[k].second;
-        while (level < SURVIVED.size() && ended > (1.0f - SURVIVED[level]) * total) depth_m[level++] = exp2_of(std::clamp(ends[k].first, -20.0f, 20.0f));
+    for (std::size_t k = 0; k < ENDS; ++k) {
+        for (std::size_t n = 0; n < count; ++n) total[n] += weight[k][n];
     }
-    return depth_m;
+    // 2. The nearest end up to which more than the rest of the beams ended.
+    float found[SURVIVED.size()][AT_ONCE];
+    std::fill_n(found[0], SURVIVED.size() * AT_ONCE, NONE);
+    for (std::size_t k = 0; k < ENDS; ++k) {
+        float ended[AT_ONCE] = {};
+        for (std::size_t j = 0; j < ENDS; ++j) {
+            for (std::size_t n = 0; n < count; ++n) ended[n] += log_m[j][n] <= log_m[k][n] ? weight[j][n] : 0.0f;
+        }
+        for (std::size_t level = 0; level < SURVIVED.size(); ++level) {
+            for (std::size_t n = 0; n < count; ++n) {
+                const bool is_end = (ended[n] > (1.0f - SURVIVED[level]) * total[n]) & (log_m[k][n] < found[level][n]);
+                found[level][n] = is_end ? log_m[k][n] : found[level][n];
+            }
+        }
+    }
+    for (std::size_t level = 0; level < SURVIVED.size(); ++level) {
+        for (std::size_t n = 0; n < count; ++n) {
+            const float low = found[level][n] > -20.0f ? found[level][n] : -20.0f, in_range = low < 20.0f ? low : 20.0f;
+            depth_m[level * AT_ONCE + n] = found[level][n] < NONE ? exp2_of(in_range) : NONE;
+        }
+    }
+}
+
+// Write the depths (3, AT_ONCE) of groups by the network.
+void guess_depths(const GroupsAtOnce& groups, float* depth_m) {
+    Lanes first[FEATURES], second[MOST_UNITS], third[MOST_UNITS], output[OUTPUTS];
+    standardize(groups.feature, reinterpret_cast<float*>(first));
+    apply_layer(FIRST, FIRST_BIAS, FEATURES, std::size(FIRST_BIAS), first, true, second);
+    apply_layer(SECOND, SECOND_BIAS, std::size(FIRST_BIAS), std::size(SECOND_BIAS), second, true, third);
+    apply_layer(THIRD, THIRD_BIAS, std::size(SECOND_BIAS), OUTPUTS, third, false, output);
+    write_depths(reinterpret_cast<const float*>(output), groups, AT_ONCE, depth_m);
 }
 
 }  // namespace
-
-NoReturnModel::NoReturnModel(std::vector<float> mean_, std::vector<float> scale_, std::array<Layer, 3> layers_)
-    : mean(std::move(mean_)), scale(std::move(scale_)), layers(std::move(layers_)) {
-    require(mean.size() == FEATURES && scale.size() == FEATURES, "mean and scale must have a number for each feature");
-    std::size_t size = FEATURES;
-    for (const Layer& layer : layers) {
-        require(layer.inputs == size && layer.weights.size() == size * layer.bias.size(), "layers must fit each other");
-        size = layer.bias.size();
-        require(size > 0 && size <= MOST_UNITS, "a layer must have 1 to 64 units");
-    }
-    require(size == OUTPUTS, "the last layer must have a unit for each output");
-}
-
-void NoReturnModel::depths(const float (*feature)[FEATURES], const float (*stop)[STOPS],
-                           const bool* is_unexplained, std::size_t count, std::array<float, 3>* depth_m) const {
-    Lanes one[MOST_UNITS], other[MOST_UNITS];
-    for (std::size_t k = 0; k < FEATURES; ++k) {
-        for (std::size_t n = 0; n < AT_ONCE; ++n) {
-            const float value = n < count ? (feature[n][k] - mean[k]) * scale[k] : 0.0f;
-            one[k][n] = std::clamp(value, -MOST_DEVIATIONS, MOST_DEVIATIONS);
-        }
-    }
-    apply_layer(layers[0], one, true, other);
-    apply_layer(layers[1], other, true, one);
-    apply_layer(layers[2], one, false, other);
-    for (std::size_t n = 0; n < count; ++n) {
-        float outputs[OUTPUTS];
-        for (std::size_t k = 0; k < OUTPUTS; ++k) outputs[k] = other[k][n];
-        if (is_unexplained[n]) {
-            for (const std::size_t k : {std::size_t(FREE), std::size_t(ON_GROUND), std::size_t(FARTHEST)}) {
-                outputs[k] += std::log(UNEXPLAINED_WEIGHT);
-            }
-            // What stopped it stands no farther than the return below it, as far as is known.
-            if (stop[n][BELOW] < LOG_NONE) outputs[UNSEEN_MEAN] = std::min(outputs[UNSEEN_MEAN], stop[n][BELOW]);
-        }
-        depth_m[n] = survived_depths(outputs, stop[n]);
-    }
-}
-
-const NoReturnModel& shipped_no_return_model() {
-    static const NoReturnModel model = [] {
-        // MEAN, SCALE, and WEIGHTS and BIAS of three layers, as `tools/fit_no_return.py ship` writes them.
-#include "no_return_network.inc"
-        return NoReturnModel({std::begin(MEAN), std::end(MEAN)}, {std::begin(SCALE), std::end(SCALE)},
-                             {NoReturnModel::Layer{std::size(MEAN), {std::begin(FIRST), std::end(FIRST)},
-                                                   {std::begin(FIRST_BIAS), std::end(FIRST_BIAS)}},
-                              NoReturnModel::Layer{std::size(FIRST_BIAS), {std::begin(SECOND), std::end(SECOND)},
-                                                   {std::begin(SECOND_BIAS), std::end(SECOND_BIAS)}},
-                              NoReturnModel::Layer{std::size(SECOND_BIAS), {std::begin(THIRD), std::end(THIRD)},
-                                                   {std::begin(THIRD_BIAS), std::end(THIRD_BIAS)}}});
-    }();
-    return model;
-}
 
 NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
                                        float sensor_height_m, double top_m, float steep_m) {
@@ -597,19 +642,21 @@ NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAim
     for (std::size_t r = 0; r < scene.rings; ++r) size += missing.groups[r];
     NoReturnGroups groups{Buffer<float>(size), Buffer<float>(size), Buffer<std::int32_t>(size), Buffer<float>(size * FEATURES),
                           Buffer<float>(size * STOPS)};
+    NoReturnScene::Surroundings around{scene.rings, 0, {}, 0, {}, {}, {}, {}, 0, {}};
     for (std::size_t r = 0; r < scene.rings; ++r) {
         for (std::size_t g = r * images.columns; g < r * images.columns + missing.groups[r]; ++g, ++n) {
             const Group& group = missing.group[g];
             groups.azimuth[n] = group.azimuth, groups.slope[n] = group.slope;
             groups.beams[n] = group.slope > scene.polar.top[ground_sector(group.azimuth)] ? 0 : std::int32_t(group.count);
-            scene.describe(r, group, &groups.feature[n * FEATURES], &groups.stop[n * STOPS]);
+            scene.look_around(r, group, around);
+            scene.describe(group, around, 1, &groups.feature[n * FEATURES], &groups.stop[n * STOPS]);
         }
     }
     return groups;
 }
 
 NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
-                                    float sensor_height_m, double top_m, float steep_m, const NoReturnModel& model) {
+                                    float sensor_height_m, double top_m, float steep_m) {
     const NoReturnScene scene(images, aims, ground, sensor_height_m, top_m, steep_m);
     const std::size_t columns = images.columns;
     const Missing& missing = scene.missing;
@@ -619,21 +666,26 @@ NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& a
     run_parts(parts, [&](std::size_t part) {
         for (std::size_t r = part; r < scene.rings; r += parts) {
             const std::size_t end = r * columns + missing.groups[r];
-            for (std::size_t g = r * columns; g < end; g += NoReturnModel::AT_ONCE) {
-                const std::size_t count = std::min(NoReturnModel::AT_ONCE, end - g);
-                float feature[NoReturnModel::AT_ONCE][FEATURES], stop[NoReturnModel::AT_ONCE][STOPS];
-                bool is_unexplained[NoReturnModel::AT_ONCE];
-                std::size_t place[NoReturnModel::AT_ONCE], kept = 0;
+            GroupsAtOnce groups{};
+            NoReturnScene::Surroundings around{scene.rings, 0, {}, 0, {}, {}, {}, {}, 0, {}};
+            for (std::size_t g = r * columns; g < end; g += AT_ONCE) {
+                const std::size_t count = std::min(AT_ONCE, end - g);
+                std::size_t place[AT_ONCE], kept = 0;
                 for (std::size_t k = g; k < g + count; ++k) {
                     depths[k] = {0.0f, 0.0f, 0.0f};
                     if (scene.passes_above(r, missing.group[k])) continue;
-                    scene.describe(r, missing.group[k], feature[kept], stop[kept]);
-                    is_unexplained[kept] = missing.group[k].is_unexplained;
+                    scene.look_around(r, missing.group[k], around);
+                    scene.describe(missing.group[k], around, AT_ONCE, &groups.feature[kept], &groups.stop[kept]);
+                    groups.unexplained[kept] = missing.group[k].is_unexplained;
                     place[kept++] = k;
                 }
-                std::array<float, 3> found[NoReturnModel::AT_ONCE];
-                model.depths(feature, stop, is_unexplained, kept, found);
-                for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = found[k];
+                if (kept == 0) continue;
+                float found[3][AT_ONCE];
+                guess_depths(groups, found[0]);
+                const auto depth_m = [&](std::size_t d, std::size_t k) {
+                    return std::min(found[d][k], SHOWN_TIMES * scene.farthest_m);
+                };
+                for (std::size_t k = 0; k < kept; ++k) depths[place[k]] = {depth_m(0, k), depth_m(1, k), depth_m(2, k)};
             }
         }
     });

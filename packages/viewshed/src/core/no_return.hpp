@@ -58,40 +58,13 @@ struct NoReturnGroups {
     Buffer<float> feature, stop;
 };
 
-// A network of three layers over the features of a group of beams, fitted by viewshed_lab.training.no_return: how likely is
-// each stop, and that nothing stopped them.
-class NoReturnModel {
-public:
-    static constexpr std::size_t MOST_UNITS = 64, AT_ONCE = 16;
-
-    // One number of AT_ONCE groups.
-    typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
-
-    struct Layer {
-        std::size_t inputs;
-        std::vector<float> weights, bias;  // (inputs, units), (units,)
-    };
-
-    NoReturnModel(std::vector<float> mean, std::vector<float> scale, std::array<Layer, 3> layers);
-
-    // Write the ranges (count, 3) that groups passed with a probability of .8, .5 and .2; +inf where nothing stopped them.
-    void depths(const float (*feature)[FEATURES], const float (*stop)[STOPS], const bool* is_unexplained,
-                std::size_t count, std::array<float, 3>* depth_m) const;
-
-private:
-    std::vector<float> mean, scale;
-    std::array<Layer, 3> layers;
-};
-
-// The network of the package: its numbers are compiled in.
-const NoReturnModel& shipped_no_return_model();
-
 NoReturnGroups describe_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
                                        float sensor_height_m, double top_m, float steep_m);
 
-// The beams that may meet a target of height top_m.
+// The beams that may meet a target of height top_m. A network of three layers over the features of a group of beams, fitted
+// by viewshed_lab.training.no_return, says how likely each stop is, and that nothing stopped them.
 NoReturnBeams guess_no_return_beams(const DepthImages& images, const RingAims& aims, const Ground& ground,
-                                    float sensor_height_m, double top_m, float steep_m, const NoReturnModel& model);
+                                    float sensor_height_m, double top_m, float steep_m);
 
 // All beams without a return, in rings without any as well: as deep as the nearer of the two returns beside them in the
 // ring within 16 columns, and left out without these; or endless, without `fill`.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <limits>
 #include <vector>
 
@@ -19,6 +20,10 @@ constexpr std::size_t BINS = (std::size_t{1} << (31 - DROPPED_BITS)) + 1;
 // Returns beside each other lie in the same bin, and each count would wait for the one before: so they are counted by turns in
 // TURNS histograms.
 constexpr std::size_t TURNS = 4;
+
+// Reach of a sensor whose returns show nothing, and least reach of one that has supported returns: the median of the shipped
+// tables. What the returns show is the range within which BULK_SHARE of them lie, times REACH_TIMES.
+constexpr double LEAST_REACH_M = 20.0, USUAL_REACH_M = 85.0, BULK_SHARE = 0.9, REACH_TIMES = 2.5;
 
 // Returns of a part that is worth a thread.
 constexpr std::size_t PART = 32768;
@@ -75,6 +80,13 @@ double range_quantile(View1<const float> range_m, View1<const bool> left_out, Vi
     std::nth_element(some.begin(), at, some.end());
     const double one = double(*at), other = high == low ? one : double(*std::min_element(at + 1, some.end()));
     return one + (other - one) * (place - double(low));
+}
+
+double sensing_reach(View1<const float> range_m, View1<const bool> left_out, View1<const std::int32_t> rows, double most_m) {
+    const double quantile_m = range_quantile(range_m, left_out, rows, float(most_m), BULK_SHARE);
+    if (std::isnan(quantile_m)) return std::min(LEAST_REACH_M, most_m);  // no return is supported
+    const double shown_m = REACH_TIMES * quantile_m;
+    return std::min(std::max(USUAL_REACH_M, std::cbrt(shown_m * USUAL_REACH_M * USUAL_REACH_M)), most_m);
 }
 
 }  // namespace viewshed

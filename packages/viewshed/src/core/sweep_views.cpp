@@ -32,6 +32,9 @@ constexpr int MOST_COLUMNS = 4;
 // Returns that show a free passage, of them in the ring itself.
 constexpr int LEAST_BEYOND = 4, LEAST_IN_RING = 2;
 
+// Of the returns about a place, the share that lies beyond it where most beams pass.
+constexpr float MOST_BEYOND = 0.6f;
+
 // Farther than this from the beams beside it a return is of another surface.
 constexpr float NEAR_M = 1.0f;
 
@@ -158,21 +161,26 @@ Seen SweepView::look_at(Point3 p) const {
             farthest_m = std::max(farthest_m, range_m);
         }
     }
-    if (returns == 0) return is_covered(p) ? Seen::UNKNOWN : Seen::SILENT;
+    if (returns == 0) return Seen::UNKNOWN;
     if (nearest_m <= pixel.range_m + same_m && farthest_m >= pixel.range_m - same_m) return Seen::OCCUPIED;
     if (beyond == returns && beyond >= LEAST_BEYOND && beyond_in_ring >= LEAST_IN_RING) return Seen::FREE;
     return Seen::UNKNOWN;
 }
 
-bool SweepView::is_covered(Point3 p) const {
-    const Point3 level = leveled(p);
-    const float range_m = std::sqrt(level.x * level.x + level.y * level.y);
-    const int middle = direction_of(level);
-    for (const int direction : {middle - 1, middle, middle + 1}) {
-        const float cover_m = cover_m_[std::size_t((direction + DIRECTIONS) % DIRECTIONS)];
-        if (cover_m > 0.0f && cover_m < range_m - SAME_M) return true;
+bool SweepView::is_passed(Point3 p) const {
+    const Pixel pixel = pixel_of(p);
+    if (pixel.ring < 0) return false;
+    const float step_m = pixel.range_m * (2 * PI / float(columns_));
+    const int half = std::clamp(int(std::ceil(HALF_WIDTH_M / step_m)), 1, MOST_COLUMNS);
+    const float beyond_m = pixel.range_m + BEYOND_M + BEYOND_SHARE * pixel.range_m;
+    const float* row = ring(std::size_t(pixel.ring));
+    int returns = 0, beyond = 0;
+    for (int k = -half; k <= half; ++k) {
+        const float range_m = row[wrapped(pixel.column + k)];
+        returns += range_m < NONE;
+        beyond += range_m > beyond_m && range_m < NONE;
     }
-    return false;
+    return beyond >= 2 && beyond >= MOST_BEYOND * float(returns);
 }
 
 float SweepView::range_difference(Point3 p) const {
@@ -189,6 +197,11 @@ Point3 SweepView::leveled(Point3 p) const {
     const auto& m = sensor_from_level_.m;  // its rotation, transposed
     return {m[0] * p.x + m[4] * p.y + m[8] * p.z, m[1] * p.x + m[5] * p.y + m[9] * p.z,
             m[2] * p.x + m[6] * p.y + m[10] * p.z};
+}
+
+int SweepView::sector_of(Point3 p, int sectors) const {
+    const Point3 level = leveled(p);
+    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI)), sectors);
 }
 
 float SweepView::distance_to_cover(Point3 p) const {

@@ -28,9 +28,9 @@ struct Transform {
     }
 };
 
-// What is found of a place where another sweep looked: an obstacle about there, free passage far beyond, beams that did not
-// return, or nothing that is known (hidden, not looked at, at an edge).
-enum class Seen : std::uint8_t { UNKNOWN, OCCUPIED, FREE, SILENT };
+// What is found of a place where another sweep looked: an obstacle about there, free passage far beyond, or nothing that is known
+// (hidden, not looked at, without a return, at an edge).
+enum class Seen : std::uint8_t { UNKNOWN, OCCUPIED, FREE };
 
 // A sweep's range image, its obstacles, and how far the air at their heights is free, by azimuth.
 class SweepView {
@@ -66,8 +66,8 @@ public:
     // What this sweep found about a place p in its sensor's frame.
     Seen look_at(Point3 p) const;
 
-    // Whether an obstacle stands before p: a car whose windows return no beam hides what is behind them.
-    bool is_covered(Point3 p) const;
+    // Whether most beams of the ring at p end far beyond it; an attacker who wins not all of them leaves some that do not.
+    bool is_passed(Point3 p) const;
 
     // The difference of range from this sweep's surface to p, in the sensor's frame, between the two beams beside p; NaN
     // where they do not end on one surface near p.
@@ -79,6 +79,9 @@ public:
 
     // p in the sensor's frame, turned level; the sensor stays the origin.
     Point3 leveled(Point3 p) const;
+
+    // The sector of azimuth in the level frame, of `sectors` from -pi on, of p in the sensor's frame.
+    int sector_of(Point3 p, int sectors) const;
 
 private:
     int wrapped(int column) const {

@@ -24,11 +24,7 @@ constexpr float FARTHEST_M = 45.0f;
 // The speed of a sector is that of the return at this rank among its fastest.
 constexpr std::size_t RANK = 6;
 
-// The area of what appears or vanishes counts by the speed that this takes: none at a speed that things drive, all from
-// a speed on that nothing does.
-constexpr float DRIVEN_MPS = 15.0f, SUDDEN_MPS = 40.0f;
-
-// Obstacles that a sector must have for a share of them, or a median, to mean anything.
+// Obstacles that a sector must have for a median to mean anything.
 constexpr std::size_t LEAST_OBSTACLES = 10;
 
 // A surface jumps as a whole: its returns differ from each other by less than this.
@@ -46,77 +42,46 @@ constexpr std::array<float, 4> GATES_M{2.0f, 1.2f, 0.7f, 0.4f};
 constexpr int BASE_COLUMNS = 3;
 constexpr float LEAST_BASE_M = 0.04f, MOST_BEND_M = 0.08f, MATCH_M = 2.5f;
 
-int sector_of(const SweepView& view, Point3 p, int sectors) {
-    const Point3 level = view.leveled(p);
-    return bin_of((azimuth_of(level.y, level.x) + PI) * (float(sectors) / (2 * PI)), sectors);
-}
-
-// What is followed of one obstacle.
-struct Followed {
-    int sector;
-    float speed_mps, area_m2;
-    bool is_lost;
-};
-
 // Follow an obstacle through other sweeps, the nearest in time first, while they find it where it is. The first that finds
-// free passage there tells how fast it must have come from the nearest cover, or gone there.
-Followed follow(const SweepView& own, Point3 p, const std::vector<Other>& others) {
-    Followed followed{0, 0.0f, 0.0f, false};
-    for (std::size_t k = 0; k < others.size(); ++k) {
-        const Point3 there = others[k].transform(p);
-        const Seen seen = others[k].view->look_at(there);
-        if (k == 0) followed.is_lost = seen == Seen::SILENT;
-        if (seen == Seen::FREE) {
-            followed.speed_mps = others[k].view->distance_to_cover(there) / others[k].gap_s;
-            const float sudden = (followed.speed_mps - DRIVEN_MPS) / (SUDDEN_MPS - DRIVEN_MPS);
-            if (k == 0) followed.area_m2 = own.area_of_pixel(p) * std::clamp(sudden, 0.0f, 1.0f);
-            return followed;
-        }
-        if (seen != Seen::OCCUPIED) return followed;
+// free passage there tells how fast it must have come from the nearest cover, or gone there; 0 where none does.
+float follow(Point3 p, const std::vector<Other>& others) {
+    for (const Other& other : others) {
+        const Point3 there = other.transform(p);
+        const Seen seen = other.view->look_at(there);
+        if (seen == Seen::FREE) return other.view->distance_to_cover(there) / other.gap_s;
+        if (seen != Seen::OCCUPIED) return 0.0f;
     }
-    return followed;
+    return 0.0f;
 }
 
 }  // namespace
 
 void follow_all(const SweepView& view, const std::vector<Other>& others, const SweepView& around,
-                const Transform& around_from_view, View1<float> speed_mps, View1<float> area_m2, View1<float> lost) {
-    // 1. Each obstacle by itself.
+                const Transform& around_from_view, View1<float> speed_mps) {
+    // 1. Each obstacle by itself: its sector, and the speed that it needs.
     const std::vector<Point3>& obstacles = view.obstacles();
     const int sectors = int(speed_mps.size);
-    std::vector<Followed> followed(obstacles.size());
+    std::vector<std::pair<int, float>> followed(obstacles.size(), {0, 0.0f});
     for_ranges(obstacles.size(), count_parts(obstacles.size(), PART),
                [&](std::size_t, std::size_t begin, std::size_t end) {
                    for (std::size_t k = begin; k < end; ++k) {
                        const Point3 p = obstacles[k];
-                       if (p.x * p.x + p.y * p.y > FARTHEST_M * FARTHEST_M) {
-                           followed[k].sector = -1;
-                           continue;
-                       }
-                       followed[k] = follow(view, p, others);
-                       followed[k].sector = sector_of(around, around_from_view(p), sectors);
+                       if (p.x * p.x + p.y * p.y > FARTHEST_M * FARTHEST_M) continue;
+                       followed[k] = {around.sector_of(around_from_view(p), sectors), follow(p, others)};
                    }
                });
-    // 2. The sectors.
+    // 2. Of each sector the one at the rank.
     std::vector<std::vector<float>> speeds(speed_mps.size);
-    std::fill(area_m2.begin(), area_m2.end(), 0.0f);
-    std::vector<std::size_t> every(speed_mps.size, 0), losses(speed_mps.size, 0);
-    for (const Followed& one : followed) {
-        if (one.sector < 0) continue;
-        const auto s = std::size_t(one.sector);
-        ++every[s];
-        losses[s] += one.is_lost;
-        area_m2[s] += one.area_m2 * float(view.obstacle_step());
-        if (one.speed_mps > 0.0f) speeds[s].push_back(one.speed_mps);
+    for (const auto& [sector, speed] : followed) {
+        if (speed > 0.0f) speeds[std::size_t(sector)].push_back(speed);
     }
     for (std::size_t s = 0; s < speed_mps.size; ++s) {
         std::vector<float>& of_sector = speeds[s];
-        speed_mps[s] = lost[s] = 0.0f;
+        speed_mps[s] = 0.0f;
         if (of_sector.size() >= RANK) {
             std::nth_element(of_sector.begin(), of_sector.end() - RANK, of_sector.end());
             speed_mps[s] = *(of_sector.end() - RANK);
         }
-        if (every[s] >= LEAST_OBSTACLES) lost[s] = float(losses[s]) / float(every[s]);
     }
 }
 
@@ -137,7 +102,7 @@ void jumps(const SweepView& view, const Other& last, const Other& second, float 
         const float one = last.view->range_difference(last.transform(p));
         const float two = second.view->range_difference(second.transform(p));
         if (std::isnan(one) || std::isnan(two)) continue;
-        differences[std::size_t(sector_of(view, p, int(jump_m.size)))].push_back(two - ratio * one);
+        differences[std::size_t(view.sector_of(p, int(jump_m.size)))].push_back(two - ratio * one);
     }
     for (std::size_t s = 0; s < jump_m.size; ++s) {
         std::vector<float>& of_sector = differences[s];
@@ -184,6 +149,61 @@ void find_repeats(const SweepView& view, const SweepView& other, View1<float> sh
         const auto [pairs, equal, noise] = counts[s];
         const float excess = float(equal) - EQUAL_OF_NOISE * float(noise - equal);
         share[s] = pairs >= LEAST_PAIRS ? excess / float(pairs) : NOT_KNOWN;
+    }
+}
+
+namespace {
+
+// Beams to either side among which a range of another sweep is sought, and by how much ranges of one surface differ as the sensor
+// moves on.
+constexpr int BESIDE = 3;
+constexpr float MOVED_M = 0.6f, MOVED_SHARE = 0.1f;
+constexpr int LEAST_IN_SECTOR = 20;
+
+}  // namespace
+
+void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
+                     const std::vector<float>& turned_columns, View1<float> nearer, View1<float> farther, View1<float> silent) {
+    const auto columns = int(view.columns()), sectors = int(nearer.size);
+    std::vector<int> returns(nearer.size, 0), near(nearer.size, 0), far(nearer.size, 0);
+    std::vector<int> steady(nearer.size, 0), lost(nearer.size, 0);
+    for (std::size_t r = 0; r < view.rings(); ++r) {
+        const float* now = view.ring(r);
+        for (int c = 0; c < columns; ++c) {
+            const float range_m = now[c], moved_m = MOVED_M + MOVED_SHARE * range_m;
+            const bool is_return = range_m < 1e6f;
+            const auto s = std::size_t(c * sectors / columns);
+            // 1. The beams about it in the other sweeps: has one such a range, are all of those nearer or farther, did each return?
+            bool is_known = false, is_near = true, is_far = true, is_steady = true;
+            int seen = 0;
+            for (std::size_t k = 0; k < others.size() && !is_known && (is_return || is_steady); ++k) {
+                const float* then = others[k]->ring(r);
+                const int middle = c + int(std::lround(turned_columns[k])) + columns;
+                for (int b = -BESIDE; b <= BESIDE; ++b) {
+                    const float other_m = then[(middle + b + columns) % columns];
+                    if (!(other_m < 1e6f)) {
+                        is_steady = false;
+                        continue;
+                    }
+                    ++seen;
+                    is_known |= std::fabs(other_m - range_m) <= moved_m;
+                    is_near &= other_m > range_m;
+                    is_far &= other_m < range_m;
+                }
+            }
+            // 2. What that makes of it.
+            returns[s] += is_return;
+            near[s] += is_return && !is_known && seen > 0 && is_near;
+            far[s] += is_return && !is_known && seen > 0 && is_far;
+            steady[s] += is_return || is_steady;
+            lost[s] += !is_return && is_steady;
+        }
+    }
+    const auto share = [](int count, int of) { return of >= LEAST_IN_SECTOR ? float(count) / float(of) : 0.0f; };
+    for (std::size_t s = 0; s < nearer.size; ++s) {
+        nearer[s] = share(near[s], returns[s]);
+        farther[s] = share(far[s], returns[s]);
+        silent[s] = share(lost[s], steady[s]);
     }
 }
 

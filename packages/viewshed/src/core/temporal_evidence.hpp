@@ -17,9 +17,9 @@ struct Other {
     float gap_s;
 };
 
-// By sector: the speed that its fastest obstacles need, the area that needs too much, the share that is lost.
+// By sector: the speed that its fastest obstacles need.
 void follow_all(const SweepView& view, const std::vector<Other>& others, const SweepView& around,
-                const Transform& around_from_view, View1<float> speed_mps, View1<float> area_m2, View1<float> lost);
+                const Transform& around_from_view, View1<float> speed_mps);
 
 // By sector: how far its surfaces jump, against what moves at a constant speed: the median of the second differences of range
 // over the sweep and two before it, whose times before it are in the ratio `ratio`.
@@ -28,6 +28,12 @@ void jumps(const SweepView& view, const Other& last, const Other& second, float 
 // By sector: the share of the ranges that repeat those of another sweep, less what noise repeats; NaN where too few beams
 // returned in both. Both have the same rings and columns.
 void find_repeats(const SweepView& view, const SweepView& other, View1<float> share);
+
+// By sector: the share of the returns that are nearer, and farther, than all that the beams about them had in the other sweeps;
+// and the share of the beams that returned in all of those and now do not; 0 where there are too few. All have the same rings and
+// columns; turned_columns is by how many columns the sensor turned since each.
+void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
+                     const std::vector<float>& turned_columns, View1<float> nearer, View1<float> farther, View1<float> silent);
 
 // A correction of a pose: turn and shift, the information (3, 3) about them, the deviation of a return from its surface, and
 // how many returns were used.

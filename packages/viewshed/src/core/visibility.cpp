@@ -34,15 +34,17 @@ constexpr float INFINITE = std::numeric_limits<float>::infinity();
 // The slopes of beams that pass a target's foot and its top: rows of a sector's limits, one pair for each ground.
 constexpr std::size_t LIMITS = 6;
 
-// A beam of a column: its slope, and the last range bin that it reaches, -1 for none.
+// A beam of a column: its slope, and the last range bin that it reaches with each of its depths, -1 for none.
+template <std::size_t COUNT>
 struct Beam {
     float slope;
-    std::int32_t last;
+    std::int32_t last[COUNT];
 };
 
-// The beams of one kind by column; those above every target lie behind the last one.
-struct SortedKind {
-    const Beam* beams;
+// Beams by column; those above every target lie behind the last one.
+template <std::size_t COUNT>
+struct Columns {
+    const Beam<COUNT>* beams;
     const std::uint32_t* first;  // (AZIMUTH_COLUMNS + 1,)
 };
 
@@ -52,7 +54,8 @@ struct SortedKind {
 // What the segments are counted from, and where.
 struct Job {
     const CellWindows* windows;
-    std::array<SortedKind, KINDS> kinds;
+    Columns<1> measured;
+    Columns<DEPTHS> lost;
     const float* limits;  // (GROUND_SECTORS, LIMITS, stride)
     const float* spans;   // (GROUND_SECTORS, 2, stride / VECTOR), see write_spans
     bool shifted;
@@ -143,12 +146,6 @@ MULTIVERSION float write_spans(const float* limits, std::size_t stride, float* h
 
 // 2. Beams by column.
 
-std::size_t beams_of(const std::array<Beams, KINDS>& kinds) {
-    std::size_t beams = 0;
-    for (const Beams& kind : kinds) beams += kind.azimuth.size;
-    return beams;
-}
-
 // Write the column of each beam of a block, AZIMUTH_COLUMNS for one above `highest`.
 MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::size_t count, float highest,
                                std::uint16_t* column) {
@@ -159,93 +156,104 @@ MULTIVERSION void find_columns(const float* azimuth, const float* slope, std::si
     }
 }
 
-// Write slope and last bin of each beam of a block. A beam reaches a cell if its depth does, less one cell.
-MULTIVERSION void find_last_bins(const float* slope, const float* depth_m, std::size_t count, float cell_m, float farthest,
-                                 Beam* beams) {
+// Write the last bin of each beam of a block. A beam reaches a cell if its depth does, less one cell.
+MULTIVERSION void find_last_bins(const float* depth_m, std::size_t count, float cell_m, float farthest, std::int32_t* last) {
     for (std::size_t n = 0; n < count; ++n) {
         float bin = depth_m[n] / cell_m + 0.5f;
         bin = bin > -1.0f ? bin : -1.0f;
-        beams[n] = {slope[n], std::int32_t(bin < farthest ? bin : farthest)};
+        last[n] = std::int32_t(bin < farthest ? bin : farthest);
     }
 }
 
-// The beams of all kinds by column, those up to the slope `highest`. The order within a column does not matter: what is
-// counted are whole numbers.
+// Beams by column, those up to the slope `highest`. The order within a column does not matter: what is counted are whole
+// numbers.
+template <std::size_t COUNT>
 struct SortedBeams {
-    std::size_t total, parts;
-    Buffer<Beam> beams;
-    Buffer<std::uint32_t> first;  // (kinds, BUCKETS) where each column begins
+    Buffer<Beam<COUNT>> beams;
+    Buffer<std::uint32_t> first;  // where each column begins
 
     static constexpr std::size_t BUCKETS = AZIMUTH_COLUMNS + 1;  // the last one for beams above every target
 
-    SortedBeams(const std::array<Beams, KINDS>& kinds, float highest, float cell_m, std::size_t bins)
-        : total(beams_of(kinds)), parts(count_parts(total, PART)),
-          beams(total), first(KINDS * BUCKETS) {
-        Buffer<std::uint16_t> column(total);
-        Buffer<std::uint32_t> counts(parts * KINDS * BUCKETS);
-        // Each part counts its share of every kind; then its place in a column lies behind those of the parts before.
-        const auto each_block = [&](std::size_t part, const auto& body) {
-            std::size_t begin = 0;
-            for (std::size_t kind = 0; kind < KINDS; begin += kinds[kind].azimuth.size, ++kind) {
-                const std::size_t size = kinds[kind].azimuth.size, end = size * (part + 1) / parts;
-                for (std::size_t n = size * part / parts; n < end; n += BLOCK) {
-                    body(kinds[kind], n, std::min(BLOCK, end - n), &column[begin + n],
-                         &counts[(part * KINDS + kind) * BUCKETS]);
-                }
-            }
-        };
+    SortedBeams(View1<const float> azimuth, View1<const float> slope, const std::array<View1<const float>, COUNT>& depth_m,
+                float highest, const CellWindows& windows)
+        : beams(azimuth.size), first(BUCKETS) {
+        const std::size_t size = azimuth.size, parts = count_parts(size, PART);
+        Buffer<std::uint16_t> column(size);
+        Buffer<std::uint32_t> counts(parts * BUCKETS);
+        // Each part counts its share; then its place in a column lies behind those of the parts before.
         for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
-            std::fill_n(&counts[part * KINDS * BUCKETS], KINDS * BUCKETS, 0);
-            each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* count) {
-                find_columns(of.azimuth.data + n, of.slope.data + n, size, highest, at);
-                for (std::size_t k = 0; k < size; ++k) ++count[at[k]];
-            });
+            const std::size_t begin = size * part / parts, end = size * (part + 1) / parts;
+            std::uint32_t* const count = &counts[part * BUCKETS];
+            std::fill_n(count, BUCKETS, 0);
+            find_columns(azimuth.data + begin, slope.data + begin, end - begin, highest, column.data() + begin);
+            for (std::size_t n = begin; n < end; ++n) ++count[column[n]];
         });
         std::uint32_t place = 0;
-        for (std::size_t bucket = 0; bucket < KINDS * BUCKETS; ++bucket) {
+        for (std::size_t bucket = 0; bucket < BUCKETS; ++bucket) {
             first[bucket] = place;
             for (std::size_t part = 0; part < parts; ++part) {
-                std::uint32_t& count = counts[part * KINDS * BUCKETS + bucket];
+                std::uint32_t& count = counts[part * BUCKETS + bucket];
                 place += std::exchange(count, place);
             }
         }
         for_ranges(parts, parts, [&](std::size_t part, std::size_t, std::size_t) {
-            Beam block[BLOCK];
-            each_block(part, [&](const Beams& of, std::size_t n, std::size_t size, std::uint16_t* at, std::uint32_t* next) {
-                find_last_bins(of.slope.data + n, of.depth_m.data + n, size, cell_m, float(bins - 1), block);
-                for (std::size_t k = 0; k < size; ++k) beams[next[at[k]]++] = block[k];
-            });
+            std::uint32_t* const next = &counts[part * BUCKETS];
+            std::int32_t last[COUNT][BLOCK];
+            for (std::size_t n = size * part / parts, end = size * (part + 1) / parts; n < end; n += BLOCK) {
+                const std::size_t some = std::min(BLOCK, end - n);
+                for (std::size_t d = 0; d < COUNT; ++d) {
+                    find_last_bins(depth_m[d].data + n, some, windows.cell_m, float(windows.bins - 1), last[d]);
+                }
+                for (std::size_t k = 0; k < some; ++k) {
+                    Beam<COUNT>& beam = beams[next[column[n + k]]++];
+                    beam.slope = slope[n + k];
+                    for (std::size_t d = 0; d < COUNT; ++d) beam.last[d] = last[d][k];
+                }
+            }
         });
     }
 
-    SortedKind kind(std::size_t number) const { return {beams.data(), first.data() + number * BUCKETS}; }
+    Columns<COUNT> columns() const { return {beams.data(), first.data()}; }
 };
 
 // 3. Sums over columns.
 
+// Whole vectors up to a range bin.
+INLINE std::size_t vectors_to(std::int32_t bin) { return std::size_t(bin + std::int32_t(VECTOR)) / VECTOR; }
+
 // Count the beams of a column in the range bins that they reach: their slope lies between foot and top, and they ended no
-// nearer. `spans` are those of the sector. Return how many bins were looked at.
-template <bool SHIFTED>
-INLINE std::size_t count_kind(const SortedKind& kind, std::size_t column, const float* __restrict limits, std::size_t stride,
-                              const float* __restrict spans, std::int32_t* __restrict own,
-                              std::int32_t* __restrict lower, std::int32_t* __restrict higher) {
+// nearer. `own` (COUNT, stride) holds the counts to each depth, lower and higher those to the first one on other ground.
+// `spans` are those of the sector. Return how many bins were looked at.
+template <bool SHIFTED, std::size_t COUNT>
+INLINE std::size_t count_column(const Columns<COUNT>& columns, std::size_t column, const float* __restrict limits,
+                                std::size_t stride, const float* __restrict spans, std::int32_t* __restrict own,
+                                std::int32_t* __restrict lower, std::int32_t* __restrict higher) {
     const std::size_t vectors = stride / VECTOR;
     const float *highest_top = spans, *lowest_foot = spans + vectors;
     std::size_t most = 0;
-    for (std::uint32_t n = kind.first[column]; n < kind.first[column + 1]; ++n) {
-        const float s = kind.beams[n].slope;
-        const std::int32_t last = kind.beams[n].last;
+    for (std::uint32_t n = columns.first[column]; n < columns.first[column + 1]; ++n) {
+        const Beam<COUNT>& beam = columns.beams[n];
+        const float s = beam.slope;
+        std::int32_t last[COUNT], farthest = -1;
+        for (std::size_t d = 0; d < COUNT; ++d) {
+            last[d] = beam.last[d];
+            farthest = last[d] > farthest ? last[d] : farthest;
+        }
         // Whole vectors: the bins beyond the last one are masked. Most beams pass above the first ones, or end before the last.
-        std::size_t begin = 0, end = std::size_t(last + std::int32_t(VECTOR)) / VECTOR;
+        std::size_t begin = 0, end = vectors_to(farthest);
         while (begin < end && s > highest_top[begin]) ++begin;
         while (begin < end && s < lowest_foot[end - 1]) --end;
-        for (std::size_t k = begin * VECTOR; k < end * VECTOR; ++k) {
-            const bool reaches = std::int32_t(k) <= last;
-            own[k] += (s >= limits[k]) & (s <= limits[stride + k]) & reaches;
-            if constexpr (SHIFTED) {
+        if constexpr (SHIFTED) {
+            const std::size_t likely_end = std::min(vectors_to(last[0]), end);
+            for (std::size_t k = begin * VECTOR; k < likely_end * VECTOR; ++k) {
+                const bool reaches = std::int32_t(k) <= last[0];
                 lower[k] += (s >= limits[2 * stride + k]) & (s <= limits[3 * stride + k]) & reaches;
                 higher[k] += (s >= limits[4 * stride + k]) & (s <= limits[5 * stride + k]) & reaches;
             }
+        }
+        for (std::size_t k = begin * VECTOR; k < end * VECTOR; ++k) {
+            const bool aims = (s >= limits[k]) & (s <= limits[stride + k]);
+            for (std::size_t d = 0; d < COUNT; ++d) own[d * stride + k] += aims & (std::int32_t(k) <= last[d]);
         }
         most = end > most ? end : most;
     }
@@ -271,16 +279,21 @@ INLINE void take_counts(std::int32_t* counts, Four& taken) {
     std::memset(counts, 0, sizeof(whole));
 }
 
-// Write how many beams of the sector, measured or inferred, lie below the edge of each bin of slope.
+// Add how many beams of the sector lie in each bin of slope.
+template <std::size_t COUNT>
+INLINE void add_slopes(const Columns<COUNT>& columns, std::size_t sector, std::uint32_t* bins) {
+    const std::uint32_t* first = columns.first + sector * SECTOR_COLUMNS;
+    for (std::uint32_t n = first[0]; n < first[SECTOR_COLUMNS]; ++n) {
+        const float q = (columns.beams[n].slope + SLOPE_LIMIT) * PER_SLOPE;
+        if (q >= 0.0f && q < float(SLOPE_BINS)) ++bins[std::size_t(q)];
+    }
+}
+
+// Write how many beams of the sector lie below the edge of each bin of slope.
 INLINE void count_slopes(const Job& job, std::size_t sector, std::uint32_t* below) {
     for (std::size_t q = 0; q <= SLOPE_BINS; ++q) below[q] = 0;
-    for (std::size_t kind = 0; kind < 2; ++kind) {
-        const std::uint32_t* first = job.kinds[kind].first + sector * SECTOR_COLUMNS;
-        for (std::uint32_t n = first[0]; n < first[SECTOR_COLUMNS]; ++n) {
-            const float q = (job.kinds[kind].beams[n].slope + SLOPE_LIMIT) * PER_SLOPE;
-            if (q >= 0.0f && q < float(SLOPE_BINS)) ++below[std::size_t(q) + 1];
-        }
-    }
+    add_slopes(job.measured, sector, below + 1);
+    add_slopes(job.lost, sector, below + 1);
     for (std::size_t q = 0; q < SLOPE_BINS; ++q) below[q + 1] += below[q];
 }
 
@@ -331,20 +344,16 @@ MULTIVERSION void sum_segment(const Job& job, std::size_t segment) {
             const std::size_t column = sector * SECTOR_COLUMNS + c;
             // Count the column's beams, then put the lanes of a bin side by side.
             std::int32_t *const lower = &counts[LOWER * stride], *const higher = &counts[HIGHER * stride];
-            std::size_t most = 0;
-            for (std::size_t kind = MEASURED; kind <= INFERRED; ++kind) {
-                std::int32_t* const own_counts = &counts[kind * stride];
-                const std::size_t looked_at =
-                    job.shifted
-                        ? count_kind<true>(job.kinds[kind], column, limits, stride, spans, own_counts, lower, higher)
-                        : count_kind<false>(job.kinds[kind], column, limits, stride, spans, own_counts, lower, higher);
-                most = looked_at > most ? looked_at : most;
+            std::int32_t *const own = &counts[MEASURED * stride], *const lost = &counts[INFERRED * stride];
+            std::size_t most, of_lost;
+            if (job.shifted) {
+                most = count_column<true>(job.measured, column, limits, stride, spans, own, lower, higher);
+                of_lost = count_column<true>(job.lost, column, limits, stride, spans, lost, lower, higher);
+            } else {
+                most = count_column<false>(job.measured, column, limits, stride, spans, own, lower, higher);
+                of_lost = count_column<false>(job.lost, column, limits, stride, spans, lost, lower, higher);
             }
-            for (std::size_t kind = EARLY; kind <= LATE; ++kind) {
-                const std::size_t looked_at = count_kind<false>(job.kinds[kind], column, limits, stride, spans,
-                                                                &counts[kind * stride], lower, higher);
-                most = looked_at > most ? looked_at : most;
-            }
+            most = of_lost > most ? of_lost : most;
             const Row counted = {1, 1, 1, 1, 1, 1, 0, 0};
             for (std::size_t k = 0; k < most; k += FOUR) {
                 Four measured, inferred, early, late, lower_four, higher_four, aimed_four, none{};
@@ -480,10 +489,9 @@ void CellCounts::read(std::size_t first, std::size_t count, float (*lanes)[BLOCK
     }
 }
 
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, KINDS>& kinds, const TargetGround& ground,
+CellCounts count_beams(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations) {
-    const std::size_t beams = beams_of(kinds);
-    const std::size_t parts = count_parts(beams + windows.cells(), WORTH);
+    const std::size_t parts = count_parts(measured.azimuth.size + lost.azimuth.size + windows.cells(), WORTH);
 
     // 1. The slopes of a target's foot and top, by sector and range.
     const std::size_t stride = windows.stride, vectors = stride / VECTOR;
@@ -498,11 +506,13 @@ CellCounts count_beams(const CellWindows& windows, const std::array<Beams, KINDS
     });
     // 2. Beams by column. Those above every target aim at none: by a bin of slope, which is interpolated.
     const float most = *std::max_element(highest.begin(), highest.end()) + 1.0f / PER_SLOPE;
-    const SortedBeams sorted(kinds, most, windows.cell_m, windows.bins);
+    const SortedBeams<1> by_column(measured.azimuth, measured.slope, {measured.depth_m}, most, windows);
+    const SortedBeams<DEPTHS> lost_by_column(lost.azimuth, lost.slope, lost.depth_m, most, windows);
     // 3. Sums over the columns of each segment.
     CellCounts counts{&windows, Buffer<Row>(windows.rows() + FOUR), Buffer<Row>(SEGMENTS * windows.bins)};
     const Job job{&windows,
-                  {sorted.kind(0), sorted.kind(1), sorted.kind(2), sorted.kind(3)},
+                  by_column.columns(),
+                  lost_by_column.columns(),
                   limits.data(),
                   spans.data(),
                   deviations != nullptr,

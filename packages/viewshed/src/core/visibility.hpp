@@ -18,6 +18,13 @@ struct Beams {
     View1<const float> azimuth, slope, depth_m;
 };
 
+// Beams (B,) without a return: they went that far likely, at least early, and at most late.
+constexpr std::size_t DEPTHS = 3;
+struct LostBeams {
+    View1<const float> azimuth, slope;
+    std::array<View1<const float>, DEPTHS> depth_m;
+};
+
 // The ground on a lattice of nodes × nodes that spans ±half_extent_m, its standard deviation, and the sensor's height. A
 // deviation that is not there (no data) is 0.
 struct TargetGround {
@@ -25,11 +32,9 @@ struct TargetGround {
     float half_extent_m, sensor_height_m;
 };
 
-// Kinds of beams: with a return, and three times those without one, to the likely, the early and the late range of their end.
-constexpr std::size_t KINDS = 4;
-
-// Sums side by side, a lane each. The target's returns by each kind of beams; those by the first two where the ground lies
-// lower and higher; and the beams of these two that aim at it, whatever their depth.
+// Sums side by side, a lane each. The target's returns by measured beams, and by those without a return to each of their
+// depths; those by measured ones and likely depths where the ground lies lower and higher; and the beams that aim at it,
+// whatever their depth.
 enum Lane { MEASURED, INFERRED, EARLY, LATE, LOWER, HIGHER, AIMED, LANES };
 
 // Four of them, a vector on every processor.
@@ -89,9 +94,8 @@ struct CellCounts {
     void read(std::size_t first, std::size_t count, float (*lanes)[BLOCK]) const;
 };
 
-// Count the kinds of beams. With `deviations`, also where the ground lies that many standard
-// deviations higher; else those lanes are 0.
-CellCounts count_beams(const CellWindows& windows, const std::array<Beams, KINDS>& kinds, const TargetGround& ground,
+// Count beams. With `deviations`, also where the ground lies that many standard deviations higher; else those lanes are 0.
+CellCounts count_beams(const CellWindows& windows, const Beams& measured, const LostBeams& lost, const TargetGround& ground,
                        float target_height_m, const std::array<float, 2>* deviations);
 
 }  // namespace viewshed

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from viewshed import CAR, BevGrid, CellState, FovEstimate, Rigid
-from viewshed.agents.polygon_code import encode_inner_polygon
 from viewshed.agents.view_message import SensorFacts, SharedTracks, ViewMessage
 from viewshed.detections import Detections
+from viewshed.fov.height_map import HeightMap
 from viewshed.monitor.report import IntegrityReport
 
 NOW_NS = 1_760_000_000_000_000_000
@@ -27,7 +27,11 @@ def view(grid: BevGrid = GRID, with_std: bool = False) -> FovEstimate:
     return FovEstimate(grid, prob, state.astype(np.uint8), std, method="shadow_map", target=CAR)
 
 
-INNER = encode_inner_polygon(view().visible(), GRID, 300)
+def ground() -> HeightMap:
+    """A slope with a step."""
+    centers = BevGrid(64, GRID.half_extent_m).centers
+    heights = (0.1 * centers[..., 0] + np.where(centers[..., 1] > 3.0, 2.0, 0.0)).astype(np.float32)
+    return HeightMap(heights, GRID.half_extent_m, np.ones(heights.shape, bool))
 
 
 def tracks(
@@ -58,7 +62,7 @@ def message(sequence: Any = 1, agent: Any = "car1", t_ns: Any = NOW_NS, **change
     fields: dict[str, Any] = {
         "agent": agent, "sequence": sequence, "t_ns": t_ns, "frame": "map", "world_from_level": POSE,
         "pose_covariance": covariance, "sensor": SensorFacts("HDL-32E", 1.84, 70.0), "view": view(),
-        "inner": INNER,
+        "ground": ground(),
         "detections": Detections(boxes, np.array([3, 1], np.uint8), np.array([40, 7], np.int32)),
         "tracks": tracks(), "report": IntegrityReport("by hand", 2.0, 1.5, 0.01, True, 0.25, suspect),
         "epoch": 0,

@@ -34,7 +34,7 @@ CAR1, CAR2, MAST, FORGER = (SigningKey.generate(name) for name in ("car1", "car2
 
 def signed(sequence: int = 1, key: SigningKey = CAR1, t_ns: int | None = None, **changes: Any) -> bytes:
     """A small signed message; without a time it is sent 100 ms after the one before."""
-    small: dict[str, Any] = {"view": None, "inner": None, "detections": None, "report": None}
+    small: dict[str, Any] = {"view": None, "ground": None, "detections": None, "report": None}
     at_ns = NOW_NS + 100 * MS * sequence if t_ns is None else t_ns
     return sign_message(samples.message(sequence, key.agent, at_ns, **(small | changes)), key)
 
@@ -82,7 +82,7 @@ def forged(at: int, sequence: int = 1, key: SigningKey = CAR1) -> bytes:
 
 def edited(**changes: Any) -> bytes:
     """A signed payload whose bytes the message class would not write."""
-    fields = cbor2.loads(encode_message(samples.message(1, "car1", NOW_NS + 100 * MS, view=None, inner=None)))
+    fields = cbor2.loads(encode_message(samples.message(1, "car1", NOW_NS + 100 * MS, view=None, ground=None)))
     return sign(cbor2.dumps(fields | {int(key[1:]): value for key, value in changes.items()}, canonical=True), CAR1)
 
 
@@ -96,7 +96,7 @@ REFUSED: dict[str, tuple[Callable[[], bytes], Reason]] = {
     "longer": (lambda: signed() + b"\0", Reason.MALFORMED),
     "another algorithm": (lambda: signed().replace(b"\x01\x27\x04", b"\x01\x26\x04", 1), Reason.MALFORMED),
     "an older version": (lambda: edited(_0=1), Reason.OTHER_VERSION),
-    "a newer version": (lambda: edited(_0=3), Reason.OTHER_VERSION),
+    "a newer version": (lambda: edited(_0=4), Reason.OTHER_VERSION),
     "no version": (lambda: edited(_0="2"), Reason.MALFORMED),
     "no name": (lambda: edited(_1=""), Reason.MALFORMED),
     "a name of a number": (lambda: edited(_1=5), Reason.MALFORMED),
@@ -503,7 +503,7 @@ def test_any_bytes_are_taken(kind: Callable[[bytes], Any]) -> None:
 def test_an_older_version_is_refused_with_both_versions() -> None:
     receipt = give(receiver(), edited(_0=1))
     assert receipt.reason is Reason.OTHER_VERSION
-    assert receipt.detail == "the version of a payload must be 2, got 1; bring agent and receiver to one release"
+    assert receipt.detail == "the version of a payload must be 3, got 1; bring agent and receiver to one release"
 
 
 def test_what_an_honest_key_signs_is_checked_all_the_same() -> None:

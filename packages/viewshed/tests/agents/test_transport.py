@@ -119,7 +119,7 @@ def test_over_a_bad_radio_each_message_is_taken_once_or_counted() -> None:
     medium = radio(5, loss=0.2, delay_s=0.2, jitter_s=0.02, doubled=0.1, reordered=0.1)
     car, mast = medium.join("car1"), medium.join("mast")
     here, arrived, sequences = Receiver(KeyRing((key.verifying(),)), start_ns=samples.NOW_NS - 1000 * MS), 0, []
-    small = {"view": None, "inner": None, "detections": None, "report": None, "tracks": None}
+    small = {"view": None, "ground": None, "detections": None, "report": None, "tracks": None}
     for k in range(200):
         now_ns = samples.NOW_NS + 100 * MS * k
         car.send(sign_message(samples.message(k, "car1", now_ns, **small), key), now_ns)

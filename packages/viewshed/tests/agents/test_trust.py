@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -288,7 +289,7 @@ def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
         ({"able": np.ones((2, 2), bool)}, "able must be"),
     ],
 )
-def test_bad_reports_are_refused(change: dict[str, np.ndarray], message: str) -> None:
+def test_bad_reports_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(reports_of(np.ones((1, 2), bool), np.ones((1, 2))), **change)
 

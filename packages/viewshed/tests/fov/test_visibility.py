@@ -19,7 +19,6 @@ from viewshed.fov.visibility import (
     cell_windows,
     expected_returns,
     probability_of_visible,
-    returns_by_kind,
 )
 from viewshed.grid import BevGrid
 
@@ -56,29 +55,19 @@ def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, targ
         assert abs(aimed[cell] - aim) <= 4 + 4 * np.sqrt(aim)
 
 
-def test_kinds_of_beams_are_counted_each_alone_and_as_often_as_one_asks() -> None:
-    rng = np.random.default_rng(6)
-    kinds = [_random_beams(rng, 4000), _random_beams(rng, 0), _random_beams(rng, 900)]
-    found = returns_by_kind(kinds, 1.8, HeightMap.flat(20.0), GRID, CAR)
-    for _ in range(2):
-        alone = [expected_returns(beams, 1.8, HeightMap.flat(20.0), GRID, CAR)[0] for beams in kinds]
-        assert np.array_equal(found, np.stack(alone))
-    assert found[0].max() > found[2].max() > 0
-    assert not found[1].any()
-
-
 def test_beams_without_a_depth_count_nowhere() -> None:
     depth = np.array([-5.0, np.nan] * 20, np.float32)
     low = Beams(np.zeros(40, np.float32), np.full(40, -0.1, np.float32), depth)
-    assert not returns_by_kind([low], 1.8, HeightMap.flat(20.0), GRID, CAR).any()
+    assert not expected_returns(low, 1.8, HeightMap.flat(20.0), GRID, CAR)[0].any()
 
 
 def test_a_beam_above_every_target_counts_nowhere() -> None:
     up = Beams(np.zeros(50, np.float32), np.full(50, 0.5, np.float32), np.full(50, np.inf, np.float32))
     straight = Beams(up.azimuth, np.full(50, np.inf, np.float32), up.depth_m)
-    assert not returns_by_kind([up, straight], 1.8, HeightMap.flat(20.0), GRID, CAR)[:, :20].any()
+    for beams in (up, straight):
+        assert not expected_returns(beams, 1.8, HeightMap.flat(20.0), GRID, CAR)[0][:20].any()
     low = Beams(up.azimuth, np.full(50, -0.1, np.float32), up.depth_m)
-    assert returns_by_kind([low], 1.8, HeightMap.flat(20.0), GRID, CAR).any()
+    assert expected_returns(low, 1.8, HeightMap.flat(20.0), GRID, CAR)[0].any()
 
 
 def test_a_wall_ahead_hides_only_what_is_behind_it() -> None:
@@ -164,42 +153,46 @@ TABLE = _core.poisson_table(5)
 FLAT = np.zeros((8, 8), np.float32)
 
 
-def _evidence(kinds: Any, heights_m: Any = FLAT, std_m: Any = FLAT, table: Any = TABLE, half_m: float = 20.0) -> Any:
+def _evidence(
+    measured: Any, lost: Any, heights_m: Any = FLAT, std_m: Any = FLAT, table: Any = TABLE, half_m: float = 20.0
+) -> Any:
     return _core.beam_evidence(
-        cell_windows(GRID, 1.8), kinds, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
-        target_height_m=1.5, ground_steps=((-1.22, 0.3), (1.22, 0.3)), end_weights=(0.2, 0.1), table=table,
-        threshold=0.5, reach_m=60.0,
+        cell_windows(GRID, 1.8), measured, lost, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
+        target_height_m=1.5, table=table, reach_m=60.0,
     )  # fmt: skip
 
 
 def test_beams_that_are_no_numbers_count_nowhere_and_all_in_one_column_count_there() -> None:
     odd = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-42], np.float32)
     mixed = tuple(array.ravel() for array in np.meshgrid(odd, odd, odd))
-    returns, *_ = _evidence((mixed,) * 4)
+    returns, *_ = _evidence(mixed, (*mixed, mixed[2], mixed[2]))
     assert np.isfinite(returns).all()
-    assert not _evidence((tuple(np.full(9, np.nan, np.float32) for _ in range(3)),) * 4)[0].any()
+    no_number = np.full(9, np.nan, np.float32)
+    assert not _evidence((no_number,) * 3, (no_number,) * 5)[0].any()
     one = np.full(100_000, 0.3, np.float32), np.full(100_000, -0.15, np.float32), np.full(100_000, 12.0, np.float32)
     inside = tuple(GRID.index(10.5 * np.array([np.cos(0.3), np.sin(0.3)]))[0])
-    assert _evidence((one,) * 4)[0][inside] == pytest.approx(100_000, rel=0.01)
+    assert _evidence(one, (*one, one[2], one[2]))[0][inside] == pytest.approx(100_000, rel=0.01)
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_evidence_is_that_of_each_kind_height_and_end_counted_alone(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    kinds = [_random_beams(rng, count) for count in (3000, 500, 400, 800)]
+    measured, likely, *_ = beams = [_random_beams(rng, count) for count in (3000, 500, 500, 500)]
+    # The beams without a return have three depths, in any order.
+    early, late = (Beams(likely.azimuth, likely.slope, other.depth_m) for other in beams[2:])
     heights_m, std_m = rng.uniform(-0.3, 0.3, (8, 8)).astype(np.float32), rng.uniform(0, 0.4, (8, 8)).astype(np.float32)
     ground = HeightMap(heights_m, 20.0, np.ones((8, 8), np.bool_), std_m=std_m)
-    found = _evidence(tuple(beams.arrays for beams in kinds), heights_m, std_m)
-    for one, beams in zip(found[:3], (kinds[0], kinds[1], kinds[3]), strict=True):
-        assert np.abs(one - expected_returns(beams, 1.8, ground, GRID, CAR)[0]).max() < 1e-3
-    both = kinds[0] + kinds[1]
+    found = _evidence(measured.arrays, (*likely.arrays, early.depth_m, late.depth_m), heights_m, std_m)
+    for one, kind in zip(found[:3], (measured, likely, late), strict=True):
+        assert np.abs(one - expected_returns(kind, 1.8, ground, GRID, CAR)[0]).max() < 1e-3
+    both = measured + likely
     counted = [expected_returns(both, 1.8, ground.shifted(deviations), GRID, CAR) for deviations in (0.0, -1.22, 1.22)]
     assert np.abs(found[3] - counted[0][1]).max() < 1e-3
     enough, lower, higher = (probability_of_visible(returns, 5) for returns, _ in counted)
     prob = 0.4 * enough + 0.3 * lower + 0.3 * higher
-    for weight, ends in zip((0.2, 0.1), kinds[2:], strict=True):
-        returns = expected_returns(kinds[0] + ends, 1.8, ground, GRID, CAR)[0]
+    for weight, ends in zip((0.3, 0.3), (early, late), strict=True):
+        returns = expected_returns(measured + ends, 1.8, ground, GRID, CAR)[0]
         prob += weight * (probability_of_visible(returns, 5) - enough)
     prob = np.clip(prob, 0.0, 1.0)
     wanted = np.where(enough >= 0.5, prob, np.minimum(prob, 0.5))

@@ -12,7 +12,7 @@ from tests.guarantees import brute_force, toy
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import rotation_from_quaternion
-from viewshed.guarantees.envelope import Envelope, Given, Kind, Threat
+from viewshed.guarantees.envelope import GAP, Envelope, Given, Kind, Threat, without_gaps
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 
@@ -66,7 +66,44 @@ def test_added_points_only_shrink(seed: int, count: int, grade: float) -> None:
     clean, some, all_of_them = (toy.envelope(toy.sweep_of(depth, added[:n]), grade) for n in (0, count // 2, count))
     assert not (some.margins > clean.margins).any()
     assert not (all_of_them.margins > some.margins).any()
+    assert not (all_of_them.closed > clean.closed).any()
     assert not (all_of_them.claim() & ~clean.claim()).any()
+    assert not (clean.claim() & ~clean.open()).any()
+
+
+def test_gaps_by_hand() -> None:
+    # A near return, four columns without one, a farther return: the gap takes the farther range; five stay open.
+    row = np.full(30, np.inf, np.float32)
+    row[[3, 8, 14]] = 5.0, 9.0, 5.0
+    expected = row.copy()
+    expected[4:8] = 9.0
+    assert np.array_equal(without_gaps(np.tile(row, (1, 2))), np.tile(expected, (1, 2)))
+    # Around the back of the sensor, and not where a ring is not fired.
+    row = np.full(30, np.inf, np.float32)
+    row[[28, 2]] = 4.0
+    expected = row.copy()
+    expected[[29, 0, 1]] = 4.0
+    assert np.array_equal(without_gaps(np.tile(row, (1, 2)))[0, :30], expected)
+    fired = np.ones((1, 30), np.uint8)
+    fired[0, 0] = 0
+    expected[0] = np.inf
+    assert np.array_equal(without_gaps(np.tile(row, (1, 2)), fired)[0, :30], expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+def test_gaps_close_what_both_sides_block(seed: int) -> None:
+    # At every range: a column is blocked if it is, or if some stretch of GAP + 1 columns around it holds a blocked one
+    # wherever that stretch lies.
+    rng = np.random.default_rng(seed)
+    row = np.where(rng.random(40) < 0.7, np.inf, rng.uniform(1.0, 50.0, 40)).astype(np.float32)
+    closed = without_gaps(np.tile(row, (1, 2)))[0, :40]
+    for near_m in (2.0, 10.0, 60.0):
+        blocked = row < near_m
+        for column in range(40):
+            starts = range(column - GAP, column + 1)
+            expected = all(any(blocked[(start + k) % 40] for k in range(GAP + 1)) for start in starts)
+            assert (closed[column] < near_m) == expected
 
 
 @settings(max_examples=60, deadline=None)

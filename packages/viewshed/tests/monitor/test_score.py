@@ -5,20 +5,31 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
 from viewshed.monitor.evidence import SECTORS, Evidence
 from viewshed.monitor.score import (
     MEMORY_SWEEPS,
+    ONSET_SWEEPS,
     PRIOR_SWEEPS,
     Past,
+    Reference,
     SurpriseScale,
     added,
     strongest,
 )
 
 
-def _kind(name: str, grain: float) -> Evidence:
-    return Evidence(name, lambda _: np.zeros(SECTORS, np.float32), grain, "{value}")
+def _kind(name: str, grain: float, *, two_sided: bool = False) -> Evidence:
+    return Evidence(name, lambda _: np.zeros(SECTORS, np.float32), grain, "{value}", two_sided)
+
+
+STATE = {"a": _kind("a", 1.0, two_sided=True), "b": _kind("b", 1.0, two_sided=True)}
+
+
+def _evidence(*numbers: float) -> NDArray[np.float32]:
+    """Return evidence (E, SECTORS), the same in all sectors, whose logarithms in grains of 1 are these numbers."""
+    return np.repeat(np.expm1(np.array(numbers, np.float32))[:, None], SECTORS, axis=1)
 
 
 def test_the_three_strongest_sectors_count_in_grains() -> None:
@@ -31,45 +42,63 @@ def test_the_three_strongest_sectors_count_in_grains() -> None:
     assert_allclose(strongest(evidence, kinds), [np.log(3.0), np.log(4.0), np.nan])
 
 
+def test_a_sector_counts_by_what_is_beyond_its_last_five_sweeps() -> None:
+    kinds = {"one-sided": _kind("a", 1.0), "two-sided": _kind("b", 1.0, two_sided=True)}
+    past = Past(np.ones(2, np.float32), kinds)
+    before, now = np.zeros((2, 2, SECTORS), np.float32)
+    before[:, 10] = 5.0
+    now[:, [12, 13, 30]] = 7.0
+    past.add(before)
+    for _ in range(ONSET_SWEEPS - 1):
+        past.add(np.full((2, SECTORS), np.nan, np.float32))
+    onset = past.onset(now)
+    # Sector 12 is beside one that had 5, sector 13 is not; two-sided kinds are the sensor's, not a sector's.
+    assert onset[0, [10, 12, 13, 30]].tolist() == [0.0, 2.0, 7.0, 7.0]
+    assert_array_equal(onset[1], now[1])
+    past.add(now)
+    assert past.onset(before)[0].max() == 0.0 < past.copy().onset(2 * now)[0].max(), "the oldest sweep is forgotten"
+    assert past.onset(before + 1.0)[0, 10] == 0.0
+
+
 def test_what_is_usual_in_a_stream_is_no_change() -> None:
     rng = np.random.default_rng(0)
-    past = Past(np.array([1.0, 1.0], np.float32), np.array([False, True]))
+    past = Past(np.array([0.1, 0.1], np.float32), STATE)
     for _ in range(MEMORY_SWEEPS):
-        past.add(rng.normal([50.0, -3.0], [2.0, 0.5]).astype(np.float32))
+        past.add(_evidence(*rng.normal([5.0, 3.0], [0.2, 0.05])))
     usual = past.reference()
-    assert_allclose(usual.location, [50.0, -3.0], atol=0.3)
-    assert_allclose(usual.scale, [2.0, 0.5], rtol=0.35)
-    higher = usual.changes(np.array([60.0, 0.0], np.float32))
-    lower = usual.changes(np.array([40.0, -6.0], np.float32))
+    assert_allclose(usual.location, [5.0, 3.0], atol=0.03)
+    assert_allclose(usual.scale, [0.2, 0.05], rtol=0.35)
+    one_sided = Reference(usual.location, usual.scale, np.array([False, True]))
+    higher, lower = (one_sided.changes(np.array(numbers, np.float32)) for numbers in ((6.0, 3.3), (4.0, 2.7)))
     assert higher[0] > 3.0 > lower[0] + 5.0, "less of a one-sided kind is no change"
     assert higher[1] == pytest.approx(lower[1], rel=0.2)
 
 
 def test_a_minute_is_remembered_and_no_more() -> None:
-    one, other = (Past(np.ones(1, np.float32), np.array([False])) for _ in range(2))
-    for value in range(500):
-        one.add(np.array([1000.0 + value], np.float32))
-    for value in np.random.default_rng(1).normal(0.0, 1.0, MEMORY_SWEEPS):
-        one.add(np.array([value], np.float32))
-        other.add(np.array([value], np.float32))
+    one, other = (Past(np.ones(2, np.float32), STATE) for _ in range(2))
+    for value in range(100):
+        one.add(_evidence(1.0 + 0.1 * value, 0.0))
+    for value in np.random.default_rng(1).normal(5.0, 1.0, MEMORY_SWEEPS):
+        one.add(_evidence(value, 0.0))
+        other.add(_evidence(value, 0.0))
     assert_array_equal(one.reference().location, other.reference().location)
     assert_array_equal(one.reference().scale, other.reference().scale)
 
 
 def test_the_first_seconds_are_standardized_by_the_calibration() -> None:
-    past = Past(np.array([2.0], np.float32), np.array([False]))
+    past = Past(np.full(2, 2.0, np.float32), STATE)
     for _ in range(PRIOR_SWEEPS):
-        past.add(np.array([7.0], np.float32))
+        past.add(_evidence(7.0, 7.0))
     # No spread of its own in as many sweeps as the prior counts for: half of its variance.
     assert past.reference().scale[0] == pytest.approx(2.0 / np.sqrt(2.0))
 
 
 def test_one_attack_in_the_past_does_not_hide_the_next() -> None:
     rng = np.random.default_rng(2)
-    past = Past(np.ones(1, np.float32), np.array([False]))
+    past = Past(np.full(2, 0.1, np.float32), STATE)
     for number in range(300):
-        past.add(np.array([100.0 if number % 60 < 3 else rng.normal()], np.float32))  # 5 % of the sweeps
-    assert past.reference().changes(np.array([100.0], np.float32))[0] > 20.0
+        past.add(_evidence(9.0 if number % 60 < 3 else 1.0 + 0.1 * rng.normal(), 0.0))  # 5 % of the sweeps
+    assert past.reference().changes(np.array([9.0, 0.0], np.float32))[0] > 20.0
 
 
 @given(st.lists(st.floats(-5.0, 50.0), min_size=20, max_size=60), st.floats(0.0, 50.0), st.floats(0.0, 50.0))

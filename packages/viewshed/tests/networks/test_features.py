@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from viewshed import _core
 from viewshed.estimators import ESTIMATORS
 from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import CAR, expected_returns, returns_by_kind
+from viewshed.fov.visibility import CAR, expected_returns
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.networks.architecture import UNetShape
@@ -102,7 +102,10 @@ def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Sample) -> None
 def test_unresolved_returns_are_those_that_late_ends_add(frame: Sample) -> None:
     leveled = level(frame.sweep, GRID)
     beams = beams_by_evidence(leveled, CAR.height_m)
-    likely, late = returns_by_kind([beams.inferred, beams.late], leveled.sensor_height_m, leveled.ground, GRID, CAR)
+    likely, late = (
+        expected_returns(kind, leveled.sensor_height_m, leveled.ground, GRID, CAR)[0]
+        for kind in (beams.inferred, beams.late)
+    )
     found = maps(frame.sweep)["unresolved"]
     assert np.array_equal(found, returns_code(np.maximum(late - likely, 0)))
     assert found.any()

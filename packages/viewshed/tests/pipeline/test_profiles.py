@@ -22,6 +22,7 @@ def test_who_may_be_lied_to_is_watched_and_trusts_later_than_others() -> None:
     assert contested.monitor
     assert contested.rules.recover_sweeps > RULES.recover_sweeps
     assert contested.rules.most_suspect < RULES.most_suspect
+    assert contested.certify is not None
 
 
 def test_a_name_that_does_not_exist_and_negative_numbers_are_refused() -> None:

@@ -12,12 +12,14 @@ from viewshed.estimators import Estimator
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
+from viewshed.guarantees.certificate import certify
+from viewshed.guarantees.envelope import Threat
 from viewshed.io.samples import junction_path
 from viewshed.monitor import IntegrityReport
 from viewshed.monitor.evidence import SECTORS
 from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
 from viewshed.pipeline import Answer, Caution, Pipeline, Vehicle, speed_for_view
-from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
 SWEEP = read_sweep(junction_path())
@@ -165,6 +167,46 @@ def test_an_alarm_withdraws_claims_until_sweeps_were_calm() -> None:
     inside = (azimuth > np.radians(15)) & (azimuth < np.radians(30))  # sector 40, 20° to 25°, and those beside it
     assert (alarmed.state[inside] == CellState.UNKNOWN).all()
     assert np.array_equal(alarmed.state[~inside], clean.state[~inside])
+
+
+GIVEN = read_sweep(junction_path(), sensor="hdl32e", sensor_height_m=1.84, attitude=[1, 0, 0, 0])
+
+
+def alarmed_answer(sweep: Sweep, accused: bool = False) -> Answer:
+    """Return the answer to a sweep with an alarm, of a pipeline that falls back to certified cells."""
+    answers: list[Answer] = []
+    threat = Threat("window", 5)
+    with Pipeline(shadow_map(), answers.append, monitor=alarming(0), certify=threat, lossless=True) as pipeline:
+        pipeline.accuse(["ego"] if accused else [])
+        pipeline.put(at(0.0, sweep), "ego")
+    return answers[0]
+
+
+def test_an_alarm_falls_back_to_certified_cells() -> None:
+    answer, clean = alarmed_answer(GIVEN), shadow_map().estimate(GIVEN)
+    certificate = certify(level(GIVEN, clean.grid), clean, Threat("window", 5))
+    azimuth = np.arctan2(clean.grid.centers[..., 1], clean.grid.centers[..., 0])
+    suspect = (azimuth > np.radians(15)) & (azimuth < np.radians(30))
+    assert answer.reaction.caution == Caution.WIDEN
+    assert answer.estimate is not None
+    kept = answer.estimate.visible()
+    assert (kept & suspect).any()
+    assert np.array_equal(kept & suspect, certificate.certified_visible & suspect)
+    assert np.array_equal(kept & ~suspect, clean.visible() & ~suspect)
+    assert answer.notes == ("noted", certificate.line)
+
+
+def test_nothing_is_certified_of_an_accused_agent_or_by_what_a_sweep_says_of_itself() -> None:
+    accused = alarmed_answer(GIVEN, accused=True)
+    assert accused.estimate is not None
+    assert not accused.estimate.visible().any()
+    assert accused.notes == ("noted",)
+    inferred = alarmed_answer(GIVEN.replace(sensor_height_m=None))
+    assert inferred.estimate is not None
+    assert inferred.notes[-1].startswith("nothing certified: mounting height inferred")
+    unknown = alarmed_answer(GIVEN.replace(model=None, infer_sensor=False, ring=None))
+    assert unknown.notes[-1].startswith("nothing certified: ")
+    assert (unknown.estimate is not None) == (unknown.refused == "")
 
 
 def test_what_publish_raises_is_raised_by_close() -> None:

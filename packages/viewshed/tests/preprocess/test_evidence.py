@@ -23,7 +23,7 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target, poisson_table
 from viewshed.networks.card import NetworkCard
 from viewshed.preprocess import evidence as evidence_module
-from viewshed.preprocess.evidence import GROUND_STEPS, BeamEvidence, beam_evidence
+from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import Held, LeveledSweep, level
 from viewshed.preprocess.reach import reach_of_sweep
@@ -144,7 +144,7 @@ def test_evidence_is_the_definition_beam_by_beam(target: Target, grid: BevGrid, 
     evidence = beam_evidence(leveled, grid, target)
     # Windows end within a column of azimuth: cells in which a beam does, at any height of the ground, are not sure.
     column = 2 * np.pi / _core.AZIMUTH_COLUMNS
-    steps = [(0.0, 1.0 - sum(weight for _, weight in GROUND_STEPS)), *GROUND_STEPS]
+    steps = [(0.0, 0.4), (-1.22, 0.3), (1.22, 0.3)]
     prob, sure = np.zeros(grid.shape), np.ones(grid.shape, np.bool_)
     for deviations, weight in steps:
         least, most = (
@@ -272,7 +272,7 @@ def test_claims_that_rest_on_inferred_beams_or_on_unsure_ground_are_counted() ->
     for visible, counted in ((every, (3, 1, 2)), (first, (1, 0, 0)), (none, (0, 0, 0))):
         state = evidence.states(visible, none, none)
         table = poisson_table(evidence.target.min_returns)
-        counts = _core.claims(state, evidence.measured, node, std_m, table=table, threshold=0.5, unsure_m=0.5)
+        counts = _core.claims(state, evidence.measured, node, std_m, table=table)
         assert counts == counted
 
 

@@ -131,7 +131,7 @@ def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
     assert held.held.is_height_held
     alone, streamed = (precision_recall(one, truth, known) for one in (poisoned, held))
     # Alone, a sweep that is moved far claims little, and nearly all of it rightly.
-    assert streamed[0] > min(alone[0], 0.985) - 0.001
+    assert streamed[0] > min(alone[0], 0.99) - 0.001
     assert streamed[1] > alone[1] + 0.08
 
 

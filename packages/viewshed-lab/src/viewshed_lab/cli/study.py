@@ -334,6 +334,9 @@ def guarantees(
     survey: Annotated[
         Path | None, typer.Option(metavar="LOG", help="Folder of an Argoverse 2 log with its map, to judge the masks.")
     ] = None,
+    real: Annotated[
+        Path | None, typer.Option(metavar="INDEX", help="JSON of real posed sweeps, to judge the masks by each other.")
+    ] = None,
 ) -> None:
     """What cannot be over-claimed: certificates, attacks, masks.
 
@@ -343,6 +346,7 @@ def guarantees(
     """
     from viewshed_lab.studies.guarantees import jobs
     from viewshed_lab.studies.guarantees.page import files_of
+    from viewshed_lab.studies.guarantees.scenes import crossview_of, survey_of
 
     if preset not in jobs.SIZES:
         raise ValueError(f"preset must be one of {', '.join(jobs.SIZES)}, got {preset!r}")
@@ -350,7 +354,9 @@ def guarantees(
     if run:
         jobs.run_study(folder, jobs.SIZES[preset], lambda line: typer.echo(line, err=True))
     if survey is not None:
-        jobs.judge_by_survey(folder, survey)
+        jobs.judge(folder, "survey", partial(survey_of, survey))
+    if real is not None:
+        jobs.judge(folder, "crossview", partial(crossview_of, real))
     if ship is not None:
         jobs.ship(folder, ship)
     _show(page or folder, files_of(folder))

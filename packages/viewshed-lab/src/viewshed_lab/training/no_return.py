@@ -8,10 +8,10 @@ by the likelihood of the exact ranges.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,13 +23,16 @@ from torch.nn import functional
 from viewshed.arrays import F32, Mask
 from viewshed.fov.visibility import CAR
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.preprocess.no_return import MODEL_ARRAYS, no_return_groups
+from viewshed.preprocess.no_return import no_return_groups
 from viewshed_lab.data.wild import WildObservation
 
 LOG_NONE = 8.0
 """Logarithm (base 2) of the range of a stop that is not there."""
 
 MOST_DEVIATIONS = 6.0
+
+ARRAYS = ("mean", "scale", "first", "first_bias", "second", "second_bias", "third", "third_bias")
+"""Of the network as the core has it."""
 
 _MOST_ANGLE = np.deg2rad(1.0)
 """Groups whose next exact beam points elsewhere by more than this are left out."""
@@ -136,7 +139,7 @@ class NoReturnNet(nn.Module):
             flat += [layer.weight.T, layer.bias]
         return {
             name: np.ascontiguousarray(value.detach().numpy(), np.float32)
-            for name, value in zip(MODEL_ARRAYS, flat, strict=True)
+            for name, value in zip(ARRAYS, flat, strict=True)
         }
 
 
@@ -177,14 +180,8 @@ class Mixture:
         return (torch.exp(self.log_share)[:, None] * beyond).sum(2) + torch.exp(self.log_free)[:, None]
 
 
-def save_model(net: NoReturnNet, path: Path) -> None:
-    """Write a network for the core."""
-    arrays: dict[str, Any] = net.arrays()
-    np.savez_compressed(path, **arrays)
-
-
 def source_of(arrays: Mapping[str, F32]) -> str:
-    """Return the numbers of a network as C++, which is compiled into the core for programs without Python."""
+    """Return the numbers of a network as C++, which is compiled into the core."""
     rows = []
     for name, array in arrays.items():
         numbers = [f"{value:.9g}" for value in array.ravel().tolist()]
@@ -192,3 +189,12 @@ def source_of(arrays: Mapping[str, F32]) -> str:
         lines = [", ".join(f"{word}f" for word in numbers[k : k + 12]) for k in range(0, len(numbers), 12)]
         rows.append(f"static const float {name.upper()}[] = {{\n" + ",\n".join(lines) + "};\n")
     return "".join(rows)
+
+
+def arrays_of(source: str) -> dict[str, F32]:
+    """Return the network that :func:`source_of` wrote."""
+    found = re.findall(r"float (\w+)\[\] = \{([^}]*)\}", source)
+    arrays = {name.lower(): np.array(numbers.replace("f", "").split(","), np.float32) for name, numbers in found}
+    for layer in ("first", "second", "third"):
+        arrays[layer] = arrays[layer].reshape(-1, len(arrays[f"{layer}_bias"]))
+    return arrays

@@ -10,6 +10,7 @@
 #include <optional>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "arrays.hpp"
 
@@ -78,6 +79,16 @@ template <typename Stage>
 auto without_lock(Stage&& stage) {
     nb::gil_scoped_release unlocked;
     return stage();
+}
+
+// Values of a vector, copied.
+template <typename T>
+Out<T> array_of(const std::vector<T>& values) {
+    return array(copy_of(View1<const T>{values.data(), values.size()}));
+}
+template <typename T>
+Out<T> array_of(const std::vector<T>& values, std::initializer_list<std::size_t> shape) {
+    return array(copy_of(View1<const T>{values.data(), values.size()}), shape);
 }
 
 template <typename T>

@@ -1,9 +1,6 @@
 #include "evidence.hpp"
 
-#include <nanobind/stl/array.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
@@ -15,8 +12,9 @@
 namespace viewshed {
 namespace {
 
-// The beams of one kind as Python hands them in: azimuth, slope, depth_m.
+// Azimuth, slope and depth_m of beams; and of those without a return, with their likely, early and late depth.
 using BeamArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
+using LostArrays = std::tuple<In1<float>, In1<float>, In1<float>, In1<float>, In1<float>>;
 
 Beams beams_of(const BeamArrays& arrays) {
     const auto& [azimuth, slope, depth_m] = arrays;
@@ -24,6 +22,16 @@ Beams beams_of(const BeamArrays& arrays) {
             "azimuth, slope and depth_m must have one shape (B,)");
     require(azimuth.shape(0) < (1u << 30), "beams must be fewer than 2^30");
     return {view(azimuth), view(slope), view(depth_m)};
+}
+
+LostBeams lost_beams_of(const LostArrays& arrays) {
+    const auto& [azimuth, slope, likely_m, early_m, late_m] = arrays;
+    LostBeams lost{};
+    for (std::size_t d = 0; const auto* depth_m : {&likely_m, &early_m, &late_m}) {
+        const Beams beams = beams_of({azimuth, slope, *depth_m});
+        lost.azimuth = beams.azimuth, lost.slope = beams.slope, lost.depth_m[d++] = beams.depth_m;
+    }
+    return lost;
 }
 
 const std::uint8_t* bytes_of(const In2<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); }
@@ -45,6 +53,8 @@ View1<const float> table_of(const In1<float>& table) {
 }  // namespace
 
 void bind_evidence(nb::module_& m) {
+    m.attr("THRESHOLD") = THRESHOLD;
+    m.attr("UNSURE_M") = UNSURE_M;
     m.def(
         "poisson_table",
         [](int min_returns) {
@@ -61,68 +71,58 @@ void bind_evidence(nb::module_& m) {
         },
         "counts"_in, "table"_in, "Probability (N,) at mean counts (N,), from a poisson_table.");
     m.def(
-        "returns_by_kind",
-        [](const CellWindows& windows, const std::vector<BeamArrays>& kinds, In2<float> heights_m, float half_extent_m,
+        "expected_returns",
+        [](const CellWindows& windows, const BeamArrays& beams_, In2<float> heights_m, float half_extent_m,
            float sensor_height_m, float target_height_m) {
-            require(kinds.size() >= 1 && kinds.size() <= KINDS, "kinds must be one to four sets of beams");
-            std::array<Beams, KINDS> beams{};
-            std::transform(kinds.begin(), kinds.end(), beams.begin(), beams_of);
+            const Beams beams = beams_of(beams_);
             const TargetGround ground = ground_of(heights_m, heights_m, half_extent_m, sensor_height_m);
             const std::size_t cells = windows.cells();
-            Buffer<float> returns(kinds.size() * cells), aimed(cells);
-            {
-                nb::gil_scoped_release unlocked;
-                const CellCounts counts = count_beams(windows, beams, ground, target_height_m, nullptr);
+            Buffer<float> returns(cells), aimed(cells);
+            without_lock([&] {
+                const CellCounts counts = count_beams(windows, beams, {}, ground, target_height_m, nullptr);
                 float lanes[LANES][CellCounts::BLOCK];
                 for (std::size_t first = 0; first < cells; first += CellCounts::BLOCK) {
                     const std::size_t size = std::min(CellCounts::BLOCK, cells - first);
                     counts.read(first, size, lanes);
-                    for (std::size_t kind = 0; kind < kinds.size(); ++kind) {
-                        float* const out = &returns[kind * cells + first];
-                        for (std::size_t n = 0; n < size; ++n) out[n] = std::max(lanes[kind][n], 0.0f);
-                    }
+                    for (std::size_t n = 0; n < size; ++n) returns[first + n] = std::max(lanes[MEASURED][n], 0.0f);
                     std::copy_n(lanes[AIMED], size, &aimed[first]);
                 }
-            }
-            return tuple_of(array(std::move(returns), {kinds.size(), windows.grid_rows, windows.grid_columns}),
-                                  array(std::move(aimed), {windows.grid_rows, windows.grid_columns}));
+            });
+            const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
+            return tuple_of(shaped(returns), shaped(aimed));
         },
-        "windows"_a, "kinds"_in, "heights_m"_in, "half_extent_m"_a, "sensor_height_m"_a, "target_height_m"_a,
-        "Expected returns (kinds, cells, cells) of a target in each cell, and the beams (cells, cells) of the first two kinds "
-        "that aim.");
+        "windows"_a, "beams"_in, "heights_m"_in, "half_extent_m"_a, "sensor_height_m"_a,
+        "target_height_m"_a,
+        "Expected returns (cells, cells) of a target in each cell, and the beams (cells, cells) that aim at it.");
     m.def(
         "beam_evidence",
-        [](const CellWindows& windows, const std::array<BeamArrays, KINDS>& kinds, In2<float> heights_m, In2<float> std_m,
-           float half_extent_m, float sensor_height_m, float target_height_m,
-           const std::array<std::pair<float, float>, 2>& ground_steps, const std::pair<float, float>& end_weights,
-           In1<float> table, float threshold, float reach_m) {
-            const std::array<Beams, KINDS> beams{beams_of(kinds[0]), beams_of(kinds[1]), beams_of(kinds[2]), beams_of(kinds[3])};
+        [](const CellWindows& windows, const BeamArrays& measured_beams, const LostArrays& lost_arrays, In2<float> heights_m,
+           In2<float> std_m, float half_extent_m, float sensor_height_m, float target_height_m,
+           In1<float> table, float reach_m) {
+            const Beams beams = beams_of(measured_beams);
+            const LostBeams lost = lost_beams_of(lost_arrays);
             const TargetGround ground = ground_of(heights_m, std_m, half_extent_m, sensor_height_m);
             const View1<const float> probabilities = table_of(table);
-            const std::array<float, 2> deviations{ground_steps[0].first, ground_steps[1].first};
-            const float lower = ground_steps[0].second, higher = ground_steps[1].second;
-            const Rule rule{1.0f - lower - higher, lower, higher, end_weights.first, end_weights.second, threshold,
-                            std::nextafter(threshold, 0.0f), reach_m};
             const std::size_t cells = windows.cells();
             Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
             Buffer<bool> within_reach(cells);
             without_lock([&] {
-                measure_evidence(windows, beams, ground, target_height_m, deviations, probabilities, rule,
+                measure_evidence(windows, beams, lost, ground, target_height_m, probabilities, reach_m,
                                  {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data(),
                                   within_reach.data()});
             });
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {windows.grid_rows, windows.grid_columns}); };
             return tuple_of(shaped(measured), shaped(inferred), shaped(late), shaped(aimed),
-                                  shaped(visible_prob), shaped(within_reach));
+                            shaped(visible_prob), shaped(within_reach));
         },
-        "windows"_a, "kinds"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a, "sensor_height_m"_a,
-        "target_height_m"_a, "ground_steps"_a, "end_weights"_a, "table"_in, "threshold"_a, "reach_m"_a,
-        "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from "
-        "beams of the four kinds.");
+        "windows"_a, "measured"_in, "lost"_in, "heights_m"_in, "std_m"_in, nb::kw_only(), "half_extent_m"_a,
+        "sensor_height_m"_a, "target_height_m"_a, "table"_in, "reach_m"_a,
+        "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
+        "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
-           In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table, float threshold, float sure_aim) {
+           In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table) {
             const auto has_shape = [&](const auto& array) {
                 return array.shape(0) == measured.shape(0) && array.shape(1) == measured.shape(1);
             };
@@ -134,18 +134,16 @@ void bind_evidence(nb::module_& m) {
                                          bytes_of(within_reach)};
             Buffer<std::uint8_t> state(cells);
             without_lock([&] {
-                write_states(support, view(table), threshold, sure_aim, {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)},
-                             state);
+                write_states(support, view(table), {bytes_of(visible), bytes_of(denied), bytes_of(obstacle)}, state);
             });
             return array(std::move(state), {measured.shape(0), measured.shape(1)});
         },
-        "measured"_in, "late"_in, "aimed"_in, "visible_prob"_in, "within_reach"_in, "visible"_in, "denied"_in, "obstacle"_in,
-        nb::kw_only(), "table"_in, "threshold"_a, "sure_aim"_a,
+        "measured"_in, "late"_in, "aimed"_in, "visible_prob"_in, "within_reach"_in, "visible"_in, "denied"_in,
+        "obstacle"_in, nb::kw_only(), "table"_in,
         "States (cells, cells) uint8 of cells that an estimator calls visible, or not, and that hold an obstacle or not.");
     m.def(
         "claims",
-        [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table,
-           float threshold, float unsure_m) {
+        [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table) {
             const auto has_shape = [&](const auto& array) {
                 return array.shape(0) == state.shape(0) && array.shape(1) == state.shape(1);
             };
@@ -154,11 +152,12 @@ void bind_evidence(nb::module_& m) {
             require(state.size() < (1u << 31), "cells must be fewer than 2^31");
             const Buffer<std::int32_t> nodes =
                 indices_of<std::int32_t>(view(node).flat(), 0, std::int32_t(std_m.size()) - 1, "node");
-            const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(), unsure_m,
-                                               view(table), threshold);
+            const Claims claims = count_claims(view(state).flat(), measured.data(), nodes.data(), view(std_m).flat(),
+                                               view(table));
             return tuple_of(claims.all, claims.over_unsure_ground, claims.inferred);
         },
-        "state"_in, "measured"_in, "node"_in, "std_m"_in, nb::kw_only(), "table"_in, "threshold"_a, "unsure_m"_a,
+        "state"_in, "measured"_in, "node"_in, "std_m"_in, nb::kw_only(),
+        "table"_in,
         "How many cells (cells, cells) are free or surface; how many of these lie over ground, at a node of std_m, that is "
         "unsure; and how many measured returns alone would not support.");
 }

@@ -57,7 +57,7 @@ void bind_fov_code(nb::module_& m) {
             std::optional<Out<float>> deviation;
             if (has_std) deviation = array(std::move(stds), {cells, cells});
             return tuple_of(array(std::move(state), {cells, cells}), array(std::move(probs), {cells, cells}),
-                                  deviation);
+                            deviation);
         },
         "code"_in, "cells"_a, "row"_a, "column"_a, "prob"_in, "std"_in,
         "State, probability and deviation (None without values for it) of each cell; None where the code is none.");

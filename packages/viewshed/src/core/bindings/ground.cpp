@@ -20,8 +20,8 @@ namespace {
 auto as_tuple(FoundGround& ground, std::size_t n) {
     const auto& [a, b, c] = ground.carrier.plane;
     return tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
-                          array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.carrier.support,
-                          ground.level_m);
+                    array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.carrier.support,
+                    ground.level_m);
 }
 
 Plane plane_of(const In1<float>& plane) {

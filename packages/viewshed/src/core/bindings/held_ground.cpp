@@ -48,7 +48,7 @@ void bind_held_ground(nb::module_& m) {
             }
             if (!taken) return std::nullopt;
             return tuple_of(array(std::move(out_m), {n, n}), array(std::move(out_std_m), {n, n}),
-                                  array(std::move(out_seen), {n, n}));
+                            array(std::move(out_seen), {n, n}));
         },
         "heights_m"_a.noconvert(), "std_m"_a.noconvert(), "seen"_a.noconvert(), "half_m"_a,
         "before_heights_m"_a.noconvert(), "before_std_m"_a.noconvert(), "before_seen"_a.noconvert(), "before_half_m"_a,

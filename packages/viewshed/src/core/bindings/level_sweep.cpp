@@ -49,7 +49,7 @@ void bind_level_sweep(nb::module_& m) {
             return tuple_of(
                 image, array(std::move(rotation), {3, 3}), made.height_m,
                 tuple_of(array(std::move(ground.heights_m), {n, n}), array(std::move(ground.std_m), {n, n}),
-                               array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.support),
+                         array(std::move(ground.seen), {n, n}), tuple_of(a, b, c), ground.support),
                 level_arrays(std::move(level)));
         },
         "points"_in, "ring"_in.none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a, "attitude"_in.none(),

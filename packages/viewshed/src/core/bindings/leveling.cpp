@@ -12,7 +12,7 @@ namespace viewshed {
 
 LevelArrays level_arrays(LevelPoints&& level) {
     return tuple_of(array(std::move(level.points), {level.count, 3}), array(std::move(level.range_m)),
-                          array(std::move(level.azimuth)), array(std::move(level.height_m)), array(std::move(level.rows)));
+                    array(std::move(level.azimuth)), array(std::move(level.height_m)), array(std::move(level.rows)));
 }
 
 void bind_leveling(nb::module_& m) {

@@ -41,7 +41,7 @@ Pixels pixels_of(const In1<std::int16_t>& ring, const In1<std::int32_t>& column,
 auto arrays_of(BeamColumns&& beams) {
     const std::size_t count = beams.count;
     return tuple_of(array(std::move(beams.azimuth), {count}), array(std::move(beams.slope), {count}),
-                          array(std::move(beams.depth_m), {count}));
+                    array(std::move(beams.depth_m), {count}));
 }
 
 Ground ground_of(const In2<float>& heights_m, float half_extent_m) {
@@ -74,28 +74,12 @@ struct SweepArrays {
 
 void bind_no_return(nb::module_& m) {
     m.attr("JITTER_COLUMNS") = JITTER_COLUMNS;
-    nb::class_<NoReturnModel>(m, "NoReturnModel", "The network that guesses how far beams without a return went.")
-        .def(
-            "__init__",
-            [](NoReturnModel* self, In1<float> mean, In1<float> scale, In2<float> first, In1<float> first_bias,
-               In2<float> second, In1<float> second_bias, In2<float> third, In1<float> third_bias) {
-                const auto values = [](const auto& a) { return std::vector<float>(a.data(), a.data() + a.size()); };
-                const auto layer = [&](const In2<float>& weights, const In1<float>& bias) {
-                    require(weights.shape(1) == bias.shape(0), "layers must fit each other");
-                    return NoReturnModel::Layer{weights.shape(0), values(weights), values(bias)};
-                };
-                new (self) NoReturnModel(values(mean), values(scale),
-                                         {layer(first, first_bias), layer(second, second_bias), layer(third, third_bias)});
-            },
-            "mean"_a.noconvert(), "scale"_a.noconvert(), "first"_a.noconvert(), "first_bias"_a.noconvert(),
-            "second"_a.noconvert(), "second_bias"_a.noconvert(), "third"_a.noconvert(), "third_bias"_a.noconvert());
     m.def(
         "beams_by_evidence",
         [](In1<std::int16_t> ring, In1<std::int32_t> column, In2<std::uint8_t> counts, In1<bool> isolated,
            std::optional<In1<bool>> clutter, In1<float> phase, In1<double> elevation, In1<double> origin_m,
            Rotation rotation, Points points, In1<float> range_m, In1<float> height_m, In1<std::int32_t> rows,
-           double sensor_height_m, In2<float> ground_m, float half_extent_m, double top_m, float obstacle_m,
-           const NoReturnModel& model) {
+           double sensor_height_m, In2<float> ground_m, float half_extent_m, double top_m, float obstacle_m) {
             const SweepArrays sweep{pixels_of(ring, column, counts, isolated, clutter),
                                     {view(phase), view(elevation), view(origin_m), rotation.data()},
                                     view(range_m), view(height_m), copy_of(view(rows)), obstacle_m,
@@ -109,17 +93,17 @@ void bind_no_return(nb::module_& m) {
                 const DepthImages images = sweep.images();  // checks the rows, which beam_slopes trusts
                 beam_slopes(view(points), view(range_m), sweep.sensor_height_m, view(isolated), sweep.rows, slope);
                 beams = guess_no_return_beams(images, sweep.aims, sweep.ground, sweep.sensor_height_m, top_m,
-                                              sweep.steep_m(), model);
+                                              sweep.steep_m());
             }
             const auto shaped = [&](auto& buffer) { return array(std::move(buffer), {beams->count}); };
             return tuple_of(array(std::move(slope)), shaped(beams->azimuth), shaped(beams->slope),
-                                  shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
+                            shaped(beams->early_m), shaped(beams->depth_m), shaped(beams->late_m));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),
         "rotation"_a.noconvert(), "points"_a.noconvert(), "range_m"_a.noconvert(), "height_m"_a.noconvert(),
         "rows"_a.noconvert(), "sensor_height_m"_a, "ground_m"_a.noconvert(), "half_extent_m"_a, "top_m"_a,
-        "obstacle_m"_a, "model"_a,
+        "obstacle_m"_a,
         "Slope (M,) of measured beams; azimuth, slope, early, likely and late depth (B,) of beams without a return.");
     m.def(
         "no_return_groups",
@@ -140,8 +124,8 @@ void bind_no_return(nb::module_& m) {
             }
             const std::size_t size = groups->azimuth.size();
             return tuple_of(array(std::move(groups->azimuth)), array(std::move(groups->slope)),
-                                  array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
-                                  array(std::move(groups->stop), {size, std::size_t(STOPS)}));
+                            array(std::move(groups->beams)), array(std::move(groups->feature), {size, FEATURES}),
+                            array(std::move(groups->stop), {size, std::size_t(STOPS)}));
         },
         "ring"_a.noconvert(), "column"_a.noconvert(), "counts"_a.noconvert(), "isolated"_a.noconvert(),
         "clutter"_a.noconvert().none(), "phase"_a.noconvert(), "elevation"_a.noconvert(), "origin_m"_a.noconvert(),

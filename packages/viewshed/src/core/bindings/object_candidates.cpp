@@ -14,25 +14,18 @@ void bind_object_candidates(nb::module_& m) {
             require(height_m.shape(0) == points.shape(0), "height_m must be as long as points");
             require(range_m.shape(0) == points.shape(0), "range_m must be as long as points");
             require(std::isfinite(sensor_height_m), "sensor_height_m must be finite");
-            Candidates found;
-            {
-                nb::gil_scoped_release unlocked;
+            const Candidates found = without_lock([&] {
                 const Buffer<float> own = copy_of(view(points).flat()), own_m = copy_of(view(height_m));
-                found = find_candidates({own.data(), points.shape(0), 3}, own_m, view(range_m), sensor_height_m);
-            }
-            const auto whole = [](const std::vector<std::int32_t>& values) {
-                Buffer<std::int32_t> out(values.size());
-                std::copy(values.begin(), values.end(), out.begin());
-                return array(std::move(out));
-            };
+                return find_candidates({own.data(), points.shape(0), 3}, own_m, view(range_m), sensor_height_m);
+            });
             const std::size_t count = found.first.size();
             Buffer<float> sides(count * 6), shapes(count * SHAPES);
             for (std::size_t k = 0; k < count; ++k) {
                 std::copy(found.sides[k].begin(), found.sides[k].end(), sides.begin() + k * 6);
                 std::copy(found.shapes[k].begin(), found.shapes[k].end(), shapes.begin() + k * SHAPES);
             }
-            return tuple_of(whole(found.rows), whole(found.first), whole(found.last), whole(found.parent),
-                                  array(std::move(sides), {count, 6}), array(std::move(shapes), {count, SHAPES}));
+            return tuple_of(array_of(found.rows), array_of(found.first), array_of(found.last), array_of(found.parent),
+                            array(std::move(sides), {count, 6}), array(std::move(shapes), {count, SHAPES}));
         },
         "points"_in, "height_m"_in, "range_m"_in, "sensor_height_m"_a,
         "Candidates for objects: rows (P,) by candidate, first, last, parent (C,), sides (C, 6) and shapes (C, 32).");

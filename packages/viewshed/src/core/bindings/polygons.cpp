@@ -30,14 +30,6 @@ Buffer<std::int64_t> checked_begin(const In2<double>& points, const In1<std::int
     return from;
 }
 
-// Values of a vector as an array.
-template <typename T>
-Out<T> array_of(const std::vector<T>& values) {
-    Buffer<T> copy(values.size());
-    std::copy(values.begin(), values.end(), copy.begin());
-    return array(std::move(copy));
-}
-
 // Cells that a function of closed rings marks.
 template <typename Mark>
 Out<bool> cells_of(const In2<double>& points, const In1<std::int64_t>& begin, std::size_t cells, Mark mark) {
@@ -89,10 +81,8 @@ void bind_polygons(nb::module_& m) {
                 indices_of<std::int32_t>(view(regions).flat(), 0, std::numeric_limits<std::int32_t>::max(), "regions");
             auto rings = without_lock(
                 [&] { return trace_rings({inside.data(), cells, cells}, {numbers.data(), cells, cells}); });
-            Buffer<std::int16_t> corners(rings.corners.size());
-            std::copy(rings.corners.begin(), rings.corners.end(), corners.begin());
-            return tuple_of(array(std::move(corners), {rings.corners.size() / 2, std::size_t{2}}),
-                                  array_of(rings.begin), array_of(rings.region));
+            const std::size_t corners = rings.corners.size() / 2;
+            return tuple_of(array_of(rings.corners, {corners, 2}), array_of(rings.begin), array_of(rings.region));
         },
         "mask"_in, "regions"_in,
         "Corners (V, 2) of the rings around a mask's true cells, where rings begin (R + 1,), and the region of each "

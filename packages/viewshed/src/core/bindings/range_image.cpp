@@ -9,8 +9,9 @@ namespace viewshed {
 RangeImageArrays range_image_arrays(RangeImage&& image) {
     const std::size_t rings = image.rings, columns = image.columns;
     return tuple_of(array(std::move(image.column)), array(std::move(image.counts), {rings, columns}),
-                          array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
-                          array(std::move(image.isolated)), array(std::move(image.behind)), array_or_none(std::move(image.clutter)), image.has_full_rings);
+                    array(std::move(image.nearest_m2), {rings, columns}), array(std::move(image.phase)),
+                    array(std::move(image.isolated)), array(std::move(image.behind)),
+                    array_or_none(std::move(image.clutter)), image.has_full_rings);
 }
 
 void bind_range_image(nb::module_& m) {

@@ -30,13 +30,6 @@ std::size_t checked_count(const Points& points) {
     return points.shape(0);
 }
 
-template <typename T>
-Out<T> array_of(const std::vector<T>& values) {
-    Buffer<T> copy(values.size());
-    std::copy(values.begin(), values.end(), copy.data());
-    return array(std::move(copy));
-}
-
 // Azimuth, slope and range columns as the stage keeps them.
 Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, const In1<float>& range_m) {
     require(azimuth.shape(0) == slope.shape(0) && range_m.shape(0) == slope.shape(0),
@@ -157,7 +150,7 @@ void bind_sensor_id(nb::module_& m) {
             const auto known = checked_rings(ring, checked_count(points));
             auto made = without_lock([&] { return recover_rings(view(points), known, table ? &*table : nullptr); });
             return tuple_of(array(std::move(made.ring)), array(std::move(made.column)), made.columns,
-                                  array(std::move(made.elevation)), made.placed, made.alone, int(made.source));
+                            array(std::move(made.elevation)), made.placed, made.alone, int(made.source));
         },
         "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "columns"_a,
         "Ring (N,), column (N,), columns, elevation (rings,), returns with a ring, those alone in their pixel, source. "
@@ -167,7 +160,7 @@ void bind_sensor_id(nb::module_& m) {
         [](Points points) {
             Directions seen = directions_of(view(points));
             return tuple_of(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
-                                  array(std::move(seen.range_m)));
+                            array(std::move(seen.range_m)));
         },
         "points"_in, "Azimuth, slope and horizontal range (N,) of points (N, 3).");
     m.def(

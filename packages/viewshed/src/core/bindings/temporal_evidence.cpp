@@ -7,7 +7,9 @@
 #include <vector>
 
 #include "bindings.hpp"
+#include "cell_memory.hpp"
 #include "parallel.hpp"
+#include "vectors.hpp"
 
 namespace viewshed {
 namespace {
@@ -24,6 +26,12 @@ Transform transform_of(const float* values) {
 Transform transform_of(const In2<float>& values) {
     require(values.shape(0) == 3 && values.shape(1) == 4, "a transform must have shape (3, 4)");
     return transform_of(values.data());
+}
+
+// A transform that keeps places of a sweep where cells can be numbered.
+Transform bounded(const Transform& transform) {
+    for (const float value : transform.m) require(std::fabs(value) < 1e7f, "transforms must be less than 1e7");
+    return transform;
 }
 
 // The transforms (K, 3, 4) to the sensors' frames of other sweeps, one for each.
@@ -86,6 +94,8 @@ void bind_temporal_evidence(nb::module_& m) {
             "points"_a.noconvert(),
             "height_m"_a.noconvert(), "range_m"_a.noconvert(), "azimuth"_a.noconvert(), "isolated"_a.noconvert(),
             "sensor_from_level"_a.noconvert())
+        .def_prop_ro("rings", &SweepView::rings)
+        .def_prop_ro("columns", &SweepView::columns)
         .def_prop_ro("obstacles", [](const SweepView& self) { return self.obstacles().size(); })
         .def(
             "follow",
@@ -94,17 +104,17 @@ void bind_temporal_evidence(nb::module_& m) {
                 require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
                 const std::vector<Other> others = others_of(views, transforms, gaps_s);
                 const Transform placed = transform_of(around_from_self);
-                Buffer<float> speed_mps(sectors), area_m2(sectors), lost(sectors);
+                Buffer<float> speed_mps(sectors);
                 {
                     nb::gil_scoped_release unlocked;
-                    follow_all(self, others, around, placed, speed_mps, area_m2, lost);
+                    follow_all(self, others, around, placed, speed_mps);
                 }
-                return tuple_of(array(std::move(speed_mps)), array(std::move(area_m2)), array(std::move(lost)));
+                return array(std::move(speed_mps));
             },
             "views"_a, "transforms"_a.noconvert(), "gaps_s"_a.noconvert(), "around"_a, "around_from_self"_a.noconvert(),
             "sectors"_a,
-            "Speed m/s that obstacles need to be found as these views found them, area m2 that the first of them saw "
-            "through and that needs too much, share lost in it (sectors,), by azimuth about the sweep `around`.")
+            "Speed m/s that obstacles need to be found as these views found them (sectors,), by azimuth about the sweep "
+            "`around`.")
         .def(
             "jumps",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms,
@@ -145,6 +155,29 @@ void bind_temporal_evidence(nb::module_& m) {
             "Share of the ranges that repeat those of other views, less what noise repeats (views, sectors); NaN where too "
             "few beams returned in both.")
         .def(
+            "new_ranges",
+            [](const SweepView& self, const std::vector<const SweepView*>& views, const std::vector<float>& turned,
+               std::size_t sectors) {
+                require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
+                require(turned.size() == views.size(), "turned must have one value for each view");
+                std::vector<float> columns;
+                for (std::size_t k = 0; k < views.size(); ++k) {
+                    require(views[k] != nullptr && views[k]->rings() == self.rings() && views[k]->columns() == self.columns(),
+                            "views must have the same rings and columns");
+                    require(std::fabs(turned[k]) <= 2 * PI, "turned must be at most a full turn");
+                    columns.push_back(turned[k] * float(self.columns()) / (2 * PI));
+                }
+                Buffer<float> nearer(sectors), farther(sectors), silent(sectors);
+                {
+                    nb::gil_scoped_release unlocked;
+                    find_new_ranges(self, views, columns, nearer, farther, silent);
+                }
+                return tuple_of(array(std::move(nearer)), array(std::move(farther)), array(std::move(silent)));
+            },
+            "views"_a, "turned"_a, "sectors"_a,
+            "Share of the returns nearer, and farther, than all that beams about them had in other views, and of the beams that "
+            "returned in all of those and do not now (sectors,); turned is by how many radians the sensor turned since each.")
+        .def(
             "register_on",
             [](const SweepView& self, const std::vector<const SweepView*>& views, In3<float> transforms) {
                 const std::vector<Transform> to_each = transforms_of(views, transforms);
@@ -166,12 +199,45 @@ void bind_temporal_evidence(nb::module_& m) {
                     matches[k] = std::int64_t(found[k].matches);
                 }
                 return tuple_of(array(std::move(step), {views.size(), 3}),
-                                      array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
-                                      array(std::move(matches)));
+                                array(std::move(information), {views.size(), 3, 3}), array(std::move(sigma_m)),
+                                array(std::move(matches)));
             },
             "views"_a, "transforms"_a.noconvert(),
             "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
             "them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).");
+
+    nb::class_<CellMemory>(m, "CellMemory", "The obstacles of the last seconds of a stream, in cells of the world.")
+        .def(nb::init<>())
+        .def("copy", [](const CellMemory& self) { return CellMemory(self); })
+        .def_prop_ro("cells", &CellMemory::cells)
+        .def(
+            "check",
+            [](const CellMemory& self, const SweepView& now, In2<float> now_from_memory, double t_s,
+               const std::vector<const SweepView*>& views, In3<float> transforms, In1<float> gaps_s,
+               std::size_t sectors) {
+                require(sectors >= 1 && sectors <= 3600, "sectors must lie in [1, 3600]");
+                require(std::isfinite(t_s), "t_s must be finite");
+                const Transform placed = bounded(transform_of(now_from_memory));
+                const std::vector<Other> earlier = others_of(views, transforms, gaps_s);
+                Buffer<float> gone_m(sectors), new_m2(sectors);
+                {
+                    nb::gil_scoped_release unlocked;
+                    self.check(now, placed, t_s, earlier, gone_m, new_m2);
+                }
+                return tuple_of(array(std::move(gone_m)), array(std::move(new_m2)));
+            },
+            "now"_a, "now_from_memory"_a.noconvert(), "t_s"_a, "views"_a, "transforms"_a.noconvert(),
+            "gaps_s"_a.noconvert(), "sectors"_a,
+            "Meters of standing surfaces that the sweep looks through, area m2 of obstacles that are new and came fast "
+            "(sectors,), by azimuth about the sweep.")
+        .def(
+            "add",
+            [](CellMemory& self, const SweepView& now, In2<float> memory_from_now, In2<float> now_from_memory, double t_s) {
+                require(std::isfinite(t_s), "t_s must be finite");
+                self.add(now, bounded(transform_of(memory_from_now)), bounded(transform_of(now_from_memory)), t_s);
+            },
+            "now"_a, "memory_from_now"_a.noconvert(), "now_from_memory"_a.noconvert(), "t_s"_a,
+            "Remember the obstacles of a sweep; forget what was not seen for ten seconds.");
 }
 
 }  // namespace viewshed

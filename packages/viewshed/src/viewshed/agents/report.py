@@ -86,7 +86,9 @@ class AgentReport:
         if np.isfinite(sensor.height_m):
             reach_m = sensor.reach_m if np.isfinite(sensor.reach_m) else view.grid.half_extent_m
             view = replace(view, basis=Basis(sensor.height_m, "given", 1.0, 0.0, 0.0, reach_m))
-        return cls.of(view, message.detections or Detections.none(), PoseStd.of(message.pose_covariance))
+        return cls.of(
+            view, message.detections or Detections.none(), PoseStd.of(message.pose_covariance), message.ground
+        )
 
     @property
     def agent(self) -> str:

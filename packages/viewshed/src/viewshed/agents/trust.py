@@ -71,6 +71,7 @@ class TrustRules:
     disc_m: float = 4.0  # radius of the disc over which a lie puts an object
     # outlier share: of honest positions, those that are as in lies (boxes of objects that are seen in part)
     astray: float = 0.4
+    lied_and_there: float = 0.1  # chance that there is an object where liars alone report one
     begins: float = 0.3  # chance that a lie about an object begins with a look at it: it was reported as it is before
     objects: int = 4  # most objects that count against a hypothesis, those that say most
     most_of_object: float = 20.0  # bound in nats of what one object says against a hypothesis
@@ -80,7 +81,7 @@ class TrustRules:
     temper: float = 5.0  # log-likelihoods are divided by this before they become probabilities
 
     def __post_init__(self) -> None:
-        for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "begins"):
+        for name in ("false_report", "lies", "prior", "least", "agreeing", "astray", "lied_and_there", "begins"):
             values = np.atleast_1d(getattr(self, name))
             if not (len(values) and ((values > 0.0) & (values < 1.0)).all()):
                 raise ValueError(f"{name} must be a probability above 0 and below 1, got {getattr(self, name)}")
@@ -231,7 +232,7 @@ class Trust:
         self._of_objects = {number: known for number, known in faded.items() if np.ptp(known) > 1e-3}
         begins = weight * self.rules.begins
         for number, logs in zip(reports.ids.tolist(), weight * self._likelihoods(reports), strict=True):
-            # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): years of honesty excuse nothing.
+            # Against that nobody lies. A lie goes on, or begins now (Shiryaev, 1963): honesty before excuses nothing.
             known = np.logaddexp(
                 self._of_objects.get(number, np.zeros(len(self._lies))) + np.log1p(-begins), np.log(begins)
             )
@@ -343,7 +344,9 @@ class Trust:
         best = logs >= logs.max() - 1.0
         best &= liars == liars[best].min()
         # An object is one by what those say who are honest.
-        odds = reports.there_bias + reports.there @ (~self._lies).T.astype(np.float64)
+        honest = (~self._lies).T.astype(np.float64)
+        alone = np.log(self.rules.lied_and_there / (1.0 - self.rules.lied_and_there))
+        odds = np.where(reports.seen @ honest > 0, reports.there_bias, alone) + reports.there @ honest
         existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
             evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
@@ -447,7 +450,8 @@ def hypotheses(agents: int) -> Mask:
 def _mixed(logs: F64, shares: F64) -> F64:
     """Return the logarithms of the means (L, J, H) of likelihoods (J, H) given as logarithms, by shares (L, H, H)."""
     highest = logs.max(axis=1, keepdims=True)
-    return np.log(np.maximum(np.exp(logs - highest) @ np.swapaxes(shares, 1, 2), 1e-300)) + highest
+    mixed: F64 = np.log(np.maximum(np.exp(logs - highest) @ np.swapaxes(shares, 1, 2), 1e-300)) + highest
+    return mixed
 
 
 def _log_mean_exp(logs: F64) -> float:

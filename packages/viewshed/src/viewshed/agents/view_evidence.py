@@ -86,7 +86,7 @@ class ComparedView:
         self.report, self.grid = report, report.estimate.grid
         self._states = report.estimate.state.reshape(-1)
         self.lattice = _lattice(self.grid)
-        states = self.states_at(self.lattice)
+        states = self._states[_lattice_numbers(self.grid)]
         self.visible, self.hidden = _is_visible(states), states == CellState.HIDDEN
         xy = self.grid.centers[report.estimate.state == CellState.SURFACE]
         range_m = np.hypot(xy[:, 0], xy[:, 1])
@@ -169,6 +169,11 @@ def _lattice(grid: BevGrid) -> F64:
     range_m = np.hypot(xy[:, 0], xy[:, 1])
     lattice: F64 = xy[(range_m > NEAREST_M) & (range_m < min(FARTHEST_M, grid.half_extent_m))]
     return lattice
+
+
+@lru_cache(maxsize=4)
+def _lattice_numbers(grid: BevGrid) -> NDArray[np.intp]:
+    return _numbers(grid, _lattice(grid))
 
 
 def _numbers(grid: BevGrid, level: F64) -> NDArray[np.intp]:

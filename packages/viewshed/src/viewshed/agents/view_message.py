@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from shapely import MultiPolygon
 
 from viewshed.agents import cbor
 from viewshed.agents.fov_code import decode_fov, encode_fov, has_std
-from viewshed.agents.polygon_code import MAX_BYTES as MAX_POLYGON_BYTES
-from viewshed.agents.polygon_code import decode_polygon
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
 from viewshed.fov.estimate import FovEstimate
+from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.grid import BevGrid
@@ -29,11 +27,14 @@ from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import IntegrityReport
 from viewshed.objects.tracks import Tracks
 
-VERSION = 2
+VERSION = 3
 """Version of the payload; a receiver refuses others."""
 
 MAX_BYTES = 49_152
 """The most bytes of a signed message."""
+
+GROUND_NODES = 32
+"""Heights of the ground a side."""
 
 MAX_TRACKS = 256
 MAX_DETECTIONS = 512
@@ -44,11 +45,13 @@ MAX_T_NS = 2**63 - 1
 
 FIELDS = (
     "version", "agent", "number", "t_ns", "frame", "pose",
-    "sensor", "view", "inner", "detections", "tracks", "report",
+    "sensor", "view", "ground", "detections", "tracks", "report",
 )  # fmt: skip
 """Fields of a payload by their keys."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,32}")
+
+_GROUND_STEPS_PER_M, _MOST_STEPS = 100.0, 2**15 - 1
 
 _LAST_KIND = int(max(ObjectKind))
 
@@ -177,8 +180,8 @@ class ViewMessage:
     pose_covariance: F64  # (6, 6) of x, y, z in meters and rotations about x, y, z in radians, in the map
     sensor: SensorFacts  # what saw it
     view: FovEstimate | None = None  # the estimate, or None; what comes back is quantized (``fov_code``)
-    # code of a polygon inside the visible cells, meters in ``level`` (``polygon_code``), or None
-    inner: bytes | None = None
+    # heights about it in ``level``, or None; what comes back has ``GROUND_NODES`` a side, to a centimeter
+    ground: HeightMap | None = None
     detections: Detections | None = None  # objects of this sweep in ``level``, or None
     tracks: SharedTracks | None = None  # objects over time in the map, or None
     report: IntegrityReport | None = None  # of a monitor on the sweep, or None; reasons and suspect cells are not sent
@@ -195,15 +198,8 @@ class ViewMessage:
         if self.pose_covariance.shape != (6, 6):
             raise ValueError(f"pose_covariance must have the shape (6, 6), got {self.pose_covariance.shape}")
         _require_covariances(self.pose_covariance[None], "pose_covariance")
-        if self.inner is not None and len(self.inner) > MAX_POLYGON_BYTES:
-            raise ValueError(f"the code of an inner polygon must have at most {MAX_POLYGON_BYTES} bytes")
         if self.detections is not None and len(self.detections) > MAX_DETECTIONS:
             raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, got {len(self.detections)}")
-
-    @property
-    def inner_polygon(self) -> MultiPolygon | None:
-        """The polygon inside the visible cells, meters in ``level``, or None where none was sent."""
-        return None if self.inner is None else decode_polygon(self.inner)
 
 
 def require_name(what: str, name: str) -> None:
@@ -247,8 +243,8 @@ def encode_message(message: ViewMessage) -> bytes:
     }
     if message.view is not None:
         fields[7] = _view_fields(message.view)
-    if message.inner is not None:
-        fields[8] = message.inner
+    if message.ground is not None:
+        fields[8] = _ground_fields(message.ground)
     if message.detections is not None:
         found = message.detections
         fields[9] = [found.boxes.astype(np.float32).ravel(), found.kinds, found.returns]
@@ -327,9 +323,7 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
     name, height_m, reach_m = fields[6]
     agent, t_ns = _text(fields[1]), _whole(fields[3])
     epoch, sequence = fields[2]
-    view, inner, found, tracks, report = (fields.get(key) for key in range(7, 12))
-    if inner is not None:
-        decode_polygon(_bytes(inner))
+    view, ground, found, tracks, report = (fields.get(key) for key in range(7, 12))
     return ViewMessage(
         agent=agent,
         sequence=_whole(sequence),
@@ -339,7 +333,7 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
         pose_covariance=covariance,
         sensor=SensorFacts(_text(name), _number(height_m), _number(reach_m)),
         view=None if view is None else _view_of(view, agent, t_ns, world_from_level),
-        inner=inner,
+        ground=None if ground is None else _ground_of(ground),
         detections=None if found is None else _detections_of(found),
         tracks=None if tracks is None else _tracks_of(tracks, world_from_level.translation),
         report=None if report is None else _report_of(report),
@@ -367,6 +361,21 @@ def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovE
         t_ns=t_ns,
         agent=agent,
     )
+
+
+def _ground_fields(ground: HeightMap) -> list[Any]:
+    heights_m = ground.at(BevGrid(GROUND_NODES, ground.half_extent_m).centers)
+    steps = np.clip(np.rint(_GROUND_STEPS_PER_M * heights_m), -_MOST_STEPS, _MOST_STEPS)
+    return [float(ground.half_extent_m), steps.astype("<i2").tobytes()]
+
+
+def _ground_of(fields: list[Any]) -> HeightMap:
+    half_extent_m, code = fields
+    shape = BevGrid(GROUND_NODES, _number(half_extent_m)).shape
+    if len(_bytes(code)) != 2 * GROUND_NODES**2:
+        raise ValueError(f"the ground must have {GROUND_NODES} times {GROUND_NODES} heights, got {len(code)} bytes")
+    heights_m = np.frombuffer(code, "<i2").reshape(shape).astype(np.float32) / np.float32(_GROUND_STEPS_PER_M)
+    return HeightMap(heights_m, half_extent_m, np.ones(shape, np.bool_))
 
 
 def _detections_of(fields: list[Any]) -> Detections:

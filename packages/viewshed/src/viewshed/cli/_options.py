@@ -53,7 +53,7 @@ Topic = Annotated[
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option("--poses", help="Poses of the sweeps: 12 numbers a line (KITTI), or t x y z qx qy qz qw (TUM)."),
+    typer.Option("--poses", help="Poses of the sweeps: KITTI, TUM, or latitude and longitude (.pose files)."),
 ]
 Crs = Annotated[
     str | None,

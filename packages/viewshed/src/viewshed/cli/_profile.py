@@ -10,6 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from viewshed.cli._outputs import Named
+    from viewshed.guarantees.envelope import Threat
     from viewshed.pipeline.reactions import ReactionRules
 
 ProfileName = Annotated[
@@ -17,6 +18,16 @@ ProfileName = Annotated[
     typer.Option(
         "--profile",
         help="Settings for a use: robot, infrastructure, mapping or contested; other options win over them.",
+    ),
+]
+
+CertifyOnAlarm = Annotated[
+    str | None,
+    typer.Option(
+        "--certify",
+        metavar="THREAT",
+        help="On an alarm go on claiming what no such attack can have opened: added (any points), window:5 (beams at a"
+        " target), … as in viewshed estimate; needs --sensor, --height and --attitude, unless the files say them.",
     ),
 ]
 
@@ -33,6 +44,7 @@ class PipelineSettings:
     monitor: bool  # whether the stream is watched
     rules: ReactionRules  # how caution rises and falls
     rate_hz: float  # sweeps of an agent that are estimated in a second of the recording; 0 for all
+    certify: Threat | None  # the threat whose certificate an alarm falls back to; None for none
 
     def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
         """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
@@ -43,18 +55,27 @@ class PipelineSettings:
 
 
 def settings(
-    ctx: typer.Context, profile: str | None, *, method: str | None, grid: str, history: int, monitor: bool
+    ctx: typer.Context,
+    profile: str | None,
+    *,
+    method: str | None,
+    grid: str,
+    history: int,
+    monitor: bool,
+    certify: str | None,
 ) -> PipelineSettings:
     """Return the settings of a profile, of those options that are given, and the usual ones where there is neither.
 
     Raises:
-        ValueError: there is no profile of this name.
+        ValueError: there is no profile or no threat of this name.
     """
+    from viewshed.guarantees.envelope import Threat
     from viewshed.pipeline.profiles import profile_named
     from viewshed.pipeline.reactions import RULES
 
+    threat = None if certify is None else Threat.parse(certify)
     if profile is None:
-        return PipelineSettings(method, grid, history, monitor, RULES, 0.0)
+        return PipelineSettings(method, grid, history, monitor, RULES, 0.0, threat)
     found = profile_named(profile)
 
     def chosen(name: str, given: Value, otherwise: Value) -> Value:
@@ -68,4 +89,5 @@ def settings(
         chosen("monitor", monitor, found.monitor),
         found.rules,
         found.rate_hz,
+        threat or found.certify,
     )

@@ -30,7 +30,7 @@ from viewshed.cli._options import (
 )
 from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import ProfileName, settings
+from viewshed.cli._profile import PipelineSettings, ProfileName, settings
 from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from viewshed.fov.estimate import FovEstimate
     from viewshed.monitor import IntegrityReport, StreamMonitor
     from viewshed.pipeline.adversary import Adversary
-    from viewshed.pipeline.reactions import ReactionRules
     from viewshed.preprocess.leveling import LeveledSweep
     from viewshed.show.view import Frame, PackedFrame
 
@@ -98,7 +97,7 @@ def view(
         raise ValueError("name one of: the page to write, --html run.html; --rerun run.rrd; --foxglove PORT; --serve")
     if serve and files:
         raise ValueError(f"--serve takes files on its page, got {files[0]}; leave it out, or name --html")
-    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor)
+    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=None)
     network, cells = NetworkOptions(weights, passes, seed), options.parse_grid(chosen.grid)
     if serve:
         _serve_page(reading, network.estimator(chosen.method, cells, target))
@@ -115,7 +114,7 @@ def view(
         watch, live = watching(chosen.monitor, monitor_file), repeated(read, loop=sweeps is None)
         taken = islice(chosen.at_rate(live), 0, None if sweeps is None else step * sweeps, step)
         buffer = history_buffer(estimator, chosen.history)
-        _serve(foxglove, taken, estimator, buffer, watch, chosen.rules, failures, following)
+        _serve(foxglove, taken, estimator, buffer, watch, chosen, failures, following)
     else:
         own, check = (None, None)
         if chosen.monitor or monitor_file:
@@ -215,7 +214,7 @@ def _serve(
     estimator: Estimator,
     buffer: SweepBuffer | None,
     watch: StreamMonitor | None,
-    rules: ReactionRules,
+    chosen: PipelineSettings,
     failures: Failures,
     following: Following,
 ) -> None:
@@ -229,8 +228,9 @@ def _serve(
         listener = Listener([record], failures, is_live=True, following=following, adversary=adversary)
         objects = following.object_stream(adversary)
         pipeline = Pipeline(
-            estimator, listener, history=buffer, monitor=watch, objects=objects, rules=rules, stale_after_s=math.inf
-        )
+            estimator, listener, history=buffer, monitor=watch, objects=objects, rules=chosen.rules,
+            certify=chosen.certify, stale_after_s=math.inf,
+        )  # fmt: skip
         awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps))
         run(pipeline, listener, awaited, adversary)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.estimators.classical import ClassicalEstimator
-from viewshed.fov.visibility import CAR, Beams, Target, probability_of_visible, returns_by_kind
+from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
 from viewshed.grid import BevGrid
 from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.history import History
@@ -61,7 +61,7 @@ class ShadowMap(ClassicalEstimator):
             return evidence.visible_prob
         beams = _beams(leveled, self.no_return)
         beams = beams if history is None else history.within(beams)
-        [returns] = returns_by_kind([beams], leveled.sensor_height_m, leveled.ground, self.grid, self.target)
+        returns, _ = expected_returns(beams, leveled.sensor_height_m, leveled.ground, self.grid, self.target)
         return probability_of_visible(returns, self.target.min_returns)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed import _outputs
+from viewshed import _core, _outputs
 from viewshed._files import write_atomic
 from viewshed.fov.visibility import CAR, Target
 from viewshed.geometry import FloatArray, Rigid
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from viewshed.preprocess.leveling import LeveledSweep
 
 
-THRESHOLD = 0.5
+THRESHOLD = _core.THRESHOLD
 """A cell counts as visible from this probability on."""
 
 
-UNSURE_M = 0.5
+UNSURE_M = _core.UNSURE_M
 """Ground with a larger standard deviation is unsure: by a third of a car's height."""
 
 HeightSource = Literal["given", "estimated", "held", "assumed"]

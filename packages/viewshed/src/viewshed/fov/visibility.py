@@ -9,7 +9,6 @@ spans are the difference of two sums, at the two ends of its window of azimuth.
 from __future__ import annotations
 
 import atexit
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.arrays import F32
 from viewshed.fov.height_map import HeightMap
 from viewshed.grid import BevGrid, polar_of_cells
 
@@ -94,27 +92,9 @@ def expected_returns(
     column (``aimed``: averaged over neighboring sectors of 2.8°), so they need not be whole; heights may lie 0.3 m
     below ground, the tolerance of a measured ground.
     """
-    returns, aimed = _count([beams], sensor_height_m, ground, grid, target)
-    return returns[0], aimed
-
-
-def returns_by_kind(
-    kinds: Sequence[Beams], sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
-) -> NDArray[np.float32]:
-    """Return (kinds, cells, cells) expected returns of a target by each of one to three sets of beams.
-
-    As :func:`expected_returns` counts them: over disjoint sets they add up to what it gives for all beams.
-    """
-    return _count(kinds, sensor_height_m, ground, grid, target)[0]
-
-
-def _count(
-    kinds: Sequence[Beams], sensor_height_m: float, ground: HeightMap, grid: BevGrid, target: Target
-) -> tuple[F32, F32]:
-    """Return (kinds, cells, cells) returns and the (cells, cells) beams that aim."""
-    return _core.returns_by_kind(
+    return _core.expected_returns(
         cell_windows(grid, target.width_m),
-        [beams.arrays for beams in kinds],
+        beams.arrays,
         ground.heights_m,
         ground.half_extent_m,
         sensor_height_m,

@@ -2,9 +2,11 @@
 
 For a target in a cell, *sent* are the beams that beam table, attitude, mounting height and ground send through it;
 *blocked* are those of them with a return nearer than the target by more than one cell. The margin is their difference,
-ring by ring, and the envelope claims the cells whose margin is ``min_returns`` or more. A beam without a return counts
-as unblocked: the claim needs no return, so that it falls, cell by cell, with every return that is added, and changes by
-at most one with every beam that is replaced.
+ring by ring: the cells whose margin is ``min_returns`` or more are *open*. A beam without a return counts as unblocked:
+no cell needs a return, so that the margin falls, cell by cell, with every return that is added, and changes by at most
+one with every beam that is replaced. The envelope claims the cells that stay open where gaps of a few beams between two
+nearer returns of a ring are closed: an obstacle hides what is behind it even where it swallows light. That, too, only
+falls with added returns.
 
 What is sent must come from what is given, never from returns of the sweep: :class:`Given` says what it was. The ground
 is known only so far: a beam that meets the target anywhere between the lowest and the highest ground counts as sent.
@@ -46,6 +48,9 @@ GRADE = 0.01
 leaves more of the claims on hills standing."""
 
 LEVEL_M = 5.0
+
+GAP = 4
+"""So many columns of a ring without a near return are closed between two that have one."""
 
 PLANE_M = 20.0
 """Up to here the ground that carries the sensor is its plane; beyond, its height stays."""
@@ -230,6 +235,25 @@ class Given:
         )  # fmt: skip
 
 
+def without_gaps(nearest_m: F32, fired: NDArray[np.uint8] | None = None) -> F32:
+    """Return nearest ranges (rings, 2 · columns) with gaps of up to GAP columns closed.
+
+    A gap takes the farther one of the nearest ranges at its two sides, which blocks what both of them block: a grey
+    closing along the ring, a maximum over minima, so that it is nowhere farther and falls where a range falls.
+
+    Args:
+        nearest_m: see :meth:`Given.nearest_returns`.
+        fired: (rings, columns) which columns are fired, None for all; the others block nothing.
+    """
+    columns, wide = nearest_m.shape[1] // 2, GAP + 1
+    around = np.concatenate([nearest_m[:, columns - GAP : columns], nearest_m[:, : columns + GAP]], axis=1)
+    least = np.minimum.reduce([around[:, k : k + columns + GAP] for k in range(wide)])
+    closed = np.maximum.reduce([least[:, k : k + columns] for k in range(wide)])
+    if fired is not None:
+        closed[fired == 0] = np.inf
+    return np.concatenate([closed, closed], axis=1)
+
+
 @lru_cache(maxsize=4)
 def _columns(grid: BevGrid, width_m: float, model: LidarModel) -> _core.TargetColumns:
     """Return the columns that fall on a target in each cell; they are the same for every sweep."""
@@ -265,6 +289,7 @@ class Envelope:
         sent: the beams that are.
         nearest_m: (rings, 2 · columns) float32, see :meth:`Given.nearest_returns`.
         margins: (cells, cells) int32 beams that are sent through a target in a cell and not blocked before it.
+        closed: (cells, cells) int32 the same where gaps are closed, see :func:`without_gaps`.
     """
 
     grid: BevGrid
@@ -272,17 +297,39 @@ class Envelope:
     sent: _core.SentBeams
     nearest_m: F32
     margins: NDArray[np.int32]
+    closed: NDArray[np.int32]
 
     @classmethod
     def of(cls, leveled: LeveledSweep, given: Given, grid: BevGrid, target: Target) -> Envelope:
         """Return the envelope of a sweep."""
         sent, nearest_m = given.sent(grid, target), given.nearest_returns(leveled)
-        return cls(grid, target, sent, nearest_m, _core.envelope_margins(sent, nearest_m))
+        return cls.within(grid, target, sent, nearest_m, fired_columns(given.model))
 
-    def claim(self, spare: int = 0) -> Mask:
-        """Return the cells (cells, cells) with ``spare`` more unblocked beams than the target needs."""
-        claim: Mask = self.margins >= self.target.min_returns + spare
+    @classmethod
+    def within(
+        cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32, fired: NDArray[np.uint8] | None
+    ) -> Envelope:
+        """Return the envelope of nearest ranges for beams that are sent; of which some columns may not be fired."""
+        margins = _core.envelope_margins(sent, nearest_m)
+        closed = _core.envelope_margins(sent, without_gaps(nearest_m, fired))
+        return cls(grid, target, sent, nearest_m, margins, closed)
+
+    def claim(self) -> Mask:
+        """Return the cells (cells, cells) that the envelope claims."""
+        claim: Mask = self.closed >= self.target.min_returns
         return claim
+
+    def open(self, spare: int = 0) -> Mask:
+        """Return the cells (cells, cells) with ``spare`` more unblocked beams than the target needs, gaps left open."""
+        found: Mask = self.margins >= self.target.min_returns + spare
+        return found
+
+    def reference(self, threat: Threat) -> Mask:
+        """Return the cells (cells, cells) of a sweep without attack in which all lies that an attack did not open.
+
+        Added points leave the claim of the envelope alone; other attacks may also open gaps.
+        """
+        return self.claim() if threat.kind == "added" else self.open()
 
     def changeable(self, threat: Threat, among: Mask, *, opens: bool) -> tuple[float, Mask]:
         """Return the area in m² that an attack can change at most, and which cells (cells, cells) it may change.
@@ -294,8 +341,8 @@ class Envelope:
         Args:
             threat: what the attacker may do.
             among: (cells, cells) cells that count.
-            opens: of a sweep without attack, the cells that an attack opens; else of a sweep that may be attacked, the
-                claims that it may have opened.
+            opens: of a sweep without attack, the cells that an attack opens beyond :meth:`reference`; else of a sweep
+                that may be attacked, the cells that it may have opened.
         """
         least, area_m2 = self.target.min_returns, self.grid.cell_area_m2
         if threat.kind == "wedge":
@@ -305,7 +352,7 @@ class Envelope:
             count, changes = _core.wedge_changes(self.sent, self.nearest_m, self.margins, among, least, wide, opens)
             return count * area_m2, changes
         beams = int(threat.amount)
-        changes = among & (self.claim(-beams) & ~self.claim() if opens else self.claim() & ~self.claim(beams))
+        changes = among & (self.open(-beams) & ~self.open() if opens else self.open() & ~self.open(beams))
         most = int(changes.sum())
         if beams and threat.kind in ("replaced", "dropped"):
             share = _core.cells_of_beams(self.sent, self.nearest_m, self.margins, among, least, beams, opens).ravel()

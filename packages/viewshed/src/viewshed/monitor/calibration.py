@@ -1,9 +1,10 @@
 """How rare a score is on benign streams, and the limit above which a chosen number of false alarms an hour lies.
 
 What is counted are *alarms*, not sweeps: neighbors in a stream are nearly the same sweep, and a latched alarm is one.
-Above a level that benign streams pass often, the heights of their peaks are taken for exponential, as those of most
-distributions nearly are far out (peaks over a threshold; Pickands, 1975). So a limit for one alarm an hour can be given
-from less than an hour, and is an extrapolation then, which the promise says.
+Above a level that benign streams pass often, the heights of their peaks are those of a generalized Pareto distribution
+(peaks over a threshold; Pickands, 1975). How many there are an hour, how high they are and how heavy their tail is are
+known from few, so each has a spread: the rate of a limit is the mean over that, and the promise says its upper end.
+So a limit for one alarm an hour can be given from less than an hour; it is an extrapolation, which the promise says.
 """
 
 from __future__ import annotations
@@ -14,16 +15,17 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.arrays import F32, F64
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidence
-from viewshed.monitor.score import MEMORY_SWEEPS, Past, SurpriseScale, added, strongest, two_sided
+from viewshed.monitor.score import BESIDE, MEMORY_SWEEPS, ONSET_SWEEPS, Past, SurpriseScale, added, strongest, two_sided
 
 Promise = Literal["expected", "confident"]
 """Which of the two rates must not exceed the chosen one."""
@@ -34,8 +36,11 @@ CONFIDENCE = 0.9
 CALM_SWEEPS = 10
 """An alarm ends after so many sweeps in a row below the limit."""
 
-TAIL_PEAKS = 15
+TAIL_PEAKS = 30
 """Peaks, the highest, to which the tail is fitted; half of all where there are fewer."""
+
+_SHAPES, _SCALES = np.linspace(-0.495, 0.495, 100), np.geomspace(0.1, 10.0, 60)
+"""Of generalized Pareto distributions: from a tail that ends to one hardly with a variance, and in scores."""
 
 LEAST_MINUTES = 1.0
 """Driving without which nothing is calibrated."""
@@ -51,6 +56,7 @@ class Calibration:
         changes: scale (E, K) of standardized changes on benign sweeps.
         scores: scale (1, K) of scores on benign sweeps.
         peaks: (P,) heights of the peaks of the score, one for each alarm that a limit below it would have raised.
+        shape: of the tail of the peaks, 0 of an exponential, less where it ends; a few minutes cannot say it.
         hours: of benign driving.
         facts: what else must be known, by name: where the streams are from.
         evidence: :data:`EVIDENCE_ID` of the evidence that it is calibrated on.
@@ -64,6 +70,7 @@ class Calibration:
     changes: SurpriseScale
     scores: SurpriseScale
     peaks: F64
+    shape: float
     hours: float
     facts: Mapping[str, str] = field(default_factory=dict)
     evidence: str = ""
@@ -108,18 +115,18 @@ class Calibration:
         if places and len(places) != len(streams):
             raise ValueError(f"places must be one for each of {len(streams)} streams, got {len(places)}")
         long = [number for number, evidence in enumerate(streams) if len(evidence) > EARLIER_SWEEPS]
-        numbers = [strongest(streams[number], kinds) for number in long]
+        pasts = [streams[number].astype(np.float32) for number in long]
         kept = [places[number] if places else str(number) for number in long]
-        hours = sum(map(len, numbers)) / (3600.0 * hz)
+        hours = sum(map(len, pasts)) / (3600.0 * hz)
         if hours * 60.0 < LEAST_MINUTES - 1e-6:
             raise ValueError(
                 f"benign drives must last {LEAST_MINUTES:g} minute at least, got {hours * 60.0:.2g}; give more"
             )
         both = two_sided(kinds)
         # 1. The usual scale of each kind: what the first seconds of a stream are standardized by.
-        prior = base.prior_scale if base is not None else _prior_scale(numbers, both)
+        prior = base.prior_scale if base is not None else _prior_scale(pasts, kinds)
         # 2. Standardized changes of all streams, and how rare they are.
-        changes = [changes_of(one, prior, both) for one in numbers]
+        changes = [changes_of(one, prior, kinds) for one in pasts]
         scale = base.changes if base is not None else SurpriseScale.fit(np.concatenate(changes))
         # 3. Scores, each by the streams of other places, and their peaks.
         scores = [added(scale(one), both) for one in changes]
@@ -132,8 +139,9 @@ class Calibration:
             }
             scores = [added(others[place](one), both) for one, place in zip(changes, kept, strict=True)]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
+        shape = base.shape if base is not None else _shape_of(peaks)
         return cls(
-            tuple(kinds), prior, scale, SurpriseScale.fit(np.concatenate(scores)[:, None]), peaks, hours,
+            tuple(kinds), prior, scale, SurpriseScale.fit(np.concatenate(scores)[:, None]), peaks, shape, hours,
             dict(facts or {}), evidence_id(kinds),
         )  # fmt: skip
 
@@ -168,40 +176,78 @@ class Calibration:
                 f"{per_hour:g} false alarms an hour need {60.0 / per_hour:.0f} minutes of benign driving, got"
                 f" {self.hours * 60.0:.1f}; give more drives, or ask for {math.ceil(self.least_per_hour * 10) / 10:g}"
             )
-        begin, mean, count = self._tail()
-        # One alarm more than was counted: the expected number of a further stream is at most that.
-        return begin + mean * max(math.log((count + 1) / (per_hour * self.hours)), 0.0)
+        # The rate falls as the limit rises: halve the interval in which it is the chosen one.
+        low, high = self._tail()[0], 1e4
+        for _ in range(60):
+            middle = (low + high) / 2.0
+            low, high = (middle, high) if self.per_hour(middle) > per_hour else (low, middle)
+        return high
 
-    def per_hour(self, limit: float) -> float:
-        """Return the expected number of false alarms an hour above a limit."""
-        begin, mean, count = self._tail()
-        return (count + 1) / self.hours * math.exp(-max(limit - begin, 0.0) / mean)
+    def per_hour(self, limit: float, confidence: float | None = None) -> float:
+        """Return the number of false alarms an hour above a limit: expected, or not exceeded with a confidence.
+
+        Posterior draws of how many peaks an hour there are and of the scale of their heights, both gamma; the shape is
+        the median of its own posterior.
+        """
+        begin, scale, count = self._tail()
+        peaks_an_hour, per_scale = _draws_of(count)
+        within = np.maximum(1.0 + self.shape * max(limit - begin, 0.0) / scale * per_scale, 0.0)
+        rates = peaks_an_hour / self.hours * within ** (-1.0 / self.shape)
+        return float(rates.mean() if confidence is None else np.quantile(rates, confidence))
 
     def promise(self, per_hour: float) -> str:
         """Return in a line what a limit for so many false alarms an hour rests on."""
+        limit = self.limit(per_hour, extrapolate=True)
         how = "" if per_hour >= self.least_per_hour else ", an extrapolation of the tail of their scores"
+        most = self.per_hour(limit, CONFIDENCE)
         return (
-            f"score above {self.limit(per_hour, extrapolate=True):.2f}: {per_hour:g} false alarms an hour, by"
-            f" {self.hours * 60.0:.0f} minutes of benign driving{how}"
+            f"score above {limit:.2f}: {per_hour:g} false alarms an hour, at most {most:.2g}"
+            f" with probability {CONFIDENCE:g}, by {self.hours * 60.0:.0f} minutes of benign driving{how}"
         )
 
     def _tail(self) -> tuple[float, float, int]:
-        """Return where the tail of the peaks begins, their mean height above that, and how many there are."""
-        count = min(TAIL_PEAKS, len(self.peaks) // 2)
-        if count < 1:
-            return (float(self.peaks[-1]) if len(self.peaks) else 0.0), 1.0, 0
-        begin = float(self.peaks[-count - 1])
-        # The mean of an exponential by its median: a few attacks among the drives hardly move that.
-        return begin, max((float(np.median(self.peaks[-count:])) - begin) / math.log(2.0), 0.1), count
+        """Return where the tail of the peaks begins, the scale of their heights above that, and how many there are."""
+        begin, heights = _heights_of(self.peaks)
+        if not len(heights):
+            return begin, 1.0, 0
+        # The scale by the median: a few attacks among the drives hardly move that.
+        scale = float(np.median(heights)) * self.shape / (2.0**self.shape - 1.0)
+        return begin, max(scale, 0.1), len(heights)
 
 
-def changes_of(numbers: F32, prior_scale: F32, both: NDArray[np.bool_]) -> F32:
-    """Return the standardized changes (T - EARLIER_SWEEPS, E) of a benign stream (T, E), each against its past."""
-    past, changes = Past(prior_scale, both), []
-    for one in numbers:
+def _heights_of(peaks: F64) -> tuple[float, F64]:
+    """Return where the tail of peaks (P,), ascending, begins, and the heights above that."""
+    count = min(TAIL_PEAKS, len(peaks) // 2)
+    begin = float(peaks[-count - 1]) if len(peaks) else 0.0
+    return begin, peaks[len(peaks) - count :] - begin
+
+
+def _shape_of(peaks: F64) -> float:
+    """Return the shape of the tail of peaks (P,), the median of a grid of shapes and scales, alike before."""
+    heights = np.maximum(_heights_of(peaks)[1], 1e-3)
+    shape, scale = _SHAPES[:, None, None], _SCALES[None, :, None]
+    # Where a tail would end before the highest peak its likelihood is 0.
+    within = np.maximum(1.0 + shape * heights / scale, 1e-300)
+    logs = -len(heights) * np.log(_SCALES) - ((1.0 + 1.0 / shape) * np.log(within)).sum(axis=2)
+    logs[(within <= 1e-300).any(axis=2)] = -np.inf
+    posterior = np.exp(logs - logs.max()).sum(axis=1)
+    return float(_SHAPES[np.searchsorted(np.cumsum(posterior) / posterior.sum(), 0.5)])
+
+
+@lru_cache(maxsize=8)
+def _draws_of(count: int) -> tuple[F64, F64]:
+    """Return draws of the number of peaks and of the inverse of their scale, of ``count`` peaks of scale 1."""
+    rng = np.random.default_rng(34)
+    return rng.gamma(count + 0.5, 1.0, 4000), rng.gamma(max(count, 1), 1.0 / max(count, 1), 4000)
+
+
+def changes_of(stream: F32, prior_scale: F32, kinds: Mapping[str, Evidence] = EVIDENCE) -> F32:
+    """Return the standardized changes (T - EARLIER_SWEEPS, E) of the evidence (T, E, SECTORS) of a benign stream."""
+    past, changes = Past(prior_scale, kinds), []
+    for evidence in stream:
         if past.sweeps >= EARLIER_SWEEPS:
-            changes.append(past.reference().changes(one))
-        past.add(one)
+            changes.append(past.reference().changes(strongest(past.onset(evidence), kinds)))
+        past.add(evidence)
     return np.array(changes, np.float32).reshape(-1, len(prior_scale))
 
 
@@ -218,14 +264,14 @@ def peaks_of(scores: F32) -> F32:
     return np.array(peaks, np.float32)
 
 
-def _prior_scale(numbers: Sequence[F32], both: NDArray[np.bool_]) -> F32:
+def _prior_scale(streams: Sequence[F32], kinds: Mapping[str, Evidence]) -> F32:
     """Return the median over streams of the scale (E,) of each kind of evidence; 1 where none has any spread."""
-    nothing = np.zeros(len(both), np.float32)
+    nothing = np.zeros(len(kinds), np.float32)
     scales = []
-    for one in numbers:
-        past = Past(nothing, both)
-        for each in one[-MEMORY_SWEEPS:]:
-            past.add(each)
+    for stream in streams:
+        past = Past(nothing, kinds)
+        for evidence in stream[-MEMORY_SWEEPS:]:
+            past.add(evidence)
         scales.append(past.reference().scale)
     found = np.array(scales)
     found[found <= 0.0] = np.nan
@@ -285,13 +331,13 @@ def alarm_limit(benign: ArrayLike, rate: float, promise: Promise = "expected", *
 def evidence_id(kinds: Mapping[str, Evidence]) -> str:
     """Return what identifies evidence: a hash of names, versions and grains in their order, and of the sectors."""
     rows = [[name, kind.version, kind.grain, kind.two_sided] for name, kind in kinds.items()]
-    return hashlib.sha256(json.dumps([SECTORS, EARLIER_SWEEPS, rows]).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps([SECTORS, EARLIER_SWEEPS, ONSET_SWEEPS, BESIDE, rows]).encode()).hexdigest()[:16]
 
 
 EVIDENCE_ID = evidence_id(EVIDENCE)
 """Of the evidence of this version; other numbers void a calibration, a release does not."""
 
-NAME, FORMAT_VERSION = "stream", 4
+NAME, FORMAT_VERSION = "stream", 5
 
 SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 """The shipped calibration."""
@@ -308,7 +354,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """
     about = {
         "version": FORMAT_VERSION, "monitor": NAME, "evidence": calibration.evidence, "names": calibration.names,
-        "hours": calibration.hours, "facts": dict(calibration.facts),
+        "hours": calibration.hours, "shape": calibration.shape, "facts": dict(calibration.facts),
     }  # fmt: skip
     arrays: dict[str, Any] = {"prior_scale": calibration.prior_scale, "peaks": calibration.peaks}
     for name in ("changes", "scores"):
@@ -341,7 +387,7 @@ def load_calibration(path: str | Path) -> Calibration:
         )
         return Calibration(
             tuple(map(str, about["names"])), np.asarray(arrays["prior_scale"], np.float32), changes, scores,
-            np.asarray(arrays["peaks"], np.float64), float(about["hours"]),
+            np.asarray(arrays["peaks"], np.float64), float(about["shape"]), float(about["hours"]),
             {str(key): str(text) for key, text in about["facts"].items()}, str(about["evidence"]),
         )  # fmt: skip
     except DAMAGED as error:

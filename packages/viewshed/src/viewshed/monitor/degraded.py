@@ -21,6 +21,9 @@ NOW_SWEEPS, PAST_SWEEPS = 5, 20
 FEWER, NOISIER, MORE_ISOLATED = 0.7, 1.6, 0.08
 """A view is worse with less than this share of the returns, this factor of the noise, or so many more isolated."""
 
+LEAST_NOISE_M, NOISIEST = 0.05, 0.9
+"""Noise of range below this makes no view worse, nor below that of this share of the sweeps before."""
+
 EMPTY_SECTORS = 6
 """Sectors in a row, 30°, of a sensor that turns all around, without any return."""
 
@@ -49,10 +52,12 @@ class SensorState:
         # A kind that abstained in all sweeps compares as false.
         with np.errstate(all="ignore"):
             now, past = _median(every[-NOW_SWEEPS:]), _median(every[:-NOW_SWEEPS])
+            # Noise is a world's as well: an open road has few surfaces, and bent ones.
+            noisiest = np.nanquantile(every[:-NOW_SWEEPS, 1], NOISIEST) if np.isfinite(past[1]) else np.nan
         reasons = []
         if now[0] < FEWER * past[0]:
             reasons.append(f"there are {now[0] / past[0]:.0%} of the returns that there were before")
-        if now[1] > NOISIER * past[1]:
+        if now[1] > max(NOISIER * noisiest, LEAST_NOISE_M):
             reasons.append(f"ranges are {now[1] / max(past[1], 1e-6):.1f} times as noisy as before")
         if now[2] > past[2] + MORE_ISOLATED:
             reasons.append(f"{now[2]:.0%} of the returns are isolated, {past[2]:.0%} were before")

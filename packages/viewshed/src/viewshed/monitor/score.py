@@ -1,13 +1,15 @@
 """The score of a sweep in a stream: how much its evidence changed against the stream's own past.
 
-Evidence is a matrix (E, SECTORS), one line for each kind. Four steps make one number of it:
+Evidence is a matrix (E, SECTORS), one line for each kind. Five steps make one number of it:
 
-1. Of each kind the mean of the three strongest sectors counts, as log(1 + mean / grain).
-2. It is standardized by the past of its own stream: location and scale of the last minute, robust. What is odd in a
+1. Of a kind that accuses by more than before, a sector counts by what is beyond the largest number that it and the
+   sectors beside it had in the last five sweeps: edges, crowds and fences are odd where they were odd a moment ago.
+2. Of each kind the mean of the three strongest sectors counts, as log(1 + mean / grain).
+3. It is standardized by the past of its own stream: location and scale of the last minute, robust. What is odd in a
    place (a quarry, a fence, a noisy pose) is odd in all its sweeps, and so is no change.
-3. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams that changed
+4. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams that changed
    as much: 2 means one in a hundred. So kinds of evidence compare.
-4. What surprises are beyond 2 is added up, each to 3 or 5 at most: several rare changes at once are an attack's.
+5. What surprises are beyond 2 is added up, each to 2 or 4 at most: several rare changes at once are an attack's.
 
 A rank among the 600 sweeps of a minute could not ask for fewer than 60 false alarms an hour; the tail beyond is that of
 the calibration streams (:mod:`viewshed.monitor.calibration`).
@@ -15,8 +17,9 @@ the calibration streams (:mod:`viewshed.monitor.calibration`).
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -40,10 +43,13 @@ STRONGEST = 3
 RARE = 2.0
 """Surprise from which evidence counts, and is a reason: one benign sweep in a hundred."""
 
-MOST_ADDED = 3.0, 5.0
+ONSET_SWEEPS, BESIDE = 5, 2
+"""Sweeps, and sectors to either side, whose largest number a sector must exceed."""
+
+MOST_ADDED = 2.0, 4.0
 """What one kind of evidence adds at most: one that compares with the sweeps before, one of the sensor's state.
 
-Beyond one in 100,000 nobody has counted, and a new place may be odd once; the sensor is the same in all places.
+Beyond one in 10,000 nobody has counted, and a new place may be odd once; the sensor is the same in all places.
 """
 
 _SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 5.0, 12)])
@@ -96,37 +102,55 @@ class Reference:
 
 @dataclass(slots=True, eq=False)
 class Past:
-    """The last minute of a stream, as :func:`strongest` gives it.
+    """The last minute of a stream.
 
     Attributes:
         prior_scale: (E,) scale in the calibration streams.
-        two_sided: (E,) bool, see :class:`Reference`.
+        kinds: of the evidence.
         sweeps: that were added.
     """
 
     prior_scale: F32
-    two_sided: NDArray[np.bool_]
+    kinds: Mapping[str, Evidence]
     sweeps: int = 0
     _numbers: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32), repr=False)
+    _last: deque[F32] = field(default_factory=lambda: deque(maxlen=ONSET_SWEEPS), repr=False)
 
     def __post_init__(self) -> None:
-        self._numbers = np.full((len(self.prior_scale), MEMORY_SWEEPS), np.nan, np.float32)
+        if not self._numbers.size:
+            self._numbers = np.full((len(self.prior_scale), MEMORY_SWEEPS), np.nan, np.float32)
 
-    def add(self, numbers: F32) -> None:
-        """Add the numbers (E,) of a sweep."""
-        self._numbers[:, self.sweeps % MEMORY_SWEEPS] = numbers
+    def copy(self) -> Past:
+        """Return the same past, which goes on by itself."""
+        return replace(self, _numbers=self._numbers.copy(), _last=self._last.copy())
+
+    def onset(self, evidence: F32) -> F32:
+        """Return the evidence (E, SECTORS) of a sweep without what was there before; two-sided kinds as they are."""
+        if not self._last:
+            return evidence
+        before = np.nan_to_num(np.fmax.reduce(list(self._last)))
+        return np.where(two_sided(self.kinds)[:, None], evidence, np.maximum(evidence - before, np.float32(0.0)))
+
+    def add(self, evidence: F32) -> None:
+        """Add the evidence (E, SECTORS) of a sweep."""
+        self._numbers[:, self.sweeps % MEMORY_SWEEPS] = strongest(self.onset(evidence), self.kinds)
+        # What the sectors beside had counts as a sector's own.
+        closed = np.concatenate([evidence[:, -BESIDE:], evidence, evidence[:, :BESIDE]], axis=1)
+        sides = [closed[:, step : step + evidence.shape[1]] for step in range(2 * BESIDE + 1)]
+        self._last.append(np.fmax.reduce(sides))
         self.sweeps += 1
 
     def reference(self) -> Reference:
         """Return what is usual now."""
+        both = two_sided(self.kinds)
         every = self._numbers[:, : min(self.sweeps, MEMORY_SWEEPS)]
         last = np.arange(max(self.sweeps - SHORT_SWEEPS, 0), self.sweeps) % MEMORY_SWEEPS
         if not every.size:
-            return Reference(np.full(len(every), np.nan, np.float32), self.prior_scale, self.two_sided)
-        location, scale, count = _location_and_scale(every, self.two_sided)
-        scale = np.maximum(scale, _location_and_scale(self._numbers[:, last], self.two_sided)[1])
+            return Reference(np.full(len(every), np.nan, np.float32), self.prior_scale, both)
+        location, scale, count = _location_and_scale(every, both)
+        scale = np.maximum(scale, _location_and_scale(self._numbers[:, last], both)[1])
         squared = (count * scale**2 + PRIOR_SWEEPS * self.prior_scale**2) / (count + PRIOR_SWEEPS)
-        return Reference(location, np.sqrt(squared).astype(np.float32), self.two_sided)
+        return Reference(location, np.sqrt(squared).astype(np.float32), both)
 
 
 def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32, NDArray[np.intp]]:
@@ -139,7 +163,7 @@ def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32
 
     def quantile(share: float) -> F32:
         rank = np.round(share * np.maximum(count - 1, 0)).astype(np.intp)
-        return np.asarray(np.take_along_axis(ordered, rank[:, None], axis=1)[:, 0], np.float32)
+        return np.asarray(ordered[np.arange(len(ordered)), rank], np.float32)
 
     low, first, middle, third, high = map(quantile, (0.05, 0.25, 0.5, 0.75, 0.95))
     scale = np.maximum((third - first) / 1.349, (high - middle) / 1.645)
@@ -212,8 +236,8 @@ def added(surprises: NDArray[np.floating[Any]], of_sensor: NDArray[np.bool_]) ->
         surprises: of each kind of evidence.
         of_sensor: (E,) which kinds are of the sensor's state.
 
-    >>> added(np.array([[2.0, 1.0], [4.0, 2.5], [9.0, np.nan], [0.0, 9.0]]), np.array([False, True])).tolist()
-    [0.0, 2.5, 3.0, 5.0]
+    >>> added(np.array([[2.0, 1.0], [3.5, 2.5], [9.0, np.nan], [0.0, 9.0]]), np.array([False, True])).tolist()
+    [0.0, 2.0, 2.0, 4.0]
     """
     most = np.where(of_sensor, MOST_ADDED[1], MOST_ADDED[0])
     return np.asarray(np.clip(np.nan_to_num(surprises) - RARE, 0.0, most).sum(axis=1), np.float32)

@@ -11,7 +11,7 @@ from viewshed.arrays import F32, Mask
 from viewshed.grid import BevGrid
 from viewshed.monitor.calibration import NAME, Calibration, shipped_calibration
 from viewshed.monitor.degraded import SensorState
-from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, MonitoredSweep, measure_all
+from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, CellMemory, MonitoredSweep, measure_all
 from viewshed.monitor.impossible import impossible_reasons
 from viewshed.monitor.report import IntegrityReport, cells_of_sectors
 from viewshed.monitor.score import RARE
@@ -60,8 +60,13 @@ class EvidenceStream:
 
     jump_s: float = 0.5
     _earlier: deque[LeveledSweep] = field(default_factory=lambda: deque(maxlen=EARLIER_SWEEPS), repr=False)
+    _memory: CellMemory = field(default_factory=CellMemory, repr=False)
     _sensor: str = ""
     _last_ns: int | None = None
+
+    def copy(self) -> EvidenceStream:
+        """Return a stream with the same past, which goes on by itself."""
+        return replace(self, _earlier=self._earlier.copy(), _memory=self._memory.copy())
 
     def why_anew(self, leveled: LeveledSweep) -> str:
         """Return why the stream must begin anew with a sweep, in a sentence; empty where it goes on."""
@@ -74,13 +79,14 @@ class EvidenceStream:
         """Return what all evidence says (E, SECTORS) of the next sweep."""
         if why_anew(self._last_ns, leveled.sweep.t_ns, self.jump_s):
             self._earlier.clear()
-        return measure_all(MonitoredSweep(leveled, tuple(self._earlier)))
+        return measure_all(MonitoredSweep(leveled, tuple(self._earlier), self._memory))
 
     def add(self, leveled: LeveledSweep, *, compared: bool = True) -> None:
         """Remember a sweep; the next ones are compared with it if wanted."""
         self._sensor, self._last_ns = _sensor_of(leveled) or self._sensor, leveled.sweep.t_ns
         if compared:
             self._earlier.append(leveled)
+            self._memory.add(leveled)
 
 
 @dataclass(slots=True)

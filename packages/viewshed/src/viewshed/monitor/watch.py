@@ -9,10 +9,10 @@ import numpy as np
 from viewshed.arrays import F32, Mask
 from viewshed.monitor.calibration import CALM_SWEEPS, Calibration
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
-from viewshed.monitor.score import RARE, Past, grains_of, in_grains, strongest, two_sided
+from viewshed.monitor.score import RARE, Past, grains_of, in_grains, strongest
 
 MOST_HELD_SWEEPS = 100
-"""After so many sweeps of an alarm, 10 s, the past begins anew: the world changed, or nobody can tell."""
+"""After so many sweeps of an alarm, 10 s, they become the past: the world changed, or nobody can tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +42,8 @@ class Verdict:
 class Watch:
     """Watches one stream by the evidence of its sweeps.
 
-    Sweeps that score above the limit do not become part of the past, or an attack would soon be usual; after
-    ``MOST_HELD_SWEEPS`` of an alarm the past begins anew.
+    Sweeps that score above the limit do not become part of the past, or an attack would soon be usual. After
+    ``MOST_HELD_SWEEPS`` of an alarm its sweeps are the past: what lasts is usual then, and the alarm ends once.
 
     Attributes:
         calibration: says how rare a change is.
@@ -53,25 +53,29 @@ class Watch:
     calibration: Calibration
     limit: float
     _past: Past = field(init=False, repr=False)
+    _of_alarm: Past = field(init=False, repr=False)
     _suspect: Mask = field(default_factory=lambda: np.zeros(SECTORS, np.bool_), repr=False)
     _sweeps: int = 0
     _calm: int = 0
 
     def __post_init__(self) -> None:
-        self._past = Past(self.calibration.prior_scale, two_sided(EVIDENCE))
+        self._past, self._of_alarm = self._nothing(), self._nothing()
+
+    def _nothing(self) -> Past:
+        return Past(self.calibration.prior_scale, EVIDENCE)
 
     def check(self, evidence: F32, *, impossible: bool = False) -> Verdict:
         """Return what the evidence (E, SECTORS) of the next sweep says, and keep it.
 
         A sweep that is ``impossible`` is inconsistent in all sectors, whatever its score.
         """
-        numbers = strongest(evidence)
+        onset = self._past.onset(evidence)
         # 1. Changes against the past, all sectors together and each by itself.
-        score, surprises, sectors = np.nan, np.full(len(numbers), np.nan, np.float32), np.full_like(evidence, np.nan)
+        score, surprises, sectors = np.nan, np.full(len(evidence), np.nan, np.float32), np.full_like(evidence, np.nan)
         if self._past.sweeps >= EARLIER_SWEEPS:
             reference = self._past.reference()
-            score, surprises = self.calibration.score(reference.changes(numbers))
-            of_sectors = reference.changes(in_grains(evidence.T, grains_of(EVIDENCE))).T
+            score, surprises = self.calibration.score(reference.changes(strongest(onset)))
+            of_sectors = reference.changes(in_grains(onset.T, grains_of(EVIDENCE))).T
             sectors = self.calibration.changes(of_sectors[None])[0]
         # 2. The alarm begins, goes on, or ends after enough calm sweeps.
         inconsistent = impossible or score > self.limit
@@ -79,15 +83,18 @@ class Watch:
         if self._sweeps and self._calm >= CALM_SWEEPS:
             self._sweeps = 0
         if inconsistent or self._sweeps:
-            self._suspect = self._suspect if self._sweeps else np.zeros(SECTORS, np.bool_)
+            if not self._sweeps:
+                self._suspect, self._of_alarm = np.zeros(SECTORS, np.bool_), self._nothing()
             self._sweeps += 1
         if inconsistent:
             self._suspect = self._suspect | impossible | suspect_sectors(surprises, sectors)
         # 3. What is usual from now on.
-        if inconsistent and not impossible and self._sweeps > MOST_HELD_SWEEPS:
-            self._past = Past(self.calibration.prior_scale, two_sided(EVIDENCE))
         if not inconsistent:
-            self._past.add(numbers)
+            self._past.add(evidence)
+        if self._sweeps and not impossible:
+            self._of_alarm.add(evidence)
+        if inconsistent and self._of_alarm.sweeps >= MOST_HELD_SWEEPS:
+            self._past, self._of_alarm = self._of_alarm, self._nothing()
         alarm = self._sweeps > 0
         suspect = self._suspect if alarm else np.zeros(SECTORS, np.bool_)
         return Verdict(score, surprises, sectors, inconsistent, alarm, suspect, self._sweeps)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from viewshed.guarantees.envelope import Threat
 from viewshed.pipeline.reactions import ReactionRules
 
 
@@ -18,6 +19,7 @@ class Profile:
         monitor: whether the stream is watched.
         rules: how caution rises and falls.
         rate_hz: sweeps of a sensor that are estimated in a second; 0 for all of them.
+        certify: the threat whose certificate an alarm falls back to; None for none.
 
     Raises:
         ValueError: a number is negative.
@@ -29,6 +31,7 @@ class Profile:
     monitor: bool
     rules: ReactionRules
     rate_hz: float
+    certify: Threat | None = None
 
     def __post_init__(self) -> None:
         if self.history < 0 or not self.rate_hz >= 0.0:
@@ -40,13 +43,20 @@ PROFILES = {
     "infrastructure": Profile("shadow_map", "road", 0, True, ReactionRules(recover_sweeps=30), 10.0),
     "mapping": Profile("viewnet", "road", 5, False, ReactionRules(), 0.0),
     "contested": Profile(
-        "shadow_map", "road", 5, True, ReactionRules(recover_sweeps=50, widen_sectors=2, most_suspect=0.0), 0.0
+        "shadow_map",
+        "road",
+        5,
+        True,
+        ReactionRules(recover_sweeps=50, widen_sectors=2, most_suspect=0.0),
+        0.0,
+        certify=Threat("window", 5),
     ),
 }
 """``robot``: a small vehicle among people, fine cells around it, no more work than its sensor's usual 10 Hz.
 ``infrastructure``: a sensor on a pole, whose own pose tells nothing new; calm returns slowly.
 ``mapping``: probabilities of every sweep, helped by earlier ones; nobody reacts.
-``contested``: somebody may be lying: earlier sweeps confirm claims, caution rises at once and falls after 50 sweeps."""
+``contested``: somebody may be lying: earlier sweeps confirm claims, caution rises at once and falls after 50 sweeps,
+and what no five replaced beams at a target can have opened stays claimed."""
 
 
 def profile_named(name: str) -> Profile:

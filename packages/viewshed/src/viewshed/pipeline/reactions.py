@@ -8,7 +8,7 @@ calm sweeps in a row, so that between two rises to the same step there are alway
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import lru_cache
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
+from viewshed.guarantees.certificate import without
 from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import cells_of_sectors
 
@@ -151,12 +152,7 @@ def withdraw(
         lost |= True if confirmed is None else ~confirmed
     if certified is not None and state.caution != Caution.STALE:
         lost &= ~certified
-    below = np.nextafter(np.float32(estimate.threshold), np.float32(0.0))
-    return replace(
-        estimate,
-        state=np.where(lost, np.uint8(CellState.UNKNOWN), estimate.state),
-        visible_prob=np.where(lost, np.minimum(estimate.visible_prob, below), estimate.visible_prob),
-    )
+    return without(estimate, lost)
 
 
 @dataclass(frozen=True, slots=True)

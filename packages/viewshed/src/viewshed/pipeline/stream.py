@@ -12,9 +12,12 @@ from threading import Event, Lock, Thread
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from viewshed.arrays import Mask
 from viewshed.estimators.base import Estimator
 from viewshed.estimators.temporal import SweepBuffer
 from viewshed.fov.estimate import FovEstimate
+from viewshed.guarantees.certificate import certify
+from viewshed.guarantees.envelope import Threat
 from viewshed.io import read_sweep
 from viewshed.io.samples import junction_path
 from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
@@ -159,6 +162,7 @@ class Pipeline:
         monitor: what watches the stream, or None.
         objects: what detects, tracks and explains objects after each estimate, or None; its errors cost only them.
         rules: how caution rises and falls.
+        certify: the threat whose certificate an alarm falls back to: what is certified stays claimed; None for none.
         vehicle: how the vehicle stops whose speed is answered.
         waiting: sweeps of an agent that may wait for their turn.
         lossless: let :meth:`put` wait for room instead of dropping sweeps, for files; nothing is stale then.
@@ -178,6 +182,7 @@ class Pipeline:
         monitor: StreamMonitor | None = None,
         objects: ObjectStream | None = None,
         rules: ReactionRules = RULES,
+        certify: Threat | None = None,
         vehicle: Vehicle = VEHICLE,
         waiting: int = 1,
         lossless: bool = False,
@@ -186,7 +191,7 @@ class Pipeline:
         if not stale_after_s > 0.0:
             raise ValueError(f"stale_after_s must be positive, got {stale_after_s}; give inf for never")
         self._estimator, self._publish, self._history, self._monitor = estimator, publish, history, monitor
-        self._rules, self._vehicle, self._objects = rules, vehicle, objects
+        self._rules, self._vehicle, self._objects, self._threat = rules, vehicle, objects, certify
         self._stale_after_s = math.inf if lossless else stale_after_s
         # Between two threads one sweep waits: who is faster waits for room, and what comes in meanwhile waits, or is
         # dropped, in the inbox.
@@ -484,9 +489,24 @@ class Pipeline:
             confirmed = None
             if reaction.caution == Caution.CONFIRMED and step.seen is not None:
                 confirmed = step.seen.confirmations(estimate.grid, estimate.target) > 0
-            estimate = withdraw(estimate, reaction, confirmed, self._rules)
+            # An agent that a center accuses may well be beyond any threat that was thought of.
+            certified = None
+            if step.leveled is not None and not (found.stale or found.accused):
+                certified, notes = self._certified(step.leveled, estimate)
+                step = replace(step, notes=(*step.notes, *notes))
+            estimate = withdraw(estimate, reaction, confirmed, self._rules, certified)
         speed_mps = 0.0 if reaction.caution == Caution.STALE else speed_for_view(estimate, self._vehicle)
         return replace(step, reaction=reaction, estimate=estimate, speed_mps=speed_mps)
+
+    def _certified(self, leveled: LeveledSweep, estimate: FovEstimate) -> tuple[Mask | None, tuple[str, ...]]:
+        """Return the cells (cells, cells) that the threat cannot have opened, and what is certified, in words."""
+        if self._threat is None:
+            return None, ()
+        try:
+            certificate = certify(leveled, estimate, self._threat)
+        except ValueError as error:
+            return None, (f"nothing certified: {_in_one_line(error)}",)
+        return certificate.certified_visible, (certificate.line,)
 
     def _hand_out(self, answer: Answer) -> None:
         """Hand an answer to the thread that publishes; a newer one of its agent replaces it there, but not of files."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.fov.estimate import THRESHOLD, UNSURE_M, Basis, HeightSource
+from viewshed.fov.estimate import Basis, HeightSource
 from viewshed.fov.height_map import positions_of_cells
 from viewshed.fov.visibility import poisson_table
 from viewshed.preprocess.evidence import BeamEvidence
@@ -25,8 +25,7 @@ def basis_of(leveled: LeveledSweep, evidence: BeamEvidence, state: NDArray[np.ui
     ground, target = leveled.ground, evidence.target
     nodes = positions_of_cells(evidence.grid, ground.half_extent_m, len(ground.std_m)).node
     claimed, over_unsure_ground, inferred = _core.claims(
-        state, evidence.measured, nodes, ground.std_m, table=poisson_table(target.min_returns), threshold=THRESHOLD,
-        unsure_m=UNSURE_M,
+        state, evidence.measured, nodes, ground.std_m, table=poisson_table(target.min_returns)
     )  # fmt: skip
     return Basis(
         sensor_height_m=leveled.sensor_height_m,

@@ -18,16 +18,6 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.no_return import beams_by_evidence
 from viewshed.preprocess.reach import reach_of_sweep
 
-GROUND_STEPS = ((-1.22, 0.3), (1.22, 0.3))
-"""Heights of the ground, in standard deviations, and their weights; the height itself has what is left. Together they
-have nearly the variance of a normal distribution."""
-
-END_WEIGHTS = (0.3, 0.3)
-"""Weights of the early and the late ends of beams without a return; the likely ones have what is left."""
-
-SURE_AIM = 0.9
-"""Probability from which enough beams aim at a target to call its cell hidden: a beam more or less must not decide."""
-
 States = NDArray[np.uint8]
 
 Counts = NDArray[np.int32]
@@ -117,8 +107,6 @@ class BeamEvidence:
             np.ascontiguousarray(denied),
             np.ascontiguousarray(obstacle),
             table=poisson_table(self.target.min_returns),
-            threshold=THRESHOLD,
-            sure_aim=SURE_AIM,
         )
 
 
@@ -147,22 +135,21 @@ def beam_evidence(
 
 def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: Obstacles | None) -> BeamEvidence:
     beams = beams_by_evidence(leveled, target.height_m)
-    kinds = [beams.measured, beams.inferred, beams.early, beams.late]
-    if history is not None:
-        kinds = [history.within(kind) for kind in kinds]
+    measured, inferred, early, late = (
+        kind if history is None else history.within(kind)
+        for kind in (beams.measured, beams.inferred, beams.early, beams.late)
+    )
     ground, reach_m = leveled.ground, reach_of_sweep(leveled)
     arrays = _core.beam_evidence(
         cell_windows(grid, target.width_m),
-        (kinds[0].arrays, kinds[1].arrays, kinds[2].arrays, kinds[3].arrays),
+        measured.arrays,
+        (*inferred.arrays, early.arrays[2], late.arrays[2]),
         ground.heights_m,
         ground.std_m,
         half_extent_m=ground.half_extent_m,
         sensor_height_m=leveled.sensor_height_m,
         target_height_m=target.height_m,
-        ground_steps=GROUND_STEPS,
-        end_weights=END_WEIGHTS,
         table=poisson_table(target.min_returns),
-        threshold=THRESHOLD,
         reach_m=reach_m,
     )
     for array in arrays:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.arrays import F32
-from viewshed.fov.visibility import Beams, Target, returns_by_kind
+from viewshed.fov.visibility import Beams, Target, expected_returns
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.evidence import beam_evidence
@@ -87,7 +87,7 @@ class History:
             return self._confirmations[grid, target]
         total = np.zeros(grid.shape, np.int32)
         lines, where = _sight_lines(), (self.sensor_height_m, self.now.ground, grid, target)
-        [whole] = returns_by_kind([lines], *where)
+        whole, _ = expected_returns(lines, *where)
         # A sweep alone leaves gaps where it looked from afar or along a face, and the way seems open there.
         images = [self._obstacles_of([number]) for number in range(len(self.earlier))]
         remembered = np.minimum.reduce([self.obstacles(), *images[-1:]])
@@ -95,7 +95,7 @@ class History:
             # Did it see the cell from where it was, and is the way from here to the cell open?
             before_from_now = now_from_before.inverse().as_matrix()[:2, [0, 1, 3]].astype(np.float32, order="C")
             seen = beam_evidence(before, grid, target).supports_claim()
-            [open_] = returns_by_kind([_ended(lines, np.minimum(image, remembered))], *where)
+            open_, _ = expected_returns(_ended(lines, np.minimum(image, remembered)), *where)
             total += _core.confirmed_cells(seen, before_from_now, *grid.origin_m, grid.cell_m, open_, whole)
         total.setflags(write=False)
         self._confirmations[grid, target] = total

@@ -7,10 +7,6 @@ one within four columns of its ring holds two: then the azimuth only jittered.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from io import BytesIO
-from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +22,6 @@ from viewshed.sweep import PlanarScan
 JITTER_COLUMNS = _core.JITTER_COLUMNS
 """A point may lie this many columns from the firing that it belongs to."""
 
-MODEL = Path(__file__).with_name("no_return.npz")
-"""The network that guesses how far beams without a return went."""
-
-MODEL_ARRAYS = ("mean", "scale", "first", "first_bias", "second", "second_bias", "third", "third_bias")
-"""Its arrays."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamsByEvidence:
@@ -39,7 +29,8 @@ class BeamsByEvidence:
 
     Attributes:
         measured: beams of returns; those of isolated ones point straight up and meet nothing.
-        inferred: without a return, as deep as they went with a probability of .5; +inf where nothing stopped them.
+        inferred: without a return, as deep as they went with a probability of .5; at most 1.5 times the range beyond
+            which one return in a thousand lies, since the sweep does not show that its sensor sees farther.
         early: the same, as deep as they went with a probability of .8.
         late: the same, as deep as they went with a probability of .2.
     """
@@ -96,7 +87,6 @@ def beams_by_evidence(leveled: LeveledSweep, top_m: float) -> BeamsByEvidence:
         image.ring, image.column, image.counts, image.isolated, _clutter(leveled), image.phase, image.elevation,
         image.origin_m, leveled.level_from_sensor.rotation, leveled.points, leveled.range_m, leveled.height_m,
         leveled.rows, leveled.sensor_height_m, ground.heights_m, ground.half_extent_m, top_m, OBSTACLE_HEIGHTS_M[0],
-        no_return_model(),
     )  # fmt: skip
     measured = Beams(leveled.azimuth, slope, leveled.range_m)
     return BeamsByEvidence(measured, *(Beams(azimuth, slopes, end_m) for end_m in (depth_m, early_m, late_m)))
@@ -133,28 +123,6 @@ def no_return_groups(leveled: LeveledSweep, top_m: float) -> NoReturnGroups | No
             leveled.sensor_height_m, ground.heights_m, ground.half_extent_m, top_m, OBSTACLE_HEIGHTS_M[0],
         )
     )  # fmt: skip
-
-
-@lru_cache(maxsize=1)
-def no_return_model() -> _core.NoReturnModel:
-    """Return the network of the package."""
-    return load_no_return_model(MODEL)
-
-
-def load_no_return_model(path: Path) -> _core.NoReturnModel:
-    """Return a network that :mod:`viewshed_lab.training.no_return` wrote.
-
-    Raises:
-        ValueError: the file is none, or its numbers do not fit.
-    """
-    try:
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as stored:
-            arrays = [stored[name].astype(np.float32) for name in MODEL_ARRAYS]
-    except (KeyError, OSError, ValueError, BadZipFile) as error:
-        raise ValueError(f"{path} must hold a network for beams without a return, got {error}") from error
-    if not all(np.isfinite(array).all() for array in arrays):
-        raise ValueError(f"{path} must hold finite numbers; install viewshed anew")
-    return _core.NoReturnModel(*arrays)
 
 
 def _open_beams(leveled: LeveledSweep, planar: PlanarScan) -> Beams:

@@ -11,15 +11,6 @@ from viewshed import _core
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sensors import LidarModel
 
-LEAST_REACH_M = 20.0
-"""Reach of a sensor that no table describes and whose returns show nothing."""
-
-BULK_SHARE, REACH_TIMES = 0.9, 2.5
-"""The reach that the returns show is the range within which this share of the supported ones lies, times this."""
-
-USUAL_REACH_M = 85.0
-"""Least reach of a sensor that no table describes and that has supported returns: the median of the shipped tables."""
-
 
 def sensing_reach(
     range_m: NDArray[Any],
@@ -53,11 +44,7 @@ def sensing_reach(
     if model is not None and model.reach_m is not None:
         return model.reach_m
     most_m = np.inf if model is None else model.max_range_m
-    quantile_m = _core.range_quantile(np.ascontiguousarray(range_m, np.float32), isolated, rows, most_m, BULK_SHARE)
-    if np.isnan(quantile_m):  # no return is supported
-        return min(LEAST_REACH_M, most_m)
-    shown_m = REACH_TIMES * quantile_m
-    return float(min(max(USUAL_REACH_M, np.cbrt(shown_m * USUAL_REACH_M**2)), most_m))
+    return _core.sensing_reach(np.ascontiguousarray(range_m, np.float32), isolated, rows, most_m)
 
 
 def returns_beyond(points: NDArray[np.float32], model: LidarModel | None) -> int:

@@ -126,3 +126,44 @@ def test_a_sweep_without_a_pose_is_named(
 
     with pytest.raises(ValueError, match=message):
         place()
+
+
+def _places(*rows: tuple[float, float, float]) -> str:
+    lines = [f"{time_s:.2f},{latitude:.9f},{longitude:.9f},15.8,0.05" for time_s, latitude, longitude in rows]
+    return "\n".join(["timestamp,latitude,longitude,height,latitude_std_dev", *lines])
+
+
+def test_places_by_latitude_and_longitude_look_along_their_way(tmp_path: Path) -> None:
+    # North by one meter each half second, then a stop, then east: 1 m is 1 / 111,319 of a degree of latitude.
+    north, east = 1.0 / 111319.49, 1.0 / (111319.49 * np.cos(np.deg2rad(37.0)))
+    rows = [(1e9, 37.0, -122.0), (1e9 + 0.5, 37.0 + north, -122.0), (1e9 + 1.0, 37.0 + north, -122.0),
+            (1e9 + 1.5, 37.0 + north, -122.0 + east)]  # fmt: skip
+    table = PoseFile.read(written(tmp_path, _places(*rows)))
+    found = [(*pose.translation.round(3), round(pose.yaw, 3)) for pose in table.poses]
+    half = round(np.pi / 2, 3)
+    assert found == [(0, 0, 0, half), (0, 1, 0, half), (0, 1, 0, 0), (1, 1, 0, 0)]
+    assert table.notes == ("places have no rotation: the sensor is taken to look along its way, level",)
+    # A folder with a file for each sweep says the same, in the order of time whatever the names are.
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for number, row in enumerate(reversed(rows)):
+        (folder / f"{number}.pose").write_text(_places(row))
+    again = PoseFile.read(folder)
+    assert [pose.translation.round(3).tolist() for pose in again.poses] == [[x, y, z] for x, y, z, _ in found]
+    placed = again.place_sweep(SWEEP.replace(t_ns=int((1e9 + 0.25) * S)), folder / "a.pcd", 0, [folder / "a.pcd"])
+    assert placed.world_from_sensor.translation.tolist() == pytest.approx([0.0, 0.5, 0.0], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("timestamp,latitude,height\n1,2,3", "must name a column longitude"),
+        ("timestamp,latitude,longitude,height\n1,2", "line 2 must have a number for each of its columns"),
+        (_places((1.0, 90.0, 0.0)), "latitude must lie in"),
+        (_places((1.0, 9.0, 0.0), (1.0, 9.0, 0.1)), "times must differ, got 1.000000 s twice"),
+        ("timestamp,latitude,longitude,height", "must have places, got no line with numbers"),
+    ],
+)
+def test_wrong_tables_of_places_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PoseFile.read(written(tmp_path, text))

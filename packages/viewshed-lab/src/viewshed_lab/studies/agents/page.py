@@ -186,7 +186,7 @@ class AgentsResults:
             caught = mean(float(self.accused(run)[run.liars].mean()) for run in alone)
             others = mean(float(np.delete(self.accused(run), run.liars).any()) for run in lied)
             rows += [
-                ("one of five lies about objects, accused at 1 %", 0.85, False, caught),
+                (f"one of five lies about objects, accused at {100 * self.rate:.3g} %", 0.85, False, caught),
                 ("seconds until then, median", 2.0, True, float(np.median(delays))),
                 ("runs with an honest agent accused, others lie", 0.01, True, others),
             ]

@@ -96,7 +96,7 @@ def page_of(
         floor: whether the metric's own error is measured in a simulation as well.
     """
     check_names("attacks", attacks, ATTACKS)
-    found, floors = _scenes(index), dict[str, list[CrossViewRow]]()
+    found, floors = posed_scenes(index), dict[str, list[CrossViewRow]]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
         for name, rules in FLOOR_RULES.items():
@@ -138,7 +138,7 @@ def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovE
     return with_known_faults(name, estimators[name])
 
 
-def _scenes(index: Path) -> dict[str, list[list[Sweep]]]:
+def posed_scenes(index: Path) -> dict[str, list[list[Sweep]]]:
     """Return the sweeps by sensor and scene.
 
     A scene is a folder of the index with three posed sweeps or more over 0.7 s, or with several sensors at one time.

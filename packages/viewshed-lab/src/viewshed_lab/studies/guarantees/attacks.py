@@ -19,12 +19,12 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.envelope import Envelope, Given, Threat
+from viewshed.guarantees.envelope import Envelope, Given, Threat, fired_columns
 from viewshed.preprocess.leveling import NULL_RANGE_M, level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
-TRIED = ("added", "replaced:5", "replaced:20", "replaced:150", "window:5", "wedge:10", "dropped:20")
+TRIED = ("added", "replaced:5", "replaced:20", "replaced:50", "replaced:150", "window:5", "wedge:10", "dropped:20")
 
 TRIED_TOY = ("added", "replaced:5", "replaced:20", "window:5", "wedge:60", "dropped:5")
 
@@ -120,7 +120,7 @@ class Victim:
             max(NULL_RANGE_M, model.min_range_m),
             model.max_range_m,
         )
-        return Envelope(own.grid, own.target, own.sent, nearest_m, _core.envelope_margins(own.sent, nearest_m))
+        return Envelope.within(own.grid, own.target, own.sent, nearest_m, fired_columns(model))
 
 
 def own_victim(sweep: Sweep, grid: BevGrid) -> Victim:
@@ -175,7 +175,7 @@ def weights_of(clean: Envelope, threat: Threat) -> NDArray[np.float64]:
     """Return for each beam (rings, columns) how much it helps to open: the gradient of the bound."""
     most = _DEEPEST if threat.kind == "wedge" else max(int(threat.amount), 1)
     return _core.cells_of_beams(
-        clean.sent, clean.nearest_m, clean.margins, ~clean.claim(), clean.target.min_returns, most, True
+        clean.sent, clean.nearest_m, clean.margins, ~clean.open(), clean.target.min_returns, most, True
     )
 
 
@@ -186,7 +186,7 @@ def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random
     bound, in two halves, the second after the first; ``evolution`` changes a few beams of the best attack so far.
     """
     threat, clean = Threat.parse(words), victim.envelope
-    among = ~clean.claim()
+    among = ~clean.reference(threat)
     bound_m2 = clean.changeable(threat, among, opens=True)[0]
     weight = None if how == "random" or threat.kind == "added" else weights_of(clean, threat)
     best: NDArray[np.intp] | None = None
@@ -221,8 +221,8 @@ def _certifies_wrongly(after: Envelope, clean: Envelope, threat: Threat) -> bool
         _, changes = after.changeable(threat, after.claim(), opens=False)
         certified = after.claim() & ~changes
     else:
-        certified = after.claim(int(threat.amount))
-    return bool((certified & ~clean.claim()).any())
+        certified = after.claim() & after.open(int(threat.amount))
+    return bool((certified & ~clean.reference(threat)).any())
 
 
 def _claims_wrongly(
@@ -233,7 +233,7 @@ def _claims_wrongly(
     leveled = level(victim.attacked(beams, far, added.astype(np.float32)), grid)
     everything = FovEstimate(grid, np.ones(grid.shape, np.float32), np.full(grid.shape, CellState.FREE, np.uint8))
     certificate = certify(leveled, everything, threat, victim.given)
-    clean = victim.envelope.claim()
+    clean = victim.envelope.reference(threat)
     opened = float((certificate.claim & ~clean).sum()) * grid.cell_area_m2
     return bool((certificate.certified_visible & ~clean).any()) or opened > certificate.over_claim_m2
 
@@ -241,11 +241,12 @@ def _claims_wrongly(
 def try_all(victim: Victim, beams_at_once: int, limit: int, tally: Tally) -> None:
     """Drop every set of so many beams of a toy sensor, up to a limit."""
     threat, clean = Threat("dropped", beams_at_once), victim.envelope
-    bound_m2, best_m2 = clean.changeable(threat, ~clean.claim(), opens=True)[0], 0.0
+    among = ~clean.reference(threat)
+    bound_m2, best_m2 = clean.changeable(threat, among, opens=True)[0], 0.0
     for beams in islice(combinations(np.unique(victim.beam), beams_at_once), limit):
         sweep = victim.attacked(np.array(beams), np.full(len(beams), np.inf, np.float32), np.zeros((0, 3), np.float32))
         after = victim.envelope_of(sweep)
-        opened_m2 = float((after.claim() & ~clean.claim()).sum()) * clean.grid.cell_area_m2
+        opened_m2 = float((after.claim() & among).sum()) * clean.grid.cell_area_m2
         best_m2 = max(best_m2, opened_m2)
         tally.tried += 1
         tally.violations += int(opened_m2 > bound_m2 or _certifies_wrongly(after, clean, threat))

@@ -23,6 +23,7 @@ from viewshed.guarantees.conformal import (
 )
 from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.studies.guarantees import attacks
+from viewshed_lab.studies.guarantees.driving import CASES, MONITORS, drive_through
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
     adapted_of,
@@ -31,7 +32,6 @@ from viewshed_lab.studies.guarantees.scenes import (
     counts_of,
     guaranteed_of,
     own_scene,
-    survey_of,
     wild_scene,
 )
 
@@ -46,7 +46,7 @@ Line = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """How much is done: scenes of each part, and attacks of each kind on a scene."""
+    """How much is done: scenes of each part, attacks of each kind on a scene, drives of each case and monitor."""
 
     certificates: int
     broken: int
@@ -58,12 +58,13 @@ class Sizes:
     attacks: int
     toys: int
     each: int
+    drives: int
 
 
 SIZES = {
-    "tiny": Sizes(2, 2, 1, 10, 100, 4, 0, 1, 1, 10),
-    "small": Sizes(65, 20, 8, 60, 300, 400, 60, 20, 80, 80),
-    "full": Sizes(65, 65, 40, 200, 600, 1000, 60, 50, 160, 80),
+    "tiny": Sizes(2, 2, 1, 10, 100, 4, 0, 1, 1, 10, 0),
+    "small": Sizes(65, 20, 8, 60, 300, 400, 60, 20, 80, 80, 20),
+    "full": Sizes(65, 65, 40, 200, 600, 1000, 60, 50, 160, 80, 200),
 }
 
 
@@ -95,18 +96,23 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "report", number, found)
     for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
         _add(folder, "attacks", number, attack_scene(number, sizes))
+    pairs = [(case, monitor) for case in CASES for monitor in MONITORS]
+    for number in _left(folder, "driving", sizes.drives * len(pairs), on_line):
+        run, pair = divmod(number, len(pairs))
+        case, monitor = pairs[pair]
+        _add(folder, "driving", number, {"case": case, "monitor": monitor, **asdict(drive_through(run, case, monitor))})
 
 
-def judge_by_survey(folder: Path, log: Path) -> None:
-    """Measure the masks of a folder on the surveyed ground of an Argoverse 2 log."""
+def judge(folder: Path, part: str, of: Callable[[dict[str, tuple[Calibration, float]]], list[Line]]) -> None:
+    """Write the lines of a part anew: what the masks of a folder are worth on data that is not simulated."""
     own = calibration_of(folder, "car")
     masks = {"guaranteed, calibration of the own scenes": (own, 0.9)}
     others = [_unpacked(line["car"]) for line in lines_of(folder, "development")]
     if len(others) >= LEAST_SCENES:
         masks["guaranteed, retested on development, confidence .5"] = (own.retested(others, "development"), 0.5)
-    (folder / "survey.jsonl").unlink(missing_ok=True)
-    for number, found in enumerate(survey_of(log, masks)):
-        _add(folder, "survey", number, found)
+    (folder / f"{part}.jsonl").unlink(missing_ok=True)
+    for number, found in enumerate(of(masks)):
+        _add(folder, part, number, found)
 
 
 def lines_of(folder: Path, part: str) -> list[Line]:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from scipy.stats import beta
 
+from viewshed.fov.estimate import FovEstimate
 from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, lower_bound
 from viewshed.guarantees.envelope import Threat
@@ -21,8 +23,9 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies.figures import compared
 from viewshed_lab.studies.formatting import format_interval, format_number, format_rate, format_rates
 from viewshed_lab.studies.guarantees import attacks
+from viewshed_lab.studies.guarantees.driving import CASES, LAST_S, MONITORS, STAYS_S, drive_through
 from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
-from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, default_estimator, own_scene
+from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, WITHSTOOD, default_estimator, own_scene
 from viewshed_lab.studies.pages import Picture, Table, fill_template
 
 
@@ -32,10 +35,13 @@ def files_of(folder: Path) -> dict[str, bytes]:
     page = fill_template(
         "guarantees/page.md", counts={part: len(of) for part, of in lines.items()}, alpha=ALPHA, delta=DELTA,
         certificates=_certificates(lines["certificates"]), final=_final(lines["certificates"]),
-        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]), adapted=_adapted(lines["adapted"]),
+        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]),
+        worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
-        development=_development(folder), survey=_survey(lines["survey"]),
-        picture=_picture() if lines["attacks"] else None,
+        development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
+        picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
+        last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
+        strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
     about = facts(
@@ -44,7 +50,21 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return page.files("guarantees.md", about)
 
 
-_PARTS = ("certificates", "broken", "adapted", "calibration", "development", "report", "attacks", "survey")
+_STATES = ListedColormap(["#b9b4c7", "#dcefff", "#4f6d8f", "#6d6875"])
+"""Colors of UNKNOWN, FREE, SURFACE and HIDDEN."""
+
+_PARTS = (
+    "certificates",
+    "broken",
+    "adapted",
+    "calibration",
+    "development",
+    "report",
+    "attacks",
+    "survey",
+    "driving",
+    "crossview",
+)
 
 
 def _sum(lines: list[Line], key: str, kind: str) -> Any:
@@ -70,7 +90,7 @@ def _certificates(lines: list[Line]) -> Table | None:
         ground, words = key.split(" | ")
         clean = _sum(lines, key, "envelope")
         gain_m2 = sum(line[key]["gain_m2"] for line in lines)
-        worst = clean[0] / (clean[0] + clean[1] + gain_m2)
+        worst = clean[0] / (clean[0] + _sum(lines, key, "reference")[1] + gain_m2)
         rows.append([
             ground, f"`{words}`", _precision_recall(clean), _precision_recall(_sum(lines, key, "certified envelope")),
             f"{gain_m2 / len(lines):.0f}", format_rate(worst),
@@ -123,8 +143,8 @@ def _attacks(lines: list[Line]) -> Table | None:
     return Table(["threat", *kinds, "attacks", "violations"], rows)
 
 
-def _worst(lines: list[Line]) -> Table | None:
-    """Return the bound against the worst attack that was found, by threat, over the own scenes."""
+def _bounds(lines: list[Line]) -> dict[str, list[tuple[float, float]]]:
+    """Return by threat, for each own scene, the worst attack that was found and the bound, in m²."""
     found: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for line in lines:
         by_threat: dict[str, list[Line]] = defaultdict(list)
@@ -133,6 +153,12 @@ def _worst(lines: list[Line]) -> Table | None:
         for words, tallies in by_threat.items():
             if not line["toy"]:
                 found[words].append((max(tally["best_m2"] for tally in tallies), tallies[0]["bound_m2"]))
+    return found
+
+
+def _worst(lines: list[Line]) -> Table | None:
+    """Return the bound against the worst attack that was found, by threat, over the own scenes."""
+    found = _bounds(lines)
     if not found:
         return None
     rows = []
@@ -144,11 +170,37 @@ def _worst(lines: list[Line]) -> Table | None:
     return Table(["threat", "worst attack found, m²", "bound, m²", "bound / worst, mean over scenes"], rows)
 
 
+def _worst_picture(lines: list[Line]) -> Picture | None:
+    """Return bound and worst attack found by the number of replaced beams, each scene and their mean."""
+    found = {
+        int(words[9:]): np.array(pairs) for words, pairs in _bounds(lines).items() if words.startswith("replaced:")
+    }
+    if not found:
+        return None
+    figure = Figure((5.6, 3.2), dpi=90, layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    beams = sorted(found)
+    for column, (name, color) in enumerate((("worst attack found", "#c05a2b"), ("bound", "#2b5aa0"))):
+        for number in range(len(found[beams[0]])):
+            axis.plot(beams, [found[k][number, column] for k in beams], color=color, alpha=0.15, linewidth=1)
+        axis.plot(beams, [found[k][:, column].mean() for k in beams], "o-", color=color, label=name)
+    axis.set(xscale="log", yscale="log", xlabel="replaced beams", ylabel="opened, m²", xticks=beams, xticklabels=beams)
+    axis.minorticks_off()
+    axis.legend(frameon=False)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    return Picture(
+        "guarantees_bound.png", drawn.getvalue(), "Bound and worst attack found, by number of replaced beams."
+    )
+
+
 def _adapted(lines: list[Line]) -> Table | None:
     """Return what an attacker with 150 returns on beams opens who asks the victim."""
     if not lines:
         return None
-    names = {"default": "default", "final": "default ∩ envelope", "certified": "its certified part, `replaced:150`"}
+    names = {"default": "default", "final": "default ∩ envelope"}
+    names |= {words: f"its certified part, `{words}`" for words in WITHSTOOD}
     rows = [
         [words, *(f"{np.mean([line[name][k] for line in lines]):.0f}" for k in (0, 1)),
          f"{max(line[name][1] for line in lines):.0f}"]
@@ -244,6 +296,70 @@ def _survey(lines: list[Line]) -> Table | None:
     return Table(["mask", "claimed cells on surveyed ground, a sweep", "of these off by more than .3 m"], rows)
 
 
+def _crossview(lines: list[Line]) -> Table | None:
+    """Return over-claim and under-claim on real posed sequences, by sensor and mask."""
+    if not lines:
+        return None
+    rows = []
+    for line in lines:
+        rates = [line[name] for name in ("over", "under")]
+        words = [f"{format_interval(r['value'], (r['low'], r['high']))} of {r['columns']}" for r in rates]
+        rows.append([line["sensor"], line["mask"], *words])
+    return Table(["sensor", "mask", "over-claim", "under-claim"], rows)
+
+
+def _driving(lines: list[Line]) -> Table | None:
+    """Return collisions, needless stops and travel times of the closed loop, by case and monitor."""
+    if not lines:
+        return None
+    rows = []
+    for case in CASES:
+        for monitor in MONITORS:
+            of = [line for line in lines if (line["case"], line["monitor"]) == (case, monitor)]
+            if not of:
+                continue
+            hit, passed = sum(line["collided"] for line in of), [x["time_s"] for x in of if x["time_s"] < LAST_S]
+            stood = np.array([line["needless_s"] for line in of])
+            spread = f" ±{1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)):.1f}" if len(passed) > 1 else ""
+            rows.append([
+                case, monitor, str(len(of)), f"{hit}: {format_interval(hit / len(of), _interval(hit, len(of)))}",
+                f"{stood.mean():.1f} s in {int((stood > 0).sum())}", f"{sum(line['alarm_s'] > 0 for line in of)}",
+                str(len(passed)), f"{np.mean(passed):.1f}{spread}" if passed else "–",
+            ])  # fmt: skip
+    header = ["attack", "monitor", "drives", "collisions", "stood needlessly, mean", "drives with an alarm",
+              "drives that passed", "time of these, s"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _strip(
+    lines: list[Line], number: int = 0, case: str = "far wall", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
+) -> Picture:
+    """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
+    monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
+    figure = Figure((12.5, 1.3 * len(monitors)), dpi=80, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(monitors), len(times), squeeze=False)
+    for monitor, row in zip(monitors, axes, strict=True):
+        frames: list[tuple[float, float, tuple[float, float], FovEstimate]] = []
+        drive = drive_through(number, case, monitor, lambda *frame, to=frames: to.append(frame))
+        for axis, wanted_s in zip(row, times, strict=True):
+            axis.set(xticks=[], yticks=[])
+            time_s, speed_mps, walker, estimate = min(frames, key=lambda frame: abs(frame[0] - wanted_s))
+            half_m = estimate.grid.half_extent_m
+            axis.imshow(
+                estimate.state.T, cmap=_STATES, vmin=0, vmax=3, extent=(-half_m, half_m, -half_m, half_m),
+                origin="lower", interpolation="nearest",
+            )  # fmt: skip
+            axis.set(xlim=(-5, 35), ylim=(-8, 8))
+            axis.plot(0.0, 0.0, "s", color="black", markersize=5)
+            axis.plot(*walker, "o", color="crimson", markersize=5)
+            axis.set_title(f"{time_s:.0f} s, {speed_mps:.0f} m/s", fontsize=8)
+        row[0].set_ylabel(monitor + (", hit" if drive.collided else ""), fontsize=8)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    return Picture("guarantees_driving.png", drawn.getvalue(), "What the car believes while it drives, by monitor.")
+
+
 def _picture(number: int = 1) -> Picture:
     """Return the envelope of one scene without an attack and under one, what is certified, and what was opened."""
     scene, threat = own_scene("attacks", number), Threat("replaced", 150)
@@ -259,7 +375,7 @@ def _picture(number: int = 1) -> Picture:
         "final claim, certified against 5": certify(
             leveled, estimate, Threat("replaced", 5), victim.given
         ).certified_visible,
-        "opened by the attack": after.claim() & ~clean.claim(),
+        "opened by the attack": after.claim() & ~clean.open(),
     }
     figure = Figure((12.5, 3.4), dpi=90, layout="constrained")
     FigureCanvasAgg(figure)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.data.wild import WildScene
+from viewshed_lab.studies.crossview.page import posed_scenes
+from viewshed_lab.studies.crossview.rates import evaluate_crossview
 from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
@@ -35,7 +37,10 @@ SEEDS = {"calibration": 3601, "report": 3602, "certificates": 3603, "attacks": 3
 
 GRID = GRIDS["road"]
 
-THREATS = ("added", "replaced:5", "window:5", "replaced:150", "wedge:10", "dropped:20")
+THREATS = ("added", "replaced:5", "window:5", "window:20", "replaced:150", "wedge:10", "dropped:20")
+
+WITHSTOOD = ("window:5", "window:20", "replaced:150")
+"""Threats whose certified part an attacker who adapts is set on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +114,11 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
             threat = Threat.parse(words)
             certificate = certify(leveled, estimate, threat, given)
             # What is certified by the envelope alone, whatever an estimator claims.
-            gain_m2, _ = envelope.changeable(threat, ~envelope.claim(), opens=True)
+            gain_m2, _ = envelope.changeable(threat, ~envelope.reference(threat), opens=True)
             _, spent = envelope.changeable(threat, envelope.claim(), opens=False)
             found[f"{name} | {words}"] = {
                 "envelope": areas(envelope.claim(), visible, scene.known),
+                "reference": areas(envelope.reference(threat), visible, scene.known),
                 "certified envelope": areas(envelope.claim() & ~spent, visible, scene.known),
                 "final": areas(certificate.claim, visible, scene.known),
                 "certified": areas(certificate.certified_visible, visible, scene.known),
@@ -166,6 +172,51 @@ class Certified:
         return without(estimate, estimate.visible() & ~kept)
 
 
+@dataclass(frozen=True, slots=True)
+class Guaranteed:
+    """The default estimator's mask of a promised error.
+
+    Attributes:
+        estimator: whose claims it keeps.
+        calibration: that promises.
+        confidence: with which.
+    """
+
+    estimator: Estimator
+    calibration: Calibration
+    confidence: float
+
+    @property
+    def grid(self) -> BevGrid:
+        """Its grid."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate without what is not guaranteed."""
+        leveled = level(sweep, self.grid)
+        estimate = self.estimator.estimate(leveled)
+        kept = self.calibration.mask(estimate, leveled.ground, confidence=self.confidence)
+        return without(estimate, estimate.visible() & ~kept)
+
+
+def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
+    """Return over-claim and under-claim of the default and of guaranteed masks on real posed sequences, by sensor.
+
+    Args:
+        index: JSON of the sweeps; each folder of it is one scene.
+        masks: calibrations by name, and the confidence that is asked of them.
+    """
+    default = default_estimator(TARGETS["car"])
+    tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": Certified(default, ADDED)}
+    tried |= {name: Guaranteed(default, *mask) for name, mask in masks.items()}
+    found = []
+    for sensor, scenes in posed_scenes(index).items():
+        for row in evaluate_crossview(scenes, tried, rng=np.random.default_rng(36)):
+            rates = {name: asdict(getattr(row, name)) for name in ("over", "under")}
+            found.append({"sensor": sensor, "mask": row.method, **rates})
+    return found
+
+
 def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
     """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on ground that lies elsewhere.
 
@@ -198,7 +249,7 @@ def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
     victims: dict[str, FovEstimator] = {
         "default": estimator,
         "final": Certified(estimator, threat),
-        "certified": Certified(estimator, threat, True),
+        **{words: Certified(estimator, Threat.parse(words), True) for words in WITHSTOOD},
     }
     for name, victim in victims.items():
         search = BlackBox(OverClaim(victim), 150, queries, placement="largest_hidden_area")
@@ -209,7 +260,7 @@ def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
         if name == "final":
             leveled = level(tampered.sweep, GRID)
             found["bound"] = certify(leveled, estimator.estimate(leveled), threat, trust_inferred=True).over_claim_m2
-            clean = Envelope.of(scene.leveled, Given.of(scene.leveled), GRID, TARGETS["car"]).claim()
+            clean = Envelope.of(scene.leveled, Given.of(scene.leveled), GRID, TARGETS["car"]).reference(threat)
             found["beyond the clean envelope"] = float((after & ~clean).sum()) * GRID.cell_area_m2
     return found
 

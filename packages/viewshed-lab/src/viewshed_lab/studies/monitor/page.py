@@ -58,20 +58,21 @@ class Judged:
 
 
 def judge(calibration: Calibration, stream: StreamEvidence) -> Judged:
-    """Return a stream as a calibration judges it; attacks branch off its past, none becomes part of it."""
-    both, numbers = two_sided(EVIDENCE), strongest(stream.benign)
-    surprises = calibration.changes(changes_of(numbers, calibration.prior_scale, both))
-    # The references at which the attacks begin.
-    attacked_numbers, past = strongest(stream.attacked), Past(calibration.prior_scale, both)
+    """Return a stream as a calibration judges it; attacks branch off its past, and their sweeps become part of it."""
+    surprises = calibration.changes(changes_of(stream.benign, calibration.prior_scale))
     begins: dict[int, list[int]] = defaultdict(list)
     for case, (_, first) in enumerate(stream.cases):
         begins[first].append(case)
-    attacked = np.zeros(attacked_numbers.shape, np.float32)
-    for number, one in enumerate(numbers):
+    past, attacked = Past(calibration.prior_scale, EVIDENCE), np.zeros(stream.attacked.shape[:3], np.float32)
+    for number, evidence in enumerate(stream.benign):
         for case in begins.get(number, ()):
-            attacked[case] = calibration.changes(past.reference().changes(attacked_numbers[case]))
-        past.add(one)
-    return Judged(stream, added(surprises, both), surprises, attacked)
+            branch, reference = past.copy(), past.reference()
+            for k, tampered in enumerate(stream.attacked[case]):
+                changes = reference.changes(strongest(branch.onset(tampered)))
+                attacked[case, k] = calibration.changes(changes[None])[0]
+                branch.add(tampered)
+        past.add(evidence)
+    return Judged(stream, added(surprises, two_sided(EVIDENCE)), surprises, attacked)
 
 
 def rate_interval(alarms: int, hours: float) -> tuple[float, float]:
@@ -96,11 +97,12 @@ def files_of(
     words = text.format(
         places=len({one.stream.style for one in judged}), minutes=f"{minutes:.0f}",
         calibration_minutes=f"{calibration.hours * 60.0:.0f}", styles=", ".join(plan.calibration),
-        limits=", ".join(f"{calibration.limit(r, extrapolate=True):.2f} for {r:g}" for r in ASKED),
+        promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
     ).split("<!-- table -->")  # fmt: skip
     tables = [
         _places(calibration, judged), _groups(calibration, judged), _families(calibration, judged),
-        _reliability(calibration, judged), _left_out(calibration, judged), _traces(called),
+        _reliability(calibration, judged), _left_out(calibration, judged), _clean(judged), _worsened(judged),
+        _traces(called) + "".join("\n\n" + strip for strip in _strips(called)),
     ]  # fmt: skip
     parts = [part for pair in zip(words, [*tables, ""], strict=True) for part in pair]
     about = facts(seed=str(plan.seed), plan=plan.name, streams=f"{len(judged)} of {plan.seconds:g} s to report on")
@@ -195,13 +197,33 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
         kept = np.array([kind != name for kind in EVIDENCE])
         benign = [added(one.surprises * kept, two_sided(EVIDENCE)) for one in judged]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in benign]))[::-1]
-        own_limit = float(peaks[min(count, len(peaks) - 1)])
+        own_limit = float(peaks[min(count, len(peaks) - 1)]) if len(peaks) else 0.0
         every = np.concatenate(benign)
         found: list[NDArray[np.float32]] = [_scores(one * kept) for one in families.values()]
         area = np.mean([auroc(every, one[:, 0]) for one in found])
         caught = np.mean([(one.max(axis=1) > own_limit).mean() for one in found])
         rows.append([name, f"{area:.3f}", f"{caught:.2f}"])
     return table(["left out", "onset AUROC, mean", f"caught in .5 s at {count / hours:.0f} an hour, mean"], rows)
+
+
+def _clean(judged: Sequence[Judged]) -> str:
+    """Return of how many sweeps without a corruption the sensor is said to see worse than it did, by conditions."""
+    groups: dict[str, list[Judged]] = defaultdict(list)
+    for one in judged:
+        groups[one.stream.facts["conditions"]].append(one)
+    rows = []
+    for name, members in sorted(groups.items()):
+        every = np.concatenate([one.stream.degraded for one in members])
+        rows.append([name, str(len(members)), str(len(every)), f"{every.mean():.3f}"])
+    return table(["conditions", "streams", "sweeps", "share degraded"], rows)
+
+
+def _worsened(judged: Sequence[Judged]) -> str:
+    """Return in what share of the streams a corruption of the highest severity makes the sensor degraded in .5 s."""
+    names = list(judged[0].stream.worsened)
+    shares = {name: float(np.mean([one.stream.worsened[name] for one in judged])) for name in names}
+    rows = [[name, f"{shares[name]:.2f}"] for name in names]
+    return table(["corruption, severity 5", "share called"], [*rows, ["mean", f"{np.mean([*shares.values()]):.2f}"]])
 
 
 def _traces(called: Sequence[Called]) -> str:
@@ -220,8 +242,8 @@ def _traces(called: Sequence[Called]) -> str:
     return table(header, rows) if rows else "The traces were not given."
 
 
-def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
-    """Return the page of the traces alone, with a strip of p-values over time."""
+def _strips(called: Sequence[Called]) -> list[str]:
+    """Return of each trace the verdicts about each spoofed sweep, and of all sweeps that are called, as text."""
     strips = []
     for name in sorted({one.trace for one in called}):
         of_trace = [one for one in called if one.trace == name]
@@ -231,11 +253,18 @@ def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
             for number, c in enumerate(of_trace)
             if c.inconsistent or c.is_spoofed or any(o.is_spoofed for o in of_trace[max(number - 3, 0) : number + 4])
         ]
-        strips.append("\n".join([f"## {name}", "```text", *lines, "```"]))
+        strips.append("\n".join([f"### {name}", "```text", *lines, "```"]))
+    return strips
+
+
+def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
+    """Return the page of the traces alone, with a strip of p-values over time."""
     about = facts(limit=f"score {limit:.2f}, {per_hour:g} false alarms an hour asked")
     intro = (
         "Real sweeps of one car (Allenpandas/LiDAR-Spoofing-Forensics-Datasets, Apache-2.0), without poses or rings."
         " The authors publish no key; this one is inferred from the data, where these sweeps stand out by gaps of 10 to"
         " 25 times in single statistics. Sweeps about each spoofed one, and all that are called:"
     )
-    return page("Public traces of spoofed drives", about, f"## What is called\n\n{_traces(called)}", intro, *strips)
+    return page(
+        "Public traces of spoofed drives", about, f"## What is called\n\n{_traces(called)}", intro, *_strips(called)
+    )

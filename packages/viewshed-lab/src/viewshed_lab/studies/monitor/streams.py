@@ -6,6 +6,7 @@ import io
 import json
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +19,9 @@ from viewshed._files import write_atomic
 from viewshed.arrays import F32, Mask
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
-from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, MonitoredSweep, measure_all, sector_of
+from viewshed.monitor.degraded import NOW_SWEEPS, SensorState
+from viewshed.monitor.evidence import EVIDENCE, SECTORS, MonitoredSweep, measure_all, sector_of
+from viewshed.monitor.stream_monitor import EvidenceStream
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed_lab.data.wild import wild_tables
@@ -31,9 +34,13 @@ from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
 from viewshed_lab.threats.attacks.base import Tampered
+from viewshed_lab.threats.corruptions import CORRUPTIONS
 
 ATTACKED_SWEEPS = 5
 """Sweeps of an attack: half a second."""
+
+SEVEREST = 5
+"""Of the severities of a corruption."""
 
 REPLAYED_SWEEPS = 20
 """A replay shows what was 2 s ago."""
@@ -151,6 +158,8 @@ class StreamEvidence:
         cases: (C,) name of the attack, and its first sweep.
         attacked: (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps.
         touched: (C, SECTORS) bool, where returns were added or removed.
+        degraded: (T,) bool, sweeps of which the monitor says that the sensor sees worse than it did.
+        worsened: whether it says so of a corruption that begins after them and lasts, by its name.
     """
 
     name: str
@@ -161,14 +170,19 @@ class StreamEvidence:
     cases: tuple[tuple[str, int], ...]
     attacked: F32
     touched: Mask
+    degraded: Mask
+    worsened: dict[str, bool]
 
     def save(self, path: Path) -> None:
         """Write it at once or not at all; numbers in half precision."""
-        about = {"name": self.name, "style": self.style, "facts": self.facts, "kinds": self.kinds, "cases": self.cases}
+        about = {
+            "name": self.name, "style": self.style, "facts": self.facts, "kinds": self.kinds, "cases": self.cases,
+            "worsened": self.worsened,
+        }  # fmt: skip
         file = io.BytesIO()
         np.savez_compressed(
             file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), benign=_halved(self.benign),
-            attacked=_halved(self.attacked), touched=self.touched,
+            attacked=_halved(self.attacked), touched=self.touched, degraded=self.degraded,
         )  # fmt: skip
         write_atomic(path, file.getvalue())
 
@@ -183,7 +197,7 @@ class StreamEvidence:
             return cls(
                 about["name"], about["style"], about["facts"], tuple(EVIDENCE),
                 file["benign"][:, rows].astype(np.float32), cases, file["attacked"][:, :, rows].astype(np.float32),
-                file["touched"],
+                file["touched"], file["degraded"], dict(about["worsened"]),
             )  # fmt: skip
 
 
@@ -196,7 +210,7 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     """Return what all evidence says of each sweep of a stream, and of each attack on it."""
     plan, grid = stream.plan, stream.grid
     every = round(plan.attack_every_s * plan.hz)
-    sweeps, recent = list[Sweep](), list[LeveledSweep]()
+    sweeps, past, state, degraded = list[Sweep](), EvidenceStream(), SensorState(), list[bool]()
     benign, cases, attacked, touched = [], list[tuple[str, int]](), [], []
     sensor = ""
     for number in range(round(plan.seconds * plan.hz)):
@@ -210,16 +224,18 @@ def measure_stream(stream: Stream) -> StreamEvidence:
                     tampered = list(_tamper(stream, name, number, clean, sweeps))
                 except ValueError:
                     continue
-                seen, found = list(recent), []
+                branch, seen, found = past.copy(), list[LeveledSweep](), []
                 for one in tampered:
                     seen.append(level(one.sweep, grid))
-                    found.append(measure_all(MonitoredSweep(seen[-1], tuple(seen[-EARLIER_SWEEPS - 1 : -1]))))
+                    found.append(branch.measure(seen[-1]))
+                    branch.add(seen[-1])
                 cases.append((name, number))
                 attacked.append(np.stack(found))
-                touched.append(_touched_sectors(tampered[0], level(clean[0], grid), seen[-ATTACKED_SWEEPS]))
+                touched.append(_touched_sectors(tampered[0], level(clean[0], grid), seen[0]))
         leveled = level(sweep, grid)
-        benign.append(measure_all(MonitoredSweep(leveled, tuple(recent[-EARLIER_SWEEPS:]))))
-        recent = [*recent, leveled][-EARLIER_SWEEPS:]
+        benign.append(past.measure(leveled))
+        past.add(leveled)
+        degraded.append(bool(state.check(leveled, benign[-1])))
         sweeps = [*sweeps, sweep][-REPLAYED_SWEEPS:]
         sensor = stream.sensor
     facts = {
@@ -229,7 +245,18 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     return StreamEvidence(
         stream.name, stream.style, facts, tuple(EVIDENCE), np.stack(benign), tuple(cases),
         np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
+        np.array(degraded, np.bool_),
+        {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in CORRUPTIONS},
     )  # fmt: skip
+
+
+def _worsens(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorState) -> bool:
+    """Return whether a corruption of the highest severity makes a sensor degraded that goes on to measure sweeps."""
+    state, rng, found = deepcopy(state), stream.rng("corruption", name), False
+    for sweep in sweeps:
+        leveled = level(CORRUPTIONS[name](SEVEREST).apply(sweep, rng), stream.grid)
+        found = bool(state.check(leveled, measure_all(MonitoredSweep(leveled))))
+    return found
 
 
 def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past: Sequence[Sweep]) -> Iterator[Tampered]:

@@ -10,14 +10,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from viewshed.arrays import F32
-from viewshed.monitor.evidence import history, sensor
+from viewshed.monitor.evidence import cells, history, sensor
 from viewshed.monitor.evidence.base import ABSTAINS, EARLIER_SWEEPS, SECTORS, Evidence, MonitoredSweep, sector_of
+from viewshed.monitor.evidence.cells import CellMemory
 
 __all__ = [
     "ABSTAINS",
     "EARLIER_SWEEPS",
     "EVIDENCE",
     "SECTORS",
+    "CellMemory",
     "Evidence",
     "MonitoredSweep",
     "measure_all",
@@ -25,27 +27,29 @@ __all__ = [
 ]
 
 EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
-    # Obstacles, surfaces and poses against the sweeps before.
-    Evidence("seen_through", history.measure_seen_through, 0.5,
-             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where the last sweep looked through", version=2),
+    # Obstacles, surfaces, beams and poses against the sweeps before.
     Evidence("arrival", history.measure_arrival, 5.0,
              "an obstacle at {degrees:.0f}° must have come there at {value:.0f} m/s"),
-    Evidence("vanished", history.measure_vanished, 0.5,
-             "{value:.1f} m² of obstacles at {degrees:.0f}° are gone since the last sweep, and beams pass there",
-             version=2),
     Evidence("departure", history.measure_departure, 5.0,
              "an obstacle at {degrees:.0f}° must have left at {value:.0f} m/s"),
-    Evidence("lost_view", history.measure_lost_view, 0.05,
-             "at {degrees:.0f}° beams do not return any more from {value:.0%} of the surfaces"),
     Evidence("same_noise", history.measure_same_noise, 0.02,
              "{value:.0%} of the ranges at {degrees:.0f}° repeat those of an earlier sweep, noise included"),
     Evidence("registration", history.measure_registration, 1.0,
              "the pose is {value:.0f} standard deviations off that of the earlier sweeps"),
     Evidence("frame_noise", history.measure_frame_noise, 0.05,
              "surfaces at {degrees:.0f}° jump by {value:.2f} m from sweep to sweep"),
+    Evidence("nearer", history.measure_nearer, 0.1,
+             "{value:.0%} of the returns at {degrees:.0f}° are nearer than all about them were before"),
+    Evidence("farther", history.measure_farther, 0.1,
+             "{value:.0%} of the returns at {degrees:.0f}° are farther than all about them were before"),
+    Evidence("no_return", history.measure_no_return, 0.1,
+             "{value:.0%} of the beams at {degrees:.0f}° that returned in all sweeps before return nothing"),
+    # Standing surfaces and empty places of the last ten seconds.
+    Evidence("gone", cells.measure_gone, 0.5,
+             "{value:.1f} m of surfaces at {degrees:.0f}° that stood for seconds are gone, and beams pass there"),
+    Evidence("out_of_nowhere", cells.measure_new, 0.5,
+             "{value:.1f} m² of obstacles at {degrees:.0f}° stand where nothing did for ten seconds, and came fast"),
     # Without rings and poses.
-    Evidence("fewer_returns", sensor.measure_fewer_returns, 1.0,
-             "at {degrees:.0f}° there are fewer returns than before, by {value:.0f} standard deviations"),
     Evidence("jump", sensor.measure_jump, 0.25,
              "the sensor jumped by {value:.1f} m against its own motion"),
     # The state of the sensor, which means nothing but against the past of the stream.

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F32
 from viewshed.preprocess.leveling import LeveledSweep
+
+if TYPE_CHECKING:
+    from viewshed.monitor.evidence.cells import CellMemory
 
 SECTORS = 72
 """Sectors of azimuth in the level frame, 5° each; sector 0 begins behind the sensor, at -π, counter-clockwise."""
@@ -31,10 +34,12 @@ class MonitoredSweep:
         leveled: the sweep now.
         earlier: sweeps of the same sensor before it, leveled, the oldest first; those without a pose or a time help
             only evidence that needs neither.
+        memory: of the sweeps before it; None for none.
     """
 
     leveled: LeveledSweep
     earlier: tuple[LeveledSweep, ...] = ()
+    memory: CellMemory | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,15 +60,8 @@ class Comparison:
         arrival_mps: (SECTORS,) speed that obstacles need to have come from the nearest cover. What stands where a beam
             passed freely came from behind an obstacle, from beyond the beams, or was one of the things near by. Where
             the last sweep found the obstacle as well, the one before it is used: it gives itself away for three.
-        appeared_m2: (SECTORS,) area of obstacles through which the last sweep looked, as far as nothing is fast enough
-            to have come there. A beam that ended beyond a place proves that the place was empty. What moves uncovers
-            and covers little of it between two sweeps: the front of a car, as wide as it drove. A spoofed object or
-            wall stands there at once with all its surface.
         departure_mps: (SECTORS,) speed that obstacles of the last sweep need to have left as they did: the distance to
             the nearest place where they may be now, over the time between the two.
-        vanished_m2: (SECTORS,) area of obstacles of the last sweep through which this one looks. A far wall, or returns
-            pushed away, open a corridor through surfaces; what moves opens no more than it drove.
-        lost: (SECTORS,) share of the last sweep's obstacles at whose places no beam returns now.
     """
 
     view: _core.SweepView
@@ -76,10 +69,7 @@ class Comparison:
     to_earlier: F32
     gaps_s: F32
     arrival_mps: F32
-    appeared_m2: F32
     departure_mps: F32
-    vanished_m2: F32
-    lost: F32
 
 
 def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
@@ -94,7 +84,7 @@ def view_of(leveled: LeveledSweep) -> _core.SweepView | None:
     view = leveled.derived[("sweep_view",)] = _core.SweepView(
         image.squared_range_m2, image.phase, elevation.astype(np.float32), image.origin_m.astype(np.float32),
         leveled.points, leveled.height_m, leveled.range_m, leveled.azimuth, image.isolated[leveled.rows],
-        _rows(from_level, -from_level @ leveled.level_from_sensor.translation),
+        rows_of(from_level, -from_level @ leveled.level_from_sensor.translation),
     )  # fmt: skip
     return view
 
@@ -145,12 +135,12 @@ def compare(monitored: MonitoredSweep) -> Comparison | None:
         to_earlier = np.empty((len(poses), 3, 4), np.float32)
         to_earlier[:, :, :3] = turned @ pose.rotation
         to_earlier[:, :, 3] = np.einsum("kij,kj->ki", turned, shifts_m)
-        from_last = _rows(to_earlier[0, :, :3].T, -pose.rotation.T @ shifts_m[0])
+        from_last = rows_of(to_earlier[0, :, :3].T, -pose.rotation.T @ shifts_m[0])
         gaps_s = np.array(gaps, np.float32)
         # 3. Obstacles now where they were not, and those of the last sweep where they are not now.
         came = view.follow(views[:FOLLOWED], to_earlier[:FOLLOWED], gaps_s[:FOLLOWED], view, _STAYS, SECTORS)
         left = views[0].follow([view], from_last[None], gaps_s[:1], view, from_last, SECTORS)
-        comparison = now.derived[key] = Comparison(view, views, to_earlier, gaps_s, *came[:2], *left)
+        comparison = now.derived[key] = Comparison(view, views, to_earlier, gaps_s, came, left)
     return comparison
 
 
@@ -160,7 +150,7 @@ def _seconds_between(before: LeveledSweep, after: LeveledSweep) -> float:
     return USUAL_GAP_S if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
 
 
-def _rows(rotation: NDArray[np.floating[Any]], translation: NDArray[np.floating[Any]]) -> F32:
+def rows_of(rotation: NDArray[np.floating[Any]], translation: NDArray[np.floating[Any]]) -> F32:
     """Return the upper rows (3, 4) of a transform."""
     return np.column_stack([rotation, translation]).astype(np.float32, order="C")
 
@@ -175,40 +165,8 @@ def _part(part: Callable[[Comparison], F32]) -> Callable[[MonitoredSweep], F32]:
     return measure
 
 
-measure_seen_through = _part(lambda comparison: _around(comparison.appeared_m2))
 measure_arrival = _part(lambda comparison: comparison.arrival_mps)
-measure_vanished = _part(lambda comparison: _around(comparison.vanished_m2))
 measure_departure = _part(lambda comparison: comparison.departure_mps)
-
-
-def measure_lost_view(monitored: MonitoredSweep) -> F32:
-    """Return the share by sector (SECTORS,) of the last sweep's obstacles at whose places no beam returns now.
-
-    A surface that returned beams a moment ago returns them again, unless something came before it, which would be seen.
-    Beams that fall silent are removed, jammed, or the sensor is blocked. Dark and smooth surfaces were silent before as
-    well, so they are not counted. A sweep of a turning sensor does not close by what it turned: where it begins nothing
-    is lost.
-    """
-    comparison = compare(monitored)
-    if comparison is None:
-        return ABSTAINS
-    sweep, begin = monitored.leveled.sweep, -np.pi
-    # A sweep begins at its first return, or straight behind where it has no times.
-    if sweep.time_s is not None:
-        x, y, _ = sweep.points[int(np.argmin(sweep.time_s))]
-        begin = float(np.arctan2(y, x))
-    turned = np.arctan2(comparison.to_earlier[0, 1, 0], comparison.to_earlier[0, 0, 0])
-    # Half of the gap to either side, and half a sector for what it cuts.
-    edges = np.arange(-abs(turned) / 2 - _SECTOR / 2, abs(turned) / 2 + _SECTOR, _SECTOR / 2)
-    lost = comparison.lost.copy()
-    lost[sector_of(begin + edges)] = 0.0
-    return lost
-
-
-def _around(area_m2: F32) -> F32:
-    """Return the sum of each sector of (SECTORS,) and two on either side: a car near by is 25° wide."""
-    ends = np.concatenate([area_m2[-2:], area_m2, area_m2[:2]])
-    return np.convolve(ends, np.ones(5, np.float32), "valid").astype(np.float32)
 
 
 def measure_registration(monitored: MonitoredSweep) -> F32:
@@ -271,6 +229,64 @@ def measure_same_noise(monitored: MonitoredSweep) -> F32:
     shares = view.repeats(views, SECTORS)
     alike = int(np.argmax(np.nan_to_num(shares, nan=-1.0).mean(axis=1)))
     return np.asarray(np.maximum(shares[alike], np.float32(0.0)))
+
+
+def _new_range(part: int) -> Callable[[MonitoredSweep], F32]:
+    """Return what measures a part of ``SweepView.new_ranges`` against three sweeps; it abstains without them or rings.
+
+    Of the returns of a sector the share that is nearer, or farther, than all that the beams about them had in the last
+    three sweeps, and of the beams that returned in all of those the share that does not now; each as the mean of 25°,
+    for what attacks is wider than an edge. It holds the ground and
+    what is higher than a car as well, wherever it may have come from: cover is near everywhere indoors. Poses say how
+    the sensor turned; without them it went straight on.
+    """
+
+    def measure(monitored: MonitoredSweep) -> F32:
+        now, view = monitored.leveled, view_of(monitored.leveled)
+        views = [seen for before in monitored.earlier[-FOLLOWED:] if (seen := view_of(before)) is not None]
+        if view is None or len(views) < FOLLOWED:
+            return ABSTAINS
+        if any((seen.rings, seen.columns) != (view.rings, view.columns) for seen in views):
+            return ABSTAINS
+        key = ("new_ranges", *map(ref, monitored.earlier))
+        if key not in now.derived:
+            turned = [_turn_between(before, now) for before in monitored.earlier[-FOLLOWED:]]
+            # Columns are about the sensor, sectors about the level frame.
+            about = np.arctan2(now.level_from_sensor.rotation[1, 0], now.level_from_sensor.rotation[0, 0])
+            found = np.stack(view.new_ranges(views, turned, SECTORS))
+            found[2] *= ~_begin_of(now, turned[-1])
+            found = np.roll(found, round(float(about) / _SECTOR), axis=1)
+            now.derived[key] = np.mean([np.roll(found, step, axis=1) for step in (-2, -1, 0, 1, 2)], axis=0)
+        every: F32 = now.derived[key][part]
+        return every
+
+    return measure
+
+
+measure_nearer, measure_farther, measure_no_return = map(_new_range, range(3))
+
+
+def _turn_between(before: LeveledSweep, after: LeveledSweep) -> float:
+    """Return by how many radians the sensor turned from one sweep to another; 0 without poses."""
+    then, now = before.sweep.world_from_sensor, after.sweep.world_from_sensor
+    if then is None or now is None:
+        return 0.0
+    turn = then.rotation.T @ now.rotation
+    return float(np.arctan2(turn[1, 0], turn[0, 0]))
+
+
+def _begin_of(leveled: LeveledSweep, turned: float) -> NDArray[np.bool_]:
+    """Return the mask (SECTORS,) of where a sweep begins, which does not close by what the sensor turned."""
+    # A sweep begins at its first return, or straight behind where it has no times.
+    sweep, begin = leveled.sweep, -np.pi
+    if sweep.time_s is not None and len(sweep):
+        x, y, _ = sweep.points[int(np.argmin(sweep.time_s))]
+        begin = float(np.arctan2(y, x))
+    # Half of the gap to either side, and half a sector for what it cuts.
+    edges = np.arange(-abs(turned) / 2 - _SECTOR / 2, abs(turned) / 2 + _SECTOR, _SECTOR / 2)
+    mask = np.zeros(SECTORS, np.bool_)
+    mask[sector_of(begin + edges)] = True
+    return mask
 
 
 def measure_frame_noise(monitored: MonitoredSweep) -> F32:

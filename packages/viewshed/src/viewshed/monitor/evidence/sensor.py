@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F32
 from viewshed.grid import BevGrid
-from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep, sector_of
+from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep
 from viewshed.monitor.evidence.history import USUAL_GAP_S
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -80,14 +80,6 @@ def measure_isolated(monitored: MonitoredSweep) -> F32:
     return ABSTAINS if image is None or not len(image.isolated) else _everywhere(image.isolated.mean())
 
 
-def measure_fewer_returns(monitored: MonitoredSweep) -> F32:
-    """Return by how many standard deviations a sector has fewer returns than in the sweeps before (SECTORS,)."""
-    if not monitored.earlier:
-        return ABSTAINS
-    before = np.median([_counts_of(each) for each in monitored.earlier], axis=0)
-    return np.asarray((before - _counts_of(monitored.leveled)) / np.sqrt(before + 10.0), np.float32)
-
-
 def measure_jump(monitored: MonitoredSweep) -> F32:
     """Return by how many meters the sensor moved otherwise than before (SECTORS,), by its own sweeps; all the same.
 
@@ -133,12 +125,3 @@ def _spectrum_of(leveled: LeveledSweep) -> NDArray[np.complexfloating[Any, Any]]
 
 def _everywhere(value: float) -> F32:
     return np.full(SECTORS, value, np.float32)
-
-
-def _counts_of(leveled: LeveledSweep) -> F32:
-    """Return the number of returns of each sector (SECTORS,)."""
-    counts: F32 | None = leveled.derived.get(("sector_counts",))
-    if counts is None:
-        counts = np.bincount(sector_of(leveled.azimuth), minlength=SECTORS).astype(np.float32)
-        leveled.derived[("sector_counts",)] = counts
-    return counts

@@ -1,4 +1,4 @@
-"""Poses of sweeps in a text file of its own: twelve numbers a line as KITTI writes them, or eight as TUM does."""
+"""Poses of sweeps in a text file of its own: as KITTI writes them, as TUM does, or places by latitude and longitude."""
 
 from __future__ import annotations
 
@@ -13,11 +13,17 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.io._input import open_input
-from viewshed.recordings.read._kitti_files import rigid_named, rigid_of
+from viewshed.recordings.read._kitti_files import rigid_named, rigid_of, world_from_imu
 from viewshed.recordings.read.tf_tree import TransformBuffer
 from viewshed.sweep import Sweep
 
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
+
+_PLACE_COLUMNS = ("timestamp", "latitude", "longitude", "height")
+"""Of a table of places, in its first line; what else it has is left out."""
+
+_MOVED_M = 0.5
+"""A heading is that of the way between two places that are so far apart; nearer ones are noise."""
 
 _BYTES_MAX = 64_000_000
 
@@ -50,15 +56,23 @@ class PoseFile:
 
         Lines of 12 numbers are the first three rows of a pose (KITTI). They are those of the left camera where
         ``calib.txt`` with its ``Tr`` lies beside the file, as KITTI has it, and else those of the sensor. Lines of 8
-        numbers are time in seconds, place, and quaternion x, y, z, w (TUM). Lines that begin with # are left out.
+        numbers are time in seconds, place, and quaternion x, y, z, w (TUM). Lines that begin with # are left out. A
+        table whose first line names timestamp (s), latitude, longitude (degrees) and height (m) is of places; the
+        sensor is taken to look along its way, level. A folder has a such table in each of its ``.pose`` files.
 
         Raises:
             ValueError: a line is neither, its numbers are no pose, or times do not ascend; the message names the line.
             OSError: it cannot be read.
         """
         path = Path(place)
+        if path.is_dir():
+            tables = [each.read_bytes() for each in sorted(path.rglob("*.pose"))]
+            return cls._of_places(path, b"\n".join(tables))
         with open_input(path) as source:
-            rows, lines = _numbers(source.content(_BYTES_MAX))
+            content = source.content(_BYTES_MAX)
+            if content.lstrip().startswith(_PLACE_COLUMNS[0].encode()):
+                return cls._of_places(path, content)
+            rows, lines = _numbers(content)
             if len(rows[0]) == _TUM_NUMBERS:
                 times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
                 late = np.flatnonzero(np.diff(times_ns) <= 0)
@@ -71,6 +85,34 @@ class PoseFile:
                 for matrix, line in zip(rows.reshape(-1, 3, 4), lines, strict=True)
             )
         return cls._of_kitti(path, poses)
+
+    @classmethod
+    def _of_places(cls, path: Path, content: bytes) -> PoseFile:
+        """Return the poses of tables of places: x east, y north from the first of them, looking along the way."""
+        # 1. The rows, in the order of time, each by the columns of the last header.
+        columns, found = list[int](), list[list[float]]()
+        for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), start=1):
+            words = [word.strip() for word in line.split(",")]
+            if words[0] == _PLACE_COLUMNS[0]:
+                missing = [name for name in _PLACE_COLUMNS if name not in words]
+                if missing:
+                    raise ValueError(f"line {number} must name a column {missing[0]}, got {line[:60]!r}")
+                columns = [words.index(name) for name in _PLACE_COLUMNS]
+            elif any(words):
+                found.append(_numbers_in(words, columns, f"line {number}"))
+        if not found:
+            raise ValueError("must have places, got no line with numbers; give a folder with .pose files, or a table")
+        rows = np.array(found)[np.argsort([row[0] for row in found], kind="stable")]
+        times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
+        if (np.diff(times_ns) <= 0).any():
+            raise ValueError(f"times must differ, got {rows[1:][np.diff(times_ns) <= 0][0, 0]:f} s twice")
+        # 2. Places in meters, and headings of the way from the last to the next place that is apart.
+        records = np.column_stack([rows[:, 1:], np.zeros((len(rows), 3))])
+        places_m = np.array([world_from_imu(record, records[0]).translation for record in records])
+        records[:, 5] = _headings(places_m)
+        poses = tuple(world_from_imu(record, records[0]) for record in records)
+        note = "places have no rotation: the sensor is taken to look along its way, level"
+        return cls(path, poses, times_ns, by_time=True, notes=(note,))
 
     @classmethod
     def _of_kitti(cls, path: Path, poses: tuple[Rigid, ...]) -> PoseFile:
@@ -177,6 +219,31 @@ class PoseFile:
             buffer.add("world", "sensor", int(times_ns[row]), pose.translation, turn)
         found = buffer.lookup("world", "sensor", t_ns)
         return self.poses[after] if found is None else found
+
+
+def _numbers_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
+    """Return the numbers in some columns of a line."""
+    try:
+        row = [float(words[column]) for column in columns]
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{where} must have a number for each of its columns, got {','.join(words)[:60]!r}") from error
+    if not np.isfinite(row).all() or abs(row[1]) >= 89.0:
+        raise ValueError(f"{where}: latitude must lie in (-89, 89) degrees and all be finite, got {row}")
+    return row
+
+
+def _headings(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the heading (N,) of a way through places (N, 3), radians from x; 0 where it never moves."""
+    # Places along the way that are apart, and of each place the step from the last to the next of them.
+    apart = [0]
+    for row, place_m in enumerate(places_m):
+        if np.hypot(*(place_m - places_m[apart[-1]])[:2]) > _MOVED_M:
+            apart.append(row)
+    if len(apart) == 1:
+        return np.zeros(len(places_m))
+    steps = np.diff(places_m[apart], axis=0)
+    step = np.clip(np.searchsorted(apart, np.arange(len(places_m))), 1, len(steps)) - 1
+    return np.asarray(np.arctan2(steps[step, 1], steps[step, 0]))
 
 
 def time_in_name(name: str) -> int | None:
