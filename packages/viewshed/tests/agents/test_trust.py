@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -240,9 +241,8 @@ def test_agents_may_come_in_any_order() -> None:
     reports = reports_of(seen, chance, rng)
     names = ("seen", "able", "sees", "reported", "invented", "displaced", "there", "xy_m", "std_m")
     views = rng.normal(size=(2, *seen.shape))
-    turned = replace(
-        reports, silent_views=views[..., order], **{name: getattr(reports, name)[:, order] for name in names}
-    )
+    in_order: dict[str, Any] = {name: getattr(reports, name)[:, order] for name in names}
+    turned = replace(reports, silent_views=views[..., order], **in_order)
     reports = replace(reports, silent_views=views)
     one, other = Trust(4).add(reports, 0.5), Trust(4).add(turned, 0.5)
     assert np.allclose(one.evidence[order], other.evidence)
@@ -288,7 +288,7 @@ def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
         ({"able": np.ones((2, 2), bool)}, "able must be"),
     ],
 )
-def test_bad_reports_are_refused(change: dict[str, np.ndarray], message: str) -> None:
+def test_bad_reports_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(reports_of(np.ones((1, 2), bool), np.ones((1, 2))), **change)
 

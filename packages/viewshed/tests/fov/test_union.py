@@ -59,7 +59,7 @@ def test_the_sensor_that_says_most_of_a_cell_decides(order: int) -> None:
 @given(st.integers(0, 2**32 - 1))
 def test_nothing_is_claimed_that_no_sensor_claims(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    made = [(rng.random((4, 4), np.float32), rng.integers(0, 4, (4, 4))) for _ in range(3)]
+    made = [(rng.random((4, 4), np.float32), rng.integers(0, 4, (4, 4), np.uint8)) for _ in range(3)]
     views = [FovEstimate(GRID, prob, state, world_from_level=Rigid.identity()) for prob, state in made]
     both = union_of_views(views)
     assert (both.visible() == np.any([view.visible() for view in views], axis=0)).all()
@@ -81,7 +81,9 @@ def test_mountings_and_times_that_cannot_be_are_refused() -> None:
             union_of_views([here, other])
     with pytest.raises(ValueError, match="one or more, got none"):
         union_of_views([])
-    with pytest.raises(ValueError, match="history goes with one sweep"):
+    with pytest.raises(ValueError, match=r"of several LiDARs each must be a Sweep"):
+        viewshed.estimate([_sweep(0.0), np.zeros((3, 3))])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"of several LiDARs .* without history"):
         viewshed.estimate([_sweep(0.0), _sweep(9.0)], history=[])
 
 

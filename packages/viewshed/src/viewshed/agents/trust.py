@@ -450,7 +450,8 @@ def hypotheses(agents: int) -> Mask:
 def _mixed(logs: F64, shares: F64) -> F64:
     """Return the logarithms of the means (L, J, H) of likelihoods (J, H) given as logarithms, by shares (L, H, H)."""
     highest = logs.max(axis=1, keepdims=True)
-    return np.log(np.maximum(np.exp(logs - highest) @ np.swapaxes(shares, 1, 2), 1e-300)) + highest
+    mixed: F64 = np.log(np.maximum(np.exp(logs - highest) @ np.swapaxes(shares, 1, 2), 1e-300)) + highest
+    return mixed
 
 
 def _log_mean_exp(logs: F64) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast
 
 from numpy.typing import ArrayLike
 
@@ -197,24 +197,16 @@ def estimate(
     'shadow_map'
     """
     estimator = _loaded(method, grid_named(grid), target_named(target), device)
-    if isinstance(sweep, list | tuple) and sweep and all(isinstance(each, Sweep) for each in sweep):
-        if history is not None:
-            raise ValueError("history goes with one sweep, got several of one vehicle; leave it out")
-        return union_of_views(
-            [
-                estimate(
-                    each,
-                    method=method,
-                    grid=grid,
-                    target=target,
-                    device=device,
-                    sensor=sensor,
-                    sensor_height_m=sensor_height_m,
-                    world_from_sensor=world_from_sensor,
-                )
-                for each in sweep
-            ]
-        )
+    listed = sweep if isinstance(sweep, list | tuple) else ()
+    several = [each for each in listed if isinstance(each, Sweep)]
+    if several:
+        given = (history, sensor, sensor_height_m, world_from_sensor)
+        if len(several) < len(listed) or any(value is not None for value in given):
+            raise ValueError(
+                "of several LiDARs each must be a Sweep that says its own height and mounting, without history; leave"
+                " out all but method, grid, target and device"
+            )
+        return union_of_views([estimator.estimate(each) for each in several])
     if isinstance(sweep, Sweep | LeveledSweep):
         if sensor is not None or sensor_height_m is not None or world_from_sensor is not None:
             raise ValueError(
@@ -230,7 +222,10 @@ def estimate(
         )
     else:
         measured = sweep_of_points(
-            sweep, sensor=sensor, sensor_height_m=sensor_height_m, world_from_sensor=world_from_sensor
+            cast("ArrayLike", sweep),
+            sensor=sensor,
+            sensor_height_m=sensor_height_m,
+            world_from_sensor=world_from_sensor,
         )
     return estimator.estimate(measured, history)
 

@@ -89,9 +89,11 @@ class Watch:
         if inconsistent:
             self._suspect = self._suspect | impossible | suspect_sectors(surprises, sectors)
         # 3. What is usual from now on.
-        if not impossible:
-            (self._of_alarm if inconsistent else self._past).add(evidence)
-        if self._of_alarm.sweeps >= MOST_HELD_SWEEPS:
+        if not inconsistent:
+            self._past.add(evidence)
+        if self._sweeps and not impossible:
+            self._of_alarm.add(evidence)
+        if inconsistent and self._of_alarm.sweeps >= MOST_HELD_SWEEPS:
             self._past, self._of_alarm = self._of_alarm, self._nothing()
         alarm = self._sweeps > 0
         suspect = self._suspect if alarm else np.zeros(SECTORS, np.bool_)

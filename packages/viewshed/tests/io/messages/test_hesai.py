@@ -54,7 +54,7 @@ def _scan(*payloads: bytes) -> Any:
 
 def test_returns_of_a_pandar_xt_lie_where_the_manual_says() -> None:
     """Laser 1 looks up by 15°, laser 32 down by 16°; azimuth 0 is y, 90° is x."""
-    empty = [(0, {})] * 6
+    empty: list[tuple[int, dict[int, tuple[int, int]]]] = [(0, {})] * 6
     first = _xt(32, [(9000, {0: (2500, 7)}), (0, {31: (500, 200)}), *empty])
     second = _xt(32, [(27000, {15: (1000, 1)}), (0, {}), *empty])
     sweep = sweep_of_hesai(_scan(first, second))

@@ -30,7 +30,8 @@ def after(boxes: Sequence[Box], count: int = SWEEPS, step_m: float = 0.1) -> Evi
 
 def measured(stream: EvidenceStream, name: str, sweep: Sweep) -> NDArray[np.float32]:
     """Return what one kind of evidence says (SECTORS,) of the next sweep."""
-    return stream.measure(leveled(sweep))[list(EVIDENCE).index(name)]
+    found: NDArray[np.float32] = stream.measure(leveled(sweep))[list(EVIDENCE).index(name)]
+    return found
 
 
 def test_a_plate_that_stood_and_is_gone_has_its_width() -> None:

@@ -197,7 +197,7 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
         kept = np.array([kind != name for kind in EVIDENCE])
         benign = [added(one.surprises * kept, two_sided(EVIDENCE)) for one in judged]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in benign]))[::-1]
-        own_limit = float(peaks[min(count, len(peaks) - 1)])
+        own_limit = float(peaks[min(count, len(peaks) - 1)]) if len(peaks) else 0.0
         every = np.concatenate(benign)
         found: list[NDArray[np.float32]] = [_scores(one * kept) for one in families.values()]
         area = np.mean([auroc(every, one[:, 0]) for one in found])

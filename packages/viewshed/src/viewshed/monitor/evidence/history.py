@@ -257,8 +257,8 @@ def _new_range(part: int) -> Callable[[MonitoredSweep], F32]:
             found[2] *= ~_begin_of(now, turned[-1])
             found = np.roll(found, round(float(about) / _SECTOR), axis=1)
             now.derived[key] = np.mean([np.roll(found, step, axis=1) for step in (-2, -1, 0, 1, 2)], axis=0)
-        every: F32 = now.derived[key]
-        return every[part]
+        every: F32 = now.derived[key][part]
+        return every
 
     return measure
 
