@@ -93,7 +93,9 @@ class PoseFile:
             with open_input(path) as source:
                 tables.append(source.content(_BYTES_MAX))
         if not tables:
-            raise ValueError(f"{folder} is a folder without .pose files; give a table of poses, or a folder of such files")
+            raise ValueError(
+                f"{folder} is a folder without .pose files; give a table of poses, or a folder of such files"
+            )
         try:
             return cls._of_places(folder, b"\n".join(tables))
         except ValueError as error:
