@@ -38,6 +38,7 @@ from viewshed_lab.sim.world import Agent, Thing, Track, World
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.threats.attacks import CLEAN_SPOOFER, Attack
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostWall
+from viewshed_lab.threats.attacks.informed import VanishedObject
 from viewshed_lab.threats.attacks.removal import PhysicalRemoval
 
 STEP_S, LAST_S = 0.2, 24.0
@@ -63,12 +64,13 @@ PASSES, FITTED = 5, 24
 """Passes of the published network, and benign sweeps that its detector is fitted on, and calibrated on."""
 
 ATTACKS: dict[str, Callable[[float], Attack]] = {
+    "vanished": lambda azimuth: VanishedObject(azimuth=azimuth, near_m=40.0),
     "far wall": lambda azimuth: FarWall(azimuth=azimuth, near_m=40.0, spoofer=CLEAN_SPOOFER),
     "removal": lambda azimuth: PhysicalRemoval(azimuth=azimuth, spoofer=CLEAN_SPOOFER),
     "ghost wall": lambda _: GhostWall(azimuth=0.0, range_m=4.0, spoofer=CLEAN_SPOOFER),
 }
 """By name, aimed at an azimuth: where the one who is hidden walks, but for the ghost, which stands ahead. The attacker
-wins every beam."""
+wins every beam. Of whom a far wall hides, the returns below .3 m stay; who vanishes leaves none."""
 
 CASES = ("none", "weather", *ATTACKS)
 

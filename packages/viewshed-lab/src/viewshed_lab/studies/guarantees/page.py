@@ -332,7 +332,7 @@ def _driving(lines: list[Line]) -> Table | None:
 
 
 def _strip(
-    lines: list[Line], number: int = 0, case: str = "far wall", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
+    lines: list[Line], number: int = 0, case: str = "vanished", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
 ) -> Picture:
     """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
     monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
