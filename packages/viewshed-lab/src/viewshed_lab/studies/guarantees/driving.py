@@ -21,6 +21,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
+from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.envelope import Threat
 from viewshed.monitor import StreamMonitor
 from viewshed.monitor.deviation import DeviationMonitor
@@ -56,6 +57,8 @@ ATTACKED_S = (1.0, 15.0)
 
 THREAT = Threat("wedge", 30)
 """All attacks here own one wedge of 30°, or less."""
+
+SPEED_THREATS = ("added", "window:5", "window:20", "replaced:50", "replaced:150", "wedge:1", "wedge:10", "wedge:30")
 
 WEATHER = Conditions(extinction_per_m=0.0034, wet=0.3, noise=1.3)
 """Heavy rain without its drops near the sensor: to this car each would be a place where someone may stand."""
@@ -225,6 +228,21 @@ def drive_through(
             if x_m > place.start_m[0] + 5.0:
                 return Drive(False, (step + 1) * STEP_S, needless_s, alarm_s)
     return Drive(False, LAST_S, needless_s, alarm_s)
+
+
+def certified_speeds(number: int, words: tuple[str, ...] = SPEED_THREATS, x_m: float = -20.0) -> dict[str, float]:
+    """Return the speed in m/s on the way to a junction without attack: by the claim, and by what of it is certified.
+
+    Args:
+        number: of the junction.
+        words: threats that are certified against.
+        x_m: where the car is.
+    """
+    place = Junction(number, Conditions())
+    leveled = level(place.sweep(0, x_m, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
+    estimate = load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]).estimate(leveled)
+    certified = {one: certify(leveled, estimate, Threat.parse(one)).withdraw(estimate) for one in words}
+    return {"the whole claim": speed_in_view(estimate)} | {one: speed_in_view(kept) for one, kept in certified.items()}
 
 
 class PublishedDetector:

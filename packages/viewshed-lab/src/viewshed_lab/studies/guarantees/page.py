@@ -40,6 +40,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
+        speeds=_speeds(lines["speeds"]),
         last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
         strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
@@ -63,6 +64,7 @@ _PARTS = (
     "attacks",
     "survey",
     "driving",
+    "speeds",
     "crossview",
 )
 
@@ -329,6 +331,17 @@ def _driving(lines: list[Line]) -> Table | None:
     header = ["attack", "monitor", "drives", "collisions", "stood needlessly, mean", "drives with an alarm",
               "drives that passed", "time of these, s"]  # fmt: skip
     return Table(header, rows)
+
+
+def _speeds(lines: list[Line]) -> Table | None:
+    """Return how fast the car may drive if only what is certified counts, by threat."""
+    if not lines:
+        return None
+    rows = []
+    for words in (name for name in lines[0] if name != "number"):
+        speeds = np.array([line[words] for line in lines])
+        rows.append([words, f"{speeds.mean():.1f}", f"{speeds.min():.1f} to {speeds.max():.1f}"])
+    return Table(["what the car may count on", "speed, mean, m/s", "from, to"], rows)
 
 
 def _strip(
