@@ -7,7 +7,9 @@ import pytest
 from tests.cli.commands import run
 
 from viewshed.guarantees.envelope import Envelope, Threat
-from viewshed_lab.studies.guarantees import attacks, jobs
+from viewshed.sweep import Sweep
+from viewshed_lab.sim.lidar.weather import Conditions
+from viewshed_lab.studies.guarantees import attacks, driving, jobs
 from viewshed_lab.studies.guarantees.attacks import Tally, Victim
 
 
@@ -46,6 +48,29 @@ def test_attacks_obey_their_threat(words: str) -> None:
                 assert np.isin(beams % 24, (first + np.arange(8)) % 24).sum() <= threat.amount
         else:
             assert len(beams) == threat.amount
+
+
+def test_who_vanishes_leaves_no_return() -> None:
+    place = driving.Junction(1, Conditions())
+    x_m, ahead_m = place.start_m[0] - 10.0, place.car[1]
+    sweep = place.sweep(0, x_m, 3.0, place.lane_m, walks=True)
+
+    def returns_of(one: Sweep) -> int:
+        near = np.hypot(one.points[:, 0] - 10.0 + ahead_m, one.points[:, 1]) < 0.7
+        return int((near & (one.points[:, 2] > -1.6)).sum())
+
+    attack = driving.ATTACKS["vanished"](0.0)
+    assert returns_of(sweep) > 10
+    assert returns_of(attack.apply(sweep, np.random.default_rng(0)).sweep) == 0
+
+
+def test_a_stronger_threat_allows_no_higher_speed() -> None:
+    speeds = driving.certified_speeds(0)
+    for kind in ("window", "replaced", "wedge"):
+        found = [speed for name, speed in speeds.items() if name in ("the whole claim", "added") or kind in name]
+        assert found == sorted(found, reverse=True)
+    assert speeds["the whole claim"] >= 5.0
+    assert speeds["wedge:30"] == 0.0
 
 
 @pytest.mark.slow

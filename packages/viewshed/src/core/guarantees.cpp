@@ -1,6 +1,8 @@
 #include "guarantees.hpp"
 
+#include <bit>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -22,54 +24,130 @@ constexpr double ROUNDING = 1e-6;
 // Nearest returns (rings, 2 * columns) of the beams, the circle twice, so that no window is cut.
 using Nearest = View2<const float>;
 
-// How many of some beams are blocked before a target.
-INLINE std::int32_t count_before(const float* __restrict range_m, std::size_t width, float near_m) {
-    std::int32_t count = 0;
-    for (std::size_t k = 0; k < width; ++k) count += range_m[k] < near_m;
-    return count;
+// Rings that are counted side by side, in one register or more.
+constexpr std::size_t LANES = 16;
+using Ranges [[gnu::vector_size(4 * LANES), gnu::aligned(4), gnu::may_alias]] = float;
+using Counts [[gnu::vector_size(4 * LANES)]] = std::int32_t;
+using Weights [[gnu::vector_size(8 * LANES), gnu::aligned(8), gnu::may_alias]] = double;
+using Bits64 [[gnu::vector_size(8 * LANES)]] = std::int64_t;
+
+// Nearest ranges by column, (2 * columns, rings + LANES): the rings of a column lie side by side.
+Buffer<float> by_column(Nearest nearest) {
+    const std::size_t padded = nearest.rows + LANES;
+    Buffer<float> turned(nearest.columns * padded, INFINITE);
+    const std::size_t columns = nearest.columns / 2;
+    for (std::size_t first = 0; first < columns; first += LANES) {
+        const std::size_t last = std::min(first + LANES, columns);
+        for (std::size_t ring = 0; ring < nearest.rows; ++ring) {
+            for (std::size_t k = first; k < last; ++k) turned[k * padded + ring] = nearest(ring, k);
+        }
+    }
+    std::copy(turned.data(), turned.data() + columns * padded, turned.data() + columns * padded);
+    return turned;
 }
 
-// Write the margins of the cells of some rows: over the rings that pass, the firings sent less the beams blocked, not below 0.
-MULTIVERSION void count_margins(const SentBeams& sent, Nearest nearest, std::size_t first, std::size_t last, std::int32_t* margin) {
+// Write both margins of the cells of some rows: over the rings that pass, the firings sent less the beams blocked, not below 0.
+// The two ranges of a beam are counted side by side, for LANES rings at once.
+MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, const float* closed, std::size_t first,
+                                std::size_t last, std::int32_t* margin, std::int32_t* closed_margin) {
+    const std::size_t padded = sent.of->rings + LANES;
     for (std::size_t cell = first; cell < last; ++cell) {
         const TargetColumns::Window& at = sent.of->windows[cell];
-        std::int32_t sum = 0;
-        for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
-            if (!sent.passes(cell, ring)) continue;
-            const std::int32_t left = sent.of->firings(at, ring) - count_before(nearest[ring] + at.begin, at.width, at.near_m);
-            sum += left > 0 ? left : 0;
+        std::int32_t sum = 0, closed_sum = 0;
+        for (std::size_t begin = sent.ring[cell]; begin < sent.ring_end[cell]; begin += LANES) {
+            Counts blocked{}, closed_blocked{};
+            const float *range_m = nearest + at.begin * padded + begin, *closed_m = closed + at.begin * padded + begin;
+            for (std::size_t k = 0; k < at.width; ++k, range_m += padded, closed_m += padded) {
+                // A comparison that holds is -1.
+                blocked -= *reinterpret_cast<const Ranges*>(range_m) < at.near_m;
+                closed_blocked -= *reinterpret_cast<const Ranges*>(closed_m) < at.near_m;
+            }
+            for (std::size_t n = 0; n < LANES && begin + n < sent.ring_end[cell]; ++n) {
+                if (!sent.passes(cell, begin + n)) continue;
+                const std::int32_t firings = sent.of->firings(at, begin + n);
+                sum += std::max(firings - blocked[n], 0);
+                closed_sum += std::max(firings - closed_blocked[n], 0);
+            }
         }
         margin[cell] = sum;
+        closed_margin[cell] = closed_sum;
     }
 }
 
-// Add to each beam of a ring the cells that it helps to change, each shared by the beams that are needed there.
-void share_cells(const SentBeams& sent, Nearest nearest, View1<const std::int32_t> margin, View1<const bool> counts,
-                 const Attack& rule, std::int32_t most, std::size_t ring, double* weight) {
-    const std::size_t columns = sent.of->columns;
-    for (std::size_t cell = 0; cell < sent.ring.size(); ++cell) {
-        const TargetColumns::Window& at = sent.of->windows[cell];
-        const std::int32_t needed = rule.needed(margin[cell]);
-        if (needed == 0 || needed > most || !counts[cell] || !sent.passes(cell, ring)) continue;
-        const double share = 1.0 / needed;
-        const float* const range_m = nearest[ring] + at.begin;
-        for (std::size_t k = 0; k < at.width; ++k) {
-            const std::size_t column = at.begin + k;
-            weight[column < columns ? column : column - columns] += ((range_m[k] < at.near_m) == rule.opens) ? share : 0.0;
+// Write which rings pass between a target's foot and its top in the cells of some rows.
+MULTIVERSION void find_rings(SentBeams& sent, const float* low_m, const float* high_m, View2<const float> slope,
+                             const float* start_m, std::size_t first, std::size_t last) {
+    const double per_rad = double(slope.rows) / (2 * std::numbers::pi);
+    const std::size_t rings = sent.of->rings;
+    std::uint8_t passes[64] = {};
+    for (std::size_t cell = first; cell < last; ++cell) {
+        if (sent.of->windows[cell].firings == 0) continue;
+        const float r = sent.of->range_m[cell], low = low_m[cell], high = high_m[cell];
+        const auto turned = std::size_t(std::max((double(sent.of->azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
+        const float* const of_sector = slope[std::min(turned, slope.rows - 1)];
+        for (std::size_t word = 0; word < sent.words; ++word) {
+            const std::size_t begin = word * 64, count = std::min(rings - begin, std::size_t(64));
+            for (std::size_t k = 0; k < count; ++k) {
+                const float z_m = start_m[begin + k] + r * of_sector[begin + k];
+                passes[k] = std::uint8_t(z_m >= low) & std::uint8_t(z_m <= high);
+            }
+            std::fill(passes + count, passes + 64, std::uint8_t(0));
+            // Eight bytes to eight bits: the product moves each to its place in the top byte.
+            std::uint64_t bits = 0;
+            for (std::size_t k = 0; k < 8; ++k) {
+                std::uint64_t eight;
+                std::memcpy(&eight, passes + 8 * k, 8);
+                bits |= (eight * 0x0102040810204080u >> 56) << (8 * k);
+            }
+            sent.bits[cell * sent.words + word] = bits;
+            if (bits == 0) continue;
+            if (sent.ring_end[cell] == 0) sent.ring[cell] = std::uint16_t(begin + std::size_t(std::countr_zero(bits)));
+            sent.ring_end[cell] = std::uint16_t(begin + 64 - std::size_t(std::countl_zero(bits)));
         }
     }
+}
+
+// A cell that an attack changes, and the share in it of each beam that is needed there.
+struct Share {
+    std::size_t cell;
+    double of_beam;
+};
+
+// Add to each beam (columns, LANES) of the rings from `begin` on the cells that it helps to change, each shared by the beams
+// that are needed there.
+MULTIVERSION void share_cells(const SentBeams& sent, const float* nearest, const std::vector<Share>& shares, bool opens,
+                              std::size_t begin, double* weight) {
+    const std::size_t columns = sent.of->columns, padded = sent.of->rings + LANES;
+    const Bits64 flip = Bits64{} - std::int64_t(!opens);
+    for (const Share& one : shares) {
+        if (begin >= sent.ring_end[one.cell] || begin + LANES <= sent.ring[one.cell]) continue;
+        Weights share{};
+        const std::size_t count = std::min(LANES, sent.of->rings - begin);
+        for (std::size_t n = 0; n < count; ++n) share[n] = sent.passes(one.cell, begin + n) ? one.of_beam : 0.0;
+        const TargetColumns::Window& at = sent.of->windows[one.cell];
+        for (std::size_t k = at.begin; k < at.begin + at.width; ++k) {
+            const Counts before = *reinterpret_cast<const Ranges*>(nearest + k * padded + begin) < at.near_m;
+            const Bits64 can_change = __builtin_convertvector(before, Bits64) ^ flip;
+            *reinterpret_cast<Weights*>(weight + (k < columns ? k : k - columns) * LANES) += Weights(can_change & Bits64(share));
+        }
+    }
+}
+
+// Count for each of some beams that it can change.
+MULTIVERSION void add_changes(const float* __restrict range_m, std::size_t width, float near_m, bool opens,
+                              std::int32_t* __restrict changes) {
+    for (std::size_t k = 0; k < width; ++k) changes[k] += std::int32_t((range_m[k] < near_m) == opens);
 }
 
 // Whether a wedge of `wide` columns anywhere can change a cell, and between which of its starts, see wedge_changes.
 bool wedge_starts(const SentBeams& sent, Nearest nearest, std::size_t cell, std::int32_t needed, bool opens, std::size_t wide,
                   std::vector<std::int32_t>& changes, std::int64_t& first, std::int64_t& last) {
-    const TargetColumns::Window& at = sent.of->windows[cell];
+    const TargetColumns::Window at = sent.of->windows[cell];
     // The beams of each column that can change.
     changes.assign(at.width, 0);
     for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
         if (!sent.passes(cell, ring)) continue;
-        const float* const range_m = nearest[ring] + at.begin;
-        for (std::size_t k = 0; k < at.width; ++k) changes[k] += (range_m[k] < at.near_m) == opens;
+        add_changes(nearest[ring] + at.begin, at.width, at.near_m, opens, changes.data());
     }
     // The most that a wedge covers.
     std::int32_t covered = 0, most = 0;
@@ -86,6 +164,32 @@ bool wedge_starts(const SentBeams& sent, Nearest nearest, std::size_t cell, std:
     first = std::int64_t(at.begin + reach) - std::int64_t(wide);
     last = std::int64_t(at.begin + begin);
     return first <= last;
+}
+
+// Squares of the ranges within which a return is one.
+struct Limits {
+    float near_m2, far_m2;
+};
+
+// Write the horizontal ranges of some points (count, 3), +inf where they are no returns, and their azimuths in columns.
+MULTIVERSION void find_columns(const float* __restrict points, std::size_t count, const float* __restrict turn, Limits limits,
+                               float per_rad, float* __restrict range_m, float* __restrict turned) {
+    for (std::size_t k = 0; k < count; ++k) {
+        const float x = points[3 * k], y = points[3 * k + 1], z = points[3 * k + 2], square_m2 = x * x + y * y + z * z;
+        const float lx = turn[0] * x + turn[1] * y + turn[2] * z, ly = turn[3] * x + turn[4] * y + turn[5] * z;
+        const float flat_m = std::sqrt(lx * lx + ly * ly);
+        range_m[k] = square_m2 >= limits.near_m2 && square_m2 <= limits.far_m2 ? flat_m : INFINITE;
+        turned[k] = (azimuth_of(ly, lx) + PI) * per_rad;
+    }
+}
+
+// Combine each GAP + 1 neighbors: (count + GAP,) to (count,).
+template <typename Combine>
+void over_stretches(const float* __restrict from, float* __restrict to, std::size_t count, Combine combine) {
+    std::copy(from, from + count, to);
+    for (std::size_t step = 1; step <= GAP; ++step) {
+        for (std::size_t k = 0; k < count; ++k) to[k] = combine(to[k], from[k + step]);
+    }
 }
 
 // The rings of the points by elevation: the beam whose line passes nearest at the point's range.
@@ -131,21 +235,9 @@ SentBeams::SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const f
                      View2<const float> slope, View1<const float> start_m)
     : of(std::move(columns)), words((of->rings + 63) / 64), bits(of->windows.size() * words, 0), ring(of->windows.size(), 0),
       ring_end(of->windows.size(), 0) {
-    const double per_rad = double(slope.rows) / (2 * std::numbers::pi);
     for_ranges(of->rows, count_parts(of->rows, ROWS), [&](std::size_t, std::size_t first_row, std::size_t end_row) {
-        for (std::size_t cell = first_row * of->grid_columns; cell < end_row * of->grid_columns; ++cell) {
-            if (of->windows[cell].firings == 0) continue;
-            const float r = of->range_m[cell], low = low_m.data[cell], high = high_m.data[cell];
-            const auto turned = std::size_t(std::max((double(of->azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
-            const std::size_t sector = std::min(turned, slope.rows - 1);
-            for (std::size_t k = 0; k < of->rings; ++k) {
-                const float z_m = start_m[k] + r * slope(sector, k);
-                if (!(z_m >= low && z_m <= high)) continue;
-                bits[cell * words + k / 64] |= std::uint64_t(1) << (k % 64);
-                if (ring_end[cell] == 0) ring[cell] = std::uint16_t(k);
-                ring_end[cell] = std::uint16_t(k + 1);
-            }
-        }
+        find_rings(*this, low_m.data, high_m.data, slope, start_m.data, first_row * of->grid_columns,
+                   end_row * of->grid_columns);
     });
 }
 
@@ -154,15 +246,18 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
                               double far_m) {
     Buffer<float> nearest(tangent.size * 2 * columns, INFINITE);
     const float per_rad = float(double(columns) / (2 * std::numbers::pi));
-    const auto near_m2 = float(near_m * near_m), far_m2 = float(far_m * far_m);
-    for (std::size_t n = 0; n < points.rows; ++n) {
-        const float x = points(n, 0), y = points(n, 1), z = points(n, 2), square_m2 = x * x + y * y + z * z;
-        if (!(square_m2 >= near_m2 && square_m2 <= far_m2)) continue;
-        const float lx = turn[0] * x + turn[1] * y + turn[2] * z, ly = turn[3] * x + turn[4] * y + turn[5] * z;
-        const std::size_t ring = row.size > 0 ? std::size_t(row[n]) : ring_of(x, y, z, tangent, origin_m);
-        const std::size_t half = std::min(std::size_t((azimuth_of(ly, lx) + PI) * per_rad), columns - 1);
-        float& at = nearest[ring * 2 * columns + half];
-        at = std::min(at, std::sqrt(lx * lx + ly * ly));
+    const Limits limits{float(near_m * near_m), float(far_m * far_m)};
+    float range_m[BLOCK], turned[BLOCK];
+    for (std::size_t first = 0; first < points.rows; first += BLOCK) {
+        const std::size_t count = std::min(BLOCK, points.rows - first);
+        find_columns(points[first], count, turn.data, limits, per_rad, range_m, turned);
+        for (std::size_t k = 0; k < count; ++k) {
+            if (range_m[k] == INFINITE) continue;
+            const float* const p = points[first + k];
+            const std::size_t ring = row.size > 0 ? std::size_t(row[first + k]) : ring_of(p[0], p[1], p[2], tangent, origin_m);
+            float& at = nearest[ring * 2 * columns + std::min(std::size_t(turned[k]), columns - 1)];
+            at = std::min(at, range_m[k]);
+        }
     }
     // The circle once more.
     for (std::size_t ring = 0; ring < tangent.size; ++ring) {
@@ -172,22 +267,54 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
     return nearest;
 }
 
-Buffer<std::int32_t> envelope_margins(const SentBeams& sent, View2<const float> nearest) {
+Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of) {
+    const std::size_t columns = nearest.columns / 2;
+    Buffer<float> closed(nearest.size());
+    std::vector<float> around(columns + 2 * GAP), least(columns + GAP);
+    for (std::size_t ring = 0; ring < nearest.rows; ++ring) {
+        // The least of each stretch of GAP + 1 columns; a column takes the greatest of those that it lies in.
+        std::copy(nearest[ring] + columns - GAP, nearest[ring] + 2 * columns, around.begin());
+        std::copy(nearest[ring], nearest[ring] + GAP, around.begin() + std::ptrdiff_t(columns + GAP));
+        over_stretches(around.data(), least.data(), least.size(), [](float a, float b) { return a < b ? a : b; });
+        float* const to = closed.data() + ring * 2 * columns;
+        over_stretches(least.data(), to, columns, [](float a, float b) { return a > b ? a : b; });
+        for (std::size_t k = 0; of != nullptr && k < columns; ++k) {
+            if (!of->is_fired(ring, k)) to[k] = INFINITE;
+        }
+        std::copy(to, to + columns, to + columns);
+    }
+    return closed;
+}
+
+std::pair<Buffer<std::int32_t>, Buffer<std::int32_t>> envelope_margins(const SentBeams& sent, View2<const float> nearest) {
     const TargetColumns& of = *sent.of;
-    Buffer<std::int32_t> margin(of.windows.size());
+    const Buffer<float> closed_m = without_gaps(nearest, &of);
+    const Buffer<float> range_m = by_column(nearest);
+    const Buffer<float> closed_range_m = by_column({closed_m.data(), nearest.rows, nearest.columns});
+    Buffer<std::int32_t> margin(of.windows.size()), closed(of.windows.size());
     for_ranges(of.rows, count_parts(of.rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
-        count_margins(sent, nearest, first * of.grid_columns, last * of.grid_columns, margin.data());
+        count_margins(sent, range_m.data(), closed_range_m.data(), first * of.grid_columns, last * of.grid_columns,
+                      margin.data(), closed.data());
     });
-    return margin;
+    return {std::move(margin), std::move(closed)};
 }
 
 Buffer<double> cells_of_beams(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
                               View1<const bool> counts, const Attack& rule, std::int32_t most) {
     const std::size_t rings = sent.of->rings, columns = sent.of->columns;
     Buffer<double> weight(rings * columns, 0.0);
-    for_ranges(rings, count_parts(rings, 4), [&](std::size_t, std::size_t first, std::size_t last) {
-        for (std::size_t ring = first; ring < last; ++ring) {
-            share_cells(sent, nearest, margin, counts, rule, most, ring, weight.data() + ring * columns);
+    std::vector<Share> shares;
+    for (std::size_t cell = 0; cell < margin.size; ++cell) {
+        const std::int32_t needed = rule.needed(margin[cell]);
+        if (needed > 0 && needed <= most && counts[cell]) shares.push_back({cell, 1.0 / needed});
+    }
+    const Buffer<float> range_m = by_column(nearest);
+    run_parts((rings + LANES - 1) / LANES, [&](std::size_t part) {
+        const std::size_t first = part * LANES;
+        Buffer<double> of_lanes(columns * LANES, 0.0);
+        share_cells(sent, range_m.data(), shares, rule.opens, first, of_lanes.data());
+        for (std::size_t ring = first; ring < std::min(first + LANES, rings); ++ring) {
+            for (std::size_t k = 0; k < columns; ++k) weight[ring * columns + k] = of_lanes[k * LANES + ring - first];
         }
     });
     return weight;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "arrays.hpp"
@@ -32,6 +33,11 @@ struct TargetColumns {
         if (fired_before.empty()) return at.firings;
         const std::uint32_t* const before = &fired_before[ring * (2 * columns + 1)];
         return std::min(at.firings, std::int32_t(before[at.begin + at.width] - before[at.begin]));
+    }
+
+    bool is_fired(std::size_t ring, std::size_t column) const {
+        const std::size_t at = ring * (2 * columns + 1) + column;
+        return fired_before.empty() || fired_before[at + 1] > fired_before[at];
     }
 
     std::size_t rows, grid_columns, rings, columns;
@@ -75,8 +81,18 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
                               View1<const float> tangent, View1<const float> origin_m, std::size_t columns, double near_m,
                               double far_m);
 
-// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0.
-Buffer<std::int32_t> envelope_margins(const SentBeams& sent, View2<const float> nearest);
+// So many columns of a ring without a near return are closed between two that have one.
+constexpr std::size_t GAP = 4;
+
+// Nearest ranges (rings, 2 * columns) with gaps of up to GAP columns closed; those that are not fired block nothing.
+//
+// A gap takes the farther one of the nearest ranges at its two sides, which blocks what both of them block: a grey closing along
+// the ring, a maximum over minima, so that it is nowhere farther and falls where a range falls.
+Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of);
+
+// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0; and the same where gaps
+// are closed.
+std::pair<Buffer<std::int32_t>, Buffer<std::int32_t>> envelope_margins(const SentBeams& sent, View2<const float> nearest);
 
 // For each beam (rings, columns), the sum over the cells that count and need at most `most` beams, of 1 / the number needed,
 // where it is one of those that can change.

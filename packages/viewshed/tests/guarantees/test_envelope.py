@@ -9,14 +9,36 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from tests.guarantees import brute_force, toy
 
+from viewshed import _core
+from viewshed.arrays import F32
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import rotation_from_quaternion
-from viewshed.guarantees.envelope import GAP, Envelope, Given, Kind, Threat, without_gaps
-from viewshed.sensors import lidar_model
+from viewshed.grid import polar_of_cells
+from viewshed.guarantees.envelope import FOOT_M, SECTORS, Envelope, Given, Kind, Threat
+from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 
 SEEDS = st.integers(0, 2**32 - 1)
+GAP = 4
+
+
+def columns_of(model: LidarModel, fired: NDArray[np.uint8] | None = None) -> _core.TargetColumns:
+    range_m, azimuth = polar_of_cells(toy.GRID)
+    rings, columns = model.rings, model.azimuth_columns
+    return _core.TargetColumns(
+        range_m, azimuth, fired, rings, columns, toy.GRID.cell_m, CAR.width_m, model.max_range_m
+    )  # fmt: skip
+
+
+def twice(row: NDArray[Any]) -> F32:
+    """Return one turn (columns,) or (rings, columns) as the circle twice (rings, 2 · columns)."""
+    return np.ascontiguousarray(np.tile(np.atleast_2d(row), (1, 2)), np.float32)
+
+
+def without_gaps(row: NDArray[Any], fired: NDArray[np.uint8] | None = None) -> F32:
+    model = LidarModel("one", np.array([0.0]), row.shape[-1])
+    return _core.without_gaps(twice(row), columns_of(model, fired))
 
 
 def checked_margins(sweep: Sweep, grade: float = 0.0) -> NDArray[Any]:
@@ -77,17 +99,17 @@ def test_gaps_by_hand() -> None:
     row[[3, 8, 14]] = 5.0, 9.0, 5.0
     expected = row.copy()
     expected[4:8] = 9.0
-    assert np.array_equal(without_gaps(np.tile(row, (1, 2))), np.tile(expected, (1, 2)))
+    assert np.array_equal(without_gaps(row), twice(expected))
     # Around the back of the sensor, and not where a ring is not fired.
     row = np.full(30, np.inf, np.float32)
     row[[28, 2]] = 4.0
     expected = row.copy()
     expected[[29, 0, 1]] = 4.0
-    assert np.array_equal(without_gaps(np.tile(row, (1, 2)))[0, :30], expected)
+    assert np.array_equal(without_gaps(row)[0, :30], expected)
     fired = np.ones((1, 30), np.uint8)
     fired[0, 0] = 0
     expected[0] = np.inf
-    assert np.array_equal(without_gaps(np.tile(row, (1, 2)), fired)[0, :30], expected)
+    assert np.array_equal(without_gaps(row, fired)[0, :30], expected)
 
 
 @settings(max_examples=60, deadline=None)
@@ -97,13 +119,79 @@ def test_gaps_close_what_both_sides_block(seed: int) -> None:
     # wherever that stretch lies.
     rng = np.random.default_rng(seed)
     row = np.where(rng.random(40) < 0.7, np.inf, rng.uniform(1.0, 50.0, 40)).astype(np.float32)
-    closed = without_gaps(np.tile(row, (1, 2)))[0, :40]
+    closed = without_gaps(row)[0, :40]
     for near_m in (2.0, 10.0, 60.0):
         blocked = row < near_m
         for column in range(40):
             starts = range(column - GAP, column + 1)
             expected = all(any(blocked[(start + k) % 40] for k in range(GAP + 1)) for start in starts)
             assert (closed[column] < near_m) == expected
+
+
+@pytest.mark.parametrize(("rings", "are_fired"), [(8, False), (16, True), (70, False), (130, True)])
+def test_counts_bit_for_bit(rings: int, are_fired: bool) -> None:
+    # The counts of the core, for sixteen rings at once, against the same rules written plainly in the same precision.
+    rng, columns = np.random.default_rng(rings), 90
+    model = LidarModel("many", np.deg2rad(np.linspace(-24.0, 3.0, rings)), columns)
+    fired = (rng.random((rings, columns)) < 0.8).astype(np.uint8) if are_fired else None
+    of, base = columns_of(model, fired), Given(model, np.eye(3), 1.7)
+    range_m, azimuth = polar_of_cells(toy.GRID)
+    low_m, high_m = np.full_like(range_m, FOOT_M), np.full_like(range_m, CAR.height_m)
+    start_m = rng.uniform(1.6, 1.8, rings).astype(np.float32)
+    sent = _core.SentBeams(of, low_m, high_m, base.slopes(), start_m)
+    nearest_m = twice(np.where(rng.random((rings, columns)) < 0.5, np.inf, rng.uniform(0.0, 15.0, (rings, columns))))
+    closed_m = _core.without_gaps(nearest_m, of)
+    counts, least, most = rng.random(range_m.shape) < 0.7, 5, 40
+    margins, closed = np.zeros(range_m.shape, np.int32), np.zeros(range_m.shape, np.int32)
+    beams: list[tuple[tuple[int, int], NDArray[Any], NDArray[Any]]] = []
+    for cell in np.ndindex(*range_m.shape):
+        r, turn = range_m[cell], (float(azimuth[cell]) + np.pi) / (2 * np.pi)
+        half, near_m = np.arctan2(CAR.width_m / 2, float(r)) / (2 * np.pi) * columns, r - np.float32(toy.GRID.cell_m)
+        window = np.arange(np.ceil(turn * columns - half - 0.5), np.floor(turn * columns + half - 0.5) + 1).astype(int)
+        z_m = start_m + r * base.slopes()[min(int(turn * SECTORS), SECTORS - 1)]
+        passing = np.flatnonzero((z_m >= low_m[cell]) & (z_m <= high_m[cell]))
+        if near_m <= 0.0:
+            continue
+        sure = np.full(len(passing), int(2 * half + 1e-6))
+        window = window[:columns] % columns
+        if fired is not None:
+            sure = np.minimum(sure, fired[np.ix_(passing, window)].sum(axis=1))
+        for found, of_beams_m in ((margins, nearest_m), (closed, closed_m)):
+            blocked = of_beams_m[np.ix_(passing, window)] < near_m
+            found[cell] = np.maximum(sure - blocked.sum(axis=1), 0).sum()
+        ring, column = np.nonzero(nearest_m[np.ix_(passing, window)] >= near_m)
+        beams.append((cell, passing[ring], window[column]))
+    ours = _core.envelope_margins(sent, nearest_m)
+    assert np.array_equal(ours[0], margins)
+    assert np.array_equal(ours[1], closed)
+    assert (closed < margins).sum() > 0
+    share = np.zeros((rings, columns))
+    for cell, ring, column in beams:
+        needed = margins[cell] - least + 1
+        if counts[cell] and 0 < needed <= most:
+            share[ring, column] += 1.0 / needed
+    assert share.any()
+    assert np.array_equal(_core.cells_of_beams(sent, nearest_m, margins, counts, least, most, False), share)
+
+
+def test_what_is_sent_is_kept_only_while_it_stays() -> None:
+    half = np.deg2rad(2.0) / 2
+    tilted = rotation_from_quaternion([np.cos(half), np.sin(half), 0.0, 0.0])
+    base = Given(toy.TOY, np.eye(3), toy.HEIGHT_M)
+    same, nearest_m = Given(toy.TOY, np.eye(3), toy.HEIGHT_M), np.full((8, 180), np.inf, np.float32)
+    assert base.sent(toy.GRID, CAR) is same.sent(toy.GRID, CAR)
+    shifted = LidarModel("shifted", toy.TOY.elevation + 0.02, 90)
+    others = [
+        Given(toy.TOY, tilted, toy.HEIGHT_M), Given(toy.TOY, np.eye(3), 1.9), Given(shifted, np.eye(3), toy.HEIGHT_M),
+        Given(toy.TOY, np.eye(3), toy.HEIGHT_M, grade=0.1),
+        Given(toy.TOY, np.eye(3), toy.HEIGHT_M, HeightMap.flat(12.0, 0.5)),
+    ]  # fmt: skip
+    before = _core.envelope_margins(base.sent(toy.GRID, CAR), nearest_m)[0]
+    for other in others:
+        kept, anew = other.sent(toy.GRID, CAR), other._sent(toy.GRID, CAR)
+        margins = _core.envelope_margins(kept, nearest_m)[0]
+        assert np.array_equal(margins, _core.envelope_margins(anew, nearest_m)[0])
+        assert not np.array_equal(margins, before)
 
 
 @settings(max_examples=60, deadline=None)

@@ -91,13 +91,26 @@ void bind_guarantees(nb::module_& m) {
         "envelope_margins",
         [](const SentBeams& sent, In2<float> nearest) {
             const View2<const float> ranges = checked(sent, nearest);
-            const auto found = [&] {
+            auto [margin, closed] = [&] {
                 const nb::gil_scoped_release unlocked;
                 return envelope_margins(sent, ranges);
-            };
-            return array(found(), {sent.of->rows, sent.of->grid_columns});
+            }();
+            const auto of_cells = [&](auto& found) { return array(std::move(found), {sent.of->rows, sent.of->grid_columns}); };
+            return std::pair(of_cells(margin), of_cells(closed));
         },
-        "sent"_a, "nearest"_in, "Beams (cells, cells) that are sent through a target and not blocked before it.");
+        "sent"_a, "nearest"_in,
+        "Beams (cells, cells) that are sent through a target and not blocked before it, and the same where gaps are closed.");
+    m.def(
+        "without_gaps",
+        [](In2<float> nearest, std::shared_ptr<TargetColumns> columns) {
+            require(nearest.shape(1) % 2 == 0 && nearest.shape(1) >= 2 * GAP,
+                    "nearest must be (rings, 2 * columns), columns 4 or more");
+            require(!columns || (nearest.shape(0) == columns->rings && nearest.shape(1) == 2 * columns->columns),
+                    "nearest must be (rings, 2 * columns) of the same sensor");
+            return array(without_gaps(view(nearest), columns.get()), {nearest.shape(0), nearest.shape(1)});
+        },
+        "nearest"_in, "columns"_a.none(),
+        "Nearest ranges with gaps of up to four columns closed; those that are not fired block nothing.");
     m.def(
         "cells_of_beams",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,

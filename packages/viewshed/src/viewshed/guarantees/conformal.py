@@ -272,6 +272,7 @@ def ground_std(ground: HeightMap, grid: BevGrid) -> F32:
     return ground.std_m.ravel()[positions_of_cells(grid, ground.half_extent_m, len(ground.std_m)).node]
 
 
+@lru_cache(maxsize=4096)
 def binomial_tail(count: int, trials: int, share: float) -> float:
     """Return P(N ≤ count) of a binomial N.
 

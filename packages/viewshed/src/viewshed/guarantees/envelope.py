@@ -49,9 +49,6 @@ leaves more of the claims on hills standing."""
 
 LEVEL_M = 5.0
 
-GAP = 4
-"""So many columns of a ring without a near return are closed between two that have one."""
-
 PLANE_M = 20.0
 """Up to here the ground that carries the sensor is its plane; beyond, its height stays."""
 
@@ -211,7 +208,14 @@ class Given:
         return height
 
     def sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
-        """Return the beams that are sent through a target in each cell."""
+        """Return the beams that are sent through a target in each cell; kept while what is given stays."""
+        if self.ground is not None:
+            return self._sent(grid, target)
+        return _sent(
+            grid, target, self.model, np.asarray(self.rotation, np.float64).tobytes(), self.height_m, self.grade
+        )
+
+    def _sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
         height, range_m = self.heights(grid), polar_of_cells(grid)[0]
         spread = np.float32(self.grade) * np.maximum(range_m - np.float32(LEVEL_M), np.float32(0.0))
         start_m = self.height_m + self.rotation[2, 2] * self.model.origin_m
@@ -235,23 +239,13 @@ class Given:
         )  # fmt: skip
 
 
-def without_gaps(nearest_m: F32, fired: NDArray[np.uint8] | None = None) -> F32:
-    """Return nearest ranges (rings, 2 · columns) with gaps of up to GAP columns closed.
-
-    A gap takes the farther one of the nearest ranges at its two sides, which blocks what both of them block: a grey
-    closing along the ring, a maximum over minima, so that it is nowhere farther and falls where a range falls.
-
-    Args:
-        nearest_m: see :meth:`Given.nearest_returns`.
-        fired: (rings, columns) which columns are fired, None for all; the others block nothing.
-    """
-    columns, wide = nearest_m.shape[1] // 2, GAP + 1
-    around = np.concatenate([nearest_m[:, columns - GAP : columns], nearest_m[:, : columns + GAP]], axis=1)
-    least = np.minimum.reduce([around[:, k : k + columns + GAP] for k in range(wide)])
-    closed = np.maximum.reduce([least[:, k : k + columns] for k in range(wide)])
-    if fired is not None:
-        closed[fired == 0] = np.inf
-    return np.concatenate([closed, closed], axis=1)
+@lru_cache(maxsize=4)
+def _sent(
+    grid: BevGrid, target: Target, model: LidarModel, rotation: bytes, height_m: float, grade: float
+) -> _core.SentBeams:
+    """Return the beams that are sent over the plane on which a sensor stands; ``rotation`` are its float64 bytes."""
+    given = Given(model, np.frombuffer(rotation, np.float64).reshape(3, 3), height_m, None, grade)
+    return given._sent(grid, target)
 
 
 @lru_cache(maxsize=4)
@@ -266,6 +260,7 @@ def _columns(grid: BevGrid, width_m: float, model: LidarModel) -> _core.TargetCo
 
 # Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
 atexit.register(_columns.cache_clear)
+atexit.register(_sent.cache_clear)
 
 
 def fired_columns(model: LidarModel) -> NDArray[np.uint8] | None:
@@ -289,7 +284,7 @@ class Envelope:
         sent: the beams that are.
         nearest_m: (rings, 2 · columns) float32, see :meth:`Given.nearest_returns`.
         margins: (cells, cells) int32 beams that are sent through a target in a cell and not blocked before it.
-        closed: (cells, cells) int32 the same where gaps are closed, see :func:`without_gaps`.
+        closed: (cells, cells) int32 the same where gaps of up to four columns of a ring are closed.
     """
 
     grid: BevGrid
@@ -302,16 +297,12 @@ class Envelope:
     @classmethod
     def of(cls, leveled: LeveledSweep, given: Given, grid: BevGrid, target: Target) -> Envelope:
         """Return the envelope of a sweep."""
-        sent, nearest_m = given.sent(grid, target), given.nearest_returns(leveled)
-        return cls.within(grid, target, sent, nearest_m, fired_columns(given.model))
+        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled))
 
     @classmethod
-    def within(
-        cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32, fired: NDArray[np.uint8] | None
-    ) -> Envelope:
-        """Return the envelope of nearest ranges for beams that are sent; of which some columns may not be fired."""
-        margins = _core.envelope_margins(sent, nearest_m)
-        closed = _core.envelope_margins(sent, without_gaps(nearest_m, fired))
+    def within(cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32) -> Envelope:
+        """Return the envelope of nearest ranges for beams that are sent."""
+        margins, closed = _core.envelope_margins(sent, nearest_m)
         return cls(grid, target, sent, nearest_m, margins, closed)
 
     def claim(self) -> Mask:
@@ -355,8 +346,8 @@ class Envelope:
         changes = among & (self.open(-beams) & ~self.open() if opens else self.open() & ~self.open(beams))
         most = int(changes.sum())
         if beams and threat.kind in ("replaced", "dropped"):
-            share = _core.cells_of_beams(self.sent, self.nearest_m, self.margins, among, least, beams, opens).ravel()
-            most = min(
-                most, int(np.partition(share, -beams)[-beams:].sum() + _ROUNDING) if beams < share.size else most
-            )
+            share = _core.cells_of_beams(self.sent, self.nearest_m, self.margins, among, least, beams, opens)
+            share = share[share > 0.0]
+            largest = np.partition(share, -beams)[-beams:] if beams < share.size else share
+            most = min(most, int(largest.sum() + _ROUNDING))
         return most * area_m2, changes

@@ -19,7 +19,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.envelope import Envelope, Given, Threat, fired_columns
+from viewshed.guarantees.envelope import Envelope, Given, Threat
 from viewshed.preprocess.leveling import NULL_RANGE_M, level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
@@ -120,7 +120,7 @@ class Victim:
             max(NULL_RANGE_M, model.min_range_m),
             model.max_range_m,
         )
-        return Envelope.within(own.grid, own.target, own.sent, nearest_m, fired_columns(model))
+        return Envelope.within(own.grid, own.target, own.sent, nearest_m)
 
 
 def own_victim(sweep: Sweep, grid: BevGrid) -> Victim:

@@ -21,6 +21,7 @@ from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
+from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.envelope import Threat
 from viewshed.monitor import StreamMonitor
 from viewshed.monitor.deviation import DeviationMonitor
@@ -38,6 +39,7 @@ from viewshed_lab.sim.world import Agent, Thing, Track, World
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.threats.attacks import CLEAN_SPOOFER, Attack
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostWall
+from viewshed_lab.threats.attacks.informed import VanishedObject
 from viewshed_lab.threats.attacks.removal import PhysicalRemoval
 
 STEP_S, LAST_S = 0.2, 24.0
@@ -56,6 +58,8 @@ ATTACKED_S = (1.0, 15.0)
 THREAT = Threat("wedge", 30)
 """All attacks here own one wedge of 30°, or less."""
 
+SPEED_THREATS = ("added", "window:5", "window:20", "replaced:50", "replaced:150", "wedge:1", "wedge:10", "wedge:30")
+
 WEATHER = Conditions(extinction_per_m=0.0034, wet=0.3, noise=1.3)
 """Heavy rain without its drops near the sensor: to this car each would be a place where someone may stand."""
 
@@ -63,12 +67,13 @@ PASSES, FITTED = 5, 24
 """Passes of the published network, and benign sweeps that its detector is fitted on, and calibrated on."""
 
 ATTACKS: dict[str, Callable[[float], Attack]] = {
+    "vanished": lambda azimuth: VanishedObject(azimuth=azimuth, near_m=40.0),
     "far wall": lambda azimuth: FarWall(azimuth=azimuth, near_m=40.0, spoofer=CLEAN_SPOOFER),
     "removal": lambda azimuth: PhysicalRemoval(azimuth=azimuth, spoofer=CLEAN_SPOOFER),
     "ghost wall": lambda _: GhostWall(azimuth=0.0, range_m=4.0, spoofer=CLEAN_SPOOFER),
 }
 """By name, aimed at an azimuth: where the one who is hidden walks, but for the ghost, which stands ahead. The attacker
-wins every beam."""
+wins every beam. Of whom a far wall hides, the returns below .3 m stay; who vanishes leaves none."""
 
 CASES = ("none", "weather", *ATTACKS)
 
@@ -223,6 +228,21 @@ def drive_through(
             if x_m > place.start_m[0] + 5.0:
                 return Drive(False, (step + 1) * STEP_S, needless_s, alarm_s)
     return Drive(False, LAST_S, needless_s, alarm_s)
+
+
+def certified_speeds(number: int, words: tuple[str, ...] = SPEED_THREATS, x_m: float = -20.0) -> dict[str, float]:
+    """Return the speed in m/s on the way to a junction without attack: by the claim, and by what of it is certified.
+
+    Args:
+        number: of the junction.
+        words: threats that are certified against.
+        x_m: where the car is.
+    """
+    place = Junction(number, Conditions())
+    leveled = level(place.sweep(0, x_m, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
+    estimate = load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]).estimate(leveled)
+    certified = {one: certify(leveled, estimate, Threat.parse(one)).withdraw(estimate) for one in words}
+    return {"the whole claim": speed_in_view(estimate)} | {one: speed_in_view(kept) for one, kept in certified.items()}
 
 
 class PublishedDetector:

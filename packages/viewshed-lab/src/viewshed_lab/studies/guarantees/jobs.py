@@ -23,7 +23,7 @@ from viewshed.guarantees.conformal import (
 )
 from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.studies.guarantees import attacks
-from viewshed_lab.studies.guarantees.driving import CASES, MONITORS, drive_through
+from viewshed_lab.studies.guarantees.driving import CASES, MONITORS, certified_speeds, drive_through
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
     adapted_of,
@@ -96,6 +96,8 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "report", number, found)
     for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
         _add(folder, "attacks", number, attack_scene(number, sizes))
+    for number in _left(folder, "speeds", sizes.drives, on_line):
+        _add(folder, "speeds", number, certified_speeds(number))
     pairs = [(case, monitor) for case in CASES for monitor in MONITORS]
     for number in _left(folder, "driving", sizes.drives * len(pairs), on_line):
         run, pair = divmod(number, len(pairs))

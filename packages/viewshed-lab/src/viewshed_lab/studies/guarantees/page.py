@@ -40,6 +40,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
+        speeds=_speeds(lines["speeds"]),
         last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
         strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
@@ -63,6 +64,7 @@ _PARTS = (
     "attacks",
     "survey",
     "driving",
+    "speeds",
     "crossview",
 )
 
@@ -331,8 +333,19 @@ def _driving(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
+def _speeds(lines: list[Line]) -> Table | None:
+    """Return how fast the car may drive if only what is certified counts, by threat."""
+    if not lines:
+        return None
+    rows = []
+    for words in (name for name in lines[0] if name != "number"):
+        speeds = np.array([line[words] for line in lines])
+        rows.append([words, f"{speeds.mean():.1f}", f"{speeds.min():.1f} to {speeds.max():.1f}"])
+    return Table(["what the car may count on", "speed, mean, m/s", "from, to"], rows)
+
+
 def _strip(
-    lines: list[Line], number: int = 0, case: str = "far wall", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
+    lines: list[Line], number: int = 0, case: str = "vanished", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
 ) -> Picture:
     """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
     monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
