@@ -66,8 +66,7 @@ class PoseFile:
         """
         path = Path(place)
         if path.is_dir():
-            tables = [each.read_bytes() for each in sorted(path.rglob("*.pose"))]
-            return cls._of_places(path, b"\n".join(tables))
+            return cls._of_places_in(path)
         with open_input(path) as source:
             content = source.content(_BYTES_MAX)
             if content.lstrip().startswith(_PLACE_COLUMNS[0].encode()):
@@ -87,6 +86,22 @@ class PoseFile:
         return cls._of_kitti(path, poses)
 
     @classmethod
+    def _of_places_in(cls, folder: Path) -> PoseFile:
+        """Return the poses of the tables of places in a folder and those below it."""
+        tables = []
+        for path in sorted(folder.rglob("*.pose")):
+            with open_input(path) as source:
+                tables.append(source.content(_BYTES_MAX))
+        if not tables:
+            raise ValueError(
+                f"{folder} is a folder without .pose files; give a table of poses, or a folder of such files"
+            )
+        try:
+            return cls._of_places(folder, b"\n".join(tables))
+        except ValueError as error:
+            raise ValueError(f"{folder}: {error}") from error
+
+    @classmethod
     def _of_places(cls, path: Path, content: bytes) -> PoseFile:
         """Return the poses of tables of places: x east, y north from the first of them, looking along the way."""
         # 1. The rows, in the order of time, each by the columns of the last header.
@@ -101,7 +116,7 @@ class PoseFile:
             elif any(words):
                 found.append(_numbers_in(words, columns, f"line {number}"))
         if not found:
-            raise ValueError("must have places, got no line with numbers; give a folder with .pose files, or a table")
+            raise ValueError("must have places, got no line with numbers")
         rows = np.array(found)[np.argsort([row[0] for row in found], kind="stable")]
         times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
         if (np.diff(times_ns) <= 0).any():
