@@ -31,16 +31,22 @@ def fresh(config: TrainConfig, tmp_path: Path) -> tuple[TrainConfig, Path]:
 
 def test_a_network_is_quantized_and_compared(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
     config, network = fresh
-    found = quantize(config, network, tmp_path / "bytes.onnx", 3)
-    assert 0.2 < found.f1 < 1.0
-    assert found.f1 - found.f1_int8 <= module.MAX_F1_LOSS
-    assert 0.0 < found.mean_difference < 0.1
-    assert 0.0 <= found.flipped_share < 0.1
+    costs = quantize(config, network, tmp_path / "bytes.onnx", 3)
+    assert [each.passes for each in costs] == [1, 20]
+    for found in costs:
+        assert 0.2 < found.f1 < 1.0
+        assert found.f1 - found.f1_int8 <= module.MAX_F1_LOSS
+        assert 0.0 < found.mean_difference < 0.1
+        assert 0.0 <= found.flipped_share < 0.1
+    assert costs[0].deviation == costs[0].deviation_int8 == 0.0
+    # All doubt of this network is one weight, a thousandth of its neighbor: bytes lose it, and the cost says so.
+    assert costs[1].deviation > 0.005
+    assert costs[1].deviation_int8 == 0.0
     card = OnnxRunner(tmp_path / "bytes.onnx", 1).card
     assert card.precision == INT8
     assert card.trained["calibration"] == "3 sweeps of nuscenes-small, 50% attacked"
     assert card.trained["seed"] == "1"
-    assert quantize(config, network, tmp_path / "again.onnx", 3) == found
+    assert quantize(config, network, tmp_path / "again.onnx", 3) == costs
     assert (tmp_path / "again.onnx").read_bytes() == (tmp_path / "bytes.onnx").read_bytes()
 
 

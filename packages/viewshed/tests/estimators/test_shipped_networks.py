@@ -11,6 +11,7 @@ from viewshed.arrays import Mask
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import load_network
 from viewshed.geometry import Rigid
+from viewshed.grid import BevGrid
 from viewshed.networks.weights import manifest
 
 pytestmark = pytest.mark.slow
@@ -90,3 +91,17 @@ def test_our_network_in_bytes_sees_what_it_sees_in_float32(real_data: Path) -> N
         whole, small = (each.estimate(sweep) for each in estimators)
         assert agreement(whole.visible(), small.visible()) > 0.98
         assert np.abs(whole.visible_prob - small.visible_prob).mean() < 0.005
+
+
+@pytest.mark.parametrize(("name", "grid", "target"), [("road", ROAD, CAR), ("indoor", GRIDS["indoor"], PEDESTRIAN)])
+def test_twenty_passes_in_bytes_say_what_they_say_in_float32(
+    real_data: Path, name: str, grid: BevGrid, target: Target
+) -> None:
+    sweep = read_sweep(sorted(real_data.glob(FILES[0]))[0])
+    whole, small = (
+        load_network("mc_dropout", grid, target, weights=each).estimate(sweep) for each in (name, f"{name}_int8")
+    )
+    assert (whole.visible() != small.visible()).mean() < 0.02
+    assert np.abs(whole.visible_prob - small.visible_prob).mean() < 0.02
+    assert small.std.mean() == pytest.approx(whole.std.mean(), rel=0.1)
+    assert np.corrcoef(whole.std.ravel(), small.std.ravel())[0, 1] > 0.9

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from viewshed._files import write_atomic
+from viewshed.estimators.unet import PASSES
 from viewshed.metrics import Scores
+from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import OnnxRunner
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import archived_samples
@@ -29,14 +31,17 @@ _EPOCH = 0x62797465
 class QuantizationCost:
     """What int8 costs, on sweeps of other scenes than those that calibrated."""
 
+    passes: int  # 1 with dropout off, else those of Monte Carlo dropout, whose mean is compared
     f1: float  # of the network in float32, all cells of all sweeps together
     f1_int8: float  # of the network in int8
     mean_difference: float  # mean absolute difference of their probabilities
     flipped_share: float  # share of the known cells that one calls visible and the other does not
+    deviation: float  # mean over the cells of the deviation over passes, in float32; 0 for one pass
+    deviation_int8: float  # the same in int8
 
 
-def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: int = FRAMES) -> QuantizationCost:
-    """Write a network in int8 to a new file ``out`` and return what that costs.
+def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: int = FRAMES) -> list[QuantizationCost]:
+    """Write a network in int8 to a new file ``out`` and return what that costs, and with dropout what passes cost.
 
     The sweeps are attacked as often as in the training; the first ``frames`` calibrate, as many others check. Those of
     presets are simulated anew, each in a scene of its own that no epoch has seen; of archives they are sweeps of the
@@ -63,14 +68,17 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
     calibration_maps = [next(drawn).maps for _ in range(frames)]
     training_facts = {"calibration": f"{frames} sweeps of {', '.join(config.data)}, {config.attack_share:.0%} attacked"}
     small = quantize_network(content, str(network), calibration_maps, training_facts)
-    cost = _compare(whole, OnnxRunner.of_content(small, str(out), 1), list(drawn))
-    if cost.f1 - cost.f1_int8 > MAX_F1_LOSS:
-        raise ValueError(
-            f"F1 in bytes must be within {MAX_F1_LOSS} of float32, got {cost.f1_int8:.4f} and {cost.f1:.4f}; "
-            "calibrate with more frames, or keep float32"
-        )
+    checks, runners = list(drawn), (whole, OnnxRunner.of_content(small, str(out), 1))
+    counts = (1, PASSES) if whole.card.shape.dropout else (1,)
+    costs = [_compare(*runners, checks, passes) for passes in counts]
+    for cost in costs:
+        if cost.f1 - cost.f1_int8 > MAX_F1_LOSS:
+            raise ValueError(
+                f"F1 in bytes must be within {MAX_F1_LOSS} of float32, got {cost.f1_int8:.4f} and {cost.f1:.4f}; "
+                "calibrate with more frames, or keep float32"
+            )
     write_atomic(out, small)
-    return cost
+    return costs
 
 
 def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
@@ -95,14 +103,20 @@ def _check(config: TrainConfig, runner: OnnxRunner) -> None:
             )
 
 
-def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample]) -> QuantizationCost:
-    scores, differences, flipped = (Scores(), Scores()), [], []
+def _compare(whole: OnnxRunner, small: OnnxRunner, frames: list[TrainingSample], passes: int) -> QuantizationCost:
+    scores, differences, flipped, deviations = (Scores(), Scores()), [], [], []
+    masks = whole.card.shape.masks(passes, np.random.default_rng(0)) if passes > 1 else None
     for frame in frames:
-        probs = [runner.run(runner.card.shown(frame.maps)[None])[0] for runner in (whole, small)]
+        found = [
+            mean_and_deviation(runner.run(runner.card.shown(frame.maps)[None], masks)) for runner in (whole, small)
+        ]
+        probs = [prob for prob, _ in found]
         for score, prob in zip(scores, probs, strict=True):
             score.add(prob[frame.known], frame.visible[frame.known])
-        masks = [prob >= np.float32(whole.card.threshold) for prob in probs]
+        claims = [prob >= np.float32(whole.card.threshold) for prob in probs]
         differences.append(float(np.abs(probs[0] - probs[1]).mean()))
-        flipped.append(float((masks[0] != masks[1])[frame.known].mean()))
+        flipped.append(float((claims[0] != claims[1])[frame.known].mean()))
+        deviations.append([float(std.mean()) for _, std in found])
     f1, f1_int8 = (score.f1(whole.card.threshold) for score in scores)
-    return QuantizationCost(f1, f1_int8, float(np.mean(differences)), float(np.mean(flipped)))
+    std, std_int8 = np.mean(deviations, axis=0).tolist()
+    return QuantizationCost(passes, f1, f1_int8, float(np.mean(differences)), float(np.mean(flipped)), std, std_int8)

@@ -17,7 +17,7 @@ _NODE, _INPUT, _OUTPUT = 1, 11, 12
 _NODE_INPUT, _NODE_OUTPUT, _NODE_KIND = 1, 2, 4
 _VALUE_NAME = 1
 
-_PREPARES_MASKS = ("Split", "Unsqueeze", "QuantizeLinear", "DequantizeLinear")
+_PREPARES_MASKS = ("Split", "Concat", "Unsqueeze", "QuantizeLinear", "DequantizeLinear")
 """Operators between the masks and the products with them."""
 
 

@@ -220,7 +220,8 @@ def _check_graph(graph: _Graph, card: NetworkCard) -> None:
             f"inputs {graph.inputs} and outputs {graph.outputs}; they must be inputs, masks and {_OUTPUTS[0]}"
         )
     most = _most_numbers(card)
-    work = card.shape.flops(card.grid.cells)
+    # Sums of products are two operations each, and on blocks of cells (networks in bytes) four times as many.
+    work = 2 * card.shape.flops(card.grid.cells)
     if most > MOST_NUMBERS:
         raise _RefusedError(f"a card whose network has {most:,} numbers in one layer; the most is {MOST_NUMBERS:,}")
     # Two sizes of batch: a tensor that grows with the square of the batch is small for one of them alone.

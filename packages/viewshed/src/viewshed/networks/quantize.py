@@ -62,25 +62,46 @@ class ChannelsLastGraph:
 
 
 def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastGraph:
-    """Return the graph of a model that :func:`viewshed.networks.onnx_export.export_onnx` wrote, rewritten."""
+    """Return the graph of a model that :func:`viewshed.networks.onnx_export.export_onnx` wrote, rewritten.
+
+    The first encoder stage and the last decoder stage of a network that folds nothing run on blocks of 2 × 2 cells:
+    they have so few channels that four times the products, of longer rows, take half of the time.
+    """
     graph = ChannelsLastGraph(card)
     graph.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
     first = graph.add("Transpose", ["inputs"], "straight", perm=[0, 3, 1, 2])
-    same, side = {"inputs": first}, graph.side
+    side, in_blocks = graph.side, card.shape.fold == 1
+    same = {"inputs": _fold(graph, first, "blocks", side // 2, card.shape.channels) if in_blocks else first}
+    channels, masks = dict[str, int](), dict[str, str]()
     for node in _needed_nodes(model):
         x, output = same.get(node.input[0], node.input[0]), node.output[0]
         if node.op_type in ("SpaceToDepth", "DepthToSpace"):
             same[output] = x
+        elif node.op_type == "Split":
+            channels = dict(zip(node.output, card.shape.masked_channels, strict=True))
+            _copy_node(graph, node)
+        elif node.op_type == "Unsqueeze":
+            masks[output] = x
+        elif node.op_type == "Mul":
+            mask = masks[node.input[1]]
+            _rewrite_product(graph, node, side, mask, channels[mask])
         elif node.op_type == "ConvTranspose":
-            _rewrite_transposed_conv(graph, node, side)
             side *= 2
+            in_blocks = card.shape.fold == 1 and side == card.grid.cells
+            _rewrite_transposed_conv(graph, node, side, in_blocks)
         elif node.op_type == "Conv" and graph.constants[node.input[1]].shape[2:] == (1, 1):
             _rewrite_head(graph, node)
+        elif node.op_type == "Conv":
+            _rewrite_conv(graph, node, x, in_blocks)
         elif node.op_type == "Sigmoid":
             graph.add("Sigmoid", [x], "probability")
+        elif node.op_type == "MaxPool":
+            side //= 2
+            x = _unfold(graph, x, f"{x}_unfolded", side, card.shape.width) if in_blocks else x
+            in_blocks = False
+            graph.add("MaxPool", [x], output, kernel_shape=[2, 2], strides=[2, 2])
         elif node.op_type != "Squeeze":
-            side = side // 2 if node.op_type == "MaxPool" else side
-            _copy_node(graph, node, x)
+            _copy_node(graph, node)
     used = {name for node in graph.nodes for name in node.input}
     graph.constants = {name: value for name, value in graph.constants.items() if name in used}
     return graph
@@ -96,14 +117,22 @@ def _needed_nodes(model: onnx.ModelProto) -> list[onnx.NodeProto]:
     return found[::-1]
 
 
-def _copy_node(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str) -> None:
-    """Add a node as it is but for its first input; the weights of the first convolution in the order of the input."""
+def _copy_node(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
     copy = onnx.NodeProto()
     copy.CopyFrom(node)
-    copy.name, copy.input[0] = node.name or node.output[0], x
-    if x == "straight":
-        copy.input[1] = graph.constant("first_weight", _reorder_first_weight(graph, graph.constants[copy.input[1]]))
+    copy.name = node.name or node.output[0]
     graph.nodes.append(copy)
+
+
+def _rewrite_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str, in_blocks: bool) -> None:
+    """Add what a convolution 3 × 3 of ``x`` does, on cells or on blocks of 2 × 2 cells."""
+    name, (weight, *bias) = node.output[0], [graph.constants[each] for each in node.input[1:]]
+    if x in ("straight", "blocks"):
+        weight = _reorder_first_weight(graph, weight)
+    if in_blocks:
+        weight, bias = weight_in_blocks(weight), [np.tile(each, 4) for each in bias]
+    constants = [graph.constant(f"{name}_weight", weight), *(graph.constant(f"{name}_bias", each) for each in bias)]
+    graph.add("Conv", [x, *constants], name, kernel_shape=[3, 3], pads=[1, 1, 1, 1])
 
 
 def _reorder_first_weight(graph: ChannelsLastGraph, weight: NDArray[Any]) -> NDArray[np.generic]:
@@ -114,20 +143,67 @@ def _reorder_first_weight(graph: ChannelsLastGraph, weight: NDArray[Any]) -> NDA
     return parts.swapaxes(1, 2).reshape(weight.shape)
 
 
-def _rewrite_transposed_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int) -> None:
-    """Add what a transposed convolution 2 × 2 with stride 2 does."""
+def _rewrite_product(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int, mask: str, channels: int) -> None:
+    """Add the product of maps (N, channels, side, side) and a mask (N, channels).
+
+    It is one of whole rows of cells, the mask repeated along them: products of a few channels each are ten times as
+    slow.
+    """
+    name = node.output[0]
+    row = graph.add("Concat", [mask] * side, f"{name}_repeated", axis=1)
+    row = graph.add("Unsqueeze", [row, graph.constant("axis_1", np.array([1]))], f"{name}_mask")
+    x = graph.add("Transpose", [node.input[0]], f"{name}_last", perm=[0, 2, 3, 1])
+    shape = graph.constant(f"{name}_rows", np.array([-1, side, side * channels]))
+    x = graph.add("Reshape", [x, shape], f"{name}_whole")
+    x = graph.add("Mul", [x, row], f"{name}_masked")
+    shape = graph.constant(f"{name}_apart", np.array([-1, side, side, channels]))
+    x = graph.add("Reshape", [x, shape], f"{name}_cells")
+    graph.add("Transpose", [x], name, perm=[0, 3, 1, 2])
+
+
+def _rewrite_transposed_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int, in_blocks: bool) -> None:
+    """Add what a transposed convolution 2 × 2 with stride 2 to (side, side) does; its cells may stay in blocks."""
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
     inner, outer = weight.shape[:2]
     spread = weight.transpose(2, 3, 1, 0).reshape(4 * outer, inner, 1, 1)
     own = graph.constant(f"{name}_weight", spread), graph.constant(f"{name}_bias", np.tile(bias, 4))
-    x = graph.add("Conv", [node.input[0], *own], f"{name}_four", kernel_shape=[1, 1])
+    x = graph.add("Conv", [node.input[0], *own], name if in_blocks else f"{name}_four", kernel_shape=[1, 1])
+    if not in_blocks:
+        _unfold(graph, x, name, side // 2, outer)
+
+
+def _unfold(graph: ChannelsLastGraph, x: str, name: str, half: int, channels: int) -> str:
+    """Add what moves blocks of 2 × 2 cells (N, 4 · channels, half, half) apart, and return its name."""
+    return _swap_rows(graph, x, name, [half, half, 2, 2 * channels], [2 * half, 2 * half, channels])
+
+
+def _fold(graph: ChannelsLastGraph, x: str, name: str, half: int, channels: int) -> str:
+    """Add what joins cells (N, channels, 2 · half, 2 · half) to blocks of 2 × 2, and return its name."""
+    return _swap_rows(graph, x, name, [half, 2, half, 2 * channels], [half, half, 4 * channels])
+
+
+def _swap_rows(graph: ChannelsLastGraph, x: str, name: str, before: list[int], after: list[int]) -> str:
     x = graph.add("Transpose", [x], f"{name}_last", perm=[0, 2, 3, 1])
-    shape = graph.constant(f"{name}_apart", np.array([-1, side, side, 2, 2 * outer]))
-    x = graph.add("Reshape", [x, shape], f"{name}_rows")
+    x = graph.add("Reshape", [x, graph.constant(f"{name}_apart", np.array([-1, *before]))], f"{name}_rows")
     x = graph.add("Transpose", [x], f"{name}_moved", perm=[0, 1, 3, 2, 4])
-    shape = graph.constant(f"{name}_together", np.array([-1, 2 * side, 2 * side, outer]))
-    x = graph.add("Reshape", [x, shape], f"{name}_cells")
-    graph.add("Transpose", [x], name, perm=[0, 3, 1, 2])
+    x = graph.add("Reshape", [x, graph.constant(f"{name}_together", np.array([-1, *after]))], f"{name}_cells")
+    return graph.add("Transpose", [x], name, perm=[0, 3, 1, 2])
+
+
+def weight_in_blocks(weight: NDArray[Any]) -> NDArray[Any]:
+    """Return the weight (4 · outer, 4 · inner, k, k) that does on blocks of 2 × 2 cells what ``weight`` does on cells.
+
+    Args:
+        weight: (outer, inner, k, k) with k 1 or 3; channels of a block are ordered (row, column, channel).
+    """
+    outer, inner, kernel, _ = weight.shape
+    reach = kernel // 2
+    found = np.zeros((2, 2, outer, 2, 2, inner, kernel, kernel), weight.dtype)
+    for row, column, dy, dx in np.ndindex(2, 2, kernel, kernel):
+        # The cell that a tap of the kernel reads: which block, and where in it.
+        (block_y, y), (block_x, x) = divmod(row + dy - reach, 2), divmod(column + dx - reach, 2)
+        found[row, column, :, y, x, :, block_y + reach, block_x + reach] = weight[:, :, dy, dx]
+    return found.reshape(4 * outer, 4 * inner, kernel, kernel)
 
 
 def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
@@ -136,7 +212,10 @@ def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
     One product for each row of a block gives whole rows of cells: joining rows is faster than moving single cells.
     """
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
-    fold, side = graph.card.shape.fold, graph.side
+    fold = graph.card.shape.fold
+    if fold == 1:
+        fold, weight, bias = 2, weight_in_blocks(weight), np.tile(bias, 4)
+    side = graph.card.grid.cells // fold
     last = graph.add("Transpose", [node.input[0]], f"{name}_last", perm=[0, 2, 3, 1])
     one_row = graph.constant(f"{name}_one_row", np.array([-1, 1, side * fold]))
     rows = []
