@@ -104,7 +104,9 @@ def test_what_we_ship_says_the_same_with_and_without_masks(name: str) -> None:
     runner = load_runner(name, 1)
     x, shape = drawn_input(runner.card, 2), runner.card.shape
     found, masked = runner.run(x), runner.run(x, shape.no_masks(2))
-    np.testing.assert_allclose(found, masked, rtol=0.0, atol=1e-6)
+    # As above: the product with a mask of ones rounds bytes once more.
+    atol = 0.03 if runner.card.precision == "int8" and shape.dropout else 1e-6
+    np.testing.assert_allclose(found, masked, rtol=0.0, atol=atol)
     assert np.array_equal(found, masked) or shape.dropout > 0.0
     graph = onnx.load_from_string(without_masks(shipped_content(name))).graph
     assert "Mul" not in {node.op_type for node in graph.node}
