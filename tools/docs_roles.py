@@ -31,6 +31,8 @@ class Roles(griffe.Extension):  # type: ignore[misc]  # griffe is not looked at
 
 def _fields(of_class: Any) -> Iterator[str]:
     """Yield "name: what it is" of each field with a comment, which stands behind it or in the lines above."""
+    if of_class.filepath.suffix != ".py":
+        return  # of the compiled core, which has no lines
     lines = of_class.lines_collection[of_class.filepath]
     for name, member in of_class.members.items():
         if not member.is_alias and member.is_attribute and not name.startswith("_") and member.lineno:
