@@ -25,6 +25,19 @@ std::optional<Buffer<std::int16_t>> checked_rings(const std::optional<RingColumn
     return indices_of<std::int16_t>(view(*ring), -1, MOST_RINGS - 1, "ring");
 }
 
+// A copy of points, so that all of a stage reads the same ones whoever writes the caller's meanwhile: a sort by values that
+// change leaves its range.
+class OwnPoints {
+public:
+    explicit OwnPoints(const Points& points) : values_(3 * points.shape(0)) {
+        std::copy_n(points.data(), values_.size(), values_.data());
+    }
+    operator View2<const float>() const { return {values_.data(), values_.size() / 3, 3}; }
+
+private:
+    Buffer<float> values_;
+};
+
 std::size_t checked_count(const Points& points) {
     require(points.shape(0) < (1u << 28), "a sweep must have fewer than 2^28 points");
     return points.shape(0);
@@ -91,7 +104,7 @@ void bind_sensor_id(nb::module_& m) {
             check_expected(expected, tables);
             const auto known = checked_rings(ring, checked_count(points));
             SensorId found;
-            without_lock([&] { found = identify_by_rings(view(points), *known, tables, expected); });
+            without_lock([&] { found = identify_by_rings(OwnPoints(points), *known, tables, expected); });
             return tuple_of(array_or_none(std::move(found.ring)), found.table);
         },
         "points"_in, "ring"_in, "elevation"_in, "origin_m"_in, "rings"_in, "columns"_in, "expected"_a,
@@ -106,7 +119,7 @@ void bind_sensor_id(nb::module_& m) {
             const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             check_expected(expected, tables);
             SensorId found;
-            without_lock([&] { found = identify_by_points(view(points), tables, expected); });
+            without_lock([&] { found = identify_by_points(OwnPoints(points), tables, expected); });
             return tuple_of(array_or_none(std::move(found.ring)), found.table);
         },
         "points"_in, "elevation"_in, "origin_m"_in, "rings"_in,
@@ -115,7 +128,7 @@ void bind_sensor_id(nb::module_& m) {
         "rings_of_points",
         [](Points points) {
             checked_count(points);
-            auto ring = without_lock([&] { return rings_of_points(view(points)); });
+            auto ring = without_lock([&] { return rings_of_points(OwnPoints(points)); });
             return array_or_none(std::move(ring));
         },
         "points"_in, "The ring of each point (N, 3) by their order or their elevations, or None.");
@@ -124,7 +137,7 @@ void bind_sensor_id(nb::module_& m) {
         [](Points points, In1<double> elevation, In1<double> origin_m) {
             checked_count(points);
             const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
-            auto ring = without_lock([&] { return beams_of_sensor(view(points), table); });
+            auto ring = without_lock([&] { return beams_of_sensor(OwnPoints(points), table); });
             return array_or_none(std::move(ring));
         },
         "points"_in, "elevation"_in, "origin_m"_in,
@@ -136,7 +149,7 @@ void bind_sensor_id(nb::module_& m) {
             const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
             const auto known = checked_rings(ring, checked_count(points));
             std::pair<int, double> found;
-            without_lock([&] { found = infer_sensor(view(points), known, tables); });
+            without_lock([&] { found = infer_sensor(OwnPoints(points), known, tables); });
             return tuple_of(found.first, found.second);
         },
         "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "rings"_in, "columns"_in,
@@ -148,7 +161,7 @@ void bind_sensor_id(nb::module_& m) {
             std::optional<BeamTable> table;
             if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), columns);
             const auto known = checked_rings(ring, checked_count(points));
-            auto made = without_lock([&] { return recover_rings(view(points), known, table ? &*table : nullptr); });
+            auto made = without_lock([&] { return recover_rings(OwnPoints(points), known, table ? &*table : nullptr); });
             return tuple_of(array(std::move(made.ring)), array(std::move(made.column)), made.columns,
                             array(std::move(made.elevation)), made.placed, made.alone, int(made.source));
         },
@@ -158,7 +171,7 @@ void bind_sensor_id(nb::module_& m) {
     m.def(
         "polar",
         [](Points points) {
-            Directions seen = directions_of(view(points));
+            Directions seen = directions_of(OwnPoints(points));
             return tuple_of(array(std::move(seen.azimuth)), array(std::move(seen.slope)),
                             array(std::move(seen.range_m)));
         },
@@ -186,7 +199,7 @@ void bind_sensor_id(nb::module_& m) {
         "find_motion",
         [](Points points) -> std::optional<Tuple<double, double, double, double, double>> {
             checked_count(points);
-            const auto motion = find_motion(view(points));
+            const auto motion = find_motion(OwnPoints(points));
             if (!motion) return std::nullopt;
             return tuple_of(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
         },
@@ -195,7 +208,7 @@ void bind_sensor_id(nb::module_& m) {
         "undo_motion",
         [](Points points, double x_m, double y_m, double z_m, double seam, double reference) {
             Buffer<float> measured(points.shape(0) * 3);
-            undo_motion(view(points), {{x_m, y_m, z_m}, seam, reference}, measured.view(points.shape(0), 3));
+            undo_motion(OwnPoints(points), {{x_m, y_m, z_m}, seam, reference}, measured.view(points.shape(0), 3));
             return array(std::move(measured), {points.shape(0), 3});
         },
         "points"_in, "x_m"_a, "y_m"_a, "z_m"_a, "seam"_a, "reference"_a,
