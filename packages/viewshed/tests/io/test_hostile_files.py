@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-LIMIT_S, GIVE_UP_S, RATIO, FLOOR_BYTES = 2.0, 10, 10, 64_000_000
+LIMIT_S, GIVE_UP_S, RATIO, FLOOR_BYTES = 4.0, 10, 10, 64_000_000
 """Seconds of the processor that a file may take and after which it is given up; memory that it may take."""
 
 Make = Callable[[Path], Path]
