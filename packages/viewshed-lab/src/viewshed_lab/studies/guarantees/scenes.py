@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -145,58 +146,48 @@ def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask)
 
 
 @dataclass(frozen=True, slots=True)
-class Certified:
-    """The default estimator inside the envelope: what an attacker who adapts is up against.
+class Kept:
+    """The default estimator's claim less what a certificate or a promise does not keep.
 
     Attributes:
-        estimator: whose claims are certified.
+        estimator: whose claims are kept.
+        kept: returns which cells (cells, cells) of an estimate of a sweep are.
+    """
+
+    estimator: Estimator
+    kept: Callable[[LeveledSweep, FovEstimate], Mask]
+
+    @property
+    def grid(self) -> BevGrid:
+        """Its grid."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the estimate without what is not kept."""
+        leveled = level(sweep, self.grid)
+        estimate = self.estimator.estimate(leveled)
+        return without(estimate, estimate.visible() & ~self.kept(leveled, estimate))
+
+
+def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Kept:
+    """Return an estimator inside the envelope: what an attacker who adapts is up against.
+
+    Args:
+        estimator: whose claims are certified; what the sweep does not say is trusted.
         threat: what the attacker may do.
         only_certified: claim the certified cells alone, else all of the claim inside the envelope.
     """
 
-    estimator: Estimator
-    threat: Threat
-    only_certified: bool = False
+    def kept(leveled: LeveledSweep, estimate: FovEstimate) -> Mask:
+        certificate = certify(leveled, estimate, threat, trust_inferred=True)
+        return certificate.certified_visible if only_certified else certificate.claim
 
-    @property
-    def grid(self) -> BevGrid:
-        """Its grid."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate without what is not certified; what the sweep does not say is trusted."""
-        leveled = level(sweep, self.grid)
-        estimate = self.estimator.estimate(leveled)
-        certificate = certify(leveled, estimate, self.threat, trust_inferred=True)
-        kept = certificate.certified_visible if self.only_certified else certificate.claim
-        return without(estimate, estimate.visible() & ~kept)
+    return Kept(estimator, kept)
 
 
-@dataclass(frozen=True, slots=True)
-class Guaranteed:
-    """The default estimator's mask of a promised error.
-
-    Attributes:
-        estimator: whose claims it keeps.
-        calibration: that promises.
-        confidence: with which.
-    """
-
-    estimator: Estimator
-    calibration: Calibration
-    confidence: float
-
-    @property
-    def grid(self) -> BevGrid:
-        """Its grid."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate without what is not guaranteed."""
-        leveled = level(sweep, self.grid)
-        estimate = self.estimator.estimate(leveled)
-        kept = self.calibration.mask(estimate, leveled.ground, confidence=self.confidence)
-        return without(estimate, estimate.visible() & ~kept)
+def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Kept:
+    """Return an estimator's mask of the error that a calibration promises with a confidence."""
+    return Kept(estimator, lambda leveled, estimate: calibration.mask(estimate, leveled.ground, confidence=confidence))
 
 
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
@@ -207,8 +198,8 @@ def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> li
         masks: calibrations by name, and the confidence that is asked of them.
     """
     default = default_estimator(TARGETS["car"])
-    tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": Certified(default, ADDED)}
-    tried |= {name: Guaranteed(default, *mask) for name, mask in masks.items()}
+    tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": certified(default, ADDED)}
+    tried |= {name: guaranteed(default, *mask) for name, mask in masks.items()}
     found = []
     for sensor, scenes in posed_scenes(index).items():
         for row in evaluate_crossview(scenes, tried, rng=np.random.default_rng(36)):
@@ -248,8 +239,8 @@ def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
     threat = Threat("replaced", 150)
     victims: dict[str, FovEstimator] = {
         "default": estimator,
-        "final": Certified(estimator, threat),
-        **{words: Certified(estimator, Threat.parse(words), True) for words in WITHSTOOD},
+        "final": certified(estimator, threat),
+        **{words: certified(estimator, Threat.parse(words), only_certified=True) for words in WITHSTOOD},
     }
     for name, victim in victims.items():
         search = BlackBox(OverClaim(victim), 150, queries, placement="largest_hidden_area")
