@@ -347,7 +347,8 @@ def _speeds(lines: list[Line]) -> Table | None:
 def _filled(lines: list[Line]) -> str:
     """Return the share of a pedestrian's beams that who walks returns: mean, least and most."""
     shares = np.array([line["filled"] for line in lines] or [np.nan])
-    return f"{format_rate(float(shares.mean()))} ({format_rate(float(shares.min()))} to {format_rate(float(shares.max()))})"
+    mean, least, most = (format_rate(float(of(shares))) for of in (np.mean, np.min, np.max))
+    return f"{mean} ({least} to {most})"
 
 
 def _strip(
