@@ -234,7 +234,7 @@ function trackAt(x, y) {
 // Suspect cells, and suspect sectors as arcs at the rim of the grid.
 function drawSuspect(context, left, top, side) {
   const rgb = color("suspect").match(/\w\w/g).map((digits) => parseInt(digits, 16));
-  shown.suspect ??= rasterOf(shown.cells, (byte) => (byte & 8 ? rgb : null), 170);
+  shown.suspect ??= rasterOf(shown.cells, (byte) => (byte & 8 ? rgb : null), 90);
   context.drawImage(shown.suspect, left, top, side, side);
   const [count, ...suspects] = shown.about.sectors ?? [0];
   Object.assign(context, { strokeStyle: color("suspect"), lineWidth: 7 });
