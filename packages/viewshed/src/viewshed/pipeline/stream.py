@@ -415,6 +415,7 @@ class Pipeline:
         note = agent.time_note(sweep.t_ns)
         leveled = leveled_on(sweep, self._estimator.grid, agent.sensor)
         agent.sensor = leveled.sensor_id.model
+        leveled = agent.rest.hold(leveled)
         return replace(step, leveled=leveled, notes=(note,) if note else ())
 
     def _estimate(self, step: _Step) -> _Step:
