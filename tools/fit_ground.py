@@ -15,9 +15,9 @@ map on the network's ground against that on the found ground and on the exact on
 It is no default: it gains too little for its time. F1 of the shadow map, rings given, 16 scenes each that no fit saw,
 found ground → that of a network fitted for 270 s to 3,572 sweeps, its rate not yet lowered: development roads
 .811 → .808 (precision .883 → .903, false claims at p ≥ .8 .070 → .058), development rooms .959 → .964, roads of the
-presets .916 → .914, their rooms .967 → .968. On exact ground where none is seen it is about .98. A network without the
-found ground, of two modes a node and 6,800 sweeps, reached .844 of .825 on development roads, and lost .013 in rooms
-and on the presets' roads. In the core a network of 126,000 weights took 5 ms of one core a sweep.
+presets .916 → .914, their rooms .967 → .968. A network without the found ground, of two modes a node and 6,800
+sweeps, reached .844 of .825 on development roads, and lost .013 in rooms and on the presets' roads. In the core a
+network of 126,000 weights took 5 ms of one core a sweep.
 """
 
 from __future__ import annotations
