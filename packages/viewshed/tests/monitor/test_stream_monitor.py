@@ -10,9 +10,9 @@ from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 
 from viewshed import Sweep
 from viewshed.monitor import Calibration, StreamMonitor
-from viewshed.monitor.calibration import CALM_SWEEPS
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
 from viewshed.monitor.stream_monitor import ALONE, EvidenceStream, StreamReport
+from viewshed.monitor.tails import CALM_SWEEPS
 from viewshed.monitor.watch import MOST_HELD_SWEEPS, Watch
 from viewshed.preprocess.leveling import LeveledSweep, level
 
