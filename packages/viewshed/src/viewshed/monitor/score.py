@@ -9,7 +9,7 @@ Evidence is a matrix (E, SECTORS), one line for each kind. Five steps make one n
    robust. What is odd in a place (a quarry, a fence, a noisy pose) is odd in all its sweeps, and so is no change.
 4. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams of which any
    sector changed as much: 2 means one in a hundred. So kinds of evidence compare.
-5. In each sector what surprises are beyond 2 is added up over the kinds; the score is that of the highest sector. One
+5. In each sector what surprises are beyond 1.5 is added up over the kinds; the score is that of the highest sector. One
    kind that is beyond doubt is an attack's, and so are several rare changes at once in one place.
 
 A rank among the 600 sweeps of a minute could not ask for fewer than 60 false alarms an hour; the tail beyond is that of
@@ -39,8 +39,11 @@ SHORT_SWEEPS = 50
 PRIOR_SWEEPS = 20
 """The scale of the calibration streams counts as much as this number of sweeps of the own past."""
 
-RARE = 2.0
-"""Surprise from which evidence counts, and is a reason: one benign sweep in a hundred."""
+RARE = 1.5
+"""Surprise from which evidence counts, and is a reason: one benign sweep in thirty."""
+
+LEAST_SCALE = 0.2
+"""The scale is at least that: evidence that is 0 in nearly all sweeps differs by less than a fifth of its grain."""
 
 ONSET_SWEEPS, BESIDE = 5, 2
 """Sweeps, and sectors to either side, whose largest number a sector must exceed."""
@@ -146,13 +149,14 @@ class Past:
         location, scale, count = _location_and_scale(every, both)
         scale = np.maximum(scale, _location_and_scale(self._numbers[:, last], both)[1])
         squared = (count * scale**2 + PRIOR_SWEEPS * self.prior_scale**2) / (count + PRIOR_SWEEPS)
-        return Reference(location, np.sqrt(squared).astype(np.float32), both)
+        least = np.where(both, np.float32(0.0), np.float32(LEAST_SCALE))
+        return Reference(location, np.maximum(np.sqrt(squared), least).astype(np.float32), both)
 
 
 def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32, NDArray[np.intp]]:
     """Return median, scale and count (E,) of numbers (E, n) that are known.
 
-    The scale is that of a normal distribution by the quartiles, or by the upper twentieth where that is wider (of what
+    The scale is that of a normal distribution by the quartiles, or by the upper fiftieth where that is wider (of what
     is suspicious on both sides, by the lower one as well): most evidence is 0 in most sweeps.
     """
     ordered, count = np.sort(numbers, axis=1), np.isfinite(numbers).sum(axis=1)
@@ -161,9 +165,9 @@ def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32
         rank = np.round(share * np.maximum(count - 1, 0)).astype(np.intp)
         return np.asarray(ordered[np.arange(len(ordered)), rank], np.float32)
 
-    low, first, middle, third, high = map(quantile, (0.05, 0.25, 0.5, 0.75, 0.95))
-    scale = np.maximum((third - first) / 1.349, (high - middle) / 1.645)
-    scale = np.where(both, np.maximum(scale, (middle - low) / 1.645), scale)
+    low, first, middle, third, high = map(quantile, (0.02, 0.25, 0.5, 0.75, 0.98))
+    scale = np.maximum((third - first) / 1.349, (high - middle) / 2.054)
+    scale = np.where(both, np.maximum(scale, (middle - low) / 2.054), scale)
     return middle, np.nan_to_num(scale).astype(np.float32), count
 
 
@@ -244,8 +248,8 @@ def added(surprises: NDArray[np.floating[Any]]) -> F32:
 
     NaN counts as none.
 
-    >>> added(np.array([[[2.0, 1.0], [0.0, 0.0]], [[4.0, 1.0], [2.5, 3.0]], [[np.nan, 9.0], [3.0, np.nan]]])).tolist()
-    [0.0, 2.5, 7.0]
+    >>> added(np.array([[[1.5, 1.0], [0.0, 0.0]], [[4.0, 1.0], [2.5, 3.0]], [[np.nan, 9.0], [3.0, np.nan]]])).tolist()
+    [0.0, 3.5, 7.5]
     """
     beyond = np.maximum(np.nan_to_num(surprises) - RARE, 0.0)
     return np.asarray(beyond.sum(axis=1).max(axis=-1), np.float32)
