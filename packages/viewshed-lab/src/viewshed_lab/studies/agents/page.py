@@ -61,11 +61,10 @@ class AgentsResults:
 
     @cached_property
     def limits(self) -> TrustLimits:
-        """Who is accused: limits of the most evidence against each kind in each calibration scene."""
-        runs = self.runs("calibration")
-        most = np.array([np.max(run.evidence, axis=0) for run in runs])
-        low, elevated = (most[:, kind].max(axis=1, initial=-99.0) for kind in (~self.elevated, self.elevated))
-        return TrustLimits.of(low, elevated, np.array([max(run.doubt) for run in runs]))
+        """Who is accused: limits of the most that speaks against anybody in each calibration scene."""
+        learning, benign = (self.runs(split) for split in ("learning", "calibration"))
+        answers = (np.array([np.max(run.answers, axis=0) for run in runs]) for runs in (learning, benign))
+        return TrustLimits.of(*answers, self.elevated, np.array([max(run.doubt) for run in benign]))
 
     @property
     def rate(self) -> float:
@@ -74,7 +73,7 @@ class AgentsResults:
 
     def accused(self, run: Run, until: int | None = None) -> Mask:
         """Return who is accused (A,) in a run at ``rate``, up to one of its times."""
-        return self.limits.accused(np.max(run.evidence[:until], axis=0), self.elevated, self.rate)
+        return self.limits.accused(np.max(run.answers[:until], axis=0), self.elevated, self.rate)
 
     @cached_property
     def test(self) -> list[Run]:
@@ -122,9 +121,10 @@ class AgentsResults:
                 for center in ("ours", "published")
             )
             delay_s = float(np.median([self.delay_s(run) for run in runs]))
+            delay = f"{delay_s:g}" if np.isfinite(delay_s) else "–"
             rows.append([
                 name, str(len(runs[0].liars)), format_rate(self.area(runs)), format_rate(_published_area(runs, self)),
-                format_rate(mean(caught)), _share(honest), _share(victims), f"{delay_s:g}",
+                format_rate(mean(caught)), _share(honest), _share(victims), delay,
                 format_rate(float((trust < 0.5).mean())), f"{ratio:.2f} / {published:.2f}",
                 f"{len(runs)} of {len(self.of(name, counting=False))}",
             ])  # fmt: skip
@@ -136,19 +136,18 @@ class AgentsResults:
         return Table(header, rows)
 
     def area(self, runs: Sequence[Run]) -> float:
-        """Return the AUROC of the rank of evidence: liars against honest agents of scenes in which nobody lies."""
+        """Return the AUROC of the scores: liars against honest agents of scenes in which nobody lies."""
         honest = np.concatenate([self._rank(run) for run in self.of(HONEST)])
         liars = np.concatenate([self._rank(run)[run.liars] for run in runs])
         return _area(honest, liars)
 
     def _rank(self, run: Run) -> F64:
-        """Return how much evidence beyond the limit of its kind there is against each agent (A,)."""
-        low, elevated = (np.quantile(kind, 1.0 - self.rate / 2) for kind in (self.limits.low, self.limits.elevated))
-        return np.asarray(np.max(run.evidence, axis=0) - np.where(self.elevated, elevated, low))
+        """Return how much speaks against each agent (A,), on the scale of those of its kind."""
+        return self.limits.scores(np.max(run.answers, axis=0), self.elevated)
 
     def delay_s(self, run: Run) -> float:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
-        for time in range(len(run.evidence)):
+        for time in range(len(run.answers)):
             t_s = (time + 0.5) / self.plan.hz
             if t_s >= ONSET_S and self.accused(run, time + 1)[run.liars].any():
                 return t_s - ONSET_S
