@@ -10,9 +10,8 @@ import sys
 from pathlib import Path
 
 from viewshed._files import write_atomic
-from viewshed_lab.studies.agents.jobs import HONEST_MODEL
 from viewshed_lab.studies.agents.page import AgentsResults
-from viewshed_lab.studies.agents.plan import AgentsPlan
+from viewshed_lab.studies.agents.plan import HONEST_MODEL, AgentsPlan
 from viewshed_lab.studies.store import PLAN, ResultStore
 
 AGENTS = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/agents"

@@ -125,6 +125,8 @@ GOOD: dict[str, dict[str, Any]] = {
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
     "object_candidates": {"points": POINTS, "height_m": LONG, "range_m": LONG, "sensor_height_m": 1.8},
     "visible_before": {"prob": np.ones((4, 4), F4), "boxes": BOX} | CORNER,
+    "look_at_boxes": {"states": PLANE, "pose": np.zeros(4), "boxes": BOX, "place_x_m": 0.0, "place_y_m": 0.0,
+                      "along": 5, "across": 3} | CORNER,
     "count_met": {"surfaces": RING, "headings": np.zeros(3), "x_m": np.zeros(5), "y_m": np.zeros(5), "cell_m": 0.5,
                   "seen_by": np.ones((8, 8), np.uint32), "own_bit": 2},
     "compare_view": {
@@ -140,6 +142,7 @@ GOOD: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """Function → arguments that it takes."""
 
+OF_VIEWS = ("visible_before", "look_at_boxes", "compare_view", "compare_past")
 OF_POINTS = (
     "identify_by_points", "infer_sensor", "rings_of_points", "beams_of_sensor", "find_motion", "recover_rings",
     "undo_motion", "level_sweep", "concave_hull", "height_codes", "level_points", "range_image",
@@ -312,9 +315,11 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("object_candidates", {"height_m": SHORT}, "as long as points"),
     ("object_candidates", {"range_m": SHORT}, "as long as points"),
     ("object_candidates", {"sensor_height_m": NAN}, "sensor_height_m"),
+    ("look_at_boxes", {"along": 1}, "along and across"),
+    ("look_at_boxes", {"boxes": BOX[:, :6].copy()}, "seven columns"),
     *(("visible_before", {"boxes": boxes}, words) for boxes, words in (
         (BOX[:, :6].copy(), "seven columns"), (BOX.astype(F4), TYPE))),
-    *((name, change, words) for name in ("visible_before", "compare_view", "compare_past") for change, words in (
+    *((name, change, words) for name in OF_VIEWS for change, words in (
         ({"x_m": NAN}, "corner of a view must be finite"), ({"cell_m": 0.0}, "cell_m must be positive"))),
     ("compare_past", {"last_states": PLANE[:3].copy()}, "must be a square"),
     ("count_met", {"seen_by": np.ones((6, 6), np.uint32)}, "square of a power of two"),

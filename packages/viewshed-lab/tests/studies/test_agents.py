@@ -15,10 +15,10 @@ from viewshed.agents.report import AgentReport
 from viewshed.objects.detector import Detector
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.simulated import world_of
-from viewshed_lab.studies.agents.jobs import HONEST_MODEL, run_study
+from viewshed_lab.studies.agents.jobs import run_study
 from viewshed_lab.studies.agents.lies import APART_M, FORGED, LIES, Liars
 from viewshed_lab.studies.agents.page import AgentsResults, files_of
-from viewshed_lab.studies.agents.plan import HONEST, POSE_NOISE, SPLITS, STATED, UNSTATED, AgentsPlan
+from viewshed_lab.studies.agents.plan import HONEST, HONEST_MODEL, POSE_NOISE, SPLITS, STATED, UNSTATED, AgentsPlan
 from viewshed_lab.studies.agents.runs import POSE_STD, SceneCases, seen_objects
 from viewshed_lab.studies.agents.scenes import Scene, scene_path, with_tall_masts
 from viewshed_lab.studies.store import ResultStore

@@ -86,12 +86,81 @@ private:
     std::array<double, SECTORS> first_m_;
 };
 
+// Where one of some points along a side lies: -1/2 to 1/2 of it.
+double part_of_side(std::size_t k, std::size_t count) {
+    return k + 1 == count ? 0.5 : double(k) * (1.0 / double(count - 1)) - 0.5;
+}
+
 std::int32_t map_step(double along_m, double cell_m, std::int32_t last) {
     const double at = std::floor(along_m / cell_m);
     return std::fabs(at) < MOST_CELLS ? std::int32_t(at) & last : 0;
 }
 
+// Boxes are looked at a little larger than they are, and a meter around that.
+constexpr double MARGIN_M = 0.25, RING_M = 1.0;
+
+// What lies this deep in a box, from the side toward the sensor, is its near side: a part of its depth, at least so many meters.
+constexpr double NEAR_PART = 0.4, NEAR_M = 0.8;
+
+// Of a box without a surface.
+constexpr double NO_SURFACE_M = 10.0;
+
 }  // namespace
+
+void look_at_boxes(const ViewCells<std::uint8_t>& states, const UprightPose& pose, View2<const double> boxes, double place_x_m,
+                   double place_y_m, std::size_t along, std::size_t across, View2<double> out) {
+    const double pose_cosine = std::cos(pose.yaw), pose_sine = std::sin(pose.yaw);
+    const auto state_of = [&](double x, double y) {
+        const double i = (pose_cosine * (x - pose.x_m) + pose_sine * (y - pose.y_m) - states.x_m) / states.cell_m;
+        const double j = (pose_cosine * (y - pose.y_m) - pose_sine * (x - pose.x_m) - states.y_m) / states.cell_m;
+        const bool inside = i >= 0 && i < double(states.values.rows) && j >= 0 && j < double(states.values.columns);
+        return inside ? states.values(std::size_t(i), std::size_t(j)) : UNKNOWN;
+    };
+    const std::size_t count = along * across;
+    std::vector<double> depth_m(count);
+    std::vector<std::uint8_t> in(count);
+    for (std::size_t k = 0; k < boxes.rows; ++k) {
+        const double *box = boxes[k], cosine = std::cos(box[6]), sine = std::sin(box[6]);
+        const double away_x = box[0] - place_x_m, away_y = box[1] - place_y_m, range_m = std::hypot(away_x, away_y);
+        const double to_x = away_x / std::max(range_m, 1e-6), to_y = away_y / std::max(range_m, 1e-6);
+        double nearest_m = INFINITE, farthest_m = -INFINITE, ring = 0, ring_surface = 0, ring_free = 0;
+        for (std::size_t p = 0; p < count; ++p) {
+            const double ahead = part_of_side(p / across, along), left = part_of_side(p % across, across);
+            const double x = ahead * (box[3] + 2 * MARGIN_M), y = left * (box[4] + 2 * MARGIN_M);
+            in[p] = state_of(box[0] + cosine * x - sine * y, box[1] + sine * x + cosine * y);
+            depth_m[p] = (cosine * x - sine * y) * to_x + (sine * x + cosine * y) * to_y;
+            nearest_m = std::min(nearest_m, depth_m[p]);
+            farthest_m = std::max(farthest_m, depth_m[p]);
+            // The points of a box a meter larger that do not lie in the box itself.
+            const double out_x = ahead * (box[3] + 2 * RING_M), out_y = left * (box[4] + 2 * RING_M);
+            if (std::fabs(out_x) <= box[3] / 2 + MARGIN_M && std::fabs(out_y) <= box[4] / 2 + MARGIN_M) continue;
+            const std::uint8_t about = state_of(box[0] + cosine * out_x - sine * out_y, box[1] + sine * out_x + cosine * out_y);
+            ++ring;
+            ring_surface += about == SURFACE;
+            ring_free += about == FREE;
+        }
+        const double near_m = std::max(NEAR_PART * (farthest_m - nearest_m), NEAR_M);
+        double surface = 0, free = 0, hidden = 0, near = 0, near_free = 0, first_m = NO_SURFACE_M;
+        for (std::size_t p = 0; p < count; ++p) {
+            const double deep_m = depth_m[p] - nearest_m;
+            surface += in[p] == SURFACE;
+            free += in[p] == FREE;
+            hidden += in[p] == HIDDEN;
+            near += deep_m <= near_m;
+            near_free += deep_m <= near_m && in[p] == FREE;
+            if (in[p] == SURFACE) first_m = std::min(first_m, deep_m);
+        }
+        double* cells = out[k];
+        cells[IN_SURFACE] = surface / double(count);
+        cells[IN_FREE] = free / double(count);
+        cells[IN_HIDDEN] = hidden / double(count);
+        cells[RING_SURFACE] = ring_surface / std::max(ring, 1.0);
+        cells[RING_FREE] = ring_free / std::max(ring, 1.0);
+        cells[NEAR_FREE] = near_free / std::max(near, 1.0);
+        cells[FIRST_M] = first_m;
+        cells[RANGE_M] = range_m;
+    }
+}
 
 void visible_before(const ViewCells<float>& probability, View2<const double> boxes, View1<double> out) {
     for (std::size_t k = 0; k < boxes.rows; ++k) {

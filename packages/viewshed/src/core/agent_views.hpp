@@ -42,6 +42,14 @@ struct Compared {
 // cell nearer; 0 outside the grid.
 void visible_before(const ViewCells<float>& probability, View2<const double> boxes, View1<double> out);
 
+// What the cells in and about a box are; the order is that of the columns in Python (viewshed.objects.cells.BoxCells).
+enum BoxCell { IN_SURFACE, IN_FREE, IN_HIDDEN, RING_SURFACE, RING_FREE, NEAR_FREE, FIRST_M, RANGE_M, BOX_CELLS };
+
+// Write what the cells in and about boxes (K, 7) are (K, BOX_CELLS), seen from a place, at `along` x `across` points of each; the
+// view's `level` stands at a pose in the boxes' frame.
+void look_at_boxes(const ViewCells<std::uint8_t>& states, const UprightPose& pose, View2<const double> boxes, double place_x_m,
+                   double place_y_m, std::size_t along, std::size_t across, View2<double> out);
+
 // Count how many surfaces (S, 2) of `level` meet one that another agent sees, at each of T headings, X and Y places:
 // (T, X, Y). `seen_by` is a map of the world, a bit for each agent, that repeats after its power of two of cells.
 void count_met(View2<const double> surfaces, View1<const double> headings, View1<const double> x_m, View1<const double> y_m,

@@ -48,6 +48,23 @@ void bind_agent_views(nb::module_& m) {
         "prob"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "boxes"_in,
         "Mean probability (K,) of the cells before boxes (K, 7), where lines of sight meet them.");
     m.def(
+        "look_at_boxes",
+        [](In2<std::uint8_t> states, double x_m, double y_m, double cell_m, In1<double> pose, In2<double> boxes,
+           double place_x_m, double place_y_m, std::size_t along, std::size_t across) {
+            require(boxes.shape(1) == 7, "boxes must have seven columns");
+            require(along >= 2 && across >= 2 && along <= 256 && across <= 256, "along and across must lie in [2, 256]");
+            const ViewCells<std::uint8_t> cells = cells_of(states, x_m, y_m, cell_m);
+            const UprightPose at = pose_of(pose);
+            Buffer<double> out(boxes.shape(0) * BOX_CELLS);
+            without_lock([&] {
+                look_at_boxes(cells, at, view(boxes), place_x_m, place_y_m, along, across, out.view(boxes.shape(0), BOX_CELLS));
+                return 0;
+            });
+            return array(std::move(out), {boxes.shape(0), BOX_CELLS});
+        },
+        "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "pose"_in, "boxes"_in, "place_x_m"_a, "place_y_m"_a, "along"_a, "across"_a,
+        "What the cells in and about boxes (K, 7) are, (K, 8).");
+    m.def(
         "count_met",
         [](In2<double> surfaces, In1<double> headings, In1<double> x_m, In1<double> y_m, double cell_m,
            In2<std::uint32_t> seen_by, std::uint32_t own_bit) {

@@ -19,6 +19,9 @@ the third, whose kinds of world and sensors are in none of the others."""
 ONSET_S = 2.0
 """Agents lie from this time of a scene on."""
 
+HONEST_MODEL = "honest.json"
+"""What honest agents do: fitted on the scenes of the first split."""
+
 STEPS = ("scenes", "runs", "page")
 
 HONEST, STATED, UNSTATED = "honest", "pose noise stated", "pose noise not stated"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -74,8 +74,8 @@ class SceneCases:
     def __post_init__(self) -> None:
         self._reports = [self.scene.reports(time) for time in range(len(self.scene.times_s))]
 
-    def run(self, case: str) -> Run:
-        """Return what a case of the scene comes to."""
+    def said(self, case: str) -> tuple[Liars | None, Iterator[list[AgentReport]]]:
+        """Return the liars of a case, and what all agents say, time after time."""
         scene, agents = self.scene, self.scene.agents
         rng = generator(*self.seed, case)
         order = [int(number) for number in rng.permutation(len(agents))]
@@ -84,21 +84,28 @@ class SceneCases:
         liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
         errors = rng.normal(size=(len(agents), 3)) * (POSE_STD.place_m, POSE_STD.place_m, POSE_STD.yaw)
 
+        def reports() -> Iterator[list[AgentReport]]:
+            for t_s, honest in zip(scene.times_s, self._reports, strict=True):
+                said = list(honest)
+                if case in POSE_NOISE:
+                    pairs = zip(said, errors, strict=True)
+                    said = [_misplaced(report, error, stated=case == STATED) for report, error in pairs]
+                if liars is not None:
+                    said = liars.forge(said) if t_s >= ONSET_S else liars.look(said)
+                yield said
+
+        return liars, reports()
+
+    def run(self, case: str) -> Run:
+        """Return what a case of the scene comes to."""
+        scene, agents, (liars, said) = self.scene, self.scene.agents, self.said(case)
         centers = {"ours": CommandCenter(agents, honest=self.honest)}
         if self.compared:
             centers["no trust"] = CommandCenter(agents, honest=self.honest, trusting=True)
         distances: dict[str, list[float]] = {name: [] for name in CENTERS}
         answers, doubt, trust, suspects, published_trust = [], [], [], [], []
         published = PublishedTrust()
-        for time, honest in enumerate(self._reports):
-            reports = list(honest)
-            if case in POSE_NOISE:
-                reports = [
-                    _misplaced(report, error, stated=case == STATED)
-                    for report, error in zip(reports, errors, strict=True)
-                ]
-            if liars is not None:
-                reports = liars.forge(reports) if scene.times_s[time] >= ONSET_S else liars.look(reports)
+        for time, reports in enumerate(said):
             truth = seen_objects(scene, time)
             for name, center in centers.items():
                 picture = center.add(float(scene.times_s[time]), reports)
