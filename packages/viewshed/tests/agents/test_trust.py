@@ -214,6 +214,21 @@ def test_what_opened_at_once_is_remembered_and_fades() -> None:
     assert later == pytest.approx(first * 0.5 ** (5.0 / TrustRules().half_life_s), rel=0.05)
 
 
+def test_each_question_is_answered_by_itself() -> None:
+    """One view opens, one closes, one lies elsewhere, one is seen through: each shows in one answer of one agent."""
+    of_pairs, of_own = np.zeros((4, 4, 2)), np.zeros((4, 3))
+    of_own[0, 0], of_own[1, 1], of_own[2, 2], of_pairs[3, :3, 0], of_pairs[0, 3, 1] = 4.0, 4.0, 3.0, 2.0, 4.0
+    trust = Trust(4)
+    for _ in range(20):
+        verdicts = trust.add(silent(4), 1.0, (of_pairs, of_own))
+    by_hand = np.zeros((4, 3))
+    by_hand[0, 0], by_hand[2, 1], by_hand[3, 2] = 4.0, 3.0, 2.0
+    assert verdicts.answers[:, 1:] == pytest.approx(by_hand, abs=1e-3)
+    # Nobody reported anything, whatever views say of their agents.
+    assert verdicts.answers[:, 0] == pytest.approx(0.0, abs=1e-9)
+    assert verdicts.evidence.max() > 1.0
+
+
 @pytest.mark.parametrize("ratio", [-3.0, 5.0])
 def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_there(ratio: float) -> None:
     reports = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95))

@@ -26,7 +26,7 @@ from viewshed.agents.joint_fov import JointFov, joint_fov
 from viewshed.agents.kinematics import Kinematics
 from viewshed.agents.many import LEAST_TRUST, CommandCenter, CommonPicture
 from viewshed.agents.report import FAR_M, AgentReport
-from viewshed.agents.trust import trust_limits
+from viewshed.agents.trust import QUESTIONS, trust_limits
 from viewshed.arrays import Mask
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
@@ -145,6 +145,7 @@ class Round:
                 "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
                 "accused": bool(self.accused[n]), "disputed": bool(self.disputed[n]),
                 "refused": self.refused.get(agent, 0),
+                "answers": dict(zip(QUESTIONS, verdicts.answers[n].round(3).tolist(), strict=True)),
             }
             for n, agent in enumerate(picture.agents)
         }  # fmt: skip
