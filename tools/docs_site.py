@@ -361,22 +361,35 @@ def words() -> int:
 
 
 def transcript(text: str, folder: Path) -> str:
-    """Return a page with what its commands print: lines of console blocks that begin with ``$``, run in a folder."""
-    return re.sub(
-        r"(?<=^```console\n).*?(?=^```)", lambda block: _run(block[0], folder), text, flags=re.MULTILINE | re.DOTALL
-    )
+    """Return a page with what its commands print, run in a folder.
+
+    These are the lines of console blocks that begin with ``$``. Commands of ``sh`` blocks run too, and nothing they
+    print is shown.
+    """
+
+    def again(block: re.Match[str]) -> str:
+        if block["kind"] == "sh":
+            for line in block["lines"].splitlines():
+                _print(line, folder)
+            return block[0]
+        commands = re.findall(r"^\$ (.*)", block["lines"], re.MULTILINE)
+        return "```console\n" + "".join(f"$ {command}\n{_print(command, folder)}" for command in commands)
+
+    return re.sub(r"^```(?P<kind>sh|console)\n(?P<lines>.*?)(?=^```)", again, text, flags=re.MULTILINE | re.DOTALL)
 
 
-def _run(block: str, folder: Path) -> str:
+def _print(command: str, folder: Path) -> str:
+    """Run a command ``viewshed …`` in a folder; return what it prints, without the folder's path."""
     program = [sys.executable, "-c", "import sys; from viewshed.cli import main; sys.argv[0] = 'viewshed'; main()"]
-    printed = ""
-    for line in re.findall(r"^\$ .*", block, re.MULTILINE):
-        command = [*program, *shlex.split(line)[2:]]
-        done = subprocess.run(
-            command, cwd=folder, check=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
-        printed += f"{line}\n{done.stdout.replace(f'{folder}/', '')}"
-    return printed
+    done = subprocess.run(
+        [*program, *shlex.split(command)[1:]],
+        cwd=folder,
+        check=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    return done.stdout.replace(f"{folder}/", "")
 
 
 def main() -> None:

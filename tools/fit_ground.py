@@ -1,4 +1,4 @@
-"""Fit and judge the network that guesses ground which no beam met.
+"""Fit and judge the network that guesses ground which no return shows.
 
     python tools/fit_ground.py make learning road --scenes 0:1500 --sweeps 2 --out samples
     python tools/fit_ground.py make own road --scenes 40:1000 --sweeps 1 --out samples
@@ -10,7 +10,14 @@
 
 ``make`` writes one file for 50 scenes and goes on where it was stopped; ``fit`` takes the time that it is given, keeps
 a checkpoint for every 250 steps, goes on from it, and takes up files that come meanwhile; ``judge`` holds the shadow
-map on the network's ground against that on the estimated ground and on the exact one. The sealed set is not opened.
+map on the network's ground against that on the found ground and on the exact one. The sealed set is not opened.
+
+It is no default: it gains too little for its time. F1 of the shadow map, rings given, 16 scenes each that no fit saw,
+found ground → that of a network fitted for 270 s to 3,572 sweeps, its rate not yet lowered: development roads
+.811 → .808 (precision .883 → .903, false claims at p ≥ .8 .070 → .058), development rooms .959 → .964, roads of the
+presets .916 → .914, their rooms .967 → .968. A network without the found ground, of two modes a node and 6,800
+sweeps, reached .844 of .825 on development roads, and lost .013 in rooms and on the presets' roads. In the core a
+network of 126,000 weights took 5 ms of one core a sweep.
 """
 
 from __future__ import annotations
@@ -29,33 +36,31 @@ from torch import Tensor
 
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.visibility import CAR
+from viewshed.fov.visibility import CAR, PEDESTRIAN
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts
-from viewshed.networks.runtime import values_of
 from viewshed.preprocess.leveling import level
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.wild import WildScene, wild_scenes
 from viewshed_lab.sim.lidar.optics import optics_of
 from viewshed_lab.studies.wild.evaluate import ground_error_m
 from viewshed_lab.training.ground_prior import (
-    BASE,
-    BASE_UNIT_M,
-    FOLD,
+    GROUND,
+    GROUND_UNIT_M,
     HEIGHTS,
     GroundNet,
     exact_ground,
-    exported,
     guessed,
     loss_of,
     network_inputs,
     on_ground,
+    on_lattice,
 )
 
-SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE, SHOWN_SHARE = 50, 8, 250, 2e-3, 0.96
+SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE, SHOWN_SHARE = 50, 8, 250, 2e-3, 0.94
 
 SHARES = {
-    "learning-road": 0.48, "own-road": 0.22, "training-road": 0.15, "training-indoor": 0.10, "own-indoor": 0.05,
+    "learning-road": 0.38, "own-road": 0.20, "training-road": 0.22, "training-indoor": 0.14, "own-indoor": 0.06,
 }  # fmt: skip
 """Of the samples that are shown, by set and grid."""
 
@@ -80,8 +85,7 @@ def samples(scene: WildScene, sweeps: int) -> Iterator[tuple[F32, F32, float]]:
         leveled = level(given, BevGrid(1, half_m))
         ground_m, known = exact_ground(leveled, seen.scan.world_from_sensor, seen.world.ground_of(seen.agent))
         ground_m[~known | (np.abs(ground_m) > 30.0)] = np.nan
-        unfolded = torch.pixel_shuffle(torch.tensor(network_inputs(leveled)), FOLD)
-        yield unfolded[0].numpy(), ground_m, half_m
+        yield network_inputs(leveled), ground_m, half_m
 
 
 def make_file(folder: Path, sweeps: int, scenes: list[WildScene]) -> str:
@@ -149,9 +153,9 @@ class Samples:
 
 
 def _tensors(rows: list[Row]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return inputs, exact ground above the base, and half extents of samples."""
+    """Return inputs, exact ground above the found one, and half extents of samples."""
     inputs, ground, half = (torch.tensor(np.stack(column).astype(np.float32)) for column in zip(*rows, strict=True))
-    return inputs, ground - BASE_UNIT_M * inputs[:, BASE], half
+    return inputs, ground - GROUND_UNIT_M * inputs[:, GROUND], half
 
 
 def fit(given: argparse.Namespace) -> None:
@@ -161,7 +165,7 @@ def fit(given: argparse.Namespace) -> None:
     samples.refresh()
     torch.manual_seed(0)
     net, first = GroundNet(), 0
-    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=1e-2)
+    optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=3e-2)
     spent_s = 0.0
     if given.out.exists():
         saved = torch.load(given.out)
@@ -177,11 +181,10 @@ def fit(given: argparse.Namespace) -> None:
         for group in optimizer.param_groups:
             group["lr"] = RATE * float(min(20 * done + 0.05, 0.5 + 0.5 * np.cos(np.pi * done)))
         inputs, ground, half = samples.draw(rng)
-        with torch.autocast("cpu", torch.bfloat16):
-            outputs = net(inputs.to(memory_format=torch.channels_last))
+        outputs = net(inputs.to(memory_format=torch.channels_last))
         # A quarter of the nodes: neighbors say the same.
         i, j = int(rng.integers(2)), int(rng.integers(2))
-        loss = loss_of(outputs[:, :, i::2, j::2].float().contiguous(), ground[:, i::2, j::2], half)
+        loss = loss_of(outputs[:, :, i::2, j::2], inputs[:, :, i::2, j::2], ground[:, i::2, j::2], half)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
@@ -196,7 +199,7 @@ def fit(given: argparse.Namespace) -> None:
                 flush=True,
             )
             loss_sum = 0.0
-            state = {"net": net.state_dict(), "optimizer": optimizer.state_dict(), "shape": net.shape}
+            state = {"net": net.state_dict(), "optimizer": optimizer.state_dict()}
             torch.save(state | {"step": step, "spent_s": time.monotonic() - start_s}, given.out)
             samples.refresh()
         if done == 1.0:
@@ -204,27 +207,26 @@ def fit(given: argparse.Namespace) -> None:
 
 
 def validated(net: GroundNet, rows: list[Row]) -> float:
-    """Return the mean negative log-likelihood of rows that are held out."""
+    """Return the mean loss of rows that are held out."""
     net.eval()
     losses = []
     with torch.no_grad():
         for at in range(0, min(len(rows), 128), 32):
             inputs, ground, half = _tensors(rows[at : at + 32])
-            with torch.autocast("cpu", torch.bfloat16):
-                outputs = net(inputs.to(memory_format=torch.channels_last)).float()
-            losses.append(float(loss_of(outputs[:, :, ::2, ::2], ground[:, ::2, ::2], half)))
+            outputs = net(inputs.to(memory_format=torch.channels_last))
+            losses.append(float(loss_of(outputs, inputs, ground, half)))
     net.train()
     return float(np.mean(losses))
 
 
 def judge(given: argparse.Namespace) -> None:
-    """Print precision, recall and F1 of the shadow map on each ground, rings given, car, within the sensor's reach."""
-    saved = torch.load(given.net)
-    net = GroundNet(**saved["shape"])
-    net.load_state_dict(saved["net"])
+    """Print precision, recall and F1 of the shadow map on each ground, rings given, within the sensor's reach."""
+    net = GroundNet()
+    net.load_state_dict(torch.load(given.net)["net"])
     net.eval()
-    run = values_of(exported(net))
+    target = CAR if given.domain == "road" else PEDESTRIAN
     found: dict[str, ConfusionCounts] = {}
+    within: dict[str, list[float]] = {}
     for scene in scenes_of(given):
         seen = scene.observe(0)
         if seen.mounting.family.frame == "base":
@@ -233,20 +235,27 @@ def judge(given: argparse.Namespace) -> None:
         leveled = level(sample.sweep, grid)
         reach_m = min(optics_of(seen.sensor.model).reach_m, seen.sensor.model.max_range_m)
         known = seen.known & (polar_of_cells(grid)[0] <= reach_m)
-        leveled_on = {"estimated": leveled, "network": guessed(leveled, run)}
+        leveled_on = {"found": leveled, "guessed": guessed(leveled, net)}
         # The exact ground where no return shows it, as far as the cells reach.
         exact = (leveled.ground.at(grid.centers) - ground_error_m(leveled, sample)).astype(np.float32)
-        guess = leveled_on["network"].ground
-        nodes = len(guess.heights_m)
-        side = grid.cells // nodes
+        heights_m, std_m, shown = on_lattice(leveled.ground)
+        nodes, side = len(heights_m), grid.cells // len(heights_m)
         means = exact.reshape(nodes, side, nodes, side).mean(axis=(1, 3))
-        leveled_on["exact where unseen"] = on_ground(leveled, np.where(guess.seen, guess.heights_m, means), 0 * means)
+        leveled_on["exact where unseen"] = on_ground(
+            leveled, np.where(shown, heights_m, means), np.where(shown, std_m, 0.0)
+        )
+        # How often the ground lies within a deviation of what is said, where no return shows it.
+        for name, each in list(leveled_on.items())[:2]:
+            z_m, std_m, _ = on_lattice(each.ground)
+            off = np.abs(z_m - means)[~shown]
+            within.setdefault(name, []).append((off < std_m[~shown]).mean() if off.size else np.nan)
         for name, each in leveled_on.items():
-            claimed = ShadowMap(grid, CAR).estimate(each).visible()
-            counts = ConfusionCounts.of(claimed, seen.truth.visible(CAR), known, grid.cell_area_m2)
+            claimed = ShadowMap(grid, target).estimate(each).visible()
+            counts = ConfusionCounts.of(claimed, seen.truth.visible(target), known, grid.cell_area_m2)
             found[name] = found[name] + counts if name in found else counts
     for name, counts in found.items():
-        print(f"{name:28} precision {counts.precision:.3f}  recall {counts.recall:.3f}  F1 {counts.f1:.3f}")
+        said = f", {np.nanmean(within[name]):.2f} of unseen ground within one deviation" if name in within else ""
+        print(f"{name:20} precision {counts.precision:.3f}  recall {counts.recall:.3f}  F1 {counts.f1:.3f}{said}")
 
 
 def scenes_of(given: argparse.Namespace) -> list[WildScene]:

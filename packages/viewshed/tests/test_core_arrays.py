@@ -34,13 +34,13 @@ MIDDLES = np.arange(NODES, dtype=F4) + F4(0.5 - NODES / 2)
 LOWS = np.stack([*np.meshgrid(MIDDLES, MIDDLES, indexing="ij"), FLAT - F4(1.8)], axis=-1)
 VLP16 = lidar_model("vlp16")
 TABLE = {"elevation": VLP16.elevation, "origin_m": VLP16.origin_m}
-TABLES = TABLE | {"rings": np.array([16]), "columns": np.array([1800])}
 CELLS = {"cell_range_m": polar_of_cells(GRID)[0]}
 BINS = bins_of_cells(GRID, 90)
 MASK3, RING, BEGIN, RANGES = np.ones((3, 3), np.bool_), np.zeros((4, 2)), np.array([0, 4]), np.ones(8)
 CLOUD = np.zeros((4, 3), F4), np.ones(4, F4), np.eye(3, 4, dtype=F4)
 KIND = (LONG, LONG, LONG)
 PLANE = np.zeros((4, 4), U1)
+BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_m": -2.0, "cell_m": 1.0}
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
 GOOD: dict[str, dict[str, Any]] = {
@@ -64,22 +64,16 @@ GOOD: dict[str, dict[str, Any]] = {
                     "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
     "guess_inputs": {
-        "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "seen": SQUARE, "half_m": 32.0,
-        "sensor_height_m": 1.8},
-    "guessed_ground": {
-        "outputs": np.zeros((1, 80, NODES // 4, NODES // 4), F4),
-        "inputs": np.zeros((1, 192, NODES // 4, NODES // 4), F4),
-        "heights_m": FLAT - F4(1.8), "seen": SQUARE, "half_m": 32.0},
+        "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
+        "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8},
     "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
         "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
         "half_m": 32.0, "before_heights_m": FLAT - F4(1.8), "before_std_m": FLAT + F4(0.1), "before_seen": SQUARE,
         "before_half_m": 32.0, "before_from_now": np.eye(2, 4, dtype=F4), "now_from_before": np.array([0, 0, 1, 0], F4),
         "variance_m2": 0.0025, "plane": (0.0, 0.0, -1.8), "height_m": 0.0},
-    "identify_by_points": {"points": POINTS, "expected": -1} | TABLES,
-    "identify_by_rings": {"points": POINTS, "ring": np.zeros(N, I2), "expected": -1} | TABLES,
-    "infer_sensor": {"points": POINTS, "ring": None} | TABLES, "rings_of_points": {"points": POINTS},
-    "beams_of_sensor": {"points": POINTS} | TABLE, "find_motion": {"points": POINTS},
+    "identify_sensor": {"points": POINTS, "ring": None, "is_inferred": True, "expected": -1} | TABLE,
+    "infer_sensor": {"points": POINTS, "ring": None}, "find_motion": {"points": POINTS},
     "recover_rings": {"points": POINTS, "ring": None, "columns": 1800} | TABLE,
     "undo_motion": {"points": POINTS, "x_m": 1.0, "y_m": 0.1, "z_m": 0.0, "seam": 0.0, "reference": 0.5},
     "match_beams": {"slope": LONG, "range_m": LONG} | TABLE,
@@ -123,15 +117,28 @@ GOOD: dict[str, dict[str, Any]] = {
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
     "object_candidates": {"points": POINTS, "height_m": LONG, "range_m": LONG, "sensor_height_m": 1.8},
+    "visible_before": {"prob": np.ones((4, 4), F4), "boxes": BOX} | CORNER,
+    "look_at_boxes": {"states": PLANE, "pose": np.zeros(4), "boxes": BOX, "place_x_m": 0.0, "place_y_m": 0.0,
+                      "along": 5, "across": 3} | CORNER,
+    "count_met": {"surfaces": RING, "headings": np.zeros(3), "x_m": np.zeros(5), "y_m": np.zeros(5), "cell_m": 0.5,
+                  "seen_by": np.ones((8, 8), np.uint32), "own_bit": 2},
+    "compare_view": {
+        "states": PLANE, "heights_m": FLAT, "half_extent_m": 32.0, "pose": np.zeros(4), "places_m": RING + 3.0,
+        "ground_m": np.zeros(4), "owner": np.arange(4, dtype=I4) // 2, "is_free": np.arange(4) % 2 == 0, "own": 1,
+        "agents": 3, "blockers": RING, "from_above": False, "nearest_m": 2.0, "farthest_m": 40.0,
+        "same_ground_m": 0.4} | CORNER,
+    "compare_past": {"states": PLANE, "last_states": PLANE, "last_x_m": -2.0, "last_y_m": -2.0, "last_cell_m": 1.0,
+                     "last_from_now": np.zeros(4), "places": RING} | CORNER,
     "encode_view": {"state": PLANE, "level": PLANE, "deviation": PLANE, "row": 1, "column": 2},
     "decode_view": {"code": np.zeros(3, U1), "cells": 4, "row": 0, "column": 0, "prob": np.zeros(16, F4),
                     "std": np.zeros(9, F4)},
 }  # fmt: skip
 """Function → arguments that it takes."""
 
+OF_VIEWS = ("visible_before", "look_at_boxes", "compare_view", "compare_past")
 OF_POINTS = (
-    "identify_by_points", "infer_sensor", "rings_of_points", "beams_of_sensor", "find_motion", "recover_rings",
-    "undo_motion", "level_sweep", "concave_hull", "height_codes", "level_points", "range_image",
+    "identify_sensor", "infer_sensor", "find_motion", "recover_rings", "undo_motion", "level_sweep", "concave_hull",
+    "height_codes", "level_points", "range_image",
 )  # fmt: skip
 TYPE, OF_FEATURE = "incompatible function arguments", "incompatible|must"
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
@@ -185,12 +192,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("ground_of_lows", {"lows_m": LOWS.astype(np.float64)}, TYPE),
     ("ground_of_lows", {"rise_m": FLAT[:5]}, r"rise_m must be \(n, n\)"),
     ("guess_inputs", {"azimuth": SHORT}, "azimuth and range_m must be as long as points"),
-    ("guess_inputs", {"heights_m": FLAT[:24, :24].copy(), "seen": SQUARE[:24, :24].copy()}, "a power of two of nodes"),
     ("guess_inputs", {"sensor_height_m": NAN}, "sensor_height_m must be finite"),
-    ("guessed_ground", {"seen": SQUARE[:5]}, r"heights_m and seen must be \(n, n\)"),
-    ("guessed_ground", {"outputs": np.zeros((1, 80, 3, 3), F4)}, "outputs must be"),
-    ("guessed_ground", {"inputs": np.zeros((1, 12, NODES, NODES), F4)}, "inputs must be"),
-    ("guessed_ground", {"outputs": np.full((1, 80, NODES // 4, NODES // 4), NAN, F4)}, "outputs must be finite"),
+    ("guess_inputs", {"seen": SQUARE[:5]}, r"heights_m, std_m and seen must be \(n, n\)"),
     ("fill_ground", {"accepted": SQUARE[:5]}, r"walked_m and accepted must be \(n, n\)"),
     ("fill_ground", {"walked_m": FLAT * F4(NAN)}, "walked_m must be finite"),
     ("fill_ground", {"walked_m": FLAT.T[::2]}, TYPE), ("fill_ground", {"plane": np.zeros(2, F4)}, "plane must be"),
@@ -201,15 +204,12 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("held_ground", {"before_from_now": FLAT}, r"before_from_now must be \(2, 4\)"),
     ("held_ground", {"height_m": NAN}, "height_m must be finite"), ("held_ground", {"plane": (0.0, 0.0)}, TYPE),
     # Sensors, rings, beams of a table.
-    ("identify_by_rings", {"ring": np.zeros(N - 1, I2)}, "ring must have one row for each point"),
+    ("identify_sensor", {"ring": np.zeros(N - 1, I2)}, "ring must have one row for each point"),
     ("recover_rings", {"ring": np.full(N, 4096, I2)}, r"ring must lie in \[-1, 4095\], got 4096"),
     ("infer_sensor", {"ring": np.full(N, -2, I2)}, r"ring must lie in \[-1, 4095\], got -2"),
-    ("beams_of_sensor", {"origin_m": TABLE["origin_m"][:3]}, "origin_m must have one value for each beam"),
-    ("identify_by_points", {"rings": np.array([16, 1]), "columns": np.array([1800, 1800])},
-     "one value for each beam of"),
-    ("identify_by_points", {"rings": np.array([0])}, "one value for each beam of the tables"),
-    ("identify_by_points", {"rings": np.array([8, 8])}, "rings and columns must have one value for each table"),
-    ("identify_by_points", {"expected": 1}, "expected must be the number of a table, or -1"),
+    ("identify_sensor", {"origin_m": TABLE["origin_m"][:3]}, "origin_m must have one value for each beam"),
+    ("identify_sensor", {"expected": 99}, "expected must be the number of a sensor, or -1"),
+    ("identify_sensor", {"expected": -2}, "expected must be the number of a sensor, or -1"),
     ("recover_rings", {"columns": 0}, r"columns must lie in \[1, 65536\]"),
     ("match_beams", {"elevation": TABLE["elevation"][::-1].copy()}, "elevations must ascend"),
     ("match_beams", {"elevation": np.array([0.0, NAN]), "origin_m": np.zeros(2)},
@@ -301,6 +301,20 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("object_candidates", {"height_m": SHORT}, "as long as points"),
     ("object_candidates", {"range_m": SHORT}, "as long as points"),
     ("object_candidates", {"sensor_height_m": NAN}, "sensor_height_m"),
+    ("look_at_boxes", {"along": 1}, "along and across"),
+    ("look_at_boxes", {"boxes": BOX[:, :6].copy()}, "seven columns"),
+    *(("visible_before", {"boxes": boxes}, words) for boxes, words in (
+        (BOX[:, :6].copy(), "seven columns"), (BOX.astype(F4), TYPE))),
+    *((name, change, words) for name in OF_VIEWS for change, words in (
+        ({"x_m": NAN}, "corner of a view must be finite"), ({"cell_m": 0.0}, "cell_m must be positive"))),
+    ("compare_past", {"last_states": PLANE[:3].copy()}, "must be a square"),
+    ("count_met", {"seen_by": np.ones((6, 6), np.uint32)}, "square of a power of two"),
+    ("count_met", {"headings": np.zeros(65)}, "at most 64"),
+    ("count_met", {"surfaces": np.zeros((4, 3))}, "two columns"),
+    ("compare_view", {"owner": np.full(4, 3, I4)}, r"owner must lie in \[0, 2\]"),
+    ("compare_view", {"ground_m": np.zeros(3)}, "must be as long"), ("compare_view", {"pose": np.zeros(3)}, "x, y, z"),
+    ("compare_view", {"pose": np.full(4, NAN)}, "pose must be finite"), ("compare_view", {"agents": 0}, "agents must"),
+    ("compare_view", {"heights_m": FLAT[:4].copy()}, "heights_m must be a square"),
     ("encode_view", {"state": np.zeros((4, 5), U1)}, "square"), ("encode_view", {"level": np.zeros((5, 5), U1)},
      "same shape"),
     ("encode_view", {"deviation": np.zeros((3, 3), U1)}, r"or \(0, 0\)"),
@@ -423,15 +437,15 @@ def boxes_met() -> Any:
     return found
 
 
-NO_TABLE = {"elevation": np.zeros(0), "origin_m": np.zeros(0), "columns": 0}
+NO_TABLE = {"elevation": np.zeros(0), "origin_m": np.zeros(0)}
 SENSOR_CALLS: dict[str, Callable[[Any], Any]] = {
-    "identify_by_points": lambda points: call("identify_by_points", points=points, expected=0),
-    "identify_by_rings": lambda points: call(
-        "identify_by_rings", points=points, ring=np.zeros(len(points), I2), expected=0
+    "identify_sensor": lambda points: call("identify_sensor", points=points, expected=0, **NO_TABLE),
+    "identify_sensor by rings": lambda points: call(
+        "identify_sensor", points=points, ring=np.zeros(len(points), I2), expected=0, **NO_TABLE
     ),
+    "identify_sensor by a table": lambda points: call("identify_sensor", points=points),
+    "rings of points": lambda points: call("identify_sensor", points=points, is_inferred=False, **NO_TABLE),
     "infer_sensor": lambda points: call("infer_sensor", points=points),
-    "rings_of_points": lambda points: call("rings_of_points", points=points),
-    "beams_of_sensor": lambda points: call("beams_of_sensor", points=points),
     "recover_rings": lambda points: call(
         "recover_rings", points=points, elevation=np.zeros(0), origin_m=np.zeros(0), columns=0
     ),

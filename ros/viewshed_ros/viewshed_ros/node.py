@@ -164,7 +164,8 @@ class FieldOfView(LifecycleNode):
         history = SweepBuffer(settings.history) if settings.history else None
         self._pipeline = Pipeline(
             estimator, self._publish, history=history, monitor=monitor, rules=settings.profile.rules,
-            certify=settings.certify, vehicle=settings.vehicle, objects=self._objects(settings),
+            certify=settings.certify, certified_only=settings.certified_only, vehicle=settings.vehicle,
+            objects=self._objects(settings),
         )  # fmt: skip
         self._diagnosed_s = time.monotonic()
 

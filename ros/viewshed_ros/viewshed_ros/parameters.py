@@ -137,6 +137,7 @@ PARAMETERS: dict[str, Parameter] = {
         "What stays claimed on an alarm: what no such attack can have opened (added, window:5, …), profile, or never.",
         check=lambda value: _threat(value, PROFILES["robot"]),
     ),
+    "certified_only": Parameter(False, "Whether only what certify certifies is claimed, be there an alarm or not."),
     "sensors": Parameter(
         ["lidar"], "Names of the sensors; each has the parameters and topics below its name.", check=_check_sensors
     ),
@@ -235,6 +236,7 @@ class NodeSettings:
     monitor: str
     monitor_file: str
     certify: Threat | None
+    certified_only: bool
     sensors: tuple[SensorSettings, ...]
     pose_source: str
     pose_topic: str
@@ -284,6 +286,7 @@ def read(node: Node) -> NodeSettings:
         monitor=given["monitor"],
         monitor_file=given["monitor_file"],
         certify=_threat(given["certify"], profile),
+        certified_only=given["certified_only"],
         sensors=tuple(_sensor(node, name) for name in names),
         pose_source=given["pose_source"],
         pose_topic=given["pose_topic"],

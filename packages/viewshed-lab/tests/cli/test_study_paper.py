@@ -42,7 +42,7 @@ def test_a_place_of_something_else_is_refused(study: str, tmp_path: Path) -> Non
     (tmp_path / "file").write_text("in the way", "utf-8")
     ResultStore.open(tmp_path / "other", replace(PaperPlan.load("tiny"), passes=7))
     words = ("study", study, "--preset", "tiny", "--out")
-    for place, said in (("file/study", ""), ("other", "got another plan; choose another folder")):
+    for place, said in (("file/study", ""), ("other", "; choose another folder")):
         code, _, complaint = run(*words, tmp_path / place)
         assert (code, complaint.count("\n")) == (2, 1)
         assert said in complaint

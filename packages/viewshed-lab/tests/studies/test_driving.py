@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from viewshed import BevGrid
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed_lab.studies.guarantees import driving
-from viewshed_lab.studies.guarantees.driving import CRUISE_MPS, drive_through, speed_in_view
+from viewshed_lab.studies.guarantees.driving import CRUISE_MPS, ONLY, drive_through, speed_in_view
 
 GRID = BevGrid(200, 50.0)
 X, Y = np.moveaxis(GRID.centers, -1, 0)
@@ -43,6 +43,10 @@ def test_who_does_not_look_hits_and_who_looks_does_not(monkeypatch: pytest.Monke
     drive = drive_through(0, "none", "ours + certificate")
     assert not drive.collided
     assert drive.time_s < driving.LAST_S
+    # Who counts on certified cells alone is slower, and does not hit whom 150 beams erase.
+    only = drive_through(0, "none", ONLY)
+    assert drive.time_s < only.time_s < driving.LAST_S
+    assert not drive_through(0, "vanished, 150 beams", ONLY).collided
     # At the speed for which they set out, whoever does not look meets them.
     monkeypatch.setattr(driving, "speed_in_view", lambda estimate: driving.PAST_MPS)
     assert any(drive_through(number, "none", "no monitor").collided for number in range(3))

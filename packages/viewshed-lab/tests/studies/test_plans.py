@@ -28,7 +28,10 @@ REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
         ({"test_seed": 1}, "test_seed must not be the seed that is trained on, got 1 for both"),
         ({"cells": 30}, "cells must divide by 2 to the power of the depth 2, got 30"),
         ({"passes": 0}, "passes must be at least 1, got 0"),
-        ({"pair_frames": 13}, "pair_frames and strict_frames must be at most 12, what nuscenes has with a past"),
+        (
+            {"pair_frames": [3, 13, 3]},
+            "pair_frames and strict_frames must be at most 12, what nuscenes has with a past",
+        ),
         ({"monitor_frames": 4}, "monitor_frames must be at most 3, a third of the held-out scenes"),
         ({"monitor_false_alarms": 0.2}, r"monitor_false_alarms must lie in \[1 / \(monitor_frames \+ 1\), 1\), got 0"),
         ({"trained_attacks": list(ATTACKS)}, "trained_attacks must name some attacks and leave others unseen"),
@@ -72,6 +75,7 @@ def test_a_plan_of_one_domain_is_one_too() -> None:
     one = replace(
         PaperPlan.load("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,),
         test_times=(5,), interval_s=(0.5,), strict_frames=1, trade_widths=(4,),
+        pair_frames=(3,),
     )  # fmt: skip
     assert PaperPlan.from_json(one.to_json()) == one
 

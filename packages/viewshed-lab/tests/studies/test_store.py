@@ -40,7 +40,7 @@ def test_what_a_crash_left_of_a_file_is_no_result(tmp_path: Path) -> None:
 @pytest.mark.parametrize("other", [replace(TINY, seed=1), replace(TINY, budgets=("0", "50")), PaperPlan.load("tiny")])
 def test_another_plan_is_refused(tmp_path: Path, other: RobustnessPlan | PaperPlan) -> None:
     ResultStore.open(tmp_path, TINY)
-    with pytest.raises(ValueError, match="must hold results of this plan and version, got another plan; choose"):
+    with pytest.raises(ValueError, match=r"of this plan and version, got another plan \(.*\); choose"):
         ResultStore.open(tmp_path, other)
 
 

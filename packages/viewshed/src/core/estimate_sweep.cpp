@@ -25,25 +25,6 @@ constexpr std::size_t DEFAULT_COLUMNS = 1024;
 
 constexpr double NONE = std::numeric_limits<double>::infinity();
 
-// The sensors that may be inferred, and their tables.
-struct KnownSensors {
-    std::vector<const SensorModel*> models;
-    BeamTables tables;
-};
-
-const KnownSensors& known_sensors() {
-    static const KnownSensors known = [] {
-        KnownSensors some;
-        for (const SensorModel& model : shipped_sensors()) {
-            if (!model.is_inferred) continue;
-            some.models.push_back(&model);
-            some.tables.push_back(model.beams);
-        }
-        return some;
-    }();
-    return known;
-}
-
 // The rings (N,) of a sweep, its own or recovered ones, and its sensor; none of either where nothing shows it.
 struct Identity {
     std::optional<Buffer<std::int16_t>> recovered;
@@ -56,16 +37,13 @@ struct Identity {
 };
 
 Identity identify(const SweepInput& sweep, const SensorModel* expected) {
-    if (sweep.model != nullptr && !sweep.model->fires_rings) return {std::nullopt, std::nullopt, sweep.model};
-    if (sweep.points.rows == 0 || (sweep.ring && (sweep.model != nullptr || !sweep.infers_sensor))) return {std::nullopt, sweep.ring, sweep.model};
-    if (sweep.model != nullptr) return {beams_of_sensor(sweep.points, sweep.model->beams), std::nullopt, sweep.model};
-    if (!sweep.infers_sensor) return {rings_of_points(sweep.points), std::nullopt, nullptr};
-    const auto& [models, tables] = known_sensors();
-    const auto at = std::find(models.begin(), models.end(), expected);
-    const int number = at == models.end() ? NO_TABLE : int(at - models.begin());
-    SensorId found = sweep.ring ? identify_by_rings(sweep.points, *sweep.ring, tables, number)
-                                : identify_by_points(sweep.points, tables, number);
-    return {std::move(found.ring), sweep.ring, found.table == NO_TABLE ? nullptr : models[std::size_t(found.table)]};
+    const SensorModel* const model = sweep.model;
+    if (model != nullptr && !model->fires_rings) return {std::nullopt, std::nullopt, model};
+    const auto& sensors = inferable_sensors();
+    const auto at = std::find(sensors.begin(), sensors.end(), expected);
+    SensorId found = identify_sensor(sweep.points, sweep.ring, model == nullptr ? nullptr : &model->beams, sweep.infers_sensor,
+                                     at == sensors.end() ? NO_SENSOR : int(at - sensors.begin()));
+    return {std::move(found.ring), sweep.ring, found.sensor == NO_SENSOR ? model : sensors[std::size_t(found.sensor)]};
 }
 
 // Where the beams of a range image point, and what of it says which beams are missing.

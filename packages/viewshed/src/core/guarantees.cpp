@@ -1,5 +1,6 @@
 #include "guarantees.hpp"
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -74,17 +75,34 @@ MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, con
     }
 }
 
-// Write which rings pass between a target's foot and its top in the cells of some rows.
+// Write which rings pass between a target's foot and its top in the cells of some rows; `rising`: no ring is below the one
+// before, in any sector.
 MULTIVERSION void find_rings(SentBeams& sent, const float* low_m, const float* high_m, View2<const float> slope,
-                             const float* start_m, std::size_t first, std::size_t last) {
+                             const float* start_m, bool rising, std::size_t first, std::size_t last) {
     const double per_rad = double(slope.rows) / (2 * std::numbers::pi);
     const std::size_t rings = sent.of->rings;
     std::uint8_t passes[64] = {};
+    std::size_t ring = 0, ring_end = 0;
     for (std::size_t cell = first; cell < last; ++cell) {
         if (sent.of->windows[cell].firings == 0) continue;
         const float r = sent.of->range_m[cell], low = low_m[cell], high = high_m[cell];
         const auto turned = std::size_t(std::max((double(sent.of->azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
         const float* const of_sector = slope[std::min(turned, slope.rows - 1)];
+        if (rising) {
+            // Each ring is above the one before, so that those between are a stretch: a step or two from the last cell's.
+            const auto z_m = [&](std::size_t k) { return start_m[k] + r * of_sector[k]; };
+            while (ring > 0 && z_m(ring - 1) >= low) --ring;
+            while (ring < rings && z_m(ring) < low) ++ring;
+            while (ring_end > 0 && z_m(ring_end - 1) > high) --ring_end;
+            while (ring_end < rings && z_m(ring_end) <= high) ++ring_end;
+            if (ring >= ring_end) continue;
+            for (std::size_t k = ring; k < ring_end; ++k) {
+                sent.bits[cell * sent.words + k / 64] |= std::uint64_t(1) << (k % 64);
+            }
+            sent.ring[cell] = std::uint16_t(ring);
+            sent.ring_end[cell] = std::uint16_t(ring_end);
+            continue;
+        }
         for (std::size_t word = 0; word < sent.words; ++word) {
             const std::size_t begin = word * 64, count = std::min(rings - begin, std::size_t(64));
             for (std::size_t k = 0; k < count; ++k) {
@@ -235,8 +253,12 @@ SentBeams::SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const f
                      View2<const float> slope, View1<const float> start_m)
     : of(std::move(columns)), words((of->rings + 63) / 64), bits(of->windows.size() * words, 0), ring(of->windows.size(), 0),
       ring_end(of->windows.size(), 0) {
+    bool rising = std::is_sorted(start_m.begin(), start_m.end());
+    for (std::size_t sector = 0; rising && sector < slope.rows; ++sector) {
+        rising = std::is_sorted(slope[sector], slope[sector] + slope.columns);
+    }
     for_ranges(of->rows, count_parts(of->rows, ROWS), [&](std::size_t, std::size_t first_row, std::size_t end_row) {
-        find_rings(*this, low_m.data, high_m.data, slope, start_m.data, first_row * of->grid_columns,
+        find_rings(*this, low_m.data, high_m.data, slope, start_m.data, rising, first_row * of->grid_columns,
                    end_row * of->grid_columns);
     });
 }

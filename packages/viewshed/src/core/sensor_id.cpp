@@ -55,6 +55,18 @@ constexpr double CERTAIN = 0.5, CROWDED = 1.3;
 // A FEW returns choose the LIKELY tables, which are then compared on the whole sample.
 constexpr std::size_t FEW = 2048, LIKELY = 2;
 
+using BeamTables = std::vector<BeamTable>;
+
+// Those of the inferable sensors, in their order.
+const BeamTables& inferable_tables() {
+    static const BeamTables tables = [] {
+        BeamTables all;
+        for (const SensorModel* sensor : inferable_sensors()) all.push_back(sensor->beams);
+        return all;
+    }();
+    return tables;
+}
+
 // Rings of a cloud, what shows them, and how sharply.
 struct ShownRings {
     View1<const std::int16_t> ring;
@@ -268,11 +280,11 @@ Scored agreeing_table(const ShownRings& rings, const ReturnsByRing& returns, con
     run_parts(likely.size(), [&](std::size_t k) {
         if (std::isfinite(near[likely[k]])) scores[k] = ring_score(rings, returns, tables[likely[k]]);
     });
-    Scored best{NO_TABLE, 0.0};
+    Scored best{NO_SENSOR, 0.0};
     for (std::size_t k = 0; k < likely.size(); ++k) {
         if (scores[k] > best.second) best = {likely[k], scores[k]};
     }
-    return {best.second >= AGREEING ? best.first : NO_TABLE, best.second};
+    return {best.second >= AGREEING ? best.first : NO_SENSOR, best.second};
 }
 
 // `excess` times the share of beams that were hit, among those inside the elevations of the returns.
@@ -308,14 +320,14 @@ Scored explaining_table(const Elevations& sample, std::size_t count, const BeamT
         scores.push_back(cluster_score(part_of(sample.slope, FEW), part_of(sample.range_m, FEW), table));
     }
     const View1<const float> slope = part_of(sample.slope, SAMPLE), range_m = part_of(sample.range_m, SAMPLE);
-    Scored best{NO_TABLE, 0.0};
+    Scored best{NO_SENSOR, 0.0};
     for (const int likely : likeliest(scores)) {
         const double score = cluster_score(slope, range_m, tables[likely]);
         if (score > best.second) best = {likely, score};
     }
     const auto [table, score] = best;
-    if (table == NO_TABLE || score < EXPLAINED) return {NO_TABLE, score};
-    if (score < CERTAIN && is_crowded(slope, range_m, tables[table], count)) return {NO_TABLE, score};
+    if (table == NO_SENSOR || score < EXPLAINED) return {NO_SENSOR, score};
+    if (score < CERTAIN && is_crowded(slope, range_m, tables[table], count)) return {NO_SENSOR, score};
     return best;
 }
 
@@ -402,7 +414,7 @@ std::optional<AtRest> undo_motion_of(View2<const float> points) {
 // What rings and tables say of a bare cloud before any motion is undone: the table, its score and the rings; the first two
 // rings that are shown are tried in turn.
 struct Identified {
-    int table = NO_TABLE;
+    int table = NO_SENSOR;
     double score = 0.0;
     std::optional<OwnRings> rings;
     std::optional<Directions> seen;  // what the points show, where that had to be looked at
@@ -424,14 +436,14 @@ Identified identify(View2<const float> points, const BeamTables& tables, int exp
     Identified found;
     const auto agrees = [&](std::optional<OwnRings>& rings) {
         const auto [table, score] = table_by_rings(points, rings->shown(), tables);
-        found.score = table == NO_TABLE ? std::max(score, found.score) : score;
+        found.score = table == NO_SENSOR ? std::max(score, found.score) : score;
         found.table = table;
-        if (table != NO_TABLE || !found.rings) found.rings = std::move(rings);
-        return table != NO_TABLE;
+        if (table != NO_SENSOR || !found.rings) found.rings = std::move(rings);
+        return table != NO_SENSOR;
     };
     // 1. The order of the points.
     std::optional<OwnRings> ordered = rings_shown_by_order(points);
-    if (ordered && expected != NO_TABLE && is_surely(tables[expected], ordered->shown(), points)) {
+    if (ordered && expected != NO_SENSOR && is_surely(tables[expected], ordered->shown(), points)) {
         return {expected, SURE, std::move(ordered), std::nullopt};
     }
     if (ordered && agrees(ordered)) return found;
@@ -456,7 +468,7 @@ Identified identify(View2<const float> points, const BeamTables& tables, int exp
 bool is_doubtful(const Identified& found) {
     if (!found.rings) return true;
     if (found.rings->shown().are_clusters()) return found.rings->sharpness < SHARP;
-    return found.table == NO_TABLE;
+    return found.table == NO_SENSOR;
 }
 
 // Whether sharp clusters tell more than the rings: sharper ones, or more than an order that skips rings.
@@ -472,18 +484,18 @@ ShownRings rings_of_file(View1<const std::int16_t> ring) {
     return {ring, std::size_t(most) + 1, RingSource::FILE};
 }
 
-}  // namespace
-
+// The rings and the table of points (N, 3) whose rings (N,) are known.
 SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> ring, const BeamTables& tables,
                            int expected) {
     const ShownRings rings = rings_of_file(ring);
-    if (expected != NO_TABLE && is_surely(tables[expected], rings, points)) return {std::nullopt, expected};
+    if (expected != NO_SENSOR && is_surely(tables[expected], rings, points)) return {std::nullopt, expected};
     const auto [table, score] = table_by_rings(points, rings, tables);
-    if (table == NO_TABLE || rings.count == tables[table].rings()) return {std::nullopt, table};
+    if (table == NO_SENSOR || rings.count == tables[table].rings()) return {std::nullopt, table};
     const Directions seen = directions_of(points);
     return {counted_as_beams(rings, seen.slope.data(), seen.range_m.data(), tables[table]), table};
 }
 
+// The rings and the table that bare points (N, 3) show; none where they show none.
 SensorId identify_by_points(View2<const float> points, const BeamTables& tables, int expected) {
     // 1. The rings that the points show, and the table that these agree with.
     Identified found = identify(points, tables, expected);
@@ -495,12 +507,12 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
             found.rings = std::move(at_rest->rings);
             const View2<const float> measured{at_rest->measured.data(), points.rows, 3};
             const int table = table_by_rings(measured, found.rings->shown(), tables).first;
-            if (table != NO_TABLE) found.table = table;
+            if (table != NO_SENSOR) found.table = table;
         }
     }
     // 3. The rings as the table's beams. Clusters skip a beam that has no return: then the beams nearest to the returns.
-    if (found.table == NO_TABLE) {
-        return {found.rings ? std::optional(std::move(found.rings->ring)) : std::nullopt, NO_TABLE};
+    if (found.table == NO_SENSOR) {
+        return {found.rings ? std::optional(std::move(found.rings->ring)) : std::nullopt, NO_SENSOR};
     }
     const BeamTable& table = tables[found.table];
     if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
@@ -512,12 +524,14 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
     return {counted ? std::move(*counted) : std::move(found.rings->ring), found.table};
 }
 
+// The rings (N,) that bare points show, by their order or else by their elevations.
 std::optional<Buffer<std::int16_t>> rings_of_points(View2<const float> points) {
     std::optional<OwnRings> rings = rings_shown_by_order(points);
     if (!rings) rings = rings_shown_by_clusters(directions_of(points));
     return rings ? std::optional(std::move(rings->ring)) : std::nullopt;
 }
 
+// The beam of each point (N, 3) of a sensor that is known; none where the points do not gather at its beams.
 std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, const BeamTable& table) {
     // 1. The order of the points tells the rings, if they are no more than the sensor has.
     std::optional<OwnRings> ordered = rings_shown_by_order(points);
@@ -540,10 +554,32 @@ std::optional<Buffer<std::int16_t>> beams_of_sensor(View2<const float> points, c
     return std::move(match.ring);
 }
 
-std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring,
-                                    const BeamTables& tables) {
+}  // namespace
+
+const std::vector<const SensorModel*>& inferable_sensors() {
+    static const std::vector<const SensorModel*> sensors = [] {
+        std::vector<const SensorModel*> some;
+        for (const SensorModel& sensor : shipped_sensors()) {
+            if (sensor.is_inferred) some.push_back(&sensor);
+        }
+        return some;
+    }();
+    return sensors;
+}
+
+SensorId identify_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring, const BeamTable* table,
+                         bool is_inferred, int expected) {
+    if (points.rows == 0 || (ring && (table != nullptr || !is_inferred))) return {};
+    if (table != nullptr) return {beams_of_sensor(points, *table), NO_SENSOR};
+    if (!is_inferred) return {rings_of_points(points), NO_SENSOR};
+    return ring ? identify_by_rings(points, *ring, inferable_tables(), expected)
+                : identify_by_points(points, inferable_tables(), expected);
+}
+
+std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring) {
+    const BeamTables& tables = inferable_tables();
     if (ring) return table_by_rings(points, rings_of_file(*ring), tables);
-    const Identified found = identify(points, tables, NO_TABLE);
+    const Identified found = identify(points, tables, NO_SENSOR);
     return {found.table, found.score};
 }
 

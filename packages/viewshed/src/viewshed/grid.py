@@ -1,4 +1,4 @@
-"""② BevGrid: the only place where meters become cells."""
+"""BevGrid: the only place where meters become cells."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""① Sweep: what one sensor measured in one revolution."""
+"""Sweep: what one sensor measured in one revolution."""
 
 from __future__ import annotations
 

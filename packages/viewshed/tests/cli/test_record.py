@@ -194,7 +194,9 @@ def test_a_profile_leaves_out_sweeps_beyond_its_rate() -> None:
     sweep = read_sweep(junction_path())
     times_ms = [0, 50, 95, 190, 200, 5]  # the last one is of a recording that begins again
     named = [Named(sweep.replace(t_ns=t * 1_000_000), f"{t}", Path(f"{t}")) for t in times_ms]
-    kept = PipelineSettings(None, "road", 0, False, RULES, rate_hz=10.0, certify=None).at_rate(named)
+    kept = PipelineSettings(None, "road", 0, False, RULES, rate_hz=10.0, certify=None, certified_only=False).at_rate(
+        named
+    )
     assert [each.name for each in kept] == ["0", "95", "190", "5"]
 
 

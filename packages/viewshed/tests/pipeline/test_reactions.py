@@ -209,3 +209,15 @@ def test_certified_claims_stay_until_the_view_is_stale(levels: list[int], rules:
         assert (claim == expected).all()
     for less, more in itertools.pairwise(kept):
         assert not (more & ~less).any()
+
+
+@given(st.lists(st.integers(0, 3), max_size=40), RULES, st.integers(0, 2**32 - 1))
+def test_only_certified_claims_hold_at_any_caution(levels: list[int], rules: ReactionRules, seed: int) -> None:
+    certified = np.random.default_rng(seed).random(GRID.shape) < 0.5
+    state = states_after([0, *levels], rules)[-1]
+    for caution in Caution:
+        at = replace(state, caution=caution)
+        view = withdraw(all_free(), at, None, rules, certified, certified_only=True)
+        assert np.array_equal(view.visible(), certified & (caution != Caution.STALE))
+        assert (view.state[~view.visible()] == CellState.UNKNOWN).all()
+        assert not withdraw(all_free(), at, None, rules, certified_only=True).visible().any()

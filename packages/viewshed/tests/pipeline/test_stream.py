@@ -172,18 +172,20 @@ def test_an_alarm_withdraws_claims_until_sweeps_were_calm() -> None:
 GIVEN = read_sweep(junction_path(), sensor="hdl32e", sensor_height_m=1.84, attitude=[1, 0, 0, 0])
 
 
-def alarmed_answer(sweep: Sweep, accused: bool = False) -> Answer:
-    """Return the answer to a sweep with an alarm, of a pipeline that falls back to certified cells."""
+def certified_answer(sweep: Sweep, accused: bool = False, alarm: bool = True, only: bool = False) -> Answer:
+    """Return the answer to a sweep of a pipeline that falls back to certified cells, or claims only these."""
     answers: list[Answer] = []
-    threat = Threat("window", 5)
-    with Pipeline(shadow_map(), answers.append, monitor=alarming(0), certify=threat, lossless=True) as pipeline:
+    with Pipeline(
+        shadow_map(), answers.append, monitor=alarming(0) if alarm else None, certify=Threat("window", 5),
+        certified_only=only, lossless=True,
+    ) as pipeline:  # fmt: skip
         pipeline.accuse(["ego"] if accused else [])
         pipeline.put(at(0.0, sweep), "ego")
     return answers[0]
 
 
 def test_an_alarm_falls_back_to_certified_cells() -> None:
-    answer, clean = alarmed_answer(GIVEN), shadow_map().estimate(GIVEN)
+    answer, clean = certified_answer(GIVEN), shadow_map().estimate(GIVEN)
     certificate = certify(level(GIVEN, clean.grid), clean, Threat("window", 5))
     azimuth = np.arctan2(clean.grid.centers[..., 1], clean.grid.centers[..., 0])
     suspect = (azimuth > np.radians(15)) & (azimuth < np.radians(30))
@@ -196,15 +198,38 @@ def test_an_alarm_falls_back_to_certified_cells() -> None:
     assert answer.notes == ("noted", certificate.line)
 
 
+def test_without_an_alarm_only_what_is_certified_is_claimed_where_nothing_else_counts() -> None:
+    usual, only = certified_answer(GIVEN, alarm=False), certified_answer(GIVEN, alarm=False, only=True)
+    clean = shadow_map().estimate(GIVEN)
+    certificate = certify(level(GIVEN, clean.grid), clean, Threat("window", 5))
+    assert usual.estimate is not None
+    assert only.estimate is not None
+    assert np.array_equal(usual.estimate.visible(), clean.visible())
+    assert np.array_equal(only.estimate.visible(), certificate.certified_visible)
+    assert only.reaction.caution == Caution.KEEP
+    assert only.notes == (certificate.line,)
+    assert only.speed_mps <= usual.speed_mps
+    # What cannot be certified is not claimed, and the speed says so.
+    for nothing in (
+        certified_answer(GIVEN.replace(sensor_height_m=None), alarm=False, only=True),
+        certified_answer(GIVEN, accused=True, only=True),
+    ):
+        assert nothing.estimate is not None
+        assert not nothing.estimate.visible().any()
+        assert nothing.speed_mps == 0.0
+    with pytest.raises(ValueError, match="certified_only needs a threat"):
+        Pipeline(shadow_map(), lambda _: None, certified_only=True)
+
+
 def test_nothing_is_certified_of_an_accused_agent_or_by_what_a_sweep_says_of_itself() -> None:
-    accused = alarmed_answer(GIVEN, accused=True)
+    accused = certified_answer(GIVEN, accused=True)
     assert accused.estimate is not None
     assert not accused.estimate.visible().any()
     assert accused.notes == ("noted",)
-    inferred = alarmed_answer(GIVEN.replace(sensor_height_m=None))
+    inferred = certified_answer(GIVEN.replace(sensor_height_m=None))
     assert inferred.estimate is not None
     assert inferred.notes[-1].startswith("nothing certified: mounting height inferred")
-    unknown = alarmed_answer(GIVEN.replace(model=None, infer_sensor=False, ring=None))
+    unknown = certified_answer(GIVEN.replace(model=None, infer_sensor=False, ring=None))
     assert unknown.notes[-1].startswith("nothing certified: ")
     assert (unknown.estimate is not None) == (unknown.refused == "")
 

@@ -3,6 +3,7 @@
 import gc
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from weakref import ref
 
 import numpy as np
@@ -15,8 +16,9 @@ from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.fov.truth import Truth
+from viewshed.io import read_sweeps
 from viewshed.preprocess.evidence import beam_evidence
-from viewshed.preprocess.held_ground import hold, hold_over
+from viewshed.preprocess.held_ground import Rest, hold, hold_over
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.preprocess.reach import reach_of_sweep
@@ -272,3 +274,47 @@ def test_a_stream_keeps_no_chain_of_sweeps() -> None:
         del later
     gc.collect()
     assert [one() is not None for one in alive] == [False] * 10 + [True] * 2
+
+
+def without_pose(sweep: Sweep, t_s: float) -> LeveledSweep:
+    return level(sweep.replace(world_from_sensor=None, attitude=None, t_ns=int(1e9 * t_s)), GRID)
+
+
+def test_a_sensor_at_rest_keeps_its_height_without_poses() -> None:
+    world = world_of(crest)
+    rest = Rest()
+    sweeps = [observed(world, -12.0, number=number)[0] for number in range(5)]
+    for number, sweep in enumerate(sweeps[:4]):
+        assert rest.hold(without_pose(sweep, 1.0 + 0.1 * number)).sensor_height_m == pytest.approx(HEIGHT_M, abs=0.05)
+    off = without_pose(sweeps[4], 1.4)
+    higher = Rigid(off.level_from_sensor.rotation, np.array([0.0, 0.0, HEIGHT_M + 0.7]))
+    held = rest.hold(replace(off, level_from_sensor=higher))
+    assert held.sensor_height_m == pytest.approx(HEIGHT_M, abs=0.05)
+    assert held.held is not None
+    assert held.held.is_height_held
+
+
+@pytest.mark.parametrize(("x_m", "t_s"), [(-10.0, 1.1), (-12.0, 30.0), (-12.0, 0.5)], ids=["moved", "late", "back"])
+def test_who_moves_or_whose_time_jumps_begins_anew_without_poses(x_m: float, t_s: float) -> None:
+    world = world_of(crest)
+    rest = Rest()
+    rest.hold(without_pose(observed(world, -12.0)[0], 1.0))
+    assert rest.hold(without_pose(observed(world, x_m, number=1)[0], t_s)).held is None
+    assert rest.hold(without_pose(observed(world, x_m, number=2)[0], t_s + 0.1)).held is not None
+
+
+def test_poses_say_more_than_rest() -> None:
+    rest, world = Rest(), world_of(crest)
+    for number in range(2):
+        leveled = level(observed(world, -12.0, number=number)[0], GRID)
+        assert rest.hold(leveled) is leveled
+
+
+def test_a_real_sensor_at_rest_that_sees_little_ground_keeps_its_height(real_data: Path) -> None:
+    """Each by itself, its sweeps have heights of .3 to 1.0 m; after three estimates of a stream all have one."""
+    sweeps = list(read_sweeps(real_data / "vlp16_packets" / "einride_recording.bin"))
+    alone = [ShadowMap(GRID, CAR).estimate(sweep).basis.sensor_height_m for sweep in sweeps]
+    held = [found.basis.sensor_height_m for found in ShadowMap(GRID, CAR).stream(sweeps)]
+    assert np.ptp(alone[6:]) < 0.1 < np.ptp(alone)
+    assert np.ptp(held[6:]) < 0.05
+    assert held[6:] == pytest.approx([np.median(alone[3:6])] * len(held[6:]), abs=0.05)

@@ -51,9 +51,10 @@ def truth(
     Example: viewshed evaluate truth nuscenes-small --split test --out truth.md
     """
     from viewshed_lab.studies.against_truth import FORMS, TruthEvaluation, page_of
+    from viewshed_lab.studies.fixed_views import FIXED_VIEWS
 
     wanted = parse_target(target)
-    evaluation = TruthEvaluation(_makers(methods, wanted, weights, {}), wanted, FORMS)
+    evaluation = TruthEvaluation(_makers(methods, wanted, weights, FIXED_VIEWS), wanted, FORMS)
     _tell(page_of([_opened(path, split) for path in archives], evaluation, limit, split or "all", _on_step), out)
 
 

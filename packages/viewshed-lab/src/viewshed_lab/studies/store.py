@@ -55,7 +55,9 @@ class ResultStore(Generic[P]):
             _files.write_atomic(path, json.dumps(head, indent=1).encode())
         try:
             found = json.loads(path.read_bytes())
-            kind = "another plan" if found["plan"] != head["plan"] else "another version" if found != head else ""
+            kind = "another version" if found != head else ""
+            if found["plan"] != head["plan"]:
+                kind = f"another plan ({_changes(found['plan'], plan.to_json())})"
         except (ValueError, TypeError, KeyError):
             kind = "something else"
         if kind:
@@ -114,3 +116,9 @@ class ResultStore(Generic[P]):
         """Raise a ValueError if there are no results for a page."""
         if not results.facts:
             raise ValueError(f"{self.folder} must hold results, got none; run without --no-run")
+
+
+def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Return what differs between two plans in plain values."""
+    keys = [key for key in (*before, *(set(now) - set(before))) if before.get(key) != now.get(key)]
+    return ", ".join(f"{key} {before.get(key, 'nothing')} there, {now.get(key, 'nothing')} now" for key in keys)

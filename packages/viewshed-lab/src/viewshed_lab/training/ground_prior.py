@@ -1,22 +1,19 @@
-"""A network that guesses the ground which no beam met, and how sure it is of that: one guess for each lattice node.
+"""A network that guesses the ground which no return shows, and how sure it is of that: one guess for each lattice node.
 
-It is given what the returns of a sweep show on the lattice of the ground, a plane and averages through the ground that
-is seen (the base), and the lowest beam that passes over each node: the ground lies below that. It answers with two
-modes a node, counted from the base, for beyond an edge the ground goes on or falls away. What goes in and what is made
-of the answer is native (``core/ground_guess.cpp``); the estimators count beams over the heights that it gives.
+It is given what the returns of a sweep show on the lattice of the ground, the ground as it was found from them with its
+deviation, and the lowest beam that passes over each node: the ground lies below that. It answers with three quantiles
+of the height above the found ground, so that it need not know what rules know already. What goes in is native
+(``core/ground_guess.cpp``). It is an experiment: ``tools/fit_ground.py`` says what it reaches.
 """
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import onnx
 import torch
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -24,85 +21,28 @@ from viewshed import _core
 from viewshed.arrays import F32, Mask
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
-from viewshed.networks.onnx_export import with_norm
-from viewshed.networks.runtime import Call
 from viewshed.preprocess.ground import lattice_nodes
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.sim.terrain import Terrain
 
-CHANNELS, FOLD = 12, 4
-"""Maps of the inputs, and nodes a side that the native pass folds into one position."""
+CHANNELS, FOLD = 13, 4
+"""Maps of the inputs, and nodes a side that the network sees as one position."""
 
-HEIGHTS, BASE, BASE_UNIT_M = [1, 2, 3, 5, 8, 10], 8, 4.0
-"""Channels of the inputs that are heights, whatever their unit; that of the base, and its unit."""
+HEIGHTS, BEAM, PASSED, SEEN, GROUND, GROUND_UNIT_M = [1, 2, 3, 5, 8, 10, 12], 5, 6, 7, 8, 4.0
+"""Channels of the inputs: heights; the lowest beam over the node, and whether there is one; whether returns show the
+ground; its z, and the unit of that."""
 
-_LEAST_LOG_M, _MOST_LOG_M = -3.0, 3.0
-"""Bounds of the logarithm of a mode's mean deviation."""
+PROBABILITIES = (0.15, 0.5, 0.85)
+"""Of the quantiles: the middles of the weights by which visibility is averaged over the ground (.3, .4, .3)."""
 
-_HALVINGS = 24
+UNIT_M = 0.3
+"""Heights are learned as asinh(height / UNIT_M): 10 cm more count near 0, and hardly at 5 m."""
 
+_OUTER_STDS = 1.0364
+"""Standard deviations between the median of a normal distribution and its outer quantiles."""
 
-class Modes(NamedTuple):
-    """Two Laplace distributions a node, the second one's mean not above the first one's; (…, n, n) meters each.
-
-    Attributes:
-        first_m: mean of the first.
-        second_m: mean of the second.
-        first_spread_m: mean absolute deviation of the first.
-        second_spread_m: of the second.
-        first_share: probability of the first.
-    """
-
-    first_m: Tensor
-    second_m: Tensor
-    first_spread_m: Tensor
-    second_spread_m: Tensor
-    first_share: Tensor
-
-    @classmethod
-    def of(cls, outputs: Tensor) -> Modes:
-        """Return the modes that outputs (B, 5, n, n) of the network stand for."""
-        mean, below, *spreads, odds = outputs.unbind(1)
-        first, second = (torch.exp(spread.clamp(_LEAST_LOG_M, _MOST_LOG_M)) for spread in spreads)
-        return cls(mean, mean - functional.softplus(below), first, second, torch.sigmoid(odds))
-
-    def log_likelihood(self, ground_m: Tensor) -> Tensor:
-        """Return the logarithm of the density (…, n, n) of heights (…, n, n)."""
-        pairs = (
-            (self.first_share, self.first_m, self.first_spread_m),
-            (1.0 - self.first_share, self.second_m, self.second_spread_m),
-        )
-        first, second = (
-            torch.log(share.clamp_min(1e-7) / (2 * spread)) - (ground_m - mean).abs() / spread
-            for share, mean, spread in pairs
-        )
-        return torch.logaddexp(first, second)
-
-    def quantile(self, share: float) -> Tensor:
-        """Return the height (…, n, n) below which the ground lies with a probability."""
-        low = torch.minimum(self.first_m - 16 * self.first_spread_m, self.second_m - 16 * self.second_spread_m)
-        high = torch.maximum(self.first_m + 16 * self.first_spread_m, self.second_m + 16 * self.second_spread_m)
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            is_low = self._below(middle) < share
-            low, high = torch.where(is_low, middle, low), torch.where(is_low, high, middle)
-        return (low + high) / 2
-
-    def std(self) -> Tensor:
-        """Return the standard deviation (…, n, n)."""
-        mean = self.first_share * self.first_m + (1 - self.first_share) * self.second_m
-        first = 2 * self.first_spread_m**2 + (self.first_m - mean) ** 2
-        second = 2 * self.second_spread_m**2 + (self.second_m - mean) ** 2
-        return torch.sqrt(self.first_share * first + (1 - self.first_share) * second)
-
-    def _below(self, height_m: Tensor) -> Tensor:
-        def laplace(mean: Tensor, spread: Tensor) -> Tensor:
-            u = (height_m - mean) / spread
-            tail = 0.5 * torch.exp(-u.abs())
-            return torch.where(u < 0, tail, 1 - tail)
-
-        first, second = laplace(self.first_m, self.first_spread_m), laplace(self.second_m, self.second_spread_m)
-        return self.first_share * first + (1 - self.first_share) * second
+_MOST, _MOST_ABOVE_M, _OVER_BEAM_M = 5.0, 15.0, 0.1
+"""Quantiles are cut off; beams are as high as inputs say at most; the ground may lie this far above a beam."""
 
 
 class _Block(nn.Sequential):
@@ -114,28 +54,27 @@ class _Block(nn.Sequential):
 
 
 class GroundNet(nn.Module):
-    """A U-Net on the lattice, folded ``fold`` × ``fold`` first; its outputs (B, 5, n, n) are :class:`Modes`.
+    """A U-Net on the lattice, folded ``FOLD`` × ``FOLD`` first, that answers with three numbers a node (B, 3, n, n).
 
     Args:
-        fold: nodes along a side of what one position of the first layer sees.
         widths: channels of each level, the finest first.
     """
 
-    def __init__(self, fold: int = FOLD, widths: tuple[int, ...] = (32, 48, 64, 96)) -> None:
+    def __init__(self, widths: tuple[int, ...] = (16, 24, 32, 48)) -> None:
         super().__init__()
-        self.shape = {"fold": fold, "widths": widths}
+        self.widths = widths
         self.fold = nn.Sequential(
-            nn.PixelUnshuffle(fold), nn.Conv2d(CHANNELS * fold**2, widths[0], 1, bias=False),
+            nn.PixelUnshuffle(FOLD), nn.Conv2d(CHANNELS * FOLD**2, widths[0], 1, bias=False),
             nn.BatchNorm2d(widths[0]), nn.ReLU(),
         )  # fmt: skip
         self.down = nn.ModuleList(_Block(a, b) for a, b in zip((widths[0], *widths[:-1]), widths, strict=True))
         self.up = nn.ModuleList(_Block(a + b, b) for a, b in zip(widths[:0:-1], widths[-2::-1], strict=True))
-        last = nn.Conv2d(widths[0], 5 * fold**2, 1)
-        nn.init.normal_(last.weight, std=0.01)  # begins with the base
-        self.unfold = nn.Sequential(last, nn.PixelShuffle(fold))
+        last = nn.Conv2d(widths[0], len(PROBABILITIES) * FOLD**2, 1)
+        nn.init.normal_(last.weight, std=0.01)  # begins with the found ground
+        self.unfold = nn.Sequential(last, nn.PixelShuffle(FOLD))
 
     def forward(self, given: Tensor) -> Tensor:
-        """Return outputs (B, 5, n, n) for inputs (B, CHANNELS, n, n) that are not folded."""
+        """Return outputs (B, 3, n, n) for inputs (B, CHANNELS, n, n)."""
         x, beside = self.fold(given), []
         for level, block in enumerate(self.down):
             x = block(functional.max_pool2d(x, 2) if level else x)
@@ -146,102 +85,65 @@ class GroundNet(nn.Module):
         return outputs
 
 
-def network_inputs(leveled: LeveledSweep) -> F32:
-    """Return the inputs (1, CHANNELS · FOLD², n / FOLD, n / FOLD) of the network for a leveled sweep, folded.
+def quantiles_of(outputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the quantiles (B, n, n) of outputs (B, 3, n, n): asinh(meters above the found ground / UNIT_M)."""
+    below, median, above = outputs.unbind(1)
+    return median - functional.softplus(below), median, median + functional.softplus(above)
 
-    They are maps of the lattice, z of them above the base, a plane and averages through the ground that returns show
-    (``core/ground_guess.cpp``): any return; z of the second-lowest, lowest and highest one; how many; z of the lowest
-    beam that passes over a node, and whether one does; whether the ground is seen; the base; range, height of the
-    sensor, side of a node.
+
+def loss_of(outputs: Tensor, inputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:
+    """Return the mean quantile loss of heights (B, n, n) above the found ground; NaN does not count.
+
+    Near nodes count more, and those that a beam passes over; those that returns show hardly.
     """
-    heights_m, seen = _shown(leveled)
+    line = (torch.arange(ground_m.shape[-1]) + 0.5) / ground_m.shape[-1] * 2 - 1
+    weight = 1.0 / (1.0 + torch.hypot(line[:, None], line[None]) * half_extent_m[:, None, None] / 20.0)
+    weight = weight * torch.where(inputs[:, SEEN] > 0, 0.05, 1.0) * torch.where(inputs[:, PASSED] > 0, 1.0, 0.3)
+    known = torch.isfinite(ground_m)
+    exact = torch.asinh(torch.where(known, ground_m, 0.0) / UNIT_M)
+    loss = torch.zeros_like(exact)
+    for probability, quantile in zip(PROBABILITIES, quantiles_of(outputs), strict=True):
+        off = exact - quantile
+        loss = loss + torch.maximum(probability * off, (probability - 1.0) * off)
+    counted = weight * known
+    return (counted * torch.where(known, loss, 0.0)).sum() / counted.sum()
+
+
+def network_inputs(leveled: LeveledSweep) -> F32:
+    """Return the inputs (CHANNELS, n, n) of the network for a leveled sweep.
+
+    They are maps of the lattice, z of them above the found ground: any return; z of the second-lowest, lowest and
+    highest one; how many; z of the lowest beam that passes over a node, and whether one does; whether the ground is
+    seen; its z; range, height of the sensor, side of a node; the deviation of the ground.
+    """
     return _core.guess_inputs(
-        leveled.points, leveled.azimuth, leveled.range_m, heights_m, seen, leveled.ground.half_extent_m,
+        leveled.points, leveled.azimuth, leveled.range_m, *on_lattice(leveled.ground), leveled.ground.half_extent_m,
         leveled.sensor_height_m,
     )  # fmt: skip
 
 
-def guessed(leveled: LeveledSweep, run: Call) -> LeveledSweep:
-    """Return a leveled sweep on the ground that a network guesses, as seen where returns show it.
+def guessed(leveled: LeveledSweep, net: GroundNet) -> LeveledSweep:
+    """Return a leveled sweep on the ground that a network guesses; as it was found where returns show it.
 
-    Args:
-        leveled: the sweep.
-        run: what runs the network of :func:`exported` (:func:`viewshed.networks.runtime.values_of`).
+    It lies nowhere above the lowest beam that passes over it.
     """
-    inputs, (heights_m, seen) = network_inputs(leveled), _shown(leveled)
-    outputs = run({"inputs": inputs}, ["outputs"])[0]
-    return on_ground(leveled, *_core.guessed_ground(outputs, inputs, heights_m, seen, leveled.ground.half_extent_m))
+    maps, (heights_m, std_m, seen) = network_inputs(leveled), on_lattice(leveled.ground)
+    with torch.no_grad():
+        quantiles = quantiles_of(net(torch.tensor(maps)[None]))
+    low_m, median_m, high_m = (UNIT_M * np.sinh(each[0].clamp(-_MOST, _MOST).numpy()) for each in quantiles)
+    passes = (maps[PASSED] > 0) & (maps[BEAM] < _MOST_ABOVE_M)
+    above_m = np.minimum(median_m, np.where(passes, maps[BEAM] + _OVER_BEAM_M, np.inf))
+    guessed_std_m = (high_m - low_m) / (2 * _OUTER_STDS)
+    return on_ground(leveled, heights_m + np.where(seen, 0.0, above_m), np.where(seen, std_m, guessed_std_m))
 
 
-def exported(net: GroundNet) -> bytes:
-    """Return the network between folding and unfolding in ONNX, batch normalization folded into the convolutions."""
-    nodes: list[onnx.NodeProto] = []
-    constants: list[onnx.TensorProto] = []
-
-    def constant(values: NDArray[Any]) -> str:
-        constants.append(numpy_helper.from_array(np.ascontiguousarray(values, np.float32), f"c{len(constants)}"))
-        return str(constants[-1].name)
-
-    def node(kind: str, inputs: list[str], name: str = "", **settings: Any) -> str:
-        name = name or f"n{len(nodes)}"
-        nodes.append(helper.make_node(kind, inputs, [name], name, **settings))
-        return name
-
-    def conv(x: str, weight: Tensor, bias: Tensor | None, name: str = "") -> str:
-        assert bias is not None
-        values = [constant(each.detach().numpy()) for each in (weight, bias)]
-        return node("Conv", [x, *values], name, pads=[weight.shape[-1] // 2] * 4)
-
-    def convs(x: str, layers: nn.Module) -> str:
-        modules = list(layers.children())
-        for convolution, norm in itertools.pairwise(modules):
-            if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                x = node("Relu", [conv(x, *with_norm(convolution, norm))])
-        return x
-
-    x, beside = convs("inputs", net.fold), []
-    for level, layers in enumerate(net.down):
-        x = convs(node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2]) if level else x, layers)
-        beside.append(x)
-    twice = constant(np.array([1, 1, 2, 2]))
-    as_torch = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
-    for layers, skipped in zip(net.up, beside[-2::-1], strict=True):
-        x = convs(node("Concat", [node("Resize", [x, "", twice], **as_torch), skipped], axis=1), layers)
-    last = net.unfold[0]
-    assert isinstance(last, nn.Conv2d)
-    conv(x, last.weight, last.bias, "outputs")
-    maps = {"inputs": CHANNELS * FOLD**2, "outputs": last.out_channels}
-    given, answer = (
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, count, "rows", "columns"])
-        for name, count in maps.items()
-    )
-    graph = helper.make_graph(nodes, "ground", [given], [answer], constants)
-    model = helper.make_model(
-        graph, producer_name="viewshed", ir_version=9, opset_imports=[helper.make_opsetid("", 17)]
-    )
-    onnx.checker.check_model(model)
-    content: bytes = model.SerializeToString()
-    return content
-
-
-def _shown(leveled: LeveledSweep) -> tuple[F32, Mask]:
-    """Return heights (n, n) of the estimated ground, and where returns show it."""
-    ground = leveled.ground  # of fewer nodes where it is not seen at all
+def on_lattice(ground: HeightMap) -> tuple[F32, F32, Mask]:
+    """Return heights and deviations (n, n), and where returns show the ground; the fewer nodes of none are repeated."""
     times = lattice_nodes(ground.half_extent_m) // len(ground.seen)
-    return ground.heights_m.repeat(times, 0).repeat(times, 1), ground.seen.repeat(times, 0).repeat(times, 1)
-
-
-def loss_of(outputs: Tensor, ground_m: Tensor, half_extent_m: Tensor) -> Tensor:
-    """Return the mean negative log-likelihood of heights (B, n, n) above the base, near nodes weighted more.
-
-    Nodes whose height is NaN do not count.
-    """
-    line = (torch.arange(ground_m.shape[-1]) + 0.5) / ground_m.shape[-1] * 2 - 1
-    weight = 1.0 / (1.0 + torch.hypot(line[:, None], line[None]) * half_extent_m[:, None, None] / 20.0)
-    known = torch.isfinite(ground_m)
-    likelihood = Modes.of(outputs).log_likelihood(torch.where(known, ground_m, 0.0))
-    counted = (weight * known).expand_as(ground_m)
-    return -(counted * torch.where(known, likelihood, 0.0)).sum() / counted.sum()
+    heights_m, std_m, seen = (
+        array.repeat(times, 0).repeat(times, 1) for array in (ground.heights_m, ground.std_m, ground.seen)
+    )
+    return heights_m, std_m, seen
 
 
 def exact_ground(leveled: LeveledSweep, world_from_sensor: Rigid, terrain: Terrain) -> tuple[F32, Mask]:

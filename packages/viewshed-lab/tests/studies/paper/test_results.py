@@ -35,7 +35,7 @@ def _results(folder: Path) -> PaperResults:
                     name, fine = f"{variant}-{mixture}-{train}", GOOD if test in (train, "ugv") else BAD
                     attacked = fine if mixture == "adversarial" else BAD
                     found = [*_twice(test, BENIGN, name, fine), *_twice(test, ATTACKED, name, attacked)]
-                    store.append(("pairs", PAPER, name, test), JobResult(found))
+                    store.append(("pairs", PAPER, name, test, "0"), JobResult(found))
     return PaperResults.read(store)
 
 

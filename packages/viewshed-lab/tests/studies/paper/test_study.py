@@ -2,6 +2,10 @@
 
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +18,8 @@ from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
 from viewshed_lab.studies.cases import TOUCHING
 from viewshed_lab.studies.paper.data import evaluation_of, held_out, open_archive
-from viewshed_lab.studies.paper.jobs import Scope, do_job, run_study, tampered_of
-from viewshed_lab.studies.paper.models import NetworkAlone
+from viewshed_lab.studies.paper.jobs import Scope, do_job, missing_models, run_study, tampered_of
+from viewshed_lab.studies.paper.models import NetworkAlone, config_of, fold_scores
 from viewshed_lab.studies.paper.page import files_of
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
@@ -28,6 +32,7 @@ pytestmark = pytest.mark.slow
 PLAN = replace(
     PaperPlan.load("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,), test_times=(5,),
     interval_s=(0.5,), strict_frames=1, strengths=False, trade_widths=(4,), frames_per_epoch=4, epochs=1,
+    pair_frames=(3,), crossval_frames=4,
 )  # fmt: skip
 Steps = list[tuple[str, int, int]]
 
@@ -48,16 +53,63 @@ def test_every_job_is_there_and_none_is_done_twice(study: tuple[ResultStore[Pape
     store, seen = study
     assert store.keys() == set(PLAN.job_keys())
     assert [step for step in seen if step[0] == "models"][-1] == ("models", 8, 8)
+    assert [step for step in seen if step[0] == "crossval"][-1] == ("crossval", 4, 4)
     before = {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()}
     assert list(run_study(store, Scope(workers=1), ignore_progress)) == []
     assert {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()} == before
+
+
+_KILLED = """
+import sys
+from pathlib import Path
+from tests.studies.paper.test_study import PLAN, SOME
+from viewshed_lab.studies.paper.jobs import run_study
+from viewshed_lab.studies.runner import ignore_progress
+from viewshed_lab.studies.store import ResultStore
+list(run_study(ResultStore.open(Path(sys.argv[1]), PLAN), SOME, ignore_progress))
+"""
+
+SOME = Scope(steps=("data", "crossval", "models", "pairs"), protocols=("paper",), workers=1)
+
+
+@pytest.mark.parametrize("after", ["crossval/*/fold-1/last.ckpt", "jobs/pairs*.parquet"])
+def test_a_killed_run_goes_on_and_ends_the_same(
+    study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path, after: str
+) -> None:
+    store, _ = study
+    run = subprocess.Popen([sys.executable, "-c", _KILLED, tmp_path], cwd=Path(__file__).parents[3])
+    while run.poll() is None and not list(tmp_path.glob(after)):
+        time.sleep(0.02)
+    run.kill()
+    assert run.wait() == -signal.SIGKILL
+    again = ResultStore.open(tmp_path, PLAN)
+    done = again.keys()
+    left = [key for step in SOME.steps for key in PLAN.job_keys_of(step, SOME.protocols) if key not in done]
+    assert left
+    assert list(run_study(again, SOME, ignore_progress)) == []
+    pairs = PLAN.job_keys_of("pairs", SOME.protocols)
+    assert {key: stored(again)[key] for key in pairs} == {key: stored(store)[key] for key in pairs}
+
+
+def test_models_are_trained_with_what_cross_validation_chose(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
+    store, _ = study
+    scores = fold_scores(PLAN, store.folder)
+    assert {(one.dropout, one.learning_rate) for one in scores} == {(0.1, 0.001), (0.1, 0.01)}
+    assert {len(folds) for folds in scores.values()} == {PLAN.crossval_folds}
+    best = max(scores, key=lambda one: np.mean([fold.f1 for fold in scores[one]]))
+    config = config_of(PLAN, store.folder, PLAN.models(["paper"])[0])
+    assert np.mean([fold.f1 for fold in scores[best]]) == np.mean(
+        [fold.f1 for one in scores if one.learning_rate == config.learning_rate for fold in scores[one]]
+    )
+    assert not missing_models(PLAN, PLAN.models()[0].key, store.keys())
+    assert missing_models(PLAN, PLAN.models()[0].key, set()) == "not all folds are done"
 
 
 def test_scores_of_a_job_are_the_same_when_it_is_done_again(
     study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path
 ) -> None:
     store, _ = study
-    key = ("pairs", "strict", "mcd-adversarial-ugv", "ugv")
+    key = ("pairs", "strict", "mcd-adversarial-ugv", "ugv", "0")
     again = ResultStore.open(tmp_path, PLAN)
     again.append(key, do_job(Job(PLAN, store.folder, key)))
     assert stored(again)[key] == stored(store)[key]
@@ -73,7 +125,9 @@ def test_pages_hold_targets_facts_and_figures(study: tuple[ResultStore[PaperPlan
         assert all(content.startswith(b"\x89PNG") for name, content in files.items() if name.endswith(".png"))
         assert "Not finished" not in page
         assert f"seeds: {PLAN.seed} trained, {PLAN.test_seed} tested" in page
-    assert "paper_trade.png" in files_of(results, "paper")
+    assert {
+        "paper_trade.png", "paper_spread.png", "paper_folds.png", "paper_crossval.png", "paper_resolutions.png"
+    } <= set(files_of(results, "paper"))  # fmt: skip
 
 
 def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
@@ -82,7 +136,7 @@ def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], 
     for key in PLAN.job_keys_of("pairs", ["paper"]):
         shutil.copy(store.path_of(key), part.path_of(key))
     page = files_of(PaperResults.read(part), "paper")["paper.md"].decode()
-    assert "**Not finished:** models 0 of 4, trade 0 of 1." in page
+    assert "**Not finished:** crossval 0 of 4, models 0 of 4, trade 0 of 1." in page
     with pytest.raises(ValueError, match="must hold pairs of the strict protocol, got none; run step pairs"):
         files_of(PaperResults.read(part), "strict")
 

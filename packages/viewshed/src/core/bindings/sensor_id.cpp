@@ -71,89 +71,37 @@ BeamTable checked_table(View1<const double> given_elevation, View1<const double>
     return BeamTable(std::move(elevation), std::move(origin_m), int(columns));
 }
 
-// The beams of several sensors, whose numbers are given, one after the other.
-BeamTables checked_tables(const In1<double>& elevation, const In1<double>& origin_m, const In1<std::int64_t>& rings,
-                          const In1<std::int64_t>& columns) {
-    require(rings.shape(0) == columns.shape(0), "rings and columns must have one value for each table");
-    BeamTables tables;
-    std::size_t start = 0;
-    for (std::size_t k = 0; k < rings.shape(0); ++k) {
-        const auto size = std::size_t(read_once(view(rings), k));  // huge where it is negative
-        require(size >= 1 && size <= elevation.shape(0) - start && origin_m.shape(0) == elevation.shape(0),
-                "elevation and origin_m must have one value for each beam of the tables");
-        tables.push_back(
-            checked_table({elevation.data() + start, size}, {origin_m.data() + start, size}, columns(k)));
-        start += size;
-    }
-    return tables;
-}
-
-void check_expected(int expected, const BeamTables& tables) {
-    require(expected >= NO_TABLE && expected < int(tables.size()), "expected must be the number of a table, or -1");
-}
-
 }  // namespace
 
 // What Python calls: arrays are checked here, whatever hands them in.
 void bind_sensor_id(nb::module_& m) {
     m.def(
-        "identify_by_rings",
-        [](Points points, RingColumn ring, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
-           In1<std::int64_t> columns, int expected) {
-            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
-            check_expected(expected, tables);
+        "identify_sensor",
+        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m, bool is_inferred,
+           int expected) {
+            std::optional<BeamTable> table;
+            if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), 1);
+            require(expected >= NO_SENSOR && expected < int(inferable_sensors().size()),
+                    "expected must be the number of a sensor, or -1");
             const auto known = checked_rings(ring, checked_count(points));
             SensorId found;
-            without_lock([&] { found = identify_by_rings(OwnPoints(points), *known, tables, expected); });
-            return tuple_of(array_or_none(std::move(found.ring)), found.table);
+            without_lock([&] {
+                found = identify_sensor(OwnPoints(points), known, table ? &*table : nullptr, is_inferred, expected);
+            });
+            return tuple_of(array_or_none(std::move(found.ring)), found.sensor);
         },
-        "points"_in, "ring"_in, "elevation"_in, "origin_m"_in, "rings"_in, "columns"_in, "expected"_a,
-        "The ring of each point (N, 3) as the table's beams, or None where they are the known rings (N,), and the "
-        "number of the table that the rings agree with, -1 for none. Tables follow each other: elevation (K,) and "
-        "origin_m (K,) of the beams, rings (T,) and columns (T,) of each table.");
-    m.def(
-        "identify_by_points",
-        [](Points points, In1<double> elevation, In1<double> origin_m, In1<std::int64_t> rings,
-           In1<std::int64_t> columns, int expected) {
-            checked_count(points);
-            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
-            check_expected(expected, tables);
-            SensorId found;
-            without_lock([&] { found = identify_by_points(OwnPoints(points), tables, expected); });
-            return tuple_of(array_or_none(std::move(found.ring)), found.table);
-        },
-        "points"_in, "elevation"_in, "origin_m"_in, "rings"_in,
-        "columns"_in, "expected"_a, "The ring of each point (N, 3), or None, and the number of the table that explains them, -1 for none.");
-    m.def(
-        "rings_of_points",
-        [](Points points) {
-            checked_count(points);
-            auto ring = without_lock([&] { return rings_of_points(OwnPoints(points)); });
-            return array_or_none(std::move(ring));
-        },
-        "points"_in, "The ring of each point (N, 3) by their order or their elevations, or None.");
-    m.def(
-        "beams_of_sensor",
-        [](Points points, In1<double> elevation, In1<double> origin_m) {
-            checked_count(points);
-            const BeamTable table = checked_table(view(elevation), view(origin_m), 1);
-            auto ring = without_lock([&] { return beams_of_sensor(OwnPoints(points), table); });
-            return array_or_none(std::move(ring));
-        },
-        "points"_in, "elevation"_in, "origin_m"_in,
-        "The beam of each point (N, 3) of a sensor that is known, or None.");
+        "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "is_inferred"_a, "expected"_a,
+        "The ring of each point (N, 3), or None where they are its own or nothing shows them, and the number of the sensor that "
+        "is inferred, -1 for none. A table of no beams is none.");
     m.def(
         "infer_sensor",
-        [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,
-           In1<std::int64_t> rings, In1<std::int64_t> columns) {
-            const BeamTables tables = checked_tables(elevation, origin_m, rings, columns);
+        [](Points points, std::optional<RingColumn> ring) {
             const auto known = checked_rings(ring, checked_count(points));
             std::pair<int, double> found;
-            without_lock([&] { found = infer_sensor(OwnPoints(points), known, tables); });
+            without_lock([&] { found = infer_sensor(OwnPoints(points), known); });
             return tuple_of(found.first, found.second);
         },
-        "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "rings"_in, "columns"_in,
-        "The number of the table that explains points (N, 3) best, -1 for none, and its score.");
+        "points"_in, "ring"_in.none(), "The number of the sensor that explains points (N, 3) best, -1 for none, and its score.");
     m.def(
         "recover_rings",
         [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m,

@@ -31,6 +31,11 @@ CertifyOnAlarm = Annotated[
     ),
 ]
 
+CertifiedOnly = Annotated[
+    bool,
+    typer.Option("--certified-only", help="Claim only what --certify certifies, be there an alarm or not."),
+]
+
 Value = TypeVar("Value")
 
 
@@ -45,6 +50,7 @@ class PipelineSettings:
     rules: ReactionRules  # how caution rises and falls
     rate_hz: float  # sweeps of an agent that are estimated in a second of the recording; 0 for all
     certify: Threat | None  # the threat whose certificate an alarm falls back to; None for none
+    certified_only: bool  # whether only certified cells are claimed
 
     def at_rate(self, sweeps: Iterable[Named]) -> Iterator[Named]:
         """Return the sweeps without those that come sooner after the one before of their agent than the rate allows."""
@@ -63,6 +69,7 @@ def settings(
     history: int,
     monitor: bool,
     certify: str | None,
+    certified_only: bool = False,
 ) -> PipelineSettings:
     """Return the settings of a profile, of those options that are given, and the usual ones where there is neither.
 
@@ -75,7 +82,7 @@ def settings(
 
     threat = None if certify is None else Threat.parse(certify)
     if profile is None:
-        return PipelineSettings(method, grid, history, monitor, RULES, 0.0, threat)
+        return PipelineSettings(method, grid, history, monitor, RULES, 0.0, threat, certified_only)
     found = profile_named(profile)
 
     def chosen(name: str, given: Value, otherwise: Value) -> Value:
@@ -90,4 +97,5 @@ def settings(
         found.rules,
         found.rate_hz,
         threat or found.certify,
+        certified_only,
     )

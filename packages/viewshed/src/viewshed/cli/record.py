@@ -23,7 +23,7 @@ from viewshed.cli._options import (
 )
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import CertifyOnAlarm, PipelineSettings, ProfileName, settings
+from viewshed.cli._profile import CertifiedOnly, CertifyOnAlarm, PipelineSettings, ProfileName, settings
 from viewshed.cli._record import Awaited, Listener, SchemaNames, recorders, run, written_line
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._verdicts import watching
@@ -54,6 +54,7 @@ def record(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     certify: CertifyOnAlarm = None,
+    certified_only: CertifiedOnly = False,
     following: Following = NOT_FOLLOWED,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")] = None,
     preset: Annotated[
@@ -81,7 +82,10 @@ def record(
     is_simulated = [str(file) for file in files] == [SIMULATED]
     if is_simulated and reading != AS_THEY_ARE:
         raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
-    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=certify)
+    chosen = settings(
+        ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=certify,
+        certified_only=certified_only,
+    )  # fmt: skip
     estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
     buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, monitor_file)
     failures = Failures()
@@ -94,7 +98,7 @@ def record(
         listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)
         pipeline = Pipeline(
             estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
-            rules=chosen.rules, certify=chosen.certify, lossless=True,
+            rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only, lossless=True,
         )  # fmt: skip
         count = run(pipeline, listener, _timed(islice(stream, sweeps)), adversary)
         if not count:

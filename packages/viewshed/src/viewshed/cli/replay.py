@@ -23,7 +23,7 @@ from viewshed.cli._options import (
 )
 from viewshed.cli._outputs import Failures, Named, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import CertifyOnAlarm, ProfileName, settings
+from viewshed.cli._profile import CertifiedOnly, CertifyOnAlarm, ProfileName, settings
 from viewshed.cli._record import Awaited, Listener, SchemaNames, To, recorders, repeated, run, written_line
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._verdicts import watching
@@ -88,6 +88,7 @@ def replay(
     monitor: WithMonitor = False,
     monitor_file: MonitorFile = None,
     certify: CertifyOnAlarm = None,
+    certified_only: CertifiedOnly = False,
     following: Following = NOT_FOLLOWED,
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live.
@@ -100,7 +101,10 @@ def replay(
     """
     from viewshed.pipeline import Pipeline
 
-    chosen = settings(ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=certify)
+    chosen = settings(
+        ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=certify,
+        certified_only=certified_only,
+    )  # fmt: skip
     estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
     buffer = history_buffer(estimator, chosen.history)
     watch = watching(chosen.monitor, monitor_file)
@@ -117,7 +121,8 @@ def replay(
         listener = Listener(records, failures, is_live=not as_fast, following=following, adversary=adversary)
         pipeline = Pipeline(
             estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
-            rules=chosen.rules, certify=chosen.certify, lossless=as_fast, stale_after_s=math.inf,
+            rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only,
+            lossless=as_fast, stale_after_s=math.inf,
         )  # fmt: skip
         taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
         awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)

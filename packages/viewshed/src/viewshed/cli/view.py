@@ -229,7 +229,7 @@ def _serve(
         objects = following.object_stream(adversary)
         pipeline = Pipeline(
             estimator, listener, history=buffer, monitor=watch, objects=objects, rules=chosen.rules,
-            certify=chosen.certify, stale_after_s=math.inf,
+            certify=chosen.certify, certified_only=chosen.certified_only, stale_after_s=math.inf,
         )  # fmt: skip
         awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in pace.kept(sweeps))
         run(pipeline, listener, awaited, adversary)

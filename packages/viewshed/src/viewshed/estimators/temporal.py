@@ -14,13 +14,11 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid
 from viewshed.preprocess.basis import basis_of
 from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.held_ground import Rest
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
-from viewshed.preprocess.streams import AGENTS, remember
+from viewshed.preprocess.streams import AGENTS, FORGET_S, remember
 from viewshed.sweep import Sweep
-
-FORGET_S = 10.0
-"""Sweeps from longer before do not help an estimate: who stood there has gone."""
 
 
 @dataclass(slots=True)
@@ -185,12 +183,15 @@ def stream(
 
 
 def _leveled(sweeps: Iterable[Sweep], grid: BevGrid) -> Iterator[LeveledSweep]:
-    """Yield the sweeps of a stream leveled; the sensor of each is first expected to be that of the one before."""
-    sensor = None
+    """Yield the sweeps of a stream leveled, with what a sensor without poses holds while it stands still.
+
+    The sensor of each is first expected to be that of the one before.
+    """
+    sensor, rest = None, Rest()
     for sweep in sweeps:
         leveled = leveled_on(sweep, grid, sensor)
         sensor = leveled.sensor_id.model
-        yield leveled
+        yield rest.hold(leveled)
 
 
 def where_confirmed(estimate: FovEstimate, history: History | None) -> FovEstimate:

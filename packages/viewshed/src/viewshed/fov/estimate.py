@@ -1,4 +1,4 @@
-"""③ FovEstimate: what a sweep could see, cell by cell; the role that makes one."""
+"""FovEstimate: what a sweep could see, cell by cell; the role that makes one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""④ Integrity: monitors that say when a stream, or an estimate, is to be doubted."""
+"""Monitors that say when a stream, or an estimate, is to be doubted."""
 
 from __future__ import annotations
 

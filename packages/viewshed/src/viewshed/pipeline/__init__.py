@@ -1,4 +1,4 @@
-"""⑤ Pipeline: sweeps in, estimates with their reports and reactions out, in real time."""
+"""Pipeline: sweeps in, estimates with their reports and reactions out, in real time."""
 
 from __future__ import annotations
 

@@ -11,12 +11,13 @@ from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING
 
-from viewshed.estimators.temporal import FORGET_S, SweepBuffer
+from viewshed.estimators.temporal import SweepBuffer
 from viewshed.fov.estimate import FovEstimate
 from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
 from viewshed.pipeline.reactions import ReactionState
+from viewshed.preprocess.held_ground import Rest
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.preprocess.streams import AGENTS, why_anew
+from viewshed.preprocess.streams import AGENTS, FORGET_S, why_anew
 from viewshed.sensors import LidarModel
 
 if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does without
@@ -80,6 +81,7 @@ class Agent:
         objects: what follows its objects, or None.
         last_ns: time of its last sweep.
         sensor: model of its last sweep's sensor, which is expected again.
+        rest: what it holds while it stands still, without poses.
         reaction: the last one.
         newest: its newest answer.
         seen_s: when the sweep of its newest estimate was put in; inf where there is none yet.
@@ -93,6 +95,7 @@ class Agent:
     objects: ObjectStream | None = None
     last_ns: int | None = None
     sensor: LidarModel | None = None
+    rest: Rest = field(default_factory=Rest)
     reaction: ReactionState = field(default_factory=ReactionState)
     newest: Answer | None = None
     seen_s: float = math.inf

@@ -128,6 +128,8 @@ def withdraw(
     confirmed: NDArray[np.bool_] | None = None,
     rules: ReactionRules = RULES,
     certified: NDArray[np.bool_] | None = None,
+    *,
+    certified_only: bool = False,
 ) -> FovEstimate:
     """Return an estimate without what does not hold: these cells are UNKNOWN, whatever they were.
 
@@ -138,7 +140,10 @@ def withdraw(
         rules: how many sectors beside a suspect one are not trusted.
         certified: (cells, cells) bool, the claims that no attack of the certificate's threat can have opened
             (:mod:`viewshed.guarantees.certificate`): they stay whatever is found, until the view is stale. None: none.
+        certified_only: whether no other claim holds, be there an alarm or not.
     """
+    if certified_only:
+        estimate = without(estimate, estimate.visible() if certified is None else estimate.visible() & ~certified)
     if state.caution < Caution.WIDEN:
         return estimate
     suspect = state.suspect

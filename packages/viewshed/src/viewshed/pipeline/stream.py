@@ -163,6 +163,7 @@ class Pipeline:
         objects: what detects, tracks and explains objects after each estimate, or None; its errors cost only them.
         rules: how caution rises and falls.
         certify: the threat whose certificate an alarm falls back to: what is certified stays claimed; None for none.
+        certified_only: whether only certified cells are claimed, be there an alarm or not.
         vehicle: how the vehicle stops whose speed is answered.
         waiting: sweeps of an agent that may wait for their turn.
         lossless: let :meth:`put` wait for room instead of dropping sweeps, for files; nothing is stale then.
@@ -170,7 +171,7 @@ class Pipeline:
             never.
 
     Raises:
-        ValueError: ``waiting`` or ``stale_after_s`` is not positive.
+        ValueError: ``waiting`` or ``stale_after_s`` is not positive, or ``certified_only`` is set without a threat.
     """
 
     def __init__(
@@ -183,6 +184,7 @@ class Pipeline:
         objects: ObjectStream | None = None,
         rules: ReactionRules = RULES,
         certify: Threat | None = None,
+        certified_only: bool = False,
         vehicle: Vehicle = VEHICLE,
         waiting: int = 1,
         lossless: bool = False,
@@ -190,8 +192,11 @@ class Pipeline:
     ) -> None:
         if not stale_after_s > 0.0:
             raise ValueError(f"stale_after_s must be positive, got {stale_after_s}; give inf for never")
+        if certified_only and certify is None:
+            raise ValueError("certified_only needs a threat, got none to certify against; name one, window:5 say")
         self._estimator, self._publish, self._history, self._monitor = estimator, publish, history, monitor
-        self._rules, self._vehicle, self._objects, self._threat = rules, vehicle, objects, certify
+        self._rules, self._vehicle, self._objects = rules, vehicle, objects
+        self._threat, self._certified_only = certify, certified_only
         self._stale_after_s = math.inf if lossless else stale_after_s
         # Between two threads one sweep waits: who is faster waits for room, and what comes in meanwhile waits, or is
         # dropped, in the inbox.
@@ -410,6 +415,7 @@ class Pipeline:
         note = agent.time_note(sweep.t_ns)
         leveled = leveled_on(sweep, self._estimator.grid, agent.sensor)
         agent.sensor = leveled.sensor_id.model
+        leveled = agent.rest.hold(leveled)
         return replace(step, leveled=leveled, notes=(note,) if note else ())
 
     def _estimate(self, step: _Step) -> _Step:
@@ -485,16 +491,15 @@ class Pipeline:
         reaction, estimate = react(found, agent.reaction, self._rules), step.estimate
         if estimate is None:
             return replace(step, reaction=reaction)
-        if reaction.caution >= Caution.WIDEN:
-            confirmed = None
-            if reaction.caution == Caution.CONFIRMED and step.seen is not None:
-                confirmed = step.seen.confirmations(estimate.grid, estimate.target) > 0
-            # An agent that a center accuses may well be beyond any threat that was thought of.
-            certified = None
-            if step.leveled is not None and not (found.stale or found.accused):
-                certified, notes = self._certified(step.leveled, estimate)
-                step = replace(step, notes=(*step.notes, *notes))
-            estimate = withdraw(estimate, reaction, confirmed, self._rules, certified)
+        confirmed = certified = None
+        if reaction.caution == Caution.CONFIRMED and step.seen is not None:
+            confirmed = step.seen.confirmations(estimate.grid, estimate.target) > 0
+        # An agent that a center accuses may well be beyond any threat that was thought of.
+        counts = self._certified_only or reaction.caution >= Caution.WIDEN
+        if counts and step.leveled is not None and not (found.stale or found.accused):
+            certified, notes = self._certified(step.leveled, estimate)
+            step = replace(step, notes=(*step.notes, *notes))
+        estimate = withdraw(estimate, reaction, confirmed, self._rules, certified, certified_only=self._certified_only)
         speed_mps = 0.0 if reaction.caution == Caution.STALE else speed_for_view(estimate, self._vehicle)
         return replace(step, reaction=reaction, estimate=estimate, speed_mps=speed_mps)
 

@@ -6,12 +6,15 @@ filled from both. Where they disagree the present sweep is believed, and what wa
 the sensor is that of the last sweeps where a single one differs, unless its returns speak for its own.
 
 Each sweep hands on what it carries over; none refers to the sweeps before it.
+
+Where the sensor is now comes from the poses. Without them a :class:`Rest` holds while the returns show that it stands
+still.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +23,9 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import Held, LeveledSweep, level
+from viewshed.preprocess.range_image import RangeImage
 from viewshed.preprocess.reach import reach_of_sweep
+from viewshed.preprocess.streams import FORGET_S, why_anew
 
 HEIGHTS = 7
 """The sensor's height is the median of those of the last ``HEIGHTS`` sweeps, the present one among them, ..."""
@@ -36,6 +41,9 @@ SUPPORT_KEPT = 0.8
 
 STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
 """Growth in meters of the deviation of ground carried over: with the root of seconds and of meters driven."""
+
+STILL_M, STILL_SHARE, STILL_PIXELS = 0.05, 0.8, 500
+"""A sensor stands still while this share of at least ``STILL_PIXELS`` pixels keep their range to ``STILL_M``."""
 
 _APART_S = 1.0
 """Time between two sweeps that do not say theirs."""
@@ -55,16 +63,62 @@ def hold_over(sweeps: Sequence[LeveledSweep]) -> list[LeveledSweep]:
     return held
 
 
-def hold(leveled: LeveledSweep, before: LeveledSweep) -> LeveledSweep:
+@dataclass(slots=True, eq=False)
+class Rest:
+    """What a sensor without poses carries over while it stands still.
+
+    It stands still while most pixels of its range image have the range that they had when it came to rest. A long
+    corridor and an open field look the same from every place. A sensor that moves there is taken to stand, and carries
+    over height and ground of a place that looks the same.
+    """
+
+    _since: RangeImage | None = None  # of the sweep with which it came to rest
+    _before: LeveledSweep | None = None
+
+    def hold(self, leveled: LeveledSweep) -> LeveledSweep:
+        """Return the next sweep of the stream with what those before it hold; as it is if it moved, or has a pose."""
+        before, sweep = self._before, leveled.sweep
+        if (
+            before is not None
+            and sweep.world_from_sensor is None
+            and not why_anew(before.sweep.t_ns, sweep.t_ns, FORGET_S)
+            and _is_same_place(self._since, leveled.range_image)
+        ):
+            leveled = hold(leveled, before, Rigid.identity())
+        else:
+            self._since = leveled.range_image
+        self._before = leveled
+        return leveled
+
+
+def _is_same_place(since: RangeImage | None, now: RangeImage | None) -> bool:
+    """Return whether two range images were taken from one place."""
+    if since is None or now is None or since.counts.shape != now.counts.shape:
+        return False
+    both = np.isfinite(since.squared_range_m2) & np.isfinite(now.squared_range_m2)
+    apart_m = np.abs(np.sqrt(since.squared_range_m2[both]) - np.sqrt(now.squared_range_m2[both]))
+    return apart_m.size >= STILL_PIXELS and float(np.mean(apart_m <= STILL_M)) >= STILL_SHARE
+
+
+def hold(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid | None = None) -> LeveledSweep:
     """Return a sweep with what an earlier one of its stream holds: the sensor's height, ground, and reach.
 
+    Args:
+        leveled: the sweep.
+        before: the earlier one.
+        now_from_before: pose of the sensor then in its frame now; None takes it from the poses of both.
+
     Raises:
-        ValueError: one of them has no pose.
+        ValueError: one of them has no pose, and ``now_from_before`` is not given.
     """
     at_height, held = _at_held_height(leveled, before)
     if leveled.sweep.planar is not None:  # sees no ground
         return replace(leveled, held=held)
-    ground = _held_ground(at_height, before)
+    if now_from_before is None:
+        level_from_level = pose_of(at_height).inverse() @ pose_of(before)
+    else:
+        level_from_level = at_height.level_from_sensor @ now_from_before @ before.level_from_sensor.inverse()
+    ground = _held_ground(at_height, before, level_from_level)
     heights_m = at_height.points[:, 2] - ground.at(at_height.points)
     heights_m.setflags(write=False)
     return replace(at_height, ground=ground, height_m=heights_m, held=held)
@@ -113,9 +167,11 @@ def _estimated_heights(leveled: LeveledSweep) -> tuple[float, ...]:
     return (leveled.sensor_height_m,) if is_estimated else ()
 
 
-def _held_ground(leveled: LeveledSweep, before: LeveledSweep) -> HeightMap:
-    """Return the ground of a sweep with that of an earlier one where only that saw it and both agree around it."""
-    now_from_before = pose_of(leveled).inverse() @ pose_of(before)
+def _held_ground(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid) -> HeightMap:
+    """Return the ground of a sweep with that of an earlier one where only that saw it and both agree around it.
+
+    ``now_from_before`` is the pose of the ``level`` frame of the earlier one in that of the sweep.
+    """
     now, earlier = leveled.ground, before.ground
     driven_m = float(np.hypot(*now_from_before.translation[:2]))
     variance_m2 = STD_PER_ROOT_S**2 * _seconds(leveled, before) + STD_PER_ROOT_M**2 * driven_m

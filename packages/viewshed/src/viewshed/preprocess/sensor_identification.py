@@ -39,23 +39,15 @@ def identify_sensor(sweep: Sweep, expected: LidarModel | None = None) -> SensorI
     A sensor that is expected, as that of the sweep before in a stream, is looked at first: about 2,000 returns confirm
     it, or all is done as without. It saves time and changes nothing else.
     """
-    if sweep.model is not None and not sweep.model.fires_rings:
-        return SensorId(None, sweep.model)
-    if len(sweep) == 0 or (sweep.ring is not None and (sweep.model is not None or not sweep.infer_sensor)):
-        return SensorId(sweep.ring, sweep.model)
-    if sweep.model is not None:
-        ring = _core.beams_of_sensor(sweep.points, sweep.model.elevation, sweep.model.origin_m)
-        return SensorId(ring, sweep.model)
-    if not sweep.infer_sensor:
-        return SensorId(_core.rings_of_points(sweep.points), None)
-    models, tables = _known_sensors()
-    number = next((k for k, model in enumerate(models) if model is expected), -1)
-    if sweep.ring is None:
-        ring, number = _core.identify_by_points(sweep.points, *tables, number)
-    else:
-        ring, number = _core.identify_by_rings(sweep.points, sweep.ring, *tables, number)
-        ring = sweep.ring if ring is None else ring
-    return SensorId(ring, models[number] if number >= 0 else None)
+    model = sweep.model
+    if model is not None and not model.fires_rings:
+        return SensorId(None, model)
+    if sweep.ring is not None and (model is not None or not sweep.infer_sensor):
+        return SensorId(sweep.ring, model)
+    sensors, table = _inferable_sensors(), _NO_BEAMS if model is None else (model.elevation, model.origin_m)
+    number = next((k for k, sensor in enumerate(sensors) if sensor is expected), -1)
+    ring, number = _core.identify_sensor(sweep.points, sweep.ring, *table, sweep.infer_sensor, number)
+    return SensorId(sweep.ring if ring is None else ring, sensors[number] if number >= 0 else model)
 
 
 def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = None) -> tuple[LidarModel | None, float]:
@@ -74,25 +66,15 @@ def infer_sensor(points: FloatArray, ring: NDArray[np.integer[Any]] | None = Non
     >>> infer_sensor(np.zeros((0, 3)))
     (None, 0.0)
     """
-    models, tables = _known_sensors()
     own = None if ring is None else np.ascontiguousarray(ring, dtype=np.int16)
-    number, score = _core.infer_sensor(np.ascontiguousarray(points, dtype=np.float32), own, *tables)
-    return models[number] if number >= 0 else None, score
+    number, score = _core.infer_sensor(np.ascontiguousarray(points, dtype=np.float32), own)
+    return _inferable_sensors()[number] if number >= 0 else None, score
 
 
-_Tables = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
+_NO_BEAMS = np.zeros(0), np.zeros(0)
 
 
 @lru_cache(maxsize=1)
-def _known_sensors() -> tuple[tuple[LidarModel, ...], _Tables]:
-    """Return the sensors that may be inferred of those that travel with the package, and their tables.
-
-    Elevation and height of the origin of all beams, then the number of beams and of columns of each table.
-    """
-    models = tuple(map(lidar_model, inferable_sensors()))
-    return models, (
-        np.concatenate([model.elevation for model in models]),
-        np.concatenate([model.origin_m for model in models]),
-        np.array([model.rings for model in models], np.int64),
-        np.array([model.azimuth_columns for model in models], np.int64),
-    )
+def _inferable_sensors() -> tuple[LidarModel, ...]:
+    """Return the sensors that may be inferred, in the order by which the core numbers them."""
+    return tuple(map(lidar_model, inferable_sensors()))

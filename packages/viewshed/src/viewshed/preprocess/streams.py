@@ -9,6 +9,9 @@ Memory = TypeVar("Memory")
 AGENTS = 64
 """Agents that a stream remembers."""
 
+FORGET_S = 10.0
+"""Sweeps from longer before do not help: who stood there has gone."""
+
 
 def remember(known: dict[str, Memory], agent: str, memory: Memory, most: int = AGENTS) -> None:
     """Keep what is remembered of an agent, and forget the agents heard longest ago where there are too many."""

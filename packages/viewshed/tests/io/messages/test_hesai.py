@@ -1,36 +1,17 @@
 """PandarScan: packets that the test writes after the makers' layout, and a real one beside its maker's own cloud."""
 
 import struct
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from viewshed import read_sweep
 from viewshed.io.messages.hesai import sweep_of_hesai
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import each_sweep
-
-
-@dataclass
-class Stamp:
-    sec: int
-    nanosec: int
-
-
-@dataclass
-class Packet:
-    stamp: Any
-    data: NDArray[np.uint8]
-    size: int
-
-
-@dataclass
-class Scan:
-    packets: list[Any]
 
 
 def _xt(lasers: int, blocks: list[tuple[int, dict[int, tuple[int, int]]]], unit_mm: int = 4) -> bytes:
@@ -45,11 +26,13 @@ def _xt(lasers: int, blocks: list[tuple[int, dict[int, tuple[int, int]]]], unit_
 
 def _scan(*payloads: bytes) -> Any:
     """Messages hold 1500 bytes of each packet, and say how many of them count."""
+    stamps = [SimpleNamespace(sec=100, nanosec=1000 * k) for k in range(len(payloads))]
     padded = [np.frombuffer(each.ljust(1500, b"\x07"), np.uint8) for each in payloads]
-    sizes = [len(each) for each in payloads]
-    return Scan(
-        [Packet(Stamp(100, 1000 * k), data, size) for k, (data, size) in enumerate(zip(padded, sizes, strict=True))]
-    )
+    packets = [
+        SimpleNamespace(stamp=stamp, data=data, size=len(payload))
+        for stamp, data, payload in zip(stamps, padded, payloads, strict=True)
+    ]
+    return SimpleNamespace(packets=packets)
 
 
 def test_returns_of_a_pandar_xt_lie_where_the_manual_says() -> None:

@@ -22,7 +22,7 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
 from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.envelope import Threat
+from viewshed.guarantees.envelope import Envelope, Given, Threat
 from viewshed.monitor import StreamMonitor
 from viewshed.monitor.deviation import DeviationMonitor
 from viewshed.monitor.stream_monitor import StreamReport
@@ -55,9 +55,6 @@ STAYS_S, PAST_MPS = 4.0, 4.0
 
 ATTACKED_S = (1.0, 15.0)
 
-THREAT = Threat("wedge", 30)
-"""All attacks here own one wedge of 30°, or less."""
-
 SPEED_THREATS = ("added", "window:5", "window:20", "replaced:50", "replaced:150", "wedge:1", "wedge:10", "wedge:30")
 
 WEATHER = Conditions(extinction_per_m=0.0034, wet=0.3, noise=1.3)
@@ -68,6 +65,7 @@ PASSES, FITTED = 5, 24
 
 ATTACKS: dict[str, Callable[[float], Attack]] = {
     "vanished": lambda azimuth: VanishedObject(azimuth=azimuth, near_m=40.0),
+    "vanished, 150 beams": lambda azimuth: VanishedObject(budget=150, azimuth=azimuth, near_m=40.0),
     "far wall": lambda azimuth: FarWall(azimuth=azimuth, near_m=40.0, spoofer=CLEAN_SPOOFER),
     "removal": lambda azimuth: PhysicalRemoval(azimuth=azimuth, spoofer=CLEAN_SPOOFER),
     "ghost wall": lambda _: GhostWall(azimuth=0.0, range_m=4.0, spoofer=CLEAN_SPOOFER),
@@ -77,7 +75,13 @@ wins every beam. Of whom a far wall hides, the returns below .3 m stay; who vani
 
 CASES = ("none", "weather", *ATTACKS)
 
-MONITORS = ("no monitor", "published detector", "ours", "ours + certificate")
+ONLY = "certified only"
+
+MONITORS = ("no monitor", "published detector", "ours", "ours + certificate", ONLY)
+
+CERTIFIED = {"ours + certificate": Threat("wedge", 30), ONLY: Threat("replaced", 150)}
+"""Against what is certified: all attacks own a wedge of 30°, or less; who counts on certified cells alone would never
+drive then, and withstands 150 beams instead."""
 
 
 def speed_in_view(estimate: FovEstimate, car: Vehicle = CAR) -> float:
@@ -190,7 +194,7 @@ def drive_through(
     answers: SimpleQueue[Answer] = SimpleQueue()
     pipeline = Pipeline(
         load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]), answers.put, monitor=_monitor_named(monitor),
-        certify=THREAT if monitor == MONITORS[-1] else None, vehicle=CAR, lossless=True,
+        certify=CERTIFIED.get(monitor), certified_only=monitor == ONLY, vehicle=CAR, lossless=True,
     )  # fmt: skip
     x_m, speed_mps, walker_m, walks = -60.0, CRUISE_MPS, place.start_m[1], False
     needless_s = alarm_s = stayed_s = 0.0
@@ -245,6 +249,22 @@ def certified_speeds(number: int, words: tuple[str, ...] = SPEED_THREATS, x_m: f
     return {"the whole claim": speed_in_view(estimate)} | {one: speed_in_view(kept) for one, kept in certified.items()}
 
 
+def filled_share(number: int, ahead_m: float = 10.0) -> float:
+    """Return the share of the beams sent through a pedestrian's box that who walks at a junction returns.
+
+    Args:
+        number: of the junction.
+        ahead_m: how far ahead of the car's middle they are in its lane.
+    """
+    place = Junction(number, Conditions())
+    leveled = level(place.sweep(0, place.start_m[0] - ahead_m, 0.0, place.lane_m, walks=True), GRIDS["road"])
+    envelope = Envelope.of(leveled, Given.of(leveled), GRIDS["road"], TARGETS["pedestrian"])
+    body = leveled.points[(leveled.points[:, 2] > 0.1) & (np.abs(leveled.points[:, 1]) < 0.8)]
+    body = body[np.abs(body[:, 0] - ahead_m) < 1.5]
+    apart_m = np.hypot(*np.moveaxis(envelope.grid.centers - np.median(body[:, :2], axis=0), -1, 0))
+    return float(len(body) / envelope.margins[apart_m < envelope.grid.cell_m].mean())
+
+
 class PublishedDetector:
     """The published detector by the deviation of dropout, as what watches a stream."""
 
@@ -262,7 +282,7 @@ class PublishedDetector:
 
 
 def _monitor_named(name: str) -> StreamMonitor | None:
-    if name == "no monitor":
+    if name in ("no monitor", ONLY):
         return None
     return cast(StreamMonitor, _published()) if name == "published detector" else StreamMonitor()
 
@@ -270,7 +290,7 @@ def _monitor_named(name: str) -> StreamMonitor | None:
 @lru_cache(maxsize=1)
 def _published() -> PublishedDetector:
     """Return the published detector, fitted and calibrated (5 % of sweeps) on benign sweeps of other junctions."""
-    estimator = load_estimator("mc_dropout", grid=GRIDS["road"], passes=PASSES, seed=36)
+    estimator = load_estimator("mc_dropout", grid=GRIDS["road"], passes=PASSES, seed=36, weights="road_int8")
 
     def benign(first: int) -> Any:
         for number in range(first, first + FITTED):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from viewshed.guarantees.conformal import (
 )
 from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.studies.guarantees import attacks
-from viewshed_lab.studies.guarantees.driving import CASES, MONITORS, certified_speeds, drive_through
+from viewshed_lab.studies.guarantees.driving import CASES, MONITORS, certified_speeds, drive_through, filled_share
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
     adapted_of,
@@ -97,12 +98,14 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
     for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
         _add(folder, "attacks", number, attack_scene(number, sizes))
     for number in _left(folder, "speeds", sizes.drives, on_line):
-        _add(folder, "speeds", number, certified_speeds(number))
-    pairs = [(case, monitor) for case in CASES for monitor in MONITORS]
-    for number in _left(folder, "driving", sizes.drives * len(pairs), on_line):
-        run, pair = divmod(number, len(pairs))
-        case, monitor = pairs[pair]
-        _add(folder, "driving", number, {"case": case, "monitor": monitor, **asdict(drive_through(run, case, monitor))})
+        _add(folder, "speeds", number, {**certified_speeds(number), "filled": filled_share(number)})
+    done = {(line["number"], line["case"], line["monitor"]) for line in lines_of(folder, "driving")}
+    for number in range(sizes.drives):
+        for case, monitor in product(CASES, MONITORS):
+            if (number, case, monitor) not in done:
+                drive = asdict(drive_through(number, case, monitor))
+                _add(folder, "driving", number, {"case": case, "monitor": monitor, **drive})
+        on_line(f"driving: {number + 1} of {sizes.drives} each")
 
 
 def judge(folder: Path, part: str, of: Callable[[dict[str, tuple[Calibration, float]]], list[Line]]) -> None:

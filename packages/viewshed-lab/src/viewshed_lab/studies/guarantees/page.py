@@ -23,7 +23,7 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies.figures import compared
 from viewshed_lab.studies.formatting import format_interval, format_number, format_rate, format_rates
 from viewshed_lab.studies.guarantees import attacks
-from viewshed_lab.studies.guarantees.driving import CASES, LAST_S, MONITORS, STAYS_S, drive_through
+from viewshed_lab.studies.guarantees.driving import CASES, CERTIFIED, LAST_S, MONITORS, STAYS_S, drive_through
 from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
 from viewshed_lab.studies.guarantees.scenes import FRAME, GRID, SEEDS, THREATS, WITHSTOOD, default_estimator, own_scene
 from viewshed_lab.studies.pages import Picture, Table, fill_template
@@ -40,7 +40,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
-        speeds=_speeds(lines["speeds"]),
+        speeds=_speeds(lines["speeds"]), filled=_filled(lines["speeds"]), certified=CERTIFIED,
         last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
         strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
@@ -338,10 +338,17 @@ def _speeds(lines: list[Line]) -> Table | None:
     if not lines:
         return None
     rows = []
-    for words in (name for name in lines[0] if name != "number"):
+    for words in (name for name in lines[0] if name not in ("number", "filled")):
         speeds = np.array([line[words] for line in lines])
         rows.append([words, f"{speeds.mean():.1f}", f"{speeds.min():.1f} to {speeds.max():.1f}"])
     return Table(["what the car may count on", "speed, mean, m/s", "from, to"], rows)
+
+
+def _filled(lines: list[Line]) -> str:
+    """Return the share of a pedestrian's beams that who walks returns: mean, least and most."""
+    shares = np.array([line["filled"] for line in lines] or [np.nan])
+    mean, least, most = (format_rate(float(of(shares))) for of in (np.mean, np.min, np.max))
+    return f"{mean} ({least} to {most})"
 
 
 def _strip(

@@ -25,6 +25,7 @@ from viewshed_lab.studies.paper.models import (
     NetworkAlone,
     check_training,
     config_of,
+    crossval_config,
     load_runner,
     network_of,
     passes_of,
@@ -41,6 +42,7 @@ from viewshed_lab.studies.store import JobResult, ResultStore
 from viewshed_lab.studies.suite import EstimatorSuite
 from viewshed_lab.threats.attacks import ATTACKS
 from viewshed_lab.threats.attacks.base import Tampered
+from viewshed_lab.training.data import Fold
 
 ATTACKED = Case("attack", "adversarial")
 """What held-out sweeps of the pairs face: in the paper's protocol its mixture, in the strict one attacks in turn."""
@@ -60,8 +62,21 @@ def strict_cases(plan: PaperPlan) -> list[Case]:
 
 def do_job(job: Job[PaperPlan]) -> JobResult:
     """Return what a job found."""
-    works = {"models": _train, "pairs": _pair, "strict": _strict, "trade": _trade, "monitor": _monitor}
+    works = {
+        "crossval": _fold,
+        "models": _train,
+        "pairs": _pair,
+        "strict": _strict,
+        "trade": _trade,
+        "monitor": _monitor,
+    }
     return works[job.key[0]](job)
+
+
+def _fold(job: Job[PaperPlan]) -> JobResult:
+    config, fold = crossval_config(job.plan, job.folder, job.key), Fold(int(job.key[-1]), job.plan.crossval_folds)
+    out = job.folder / "crossval" / config.name / f"fold-{fold.number}"
+    return JobResult(facts=train(config, out, job.folder / "cache", job.device, fold))
 
 
 def _train(job: Job[PaperPlan]) -> JobResult:
@@ -72,19 +87,22 @@ def _train(job: Job[PaperPlan]) -> JobResult:
 
 
 def _pair(job: Job[PaperPlan]) -> JobResult:
-    _, protocol, name, domain = job.key
+    _, protocol, name, domain, part = job.key
     setting = setting_of(job.plan, protocol, domain)
     estimators: dict[str, Estimator] = {
         name: network_of(job.plan, job.folder, job.plan.model(protocol, name), setting, job.device)
     } if name != CLASSICAL else {name: make(setting.grid) for name, make in setting.classical().items()}  # fmt: skip
-    return JobResult(pair_rows(job.plan, job.folder, setting, setting.suite(estimators)))
+    numbers = job.plan.parts(domain, job.plan.is_mcd(name))[int(part)]
+    return JobResult(pair_rows(job.plan, job.folder, setting, setting.suite(estimators), numbers))
 
 
-def pair_rows(plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite) -> list[Row]:
-    """Return the counts of every held-out sweep, benign and attacked, and the scores of all of them together."""
+def pair_rows(
+    plan: PaperPlan, folder: Path, setting: ProtocolSetting, suite: EstimatorSuite, numbers: range
+) -> list[Row]:
+    """Return the counts of some held-out sweeps, benign and attacked, and the scores of all of them together."""
     counts: list[Row] = []
     scores: list[Row] = []
-    for number in range(plan.pair_frames):
+    for number in numbers:
         evaluation = evaluation_of(plan, folder, setting, suite, number)
         for row in both_rows(evaluation, setting.attack(number), plan.test_seed):
             (scores if "scores" in row else counts).append(row)
@@ -144,7 +162,7 @@ def _trade(job: Job[PaperPlan]) -> JobResult:
         runner = OnnxRunner(out / WEIGHTS, threads=threads, engine="onnxruntime")
         networks[threads] = NetworkAlone(runner, setting.card(runner.card), 1, 0)
     suite, rows = setting.suite({config.name: networks[2]}), list[Row]()
-    for number in range(plan.pair_frames):
+    for number in plan.parts(plan.trade_domain, mcd=False)[0]:
         evaluation = replace(evaluation_of(plan, job.folder, setting, suite, number), protocol=TRADE)
         estimate = networks[2].estimate(evaluation.sample.sweep)
         rows += evaluation.compare(config.name, BENIGN, estimate, None)
@@ -208,7 +226,11 @@ class Scope:
 
     def engine(self, step: str, plan: PaperPlan) -> Engine:
         """Return what does the jobs of a step; what needs the GPU, processes of its own or all cores is done here."""
-        alone = step == "trade" or (step == "models" and plan.workers > 0) or (self.device != "cpu" and step != "data")
+        alone = (
+            step == "trade"
+            or (step in ("crossval", "models") and plan.workers > 0)
+            or (self.device != "cpu" and step != "data")
+        )
         return LocalEngine(1 if alone else self.workers)
 
 
@@ -220,7 +242,7 @@ def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress
         scope: what of it is done.
         on_progress: is called as jobs are done.
     """
-    if {"models", "trade"} & set(scope.steps) or scope.device != "cpu":
+    if {"crossval", "models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)
     if "data" in scope.steps:
         make_data(store, scope, on_progress)
@@ -237,12 +259,16 @@ def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress
 
 def missing_models(plan: PaperPlan, key: JobKey, done: set[JobKey]) -> str:
     """Return what a job waits for: nothing if all trainings that it needs are done."""
-    return "" if set(needed(plan, key)) <= done else "not all of its models are trained"
+    if set(needed(plan, key)) <= done:
+        return ""
+    return "not all folds are done" if key[0] in ("models", "trade") else "not all of its models are trained"
 
 
 def needed(plan: PaperPlan, key: JobKey) -> list[JobKey]:
     """Return the names of the trainings that must be finished before a job."""
     step, *names = key
+    if step in ("models", "trade"):
+        return plan.job_keys_of("crossval")
     if step == "pairs" and names[1] != CLASSICAL:
         return [("models", names[0], names[1])]
     if step == "strict":

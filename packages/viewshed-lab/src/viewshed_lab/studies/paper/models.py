@@ -22,7 +22,12 @@ from viewshed_lab.studies.cases import generator
 from viewshed_lab.studies.paper.data import archive_path
 from viewshed_lab.studies.paper.plan import Model, PaperPlan
 from viewshed_lab.studies.paper.protocols import ProtocolSetting, setting_of
+from viewshed_lab.studies.plan import JobKey
+from viewshed_lab.studies.records import PAPER as PAPER_PROTOCOL
+from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.training.config import PAPER, TrainConfig
+from viewshed_lab.training.cross_validation import FoldScore, Hyperparameters, mean_f1
+from viewshed_lab.training.data import Fold
 from viewshed_lab.training.log import history_to_json
 
 WEIGHTS = "network.onnx"
@@ -91,7 +96,48 @@ def network_of(
 
 
 def config_of(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
-    """Return how a model is trained: paper's mixture or the plan's attacks, on the archive of its domain."""
+    """Return how a model is trained: paper's mixture or the plan's attacks, on the archive of its domain.
+
+    Dropout and learning rate are those that cross-validation chose, where the plan has one that is done.
+    """
+    chosen, config = chosen_of(plan, folder), _planned_config(plan, folder, model)
+    return config if chosen is None else chosen.of(config)
+
+
+def chosen_of(plan: PaperPlan, folder: Path) -> Hyperparameters | None:
+    """Return the setting with the highest mean F1 over the folds that are done; None where none is."""
+    scored = fold_scores(plan, folder)
+    return min(scored, key=lambda one: (-mean_f1(scored[one]), one), default=None)
+
+
+def fold_scores(plan: PaperPlan, folder: Path) -> dict[Hyperparameters, list[FoldScore]]:
+    """Return the scores of the folds that are done in a study's folder, by setting."""
+    found: dict[Hyperparameters, list[FoldScore]] = {}
+    for key, facts in ResultStore(folder, plan).results("crossval").facts.items():
+        setting, best = _setting_of(plan, key), facts["history"][facts["best"] - 1]
+        score = FoldScore(
+            setting.name, int(key[-1]), best["f1"], best["iou"], best["validation_loss"], best["number"]
+        )  # fmt: skip
+        found.setdefault(setting, []).append(score)
+    return found
+
+
+def crossval_config(plan: PaperPlan, folder: Path, key: JobKey) -> TrainConfig:
+    """Return how a network of cross-validation is trained: the paper's, with dropout and attacks, on few cells."""
+    base = _planned_config(plan, folder, Model(PAPER_PROTOCOL, "mcd", "adversarial", plan.trade_domain))
+    setting = _setting_of(plan, key)
+    return replace(
+        setting.of(base), name=f"crossval-{setting.name}", cells=plan.crossval_cells, epochs=plan.crossval_epochs,
+        frames_per_epoch=plan.crossval_frames,
+    )  # fmt: skip
+
+
+def _setting_of(plan: PaperPlan, key: JobKey) -> Hyperparameters:
+    return Hyperparameters(plan.width, float(key[1]), float(key[2]))
+
+
+def _planned_config(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
+    """Return how a model is trained with the plan's own dropout and learning rate."""
     setting = setting_of(plan, model.protocol, model.domain)
     attacks: tuple[str, ...] = ()
     share = 0.0
@@ -136,7 +182,7 @@ def trade_name(shape: tuple[int, int, int]) -> str:
     return "w{}-d{}-c{}".format(*shape)
 
 
-def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str, Any]:
+def train(config: TrainConfig, out: Path, cache: Path, device: str, fold: Fold | None = None) -> dict[str, Any]:
     """Return the facts of a training, which goes on where it was stopped.
 
     Args:
@@ -144,11 +190,12 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str) -> dict[str,
         out: folder of its checkpoints and weights.
         cache: folder of labels that all trainings share.
         device: ``cpu`` or ``cuda``.
+        fold: which scenes validate, in cross-validation.
     """
     from viewshed_lab.training import run
 
     start = time.perf_counter()
-    done = run.train(config, out, device=device, cache=cache)
+    done = run.train(config, out, device=device, cache=cache, fold=fold)
     return {
         "weights": done.weights.name, "history": history_to_json(done.history), "best": done.best.number,
         "frames_per_s": done.frames_per_s, "network_share": done.network_share, "device": device,

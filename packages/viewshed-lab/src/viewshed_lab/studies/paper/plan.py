@@ -21,13 +21,13 @@ VARIANTS = ("mle", "mcd")
 MIXTURES = ("benign", "adversarial")
 """What a model is trained on, and what it is tested on."""
 
-STEPS = ("data", "models", "pairs", "strict", "trade", "monitor", "pages")
+STEPS = ("data", "crossval", "models", "pairs", "strict", "trade", "monitor", "pages")
 """What the command does, in order."""
 
 CLASSICAL = "classical"
 """Names the classical estimators where a model's name stands otherwise."""
 
-PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "interval_s")
+PER_DOMAIN = ("train_scenes", "train_times", "test_scenes", "test_times", "interval_s", "pair_frames")
 """Keys with one number for each domain."""
 
 
@@ -76,9 +76,9 @@ class PaperPlan(Plan):
     cells: int  # cells a side, in both protocols
     width: int  # channels of the network's first stage
     depth: int  # its poolings
-    dropout: float  # share of channels that a mask sets to zero
+    dropout: float  # share of channels that a mask sets to zero; cross-validation chooses another
     loss: str  # what is minimized
-    learning_rate: float  # of the optimizer
+    learning_rate: float  # of the optimizer; cross-validation chooses another
     schedule: str  # of the learning rate: ``constant`` or ``cosine``
     batch: int  # frames of a step
     epochs: int  # at most
@@ -90,10 +90,18 @@ class PaperPlan(Plan):
     counts: str  # how the networks are shown the returns of a cell, ``linear`` or ``log``
     precision: str  # of the training's numbers, ``32`` or ``bf16``
     workers: int  # processes that make training frames
+    crossval_folds: int  # folds of whole scenes, on the trade study's domain; 0 for no cross-validation
+    crossval_dropouts: tuple[float, ...]  # that it tries
+    crossval_learning_rates: tuple[float, ...]  # that it tries
+    crossval_cells: int  # cells a side of its networks
+    crossval_epochs: int  # epochs of each of its trainings, at most
+    crossval_frames: int  # frames of an epoch
     attack_share: float  # share of training frames that the strict protocol attacks
     trained_attacks: tuple[str, ...]  # of ``ATTACKS``; those that the strict protocol trains on, all others are unseen
     passes: int  # stochastic passes of Monte Carlo dropout
-    pair_frames: int  # held-out sweeps that each of the 72 pairs is scored on
+    pair_frames: tuple[int, ...]  # held-out sweeps that each of the 72 pairs is scored on, for each domain
+    pair_part: int  # of these sweeps are done together: what a stopped run loses at most
+    mcd_every: int  # models that take several passes are scored on every so manyth of the sweeps
     strict_frames: int  # held-out sweeps that face every attack
     strengths: bool  # whether they also face every strength of ``attacks.SEVERITIES``
     trade_domain: str  # where the trade study is made
@@ -125,18 +133,25 @@ class PaperPlan(Plan):
         self._check_held_out()
 
     def _check_sizes(self) -> None:
-        self.check_at_least(1, "passes", "pair_frames", "strict_frames", "epochs", "trade_epochs", "trade_repeats",
-                            "monitor_frames", "frames_per_epoch", "batch")  # fmt: skip
-        for cells, depth in [(self.cells, self.depth), *((c, d) for c in self.trade_cells for d in self.trade_depths)]:
+        self.check_at_least(1, "passes", "pair_part", "mcd_every", "strict_frames", "epochs", "trade_epochs",
+                            "trade_repeats", "monitor_frames", "frames_per_epoch", "batch")  # fmt: skip
+        if self.crossval_folds:
+            self.check_at_least(2, "crossval_folds")
+            self.check_at_least(1, "crossval_epochs", "crossval_frames")
+            if not (self.crossval_dropouts and self.crossval_learning_rates):
+                raise ValueError("crossval_dropouts and crossval_learning_rates must not be empty; or crossval_folds 0")
+        shapes = [(self.cells, self.depth), (self.crossval_cells, self.depth)]
+        for cells, depth in [*shapes, *((c, d) for c in self.trade_cells for d in self.trade_depths)]:
             if cells % 2**depth:
                 raise ValueError(f"cells must divide by 2 to the power of the depth {depth}, got {cells}")
         if not self.trained_attacks or set(self.trained_attacks) == set(ATTACKS):
             raise ValueError("trained_attacks must name some attacks and leave others unseen")
 
     def _check_held_out(self) -> None:
-        for domain, scenes, times in zip(self.domains, self.test_scenes, self.test_times, strict=True):
+        held_out = zip(self.domains, self.test_scenes, self.test_times, self.pair_frames, strict=True)
+        for domain, scenes, times, frames in held_out:
             most = scenes * preset_named(domain).agents * (times - 1)
-            if max(self.pair_frames, self.strict_frames) > most:
+            if max(frames, self.strict_frames) > most:
                 raise ValueError(f"pair_frames and strict_frames must be at most {most}, what {domain} has with a past")
         scenes = self.test_scenes[self.domains.index(self.monitor_domain)]
         if 3 * self.monitor_frames > scenes:
@@ -154,12 +169,20 @@ class PaperPlan(Plan):
         """Return the names of all jobs of a step in some protocols, in the order in which they are done."""
         if step == "models":
             return [model.key for model in self.models(protocols)]
+        if step == "crossval" and PAPER in protocols:
+            return [
+                (step, f"{dropout:g}", f"{rate:g}", str(fold))
+                for dropout in self.crossval_dropouts
+                for rate in self.crossval_learning_rates
+                for fold in range(self.crossval_folds)
+            ]
         if step == "pairs":
             return [
-                (step, protocol, name, domain)
+                (step, protocol, name, domain, str(part))
                 for protocol in protocols
                 for name in [*(model.name for model in self.models([protocol])), CLASSICAL]
                 for domain in self.domains
+                for part in range(len(self.parts(domain, self.is_mcd(name))))
             ]
         if step == "trade" and PAPER in protocols:
             return [
@@ -171,6 +194,20 @@ class PaperPlan(Plan):
         if step == "strict" and STRICT in protocols:
             return [(step, domain, str(n)) for n in range(self.strict_frames) for domain in self.domains]
         return [(step, mixture) for mixture in MIXTURES] if step == "monitor" and STRICT in protocols else []
+
+    def is_mcd(self, name: str) -> bool:
+        """Return whether a name is that of a model that takes several passes."""
+        return name.startswith(VARIANTS[1])
+
+    def parts(self, domain: str, mcd: bool) -> list[range]:
+        """Return the numbers of the held-out sweeps of a domain's pairs, part by part.
+
+        >>> plan = PaperPlan.load("tiny")
+        >>> plan.parts("ugv", mcd=False), plan.parts("ugv", mcd=True)
+        ([range(0, 2), range(2, 3)], [range(0, 3, 2)])
+        """
+        numbers = range(0, self.pair_frames[self.domains.index(domain)], self.mcd_every if mcd else 1)
+        return [numbers[start : start + self.pair_part] for start in range(0, len(numbers), self.pair_part)]
 
     def models(self, protocols: Sequence[str] = PROTOCOLS) -> list[Model]:
         """Return the models of some protocols: 2 variants × 2 mixtures × the domains, in each."""

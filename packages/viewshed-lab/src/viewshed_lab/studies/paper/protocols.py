@@ -11,6 +11,7 @@ from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.studies.cases import DEFAULT, MIXTURE, ROOM_M, TOUCHING
+from viewshed_lab.studies.fixed_views import FIXED_VIEWS
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.records import PAPER, STRICT, Case
 from viewshed_lab.studies.suite import LABEL, EstimatorSuite
@@ -43,11 +44,14 @@ class ProtocolSetting:
         )  # fmt: skip
 
     def classical(self) -> dict[str, EstimatorFactory]:
-        """Return the classical estimators by name; in the paper's protocol its own first, but its label."""
+        """Return the classical estimators and the fixed views by name; in the paper's protocol its own first.
+
+        But not its label, which is the truth there.
+        """
         if self.protocol == STRICT:
-            return dict(CLASSICAL)
+            return CLASSICAL | FIXED_VIEWS
         papers = paper_estimators_on(self.grid)
-        return {name: make for name, make in papers.items() if name != LABEL} | CLASSICAL
+        return {name: make for name, make in papers.items() if name != LABEL} | CLASSICAL | FIXED_VIEWS
 
     def attack(self, number: int) -> Case:
         """Return the attack that the held-out sweep ``number`` faces.

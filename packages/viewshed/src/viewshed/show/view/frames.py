@@ -1,4 +1,4 @@
-"""One sweep of a page: its estimate, returns and integrity as few bytes, and what a reader sees in numbers.
+"""One sweep of a page: its estimate, returns and what a monitor found, in few bytes, and what a reader sees in numbers.
 
 The bytes, before they are deflated, are arrays one after the other; ``page.js`` reads them in this order:
 

@@ -156,7 +156,7 @@ function drawMap() {
   context.imageSmoothingEnabled = false;
   const values = base === "deviation" ? shown.deviation : base === "none" ? null : shown.cells;
   if (values) context.drawImage((shown.raster ??= rasterOf(values, cellColor, 255)), left, top, side, side);
-  if (overlays.integrity) drawIntegrity(context, left, top, side);
+  if (overlays.monitor) drawSuspect(context, left, top, side);
   if (overlays.edge) {
     context.save();
     context.translate(left, top);
@@ -232,9 +232,9 @@ function trackAt(x, y) {
 }
 
 // Suspect cells, and suspect sectors as arcs at the rim of the grid.
-function drawIntegrity(context, left, top, side) {
+function drawSuspect(context, left, top, side) {
   const rgb = color("suspect").match(/\w\w/g).map((digits) => parseInt(digits, 16));
-  shown.suspect ??= rasterOf(shown.cells, (byte) => (byte & 8 ? rgb : null), 170);
+  shown.suspect ??= rasterOf(shown.cells, (byte) => (byte & 8 ? rgb : null), 90);
   context.drawImage(shown.suspect, left, top, side, side);
   const [count, ...suspects] = shown.about.sectors ?? [0];
   Object.assign(context, { strokeStyle: color("suspect"), lineWidth: 7 });
@@ -336,7 +336,7 @@ function tip(event) {
   output.style.top = `${Math.min(row + 14, stage.clientHeight - output.offsetHeight - 4)}px`;
 }
 
-// Visible area and, where there is one, the integrity score over time; ticks are alarms, the bar is the frame shown.
+// Visible area and, where there is one, the score of the monitor over time; ticks are alarms, the bar is the frame shown.
 function drawStrip() {
   const context = cleared(strip);
   const [width, height, above] = [strip.clientWidth, strip.clientHeight, 16];
@@ -356,7 +356,7 @@ function drawStrip() {
   context.fillRect(0, above, width, height - above);
   curve("visible area", " m²", abouts.map((about) => about.visible_m2), color("accent"), "left");
   if (abouts.some((about) => about.score !== undefined)) {
-    curve("integrity score", "", abouts.map((about) => about.score ?? NaN), color("suspect"), "right");
+    curve("score of the monitor", "", abouts.map((about) => about.score ?? NaN), color("suspect"), "right");
   }
   for (const agent of agents) {
     context.strokeStyle = agentColor(agent);
