@@ -10,9 +10,8 @@ import sys
 from pathlib import Path
 
 from viewshed._files import write_atomic
-from viewshed_lab.studies.agents.jobs import HONEST_MODEL
 from viewshed_lab.studies.agents.page import AgentsResults
-from viewshed_lab.studies.agents.plan import AgentsPlan
+from viewshed_lab.studies.agents.plan import HONEST_MODEL, AgentsPlan
 from viewshed_lab.studies.store import PLAN, ResultStore
 
 AGENTS = Path(__file__).parents[1] / "packages/viewshed/src/viewshed/agents"
@@ -25,8 +24,7 @@ def main() -> None:
     limits = AgentsResults(plan, ResultStore.open(study, plan).results("run")).limits
     write_atomic(AGENTS / "limits.json", limits.to_json().encode())
     write_atomic(AGENTS / HONEST_MODEL, (study / HONEST_MODEL).read_bytes())
-    largest = limits.low[-1], limits.elevated[-1]
-    print(f"limits of {len(limits.low)} scenes, most evidence {largest[0]:.2f} and {largest[1]:.2f}")
+    print(f"limits of {len(limits.score)} scenes, highest score {limits.score[-1]:.2f}")
 
 
 if __name__ == "__main__":

@@ -40,12 +40,9 @@ MASK3, RING, BEGIN, RANGES = np.ones((3, 3), np.bool_), np.zeros((4, 2)), np.arr
 CLOUD = np.zeros((4, 3), F4), np.ones(4, F4), np.eye(3, 4, dtype=F4)
 KIND = (LONG, LONG, LONG)
 PLANE = np.zeros((4, 4), U1)
+BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_m": -2.0, "cell_m": 1.0}
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
-GUESSED = {
-    "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
-    "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8,
-}  # fmt: skip
 GOOD: dict[str, dict[str, Any]] = {
     "range_image": {"points": POINTS, "ring": np.zeros(N, I2),
      "columns": 16, "rings": 4, "near_m": 0.5, "far_m": 100.0},
@@ -64,9 +61,11 @@ GOOD: dict[str, dict[str, Any]] = {
                        "high_m": 3.0, "cells": 4},
     "level_sweep": {"points": POINTS, "ring": np.arange(N, dtype=I2) % RINGS, "rings": RINGS, "columns": COLUMNS,
                     "near_m": 0.5, "far_m": 100.0, "attitude": None, "height_m": None, "yaw": None,
-                    "half_extent_m": 32.0, "guesses_ground": True},
+                    "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
-    "guess_inputs": GUESSED, "guess_ground": GUESSED,
+    "guess_inputs": {
+        "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
+        "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8},
     "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
         "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
@@ -118,12 +117,25 @@ GOOD: dict[str, dict[str, Any]] = {
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
     "object_candidates": {"points": POINTS, "height_m": LONG, "range_m": LONG, "sensor_height_m": 1.8},
+    "visible_before": {"prob": np.ones((4, 4), F4), "boxes": BOX} | CORNER,
+    "look_at_boxes": {"states": PLANE, "pose": np.zeros(4), "boxes": BOX, "place_x_m": 0.0, "place_y_m": 0.0,
+                      "along": 5, "across": 3} | CORNER,
+    "count_met": {"surfaces": RING, "headings": np.zeros(3), "x_m": np.zeros(5), "y_m": np.zeros(5), "cell_m": 0.5,
+                  "seen_by": np.ones((8, 8), np.uint32), "own_bit": 2},
+    "compare_view": {
+        "states": PLANE, "heights_m": FLAT, "half_extent_m": 32.0, "pose": np.zeros(4), "places_m": RING + 3.0,
+        "ground_m": np.zeros(4), "owner": np.arange(4, dtype=I4) // 2, "is_free": np.arange(4) % 2 == 0, "own": 1,
+        "agents": 3, "blockers": RING, "from_above": False, "nearest_m": 2.0, "farthest_m": 40.0,
+        "same_ground_m": 0.4} | CORNER,
+    "compare_past": {"states": PLANE, "last_states": PLANE, "last_x_m": -2.0, "last_y_m": -2.0, "last_cell_m": 1.0,
+                     "last_from_now": np.zeros(4), "places": RING} | CORNER,
     "encode_view": {"state": PLANE, "level": PLANE, "deviation": PLANE, "row": 1, "column": 2},
     "decode_view": {"code": np.zeros(3, U1), "cells": 4, "row": 0, "column": 0, "prob": np.zeros(16, F4),
                     "std": np.zeros(9, F4)},
 }  # fmt: skip
 """Function → arguments that it takes."""
 
+OF_VIEWS = ("visible_before", "look_at_boxes", "compare_view", "compare_past")
 OF_POINTS = (
     "identify_sensor", "infer_sensor", "find_motion", "recover_rings", "undo_motion", "level_sweep", "concave_hull",
     "height_codes", "level_points", "range_image",
@@ -181,10 +193,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("ground_of_lows", {"rise_m": FLAT[:5]}, r"rise_m must be \(n, n\)"),
     ("guess_inputs", {"azimuth": SHORT}, "azimuth and range_m must be as long as points"),
     ("guess_inputs", {"sensor_height_m": NAN}, "sensor_height_m must be finite"),
-    ("guess_ground", {"seen": SQUARE[:5]}, r"heights_m, std_m and seen must be \(n, n\)"),
-    ("guess_ground", {key: GUESSED[key][:24, :24].copy() for key in ("heights_m", "std_m", "seen")}, "multiple of 32"),
-    ("guess_ground", {"heights_m": FLAT * F4(NAN)}, "heights_m must be finite"),
-    ("guess_ground", {"std_m": FLAT + F4(INF)}, "std_m must be finite"),
+    ("guess_inputs", {"seen": SQUARE[:5]}, r"heights_m, std_m and seen must be \(n, n\)"),
     ("fill_ground", {"accepted": SQUARE[:5]}, r"walked_m and accepted must be \(n, n\)"),
     ("fill_ground", {"walked_m": FLAT * F4(NAN)}, "walked_m must be finite"),
     ("fill_ground", {"walked_m": FLAT.T[::2]}, TYPE), ("fill_ground", {"plane": np.zeros(2, F4)}, "plane must be"),
@@ -292,6 +301,20 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("object_candidates", {"height_m": SHORT}, "as long as points"),
     ("object_candidates", {"range_m": SHORT}, "as long as points"),
     ("object_candidates", {"sensor_height_m": NAN}, "sensor_height_m"),
+    ("look_at_boxes", {"along": 1}, "along and across"),
+    ("look_at_boxes", {"boxes": BOX[:, :6].copy()}, "seven columns"),
+    *(("visible_before", {"boxes": boxes}, words) for boxes, words in (
+        (BOX[:, :6].copy(), "seven columns"), (BOX.astype(F4), TYPE))),
+    *((name, change, words) for name in OF_VIEWS for change, words in (
+        ({"x_m": NAN}, "corner of a view must be finite"), ({"cell_m": 0.0}, "cell_m must be positive"))),
+    ("compare_past", {"last_states": PLANE[:3].copy()}, "must be a square"),
+    ("count_met", {"seen_by": np.ones((6, 6), np.uint32)}, "square of a power of two"),
+    ("count_met", {"headings": np.zeros(65)}, "at most 64"),
+    ("count_met", {"surfaces": np.zeros((4, 3))}, "two columns"),
+    ("compare_view", {"owner": np.full(4, 3, I4)}, r"owner must lie in \[0, 2\]"),
+    ("compare_view", {"ground_m": np.zeros(3)}, "must be as long"), ("compare_view", {"pose": np.zeros(3)}, "x, y, z"),
+    ("compare_view", {"pose": np.full(4, NAN)}, "pose must be finite"), ("compare_view", {"agents": 0}, "agents must"),
+    ("compare_view", {"heights_m": FLAT[:4].copy()}, "heights_m must be a square"),
     ("encode_view", {"state": np.zeros((4, 5), U1)}, "square"), ("encode_view", {"level": np.zeros((5, 5), U1)},
      "same shape"),
     ("encode_view", {"deviation": np.zeros((3, 3), U1)}, r"or \(0, 0\)"),

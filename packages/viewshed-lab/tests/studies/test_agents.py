@@ -15,10 +15,10 @@ from viewshed.agents.report import AgentReport
 from viewshed.objects.detector import Detector
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.simulated import world_of
-from viewshed_lab.studies.agents.jobs import HONEST_MODEL, run_study
+from viewshed_lab.studies.agents.jobs import run_study
 from viewshed_lab.studies.agents.lies import APART_M, FORGED, LIES, Liars
 from viewshed_lab.studies.agents.page import AgentsResults, files_of
-from viewshed_lab.studies.agents.plan import HONEST, POSE_NOISE, SPLITS, STATED, UNSTATED, AgentsPlan
+from viewshed_lab.studies.agents.plan import HONEST, HONEST_MODEL, POSE_NOISE, SPLITS, STATED, UNSTATED, AgentsPlan
 from viewshed_lab.studies.agents.runs import POSE_STD, SceneCases, seen_objects
 from viewshed_lab.studies.agents.scenes import Scene, scene_path, with_tall_masts
 from viewshed_lab.studies.store import ResultStore
@@ -117,16 +117,16 @@ def test_the_study_runs_resumes_and_writes_its_page(tmp_path: Path) -> None:
 
 
 def _center_judges_as_the_study(store: ResultStore[AgentsPlan]) -> None:
-    """A live center with the study's model gives the study's evidence for the same messages."""
+    """A live center with the study's model gives the study's answers for the same messages."""
     found = AgentsResults(PLAN, store.results("run"))
     scene = Scene.load(scene_path(store.folder, "test", 0))
     honest = HonestModel.from_json((store.folder / HONEST_MODEL).read_text("utf-8"))
     center = CommandCenter(scene.agents, honest=honest)
     [benign] = found.of(HONEST)
     live = np.array([
-        center.add(t_s, scene.reports(time)).verdicts.evidence for time, t_s in enumerate(scene.times_s.tolist())
+        center.add(t_s, scene.reports(time)).verdicts.answers for time, t_s in enumerate(scene.times_s.tolist())
     ])  # fmt: skip
-    assert live == pytest.approx(np.array(benign.evidence), abs=0.02)
+    assert live == pytest.approx(np.array(benign.answers), abs=0.02)
     assert found.limits.accused(live.max(axis=0), found.elevated, found.rate).tolist() == found.accused(benign).tolist()
 
 

@@ -31,7 +31,7 @@ class Detections:
 
     Attributes:
         boxes: (K, 7) float64, columns ``BOX_COLUMNS``.
-        kinds: (K,) uint8 of :class:`ObjectKind`.
+        kinds: (K,) uint8 of :class:`ObjectKind`; a kind that is none of them is OTHER.
         returns: (K,) int32 returns in each box; 0 where that is not known.
 
     Raises:
@@ -45,6 +45,8 @@ class Detections:
     def __post_init__(self) -> None:
         for name, kind in (("boxes", np.float64), ("kinds", np.uint8), ("returns", np.int32)):
             array = np.array(getattr(self, name), kind)
+            if name == "kinds":
+                array[array >= len(ObjectKind)] = ObjectKind.OTHER
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         count = len(self.boxes)

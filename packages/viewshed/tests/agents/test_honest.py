@@ -37,8 +37,8 @@ def reports(seen: np.ndarray, surface: np.ndarray, rng: np.random.Generator) -> 
     return ObjectReports(
         seen, np.ones(seen.shape, bool), np.full(seen.shape, 0.9), rng.uniform(5, 45, seen.shape),
         np.zeros(agents, np.int64), np.full(count, 4.5), cells, np.where(seen[..., None], cells, 0.0),
-        np.full(seen.shape, 9.0), np.zeros(seen.shape, np.int64), np.full(seen.shape, -1),
-        np.full(seen.shape, np.nan),
+        np.full(seen.shape, 9.0), np.zeros(seen.shape, np.int64), np.zeros(seen.shape, np.int64),
+        *(np.full(seen.shape, np.nan),) * 2,
     )  # fmt: skip
 
 
@@ -120,7 +120,7 @@ def test_what_agents_say_and_could_have_seen() -> None:
     far = Rigid(np.eye(3), np.array([200.0, 0.0, 0.0]))
     blind = AgentReport(FovEstimate(GRID, view.visible_prob, state, world_from_level=far, agent="b"), Detections.none())
     boxes = found.moved(pose).boxes
-    said = object_reports([seen, blind], np.array([0, 2]), 3, boxes, np.array([[0, -1]], np.int32), np.zeros((1, 3, 3)))
+    said = object_reports([seen, blind], np.array([0, 2]), 3, boxes, np.array([[0, -1]], np.int32), np.zeros((1, 4, 3)))
     assert said.seen.tolist() == [[True, False, False]]
     assert said.able.tolist() == [[True, False, False]]  # b is too far, and the third says nothing
     assert said.cells[0, 0, 0] > 0.1  # its near side

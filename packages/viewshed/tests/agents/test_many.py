@@ -96,6 +96,18 @@ def test_what_one_conceals_stays_and_it_is_suspected() -> None:
     assert last.verdicts.evidence.argmax() == 0
 
 
+def test_looks_are_counted_since_the_last_report_or_since_the_first_of_anybody() -> None:
+    """One reports both cars, one stops after two looks, one never does: each has its past, with returns and surface."""
+    said = [
+        run([[CARS, CARS if time < 2 else CARS[:0], CARS[:0]] for time in range(count)])[-1].said for count in (2, 5)
+    ]
+    assert [each.before[0].tolist() for each in said] == [[1, 1, 0], [4, 2, 0]]
+    assert [each.silent[0].tolist() for each in said] == [[0, 0, 1], [0, 2, 4]]
+    assert said[1].returns[0, :2].tolist() == [50.0, 50.0]
+    assert np.isnan(said[1].returns[0, 2])
+    assert (said[1].surface[0, :2] > 0.05).all()
+
+
 def test_the_own_vehicle_is_no_missing_object() -> None:
     own = np.array([[0.0, 0.0, 0.8, 4.8, 2.0, 1.6, 0.0]])
     agent = AgentReport.of(AGENTS[0], Detections.none())

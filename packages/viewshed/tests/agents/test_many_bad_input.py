@@ -10,6 +10,7 @@ import pytest
 from tests.agents.test_many import AGENTS, CARS, GRID, report, view
 
 from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, joint_fov
+from viewshed.agents.rounds import Round
 from viewshed.agents.view_message import MAX_DETECTIONS
 from viewshed.detections import Detections
 from viewshed.fov.estimate import CellState, FovEstimate
@@ -91,3 +92,34 @@ def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:
     picture = center.add(0.5, said)
     assert time.process_time() - begin < 2.0
     assert len(picture.tracks) <= 2 * MAX_DETECTIONS
+
+
+def odd(kind: str) -> tuple[list[AgentReport], str]:
+    """Return what three agents say where something is odd and nobody lies, and the note about it."""
+    said, apart = [report(agent, CARS) for agent in AGENTS], ""
+    match kind:
+        case "a class that nobody knows":
+            said[0] = replace(said[0], detections=replace(said[0].detections, kinds=np.full(len(CARS), 200, np.uint8)))
+        case "views without objects":
+            said = [report(agent, CARS[:0]) for agent in AGENTS]
+        case "one agent only":
+            said, apart = said[:1], "a alone is heard: nobody contradicts it"
+        case "agents that never overlap":
+            said = [
+                report(view(name, 500.0 * k), CARS + 500.0 * k * np.eye(7)[0]) for k, name in enumerate(("a", "b", "c"))
+            ]
+            apart = "a, b, c: farther than 100 m from all others, so that nobody contradicts it"
+    return said, apart
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["a class that nobody knows", "views without objects", "one agent only", "agents that never overlap"],
+)
+def test_what_is_odd_is_noted_and_nobody_is_accused(kind: str) -> None:
+    said, note = odd(kind)
+    done = [Round.of(picture) for picture in follow(CommandCenter(NAMES), [said] * 8)]
+    assert not any((each.accused | each.disputed).any() for each in done)
+    assert done[-1].sentences() == ([note] if note else [])
+    cars = {"views without objects": 0, "agents that never overlap": 6}
+    assert done[-1].picture.believed.sum() == cars.get(kind, 2)

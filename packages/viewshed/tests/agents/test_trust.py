@@ -51,8 +51,9 @@ def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
     assert verdicts.doubt > 1.0
     assert verdicts.evidence[0] == pytest.approx(verdicts.evidence[1], abs=0.7)
     assert verdicts.evidence.max() < 0.7  # neither can be told from the other
-    limits = TrustLimits.of(*(np.linspace(-1.0, 0.7, 999),) * 2, np.linspace(0.0, 1.0, 999))
-    accused = limits.accused(verdicts.evidence, np.zeros(2, bool), 0.01)
+    benign = np.tile(np.linspace(-1.0, 0.7, 999)[:, None, None], (1, 2, 4))
+    limits = TrustLimits.of(benign, benign, np.zeros(2, bool), np.linspace(0.0, 1.0, 999))
+    accused = limits.accused(verdicts.answers, np.zeros(2, bool), 0.01)
     assert not accused.any()
     assert limits.disputed(verdicts, accused, 0.01).tolist() == [True, True]
 
@@ -213,6 +214,21 @@ def test_what_opened_at_once_is_remembered_and_fades() -> None:
     assert later == pytest.approx(first * 0.5 ** (5.0 / TrustRules().half_life_s), rel=0.05)
 
 
+def test_each_question_is_answered_by_itself() -> None:
+    """One view opens, one closes, one lies elsewhere, one is seen through: each shows in one answer of one agent."""
+    of_pairs, of_own = np.zeros((4, 4, 2)), np.zeros((4, 3))
+    of_own[0, 0], of_own[1, 1], of_own[2, 2], of_pairs[3, :3, 0], of_pairs[0, 3, 1] = 4.0, 4.0, 3.0, 2.0, 4.0
+    trust = Trust(4)
+    for _ in range(20):
+        verdicts = trust.add(silent(4), 1.0, (of_pairs, of_own))
+    by_hand = np.zeros((4, 3))
+    by_hand[0, 0], by_hand[2, 1], by_hand[3, 2] = 4.0, 3.0, 2.0
+    assert verdicts.answers[:, 1:] == pytest.approx(by_hand, abs=1e-3)
+    # Nobody reported anything, whatever views say of their agents.
+    assert verdicts.answers[:, 0] == pytest.approx(0.0, abs=1e-9)
+    assert verdicts.evidence.max() > 1.0
+
+
 @pytest.mark.parametrize("ratio", [-3.0, 5.0])
 def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_there(ratio: float) -> None:
     reports = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95))
@@ -267,15 +283,27 @@ def test_old_reports_fade_and_memory_stays_bounded() -> None:
 
 @pytest.mark.parametrize("masts", [0, 2])
 def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
-    """Of five agents some are elevated, which err three times as much."""
-    rng, elevated = np.random.default_rng(8), np.arange(5) >= 5 - masts
-    scale = np.where(np.arange(5) >= 3, 3.0, 1.0)
-    benign = rng.normal(size=(999, 5)) * scale
-    limits = TrustLimits.of(benign[:, : 5 - masts].max(axis=1), benign[:, 3:].max(axis=1), rng.normal(size=999))
-    accused = [limits.accused(rng.normal(size=5) * scale, elevated, 0.05) for _ in range(2000)]
-    assert 0.03 < np.mean([one.any() for one in accused]) < 0.07
+    """Of five agents some are elevated, which err three times as much, and one question has half the noise."""
+    rng, elevated, accused = np.random.default_rng(8), np.arange(5) >= 5 - masts, []
+    scale = np.where(elevated, 3.0, 1.0)[:, None] * np.array([1.0, 0.5, 1.0, 1.0])
+    for _ in range(10):
+        benign = rng.normal(size=(1998, 5, 4)) * scale
+        limits = TrustLimits.of(benign[:999], benign[999:], elevated, rng.normal(size=999))
+        accused += [limits.accused(rng.normal(size=(5, 4)) * scale, elevated, 0.05) for _ in range(200)]
+    assert np.mean([one.any() for one in accused]) == pytest.approx(0.05, abs=0.015)
+    # Each kind has its part: the scale makes up for what the elevated ones err more.
+    assert np.mean(accused, axis=0) == pytest.approx(np.mean(accused), abs=0.008)
+    # Each question convicts by itself.
+    for question in range(4):
+        answers = np.zeros((5, 4))
+        answers[1, question] = 6.0 * scale[1, question]
+        assert limits.accused(answers, elevated, 0.05).tolist() == [False, True, False, False, False]
     with pytest.raises(ValueError, match=r"needs \d+ benign scenes, got 999"):
-        limits.accused(np.zeros(5), elevated, 0.0001)
+        limits.accused(np.zeros((5, 4)), elevated, 0.0001)
+    with pytest.raises(ValueError, match="must be finite"):
+        TrustLimits.of(benign[:9], np.full((9, 5, 4), np.nan), elevated, np.zeros(9))
+    with pytest.raises(ValueError, match="must be of benign scenes, got 9, 0 and 0"):
+        TrustLimits.of(benign[:9], benign[:0], elevated, np.zeros(0))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.objects.association import inside, volume_overlaps
 from viewshed.objects.detection_table import detection_table
+from viewshed.objects.matching import corners_of
 from viewshed.objects.views import (
     BeamView,
     GridView,
@@ -21,7 +22,6 @@ from viewshed.objects.views import (
     SeesAll,
     View,
     hidden_within,
-    points_before,
 )
 from viewshed.preprocess.evidence import expected_returns
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -138,21 +138,29 @@ def test_outside_the_grid_nothing_is_seen() -> None:
     assert view.hides_near(CAR, np.array([4.0])).tolist() == [0.0]
 
 
-@given(
-    st.floats(-20, 20), st.floats(-20, 20), st.floats(-3, 3), st.floats(0.5, 8), st.floats(0.5, 3), st.floats(0.1, 1)
-)  # fmt: skip
-def test_points_before_a_box_lie_a_step_before_it(
-    x: float, y: float, yaw: float, length: float, width: float, step_m: float
+@given(st.floats(-8, 8), st.floats(-8, 8), st.floats(-3, 3), st.floats(0.5, 6), st.floats(0.5, 3))
+def test_a_grid_is_asked_a_cell_before_each_line_of_sight_meets_the_box(
+    x: float, y: float, yaw: float, length: float, width: float
 ) -> None:
+    """Lines are walked in steps of 5 mm; probabilities rise evenly, so that the cell does not matter."""
+    grid = BevGrid(256, 12.8)
+    prob = 0.5 + grid.centers @ np.array([0.015, 0.02])
     box = np.array([[x, y, 0.75, length, width, 1.5, yaw]])
-    points = points_before(box, step_m)[0]
-    if inside(np.zeros((1, 2)), box + np.array([0, 0, 0, 0.01, 0.01, 0, 0]))[0, 0]:
-        np.testing.assert_array_equal(points, 0.0)
+    visible = GridView(FovEstimate(grid, prob, np.ones(grid.shape, np.uint8)), 0.0).visible(box)[0]
+    if inside(np.zeros((1, 2)), box + np.array([0, 0, 0, 0.05, 0.05, 0, 0]))[0, 0]:
+        assert visible == pytest.approx(0.5, abs=0.005)
         return
-    assert not inside(points, box)[0].any()
-    range_m = np.hypot(*points.T)
-    ahead = points * ((range_m + step_m + 0.02) / np.maximum(range_m, 1e-12))[:, None]
-    assert inside(ahead[range_m > 0], box)[0].all()
+    m = np.arctan2(y, x)
+    corners = corners_of(box)[0] @ Rigid.from_yaw(m).rotation[:2, :2]
+    across = np.arctan2(corners[:, 1], corners[:, 0])
+    range_m = np.arange(0.0, 20.0, 0.005)
+    met = []
+    for part in (0.1, 0.3, 0.5, 0.7, 0.9):
+        azimuth = m + across.min() + part * np.ptp(across)
+        way = np.array([np.cos(azimuth), np.sin(azimuth)])
+        first_m = range_m[inside(range_m[:, None] * way, box)[0].argmax()]
+        met.append(0.5 + max(first_m - grid.cell_m, 0.0) * way @ np.array([0.015, 0.02]))
+    assert visible == pytest.approx(np.mean(met), abs=0.005)
 
 
 def test_beams_see_a_box_as_if_its_own_returns_were_not_there() -> None:

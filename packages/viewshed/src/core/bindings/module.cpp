@@ -33,4 +33,5 @@ NB_MODULE(_core, m) {
     viewshed::bind_files(m);
     viewshed::bind_temporal_evidence(m);
     viewshed::bind_fov_code(m);
+    viewshed::bind_agent_views(m);
 }

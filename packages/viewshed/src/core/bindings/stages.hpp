@@ -38,6 +38,7 @@ void bind_concave_hull(nb::module_& m);
 void bind_polygons(nb::module_& m);
 void bind_files(nb::module_& m);
 void bind_fov_code(nb::module_& m);
+void bind_agent_views(nb::module_& m);
 void bind_temporal_evidence(nb::module_& m);
 
 }  // namespace viewshed

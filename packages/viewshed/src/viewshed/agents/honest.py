@@ -59,6 +59,7 @@ _BOUNDS: dict[str, tuple[float, ...]] = {
     "range_m": (6.0, 10.0, 15.0, 25.0, 35.0, 43.0),
     "size_m": (1.3, SMALL_M, 6.0),
     "kept": (0.3, 0.7, 1.4),
+    "returns": (8.0, 20.0, 60.0),
     "apart_m": (1.5, 2.5, 3.5, 5.0, 8.0),
 } | CELL_BOUNDS
 """Bounds of the bins of each measure."""
@@ -86,8 +87,9 @@ class ObjectReports:
     own_cells: F64  # (J, A, 8) the same of the agent's own box; 0 where it reports none
     apart_m: F64  # (J, A) from the object to the agent's next detection of another object
     before: NDArray[np.int64]  # (J, A) how often the agent reported the object before
-    silent: NDArray[np.int64]  # (J, A) how often in a row it did not since its last report; -1 before the first one
+    silent: NDArray[np.int64]  # (J, A) how often in a row it could and did not, since its last report if there is one
     surface: F64  # (J, A) share of surface that its view held there at its last report; NaN before the first one
+    returns: F64  # (J, A) of the object at its last report; NaN before the first one
 
     @property
     def sizes_m(self) -> F64:
@@ -179,6 +181,7 @@ def reported_columns(reports: ObjectReports) -> tuple[Columns, int]:
     bins.add(past, kind)
     bins.add(past, surface)
     bins.add(past, held)
+    bins.add(past, bins.of("returns", np.nan_to_num(reports.returns)))
     bins.add(bins.of("apart_m", reports.apart_m), bins.of("size_m", reports.sizes_m))
     return bins.columns(), bins.size
 
@@ -364,7 +367,7 @@ def _counts() -> dict[str, int]:
     nothing = ObjectReports(
         *(np.zeros((0, 1), np.bool_),) * 2, *(np.zeros((0, 1)),) * 2, np.zeros(1, np.int64), np.zeros(0),
         *(np.zeros((0, 1, len(BoxCells._fields))),) * 2, np.zeros((0, 1)), *(np.zeros((0, 1), np.int64),) * 2,
-        np.zeros((0, 1)),
+        *(np.zeros((0, 1)),) * 2,
     )  # fmt: skip
     place, own = place_columns(nothing)[1], own_box_columns(nothing)[1]
     reported = reported_columns(nothing)[1] + (MOST_OTHERS + 1) * (MOST_DENIERS + 1)

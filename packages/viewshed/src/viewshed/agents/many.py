@@ -30,7 +30,7 @@ from viewshed.agents.honest import (
 )
 from viewshed.agents.joint_fov import JointFov, confirmed, joint_fov
 from viewshed.agents.registration import registered_poses
-from viewshed.agents.report import FAR_M, AgentReport, visible_to
+from viewshed.agents.report import FAR_M, AgentReport
 from viewshed.agents.trust import Reports, Trust, TrustRules, Verdicts
 from viewshed.agents.view_evidence import ComparedView, Comparisons, compare_views
 from viewshed.arrays import F64, Mask
@@ -51,8 +51,8 @@ GATE_M, STORY_M = 4.0, 2.5
 STD_M, STD_PER_M = 0.5, 0.012
 """Standard deviation of a detection's center along each axis: at the sensor, and what each meter of range adds."""
 
-_NOBODY = np.array([0.0, -1.0, np.nan])
-"""Of an object that an agent has not reported: how often, silent since, surface at the last report."""
+_NOBODY = np.array([0.0, 0.0, np.nan, np.nan])
+"""Of an object that an agent has not reported: how often, silent since, surface and returns at the last report."""
 
 LOOKED_AT = (13, 7)
 """Points along and across a box at which views are looked up."""
@@ -70,15 +70,11 @@ BELIEVED = 0.5
 def chances(reports: Sequence[AgentReport], boxes: F64, honest: HonestModel) -> F64:
     """Return the chance (K, R) that each honest agent in its place reports each box (K, 7) of the world."""
     out = np.zeros((len(boxes), len(reports)))
-    near = [
-        np.flatnonzero((report.range_m(boxes) <= FAR_M) & ~report.is_own(boxes) & report.on_its_level(boxes))
-        for report in reports
-    ]
-    for column, (report, chosen, visible) in enumerate(
-        zip(reports, near, visible_to(reports, [boxes[chosen] for chosen in near]), strict=True)
-    ):
+    for column, report in enumerate(reports):
+        range_m = report.range_m(boxes)
+        chosen = np.flatnonzero((range_m <= FAR_M) & ~report.is_own(boxes) & report.on_its_level(boxes))
         some = boxes[chosen]
-        out[chosen, column] = honest.chance(visible, some, report.range_m(some), height=report.height)
+        out[chosen, column] = honest.chance(report.view.visible(some), some, range_m[chosen], height=report.height)
     return out
 
 
@@ -211,7 +207,7 @@ class CommandCenter:
         members, held, ids = matches[tracks.detection[reported]], tracks.ids.tolist(), tracks.ids[reported]
         nobody = np.repeat(_NOBODY[:, None], len(self.agents), axis=1)
         self._reported = {number: self._reported.get(number, nobody) for number in held}
-        past = np.array([self._reported[number] for number in ids.tolist()]).reshape(-1, 3, len(self.agents))
+        past = np.array([self._reported[number] for number in ids.tolist()]).reshape(-1, 4, len(self.agents))
         said = object_reports(reports, columns, len(self.agents), tracks.boxes[reported], members, past)
         # An agent that is silent now stays of its kind: it is judged by what it reported before.
         self._elevated[columns] = said.height[columns] > 0
@@ -221,11 +217,11 @@ class CommandCenter:
         verdicts = self._trust.add(judged, seconds, self.honest.views(compared, self._elevated))
         self._weights, self._last_s = np.maximum(verdicts.trust, LEAST_TRUST), t_s
         surface = said.cells[..., BoxCells._fields.index("surface")]
-        for number, (before, silent, last), hit, able, now in zip(
-            ids.tolist(), past, said.seen, said.able, surface, strict=True
-        ):
-            missed = np.where(hit, 0, silent + (able & (before > 0)))
-            self._reported[number] = np.stack([before + hit, missed, np.where(hit, now, last)])
+        returns = _returns(reports, columns, len(self.agents), members)
+        last = np.where(said.seen, np.stack([surface, returns]), np.moveaxis(past[:, 2:], 1, 0))
+        silent = np.where(said.seen, 0, past[:, 1] + said.able)
+        now = np.stack([past[:, 0] + said.seen, silent, *last], axis=1)
+        self._reported |= dict(zip(ids.tolist(), now, strict=True))
 
         # 5. What nobody reports now exists as far as it did, and as far as views allow.
         self._existence |= dict(zip(ids.tolist(), verdicts.existence.tolist(), strict=True))
@@ -303,20 +299,15 @@ def object_reports(
         agents: how many there are.
         boxes: (J, 7) of the objects, in the world.
         members: (J, R) numbers of the agents' detections of them, -1 for none.
-        past: (J, 3, agents) how often each agent reported them before, how often in a row it did not since, and how
-            much surface its view held there then.
+        past: (J, 4, agents) how often each agent reported them before, how often in a row it did not since, how much
+            surface its view held there at its last report, and how many returns it had then.
         own: (J, R, 7) boxes that the agents report of them, NaN for none; None are those of ``members``.
     """
     shape = (len(boxes), agents)
     seen, able, visible = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_), np.zeros(shape)
     range_m, apart_m = np.full(shape, 2.0 * FAR_M), np.full(shape, NO_DETECTION_M)
     cells, own_cells = (np.zeros((*shape, len(BoxCells._fields))) for _ in range(2))
-    height, nearby = np.zeros(agents, np.int64), np.zeros(shape, np.bool_)
-    for report, column in zip(reports, columns, strict=True):
-        range_m[:, column] = report.range_m(boxes)
-        nearby[:, column] = (range_m[:, column] <= FAR_M) & report.on_its_level(boxes)
-        nearby[:, column] &= range_m[:, column] >= report.blind_m
-    seen_before = visible_to(reports, [boxes[nearby[:, column]] for column in columns]) if len(reports) else []
+    height = np.zeros(agents, np.int64)
     for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
         found, hit = report.in_world.boxes, members[:, place] >= 0
         theirs = np.full((len(boxes), 7), np.nan)
@@ -326,9 +317,10 @@ def object_reports(
         # Nobody sees itself: such reports say nothing.
         hit = hit & ~report.is_own(boxes)
         height[column], seen[:, column] = report.height, hit
-        near = nearby[:, column]
+        range_m[:, column] = own_range_m = report.range_m(boxes)
+        near = (own_range_m <= FAR_M) & (own_range_m >= report.blind_m) & report.on_its_level(boxes)
         able[:, column] = near & ~report.is_own(boxes)
-        visible[near, column] = seen_before[place]
+        visible[near, column] = report.view.visible(boxes[near])
         # One look at the objects that are near, and at the agent's own boxes.
         looked = SeenCells.of(report.estimate).look(
             np.concatenate([boxes[near], theirs[hit]]), report.world_from_level.translation[:2], LOOKED_AT
@@ -340,8 +332,17 @@ def object_reports(
         apart_m[:, column] = away.min(axis=1, initial=NO_DETECTION_M)
     return ObjectReports(
         seen, able, visible, range_m, height, boxes[:, 3:5].max(axis=1, initial=0.0), cells, own_cells, apart_m,
-        past[:, 0].astype(np.int64), past[:, 1].astype(np.int64), past[:, 2],
+        past[:, 0].astype(np.int64), past[:, 1].astype(np.int64), past[:, 2], past[:, 3],
     )  # fmt: skip
+
+
+def _returns(reports: Sequence[AgentReport], columns: NDArray[np.intp], agents: int, members: NDArray[np.int32]) -> F64:
+    """Return how many returns each agent's detection of each object has (J, agents), NaN where it has none."""
+    out = np.full((len(members), agents), np.nan)
+    for place, (report, column) in enumerate(zip(reports, columns, strict=True)):
+        hit = members[:, place] >= 0
+        out[hit, column] = report.in_world.returns[members[hit, place]]
+    return out
 
 
 def match_agents(detections: Sequence[Detections]) -> NDArray[np.int32]:

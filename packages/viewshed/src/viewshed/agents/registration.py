@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.arrays import F64
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
@@ -118,7 +119,7 @@ def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> l
         poses.append(view.world_from_level)
     if len(views) < 2 or not any(std.matters for std in stds):
         return poses
-    surfaces = [_surfaces(view) for view in views]
+    surfaces = [surface_cells(view, 0.0, _NEAR_M) for view in views]
     # Who sees a surface where: a bit for each agent, so that its own can be left out.
     seen_by = np.zeros((_CELLS, _CELLS), np.uint32)
     for number, (own, pose) in enumerate(zip(surfaces, poses, strict=True)):
@@ -127,18 +128,30 @@ def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> l
     for number in sorted(range(len(views)), key=lambda k: -stds[k].bounded.place_m - 20.0 * stds[k].bounded.yaw):
         if stds[number].matters and len(surfaces[number]) >= _FEWEST_MET:
             own = surfaces[number]
-            moved = _put_right(own[:: -(-len(own) // _MOST_SURFACES)], poses[number], stds[number], seen_by, number)
+            moved = _put_right(
+                np.ascontiguousarray(own[:: -(-len(own) // _MOST_SURFACES)]),
+                poses[number],
+                stds[number],
+                seen_by,
+                number,
+            )
             _mark(seen_by, number, _placed(own, poses[number]), erase=True)
             _mark(seen_by, number, _placed(own, moved))
             poses[number] = moved
     return poses
 
 
-def _surfaces(view: FovEstimate) -> F64:
-    """Return the centers (S, 2) of the near surface cells of a view, in ``level``."""
-    xy: F64 = view.grid.centers[view.state == CellState.SURFACE]
-    near: F64 = xy[(xy**2).sum(axis=1) < _NEAR_M**2]
+def surface_cells(view: FovEstimate, nearest_m: float, farthest_m: float) -> F64:
+    """Return the centers (S, 2) of the surface cells of a view between two ranges, in ``level``."""
+    xy = view.grid.centers.reshape(-1, 2)[np.flatnonzero(view.state == CellState.SURFACE)]
+    range_m2 = (xy**2).sum(axis=1)
+    near: F64 = xy[(range_m2 > nearest_m**2) & (range_m2 < farthest_m**2)]
     return near
+
+
+def agent_bit(number: int) -> int:
+    """Return what stands for an agent in a map of who sees what."""
+    return 1 << number % _BITS
 
 
 def _placed(xy: F64, pose: Rigid) -> F64:
@@ -146,17 +159,12 @@ def _placed(xy: F64, pose: Rigid) -> F64:
     return placed
 
 
-def _steps_of(along_m: F64) -> NDArray[np.int32]:
-    """Return in which rows or columns of cells (…,) places along an axis of the world lie."""
-    steps: NDArray[np.int32] = np.floor(along_m / _CELL_M).astype(np.int32) & (_CELLS - 1)
-    return steps
-
-
 def _mark(seen_by: NDArray[np.uint32], number: int, xy: F64, *, erase: bool = False) -> None:
     """Note that an agent sees surfaces half a meter wide at places (S, 2), or take that back."""
-    flat, bit = seen_by.reshape(-1), np.uint32(1 << number % _BITS)
+    flat, bit = seen_by.reshape(-1), np.uint32(agent_bit(number))
     # A surface covers the cell at its lower corner, and those beside it.
-    corner = _steps_of(xy - _CELL_M / 2) @ np.array([_CELLS, 1], np.int32)
+    steps = np.floor(xy / _CELL_M - 0.5).astype(np.int32) & (_CELLS - 1)
+    corner = steps @ np.array([_CELLS, 1], np.int32)
     cells = (corner + np.array([[0], [1], [_CELLS], [_CELLS + 1]], np.int32)) % _CELLS**2
     flat[cells] = flat[cells] & ~bit if erase else flat[cells] | bit
 
@@ -164,13 +172,8 @@ def _mark(seen_by: NDArray[np.uint32], number: int, xy: F64, *, erase: bool = Fa
 def _put_right(xy: F64, pose: Rigid, std: PoseStd, seen_by: NDArray[np.uint32], number: int) -> Rigid:
     """Return the mean pose of an agent, given its surfaces (S, 2) in ``level`` and those that others see."""
     turns, shifts = _STEPS * std.bounded.yaw, _STEPS * std.bounded.place_m
-    # All poses about the stated one: (turns, shifts along x, along y, S).
-    cos, sin = np.cos(pose.yaw + turns), np.sin(pose.yaw + turns)
-    headings = np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=1)
-    turned = xy @ headings + pose.translation[:2]
-    along_x, along_y = (_steps_of(turned[:, None, :, axis] + shifts[:, None]) for axis in (0, 1))
-    cells = along_x[:, :, None] * np.int32(_CELLS) + along_y[:, None]
-    met = ((seen_by.reshape(-1)[cells] & ~np.uint32(1 << number % _BITS)) != 0).sum(axis=-1)
+    x_m, y_m = pose.translation[0] + shifts, pose.translation[1] + shifts
+    met = _core.count_met(xy, pose.yaw + turns, x_m, y_m, _CELL_M, seen_by, agent_bit(number))
     if met.max() < _FEWEST_MET:
         return pose
     prior = -0.5 * _STEPS**2

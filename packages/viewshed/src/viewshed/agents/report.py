@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from viewshed.detections import Detections
 from viewshed.fov.estimate import Basis, FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
-from viewshed.objects.views import GridView, points_before
+from viewshed.objects.views import GridView
 
 if TYPE_CHECKING:
     from viewshed.agents.view_message import ViewMessage
@@ -161,20 +160,3 @@ class AgentReport:
             return np.zeros(len(boxes), np.bool_)
         x_m, y_m = (self.world_from_level @ self.own_box[:3])[:2]
         return np.asarray(np.hypot(boxes[:, 0] - x_m, boxes[:, 1] - y_m) < self.own_box[3] / 2)
-
-
-def visible_to(reports: Sequence[AgentReport], boxes: Sequence[F64]) -> list[F64]:
-    """Return the probability (K,) that each agent could see its boxes (K, 7) of the world, as it claims.
-
-    Lines of sight of all agents whose grids are alike are followed at once: that is most of the work.
-    """
-    levels = [report.view.in_level(some) for report, some in zip(reports, boxes, strict=True)]
-    steps = {report.estimate.grid.cell_m for report in reports}
-    if len(steps) == 1:
-        ends = np.cumsum([len(some) for some in boxes])[:-1]
-        points = np.split(points_before(np.concatenate(levels), steps.pop()), ends)
-    else:
-        points = [
-            points_before(level, report.estimate.grid.cell_m) for report, level in zip(reports, levels, strict=True)
-        ]
-    return [report.view.visible_at(some) for report, some in zip(reports, points, strict=True)]

@@ -25,11 +25,14 @@ import numpy as np
 from viewshed.agents.joint_fov import JointFov, joint_fov
 from viewshed.agents.kinematics import Kinematics
 from viewshed.agents.many import LEAST_TRUST, CommandCenter, CommonPicture
-from viewshed.agents.report import AgentReport
-from viewshed.agents.trust import trust_limits
+from viewshed.agents.report import FAR_M, AgentReport
+from viewshed.agents.trust import QUESTIONS, trust_limits
 from viewshed.arrays import Mask
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+
+APART_M = 2.0 * FAR_M
+"""Agents farther apart report no object in common."""
 
 SLOP_S = 0.1
 """Reports farther apart in time than this are of two rounds."""
@@ -115,7 +118,16 @@ class Round:
             lies.append(f"{self._those_missing} heard lately and missing: they contradict nobody")
         if len(self.reports) == 1 < len(names):
             lies.append(f"{self.reports[0].agent} alone is heard: nobody contradicts it")
+        elif apart := ", ".join(self._far_from_all()):
+            lies.append(f"{apart}: farther than {APART_M:g} m from all others, so that nobody contradicts it")
         return lies
+
+    def _far_from_all(self) -> list[str]:
+        """Return the agents of the round whose views overlap with nobody else's."""
+        places = np.array([report.world_from_level.translation[:2] for report in self.reports]).reshape(-1, 2)
+        away = np.linalg.norm(places[:, None] - places, axis=2) + np.diag(np.full(len(places), np.inf))
+        far = away.min(axis=1, initial=np.inf) > APART_M
+        return [report.agent for report, is_far in zip(self.reports, far, strict=True) if is_far and len(places) > 1]
 
     @property
     def _those_missing(self) -> str:
@@ -133,6 +145,7 @@ class Round:
                 "trust": round(float(verdicts.trust[n]), 4), "evidence": round(float(verdicts.evidence[n]), 3),
                 "accused": bool(self.accused[n]), "disputed": bool(self.disputed[n]),
                 "refused": self.refused.get(agent, 0),
+                "answers": dict(zip(QUESTIONS, verdicts.answers[n].round(3).tolist(), strict=True)),
             }
             for n, agent in enumerate(picture.agents)
         }  # fmt: skip
@@ -155,7 +168,7 @@ def judged(picture: CommonPicture) -> tuple[Mask, Mask]:
     """Return who is accused and who is disputed (A,), at the smallest rate of the shipped limits, 1 % at least."""
     limits, verdicts = trust_limits(), picture.verdicts
     rate = max(FALSE_RATE, limits.least_rate)
-    accused = limits.accused(verdicts.evidence, picture.elevated, rate)
+    accused = limits.accused(verdicts.answers, picture.elevated, rate)
     return accused, limits.disputed(verdicts, accused, rate)
 
 

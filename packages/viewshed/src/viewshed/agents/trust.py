@@ -29,15 +29,15 @@ what opened or closed at once is remembered. What is older fades.
 :attr:`TrustRules.temper` before they become probabilities (a tempered posterior; Grünwald 2012).
 
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
-it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of it among benign scenes of all terrain
-(:class:`TrustLimits`).
+it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, and of what
+each view says by itself, among benign scenes of all terrain (:class:`TrustLimits`).
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import resources
 from itertools import combinations
@@ -51,6 +51,13 @@ from viewshed.arrays import F64, Mask
 
 MOST_LIARS = 2
 """Agents that may lie together; never more than half of them."""
+
+QUESTIONS = ("reports", "opened", "misplaced", "through")
+"""What may speak against an agent, each by itself, for the noise of one drowns another: evidence of its reports; by how
+much more its view opened at once than it closed; how its surfaces lie beside those of others; what it sees through."""
+
+USUAL, LEAST_SPREAD = 0.9, 0.1
+"""Share of honest agents whose answers are usual, and nats by which the others go beyond on average at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +149,7 @@ class Verdicts:
     existence: F64  # (J,) probability that each exists, whoever lies
     suspects: Mask  # (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars
     against: F64  # (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do
+    answers: F64  # (A, 4) nats against each by ``QUESTIONS``
 
 
 _AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
@@ -331,11 +339,12 @@ class Trust:
         of_shares = most.sum(axis=1) + np.minimum(gain, 0.0).sum(axis=1)
         # ... and over the shares of the objects about which they may.
         logs = np.logaddexp.reduce(of_shares, axis=0) - np.log(len(of_shares)) + of_views
-        # The mean of the hypotheses in which an agent lies over the largest of those in which it does not.
-        evidence = np.empty(self.agents)
-        for agent in range(self.agents):
-            lies = self._lies[:, agent]
-            evidence[agent] = _log_mean_exp(logs[lies]) - logs[~lies].max() if lies.any() else 0.0
+        opened, closed = self._own[:, _AT_ONCE].T
+        others = max(self.agents - 1, 1)
+        answers = np.column_stack([
+            self._evidence(logs - of_views), np.maximum(opened - closed, 0.0), self._own[:, OWN.index("misplaced")],
+            self._pairs[..., PAIR.index("through")].sum(axis=1) / others,
+        ])  # fmt: skip
         liars = self._lies.sum(axis=1)
         prior = liars * np.log(self.rules.prior) + (self.agents - liars) * np.log1p(-self.rules.prior)
         posterior = prior + logs / self.rules.temper
@@ -349,41 +358,59 @@ class Trust:
         odds = np.where(reports.seen @ honest > 0, reports.there_bias, alone) + reports.there @ honest
         existence = 1.0 / (1.0 + np.exp(-odds)) @ posterior
         return Verdicts(
-            evidence, float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
-            self._lies[best].any(axis=0), against,
+            self._evidence(logs), float(logs.max() - logs[0]), 1.0 - posterior @ self._lies, reports.ids, existence,
+            self._lies[best].any(axis=0), against, answers,
         )  # fmt: skip
+
+    def _evidence(self, logs: F64) -> F64:
+        """Return the mean of hypotheses (H,) in which each agent lies over the best of those in which it does not."""
+        evidence = np.zeros(self.agents)
+        for agent, lies in enumerate(self._lies.T):
+            if lies.any():
+                evidence[agent] = _log_mean_exp(logs[lies]) - logs[~lies].max()
+        return evidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
-    The unit is the scene: whoever is accused must have more evidence against it than any agent of its kind, low or
-    elevated, of nearly all benign scenes. Each kind in a scene gets its part of the rate (Bonferroni). If the scene at
-    hand is one like the others (exchangeable), somebody is accused in at most the stated share of benign scenes,
-    however the agents of one scene depend on each other.
+    Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of some benign scenes.
+    The unit is the scene: whoever is accused must stand higher on that scale, by any question, than anybody of nearly
+    all of the other benign scenes. If the scene at hand is one like those (exchangeable), somebody is accused in at
+    most the stated share of benign scenes, however the agents of one scene depend on each other.
     """
 
-    low: F64  # (N,) largest evidence against any low sensor of each benign scene, over time, ascending
-    elevated: F64  # (N,) the same against any elevated one
+    usual: F64  # (2, 4) nine in ten answers are smaller, by whether the sensor is elevated and by question
+    spread: F64  # (2, 4) mean of what the others are beyond
+    score: F64  # (N,) highest score of any agent in each benign scene, over time, ascending
     doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
-    def of(
-        cls, low: NDArray[np.floating[Any]], elevated: NDArray[np.floating[Any]], doubt: NDArray[np.floating[Any]]
-    ) -> TrustLimits:
-        """Return the limits of N benign scenes.
+    def of(cls, learning: F64, answers: F64, elevated: Mask, doubt: NDArray[np.floating[Any]]) -> TrustLimits:
+        """Return the limits of benign scenes.
+
+        Args:
+            learning: (M, A, 4) largest answers of each agent of each scene that the scale is from.
+            answers: (N, A, 4) the same of the scenes that the rank is among.
+            elevated: (A,) bool, whose sensors look over the traffic.
+            doubt: (N,) largest doubt of each of those.
 
         Raises:
-            ValueError: there are none, or a number is not finite.
+            ValueError: there are none of either, or a number is not finite.
         """
-        columns = [np.asarray(one, np.float64) for one in (low, elevated, doubt)]
-        if any(one.shape != (len(low),) for one in columns) or not len(low):
-            shapes = ", ".join(str(one.shape) for one in columns)
-            raise ValueError(f"low, elevated and doubt must be (N,) of benign scenes, got {shapes}")
-        if not all(np.isfinite(one).all() for one in columns):
-            raise ValueError("evidence and doubt must be finite; leave out scenes without reports")
-        return cls(*(np.sort(one) for one in columns))
+        if not (len(learning) and len(answers) == len(doubt) > 0):
+            raise ValueError(f"limits must be of benign scenes, got {len(learning)}, {len(answers)} and {len(doubt)}")
+        if not all(np.isfinite(each).all() for each in (learning, answers, doubt)):
+            raise ValueError("answers and doubt must be finite; leave out scenes without reports")
+        usual, spread = np.zeros((2, len(QUESTIONS))), np.ones((2, len(QUESTIONS)))
+        for kind in np.unique(elevated.astype(np.intp)):
+            own = learning[:, elevated == kind].reshape(-1, len(QUESTIONS))
+            usual[kind] = np.quantile(own, USUAL, axis=0)
+            beyond = np.maximum(own - usual[kind], 0.0).mean(axis=0) / (1.0 - USUAL)
+            spread[kind] = np.maximum(beyond, LEAST_SPREAD)
+        scale = cls(usual, spread, np.zeros(0), np.sort(doubt))
+        return replace(scale, score=np.sort([scale.scores(each, elevated).max() for each in answers]))
 
     def to_json(self) -> str:
         """Return the limits as text."""
@@ -393,23 +420,26 @@ class TrustLimits:
     def from_json(cls, text: str) -> TrustLimits:
         """Return the limits in a text of :meth:`to_json`."""
         table = json.loads(text)
-        return cls.of(*(np.array(table[name]) for name in cls.__slots__))
+        return cls(*(np.array(table[name]) for name in cls.__slots__))
 
     @property
     def least_rate(self) -> float:
-        """The smallest rate that the number of scenes supports, with sensors of both kinds."""
-        return 2.0 / (len(self.doubt) + 1.0)
+        """The smallest rate that the number of scenes supports."""
+        return 1.0 / (len(self.score) + 1.0)
 
-    def accused(self, evidence: F64, elevated: Mask, rate: float) -> Mask:
-        """Return who is accused (A,) by the evidence against each (A,): somebody in this share of benign scenes.
+    def scores(self, answers: F64, elevated: Mask) -> F64:
+        """Return the highest one (A,) of the answers (A, 4) of each agent, on the scale of those of its kind."""
+        kind = elevated.astype(np.intp)
+        return np.asarray(((answers - self.usual[kind]) / self.spread[kind]).max(axis=1))
+
+    def accused(self, answers: F64, elevated: Mask, rate: float) -> Mask:
+        """Return who is accused (A,) by the answers of each (A, 4): somebody in this share of benign scenes.
 
         Raises:
             ValueError: there are too few scenes for this rate.
         """
-        kinds = len(np.unique(elevated))
-        self._check(rate / max(kinds, 1))
-        of_low, of_elevated = (_p_values(benign, evidence) for benign in (self.low, self.elevated))
-        return np.asarray(kinds * np.where(elevated, of_elevated, of_low) <= rate * (1.0 + 1e-9))
+        self._check(rate)
+        return np.asarray(_p_values(self.score, self.scores(answers, elevated)) <= rate * (1.0 + 1e-9))
 
     def disputed(self, verdicts: Verdicts, accused: Mask, rate: float) -> Mask:
         """Return who is disputed (A,): somebody lies, they are the ones it may be, and it is unknown which.

@@ -27,9 +27,12 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
+from viewshed.agents.registration import agent_bit, surface_cells
 from viewshed.agents.report import AgentReport
 from viewshed.arrays import F64, Mask
 from viewshed.fov.estimate import CellState
+from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects.cells import COARSE, footprint_points
@@ -40,7 +43,7 @@ PAIR, OWN = ("through", "denied"), ("opened", "closed", "misplaced")
 NEAREST_M, FARTHEST_M = 2.0, 40.0
 """Ranges at which views are compared."""
 
-SAME_GROUND_M = 0.75
+SAME_GROUND_M = 0.4
 """Views are compared where their grounds differ by less: elsewhere one looks over a crest, or from a deck."""
 
 LEAST_SEEN = 0.25
@@ -53,16 +56,9 @@ MOST_CELLS = 250
 _FEW, _USUAL = 20, np.array([0.03, 0.1])
 """Shares of pairs count as if they were of so many cells more, with the usual share."""
 
-_ABOUT_M = np.stack(np.meshgrid(*[np.array([-1.0, 0.0, 1.0])] * 2), axis=-1).reshape(-1, 2)
-"""Surfaces are seen from different sides, and lie a cell or two apart: all about one must be free to deny it."""
-
-_SECTORS, _WIDEST = 180, 6
-"""Sectors of a view, and to how many on each side a near surface reaches."""
-
-_TURNS = [Rigid.from_yaw(float(turn)).rotation[:2, :2].T for turn in np.radians([0.0, -2.0, 2.0])]
-_SHIFTS = np.stack(np.meshgrid(*[np.arange(-4, 5, 2)] * 2), axis=-1).reshape(-1, 2)
-_CLAIMED = len(_SHIFTS) // 2
-"""Poses about the claimed one at which surfaces are compared: turns, shifts in cells of the map, the claimed one."""
+_TURNS, _SHIFTS_M = np.radians([0.0, -2.0, 2.0]), np.arange(-2.0, 3.0)
+_CLAIMED = 0, len(_SHIFTS_M) // 2, len(_SHIFTS_M) // 2
+"""Poses about the claimed one at which surfaces are compared: turns, shifts along each axis, the claimed one."""
 
 _FEWEST_MET = 30
 """Surfaces of an agent and of others that must meet at some pose."""
@@ -72,30 +68,34 @@ _MAP_M, _MAP_CELLS = 0.5, 512
 
 
 class _Cells(NamedTuple):
-    """Some cells of views: where they are in the world (S, 2), and their ground (S,)."""
+    """Some surface and free cells of views (P,): where they are in the world, their ground, whose they are."""
 
-    world: F64
-    ground_m: F64
+    places_m: F64  # (P, 2)
+    ground_m: F64  # (P,)
+    owner: NDArray[np.int32]  # (P,)
+    is_free: Mask  # (P,)
+
+    @classmethod
+    def of(cls, views: Sequence[ComparedView]) -> Self:
+        """Return the cells of several views."""
+        return cls(*(np.concatenate(columns) for columns in zip(*(view.cells for view in views), strict=True)))
 
 
 class ComparedView:
     """One agent's view, looked up at places of the world."""
 
-    def __init__(self, report: AgentReport) -> None:
-        """Look up surfaces, free cells and states about the agent once."""
-        self.report, self.grid = report, report.estimate.grid
-        self._states = report.estimate.state.reshape(-1)
-        self.lattice = _lattice(self.grid)
-        states = self._states[_lattice_numbers(self.grid)]
-        self.visible, self.hidden = _is_visible(states), states == CellState.HIDDEN
-        xy = self.grid.centers[report.estimate.state == CellState.SURFACE]
-        range_m = np.hypot(xy[:, 0], xy[:, 1])
-        self.surface_xy = xy[(range_m > NEAREST_M) & (range_m < FARTHEST_M)]
-        self.surfaces = self._placed(_some(self.surface_xy))
-        self.free = self._placed(_some(self.lattice[states == CellState.FREE]))
-
-    def _placed(self, xy: F64) -> _Cells:
-        return _Cells(self.in_world(xy), self.report.ground_m(xy))
+    def __init__(self, report: AgentReport, number: int) -> None:
+        """Look up surfaces, free cells and states about the agent of a number once."""
+        self.report, self.number, grid = report, number, report.estimate.grid
+        self.state = report.estimate.state
+        self.lattice = _lattice(grid)
+        states = self.state.reshape(-1)[_lattice_numbers(grid)]
+        self.visible = (states == CellState.FREE) | (states == CellState.SURFACE)
+        self.surfaces = surface_cells(report.estimate, NEAREST_M, FARTHEST_M)
+        surfaces, free = _some(self.surfaces), _some(self.lattice[states == CellState.FREE])
+        level, is_free = np.concatenate([surfaces, free]), np.arange(len(surfaces) + len(free)) >= len(surfaces)
+        owner = np.full(len(level), number, np.int32)
+        self.cells = _Cells(self.in_world(level), report.ground_m(level), owner, is_free)
 
     def in_world(self, level: F64) -> F64:
         """Return places (…, 2) of ``level`` in the world."""
@@ -103,62 +103,49 @@ class ComparedView:
         world: F64 = level @ pose.rotation[:2, :2].T + pose.translation[:2]
         return world
 
-    def states_at(self, level: F64) -> NDArray[np.uint8]:
-        """Return the states (…,) at places (…, 2) of ``level``, within the grid."""
-        return self._states[_numbers(self.grid, level)]
-
-    def _nearby(self, cells: Sequence[_Cells]) -> tuple[F64, NDArray[np.intp]]:
-        """Return those of other views' cells that are near and on the same ground: (N, 2) in ``level``, whose (N,)."""
-        whose = np.repeat(np.arange(len(cells)), [len(each.world) for each in cells])
-        level = self.report.in_level(np.concatenate([each.world for each in cells]))
-        range_m = np.hypot(level[:, 0], level[:, 1])
-        near = np.flatnonzero((range_m > NEAREST_M) & (range_m < min(FARTHEST_M, self.grid.half_extent_m)))
-        level, ground_m = level[near], np.concatenate([each.ground_m for each in cells])[near]
-        same = np.abs(self.report.ground_m(level) - ground_m) < SAME_GROUND_M
-        return level[same], whose[near[same]]
-
-    def against(self, others: Sequence[ComparedView]) -> F64:
-        """Return *through* and *denied* (K, 2) of this view and others; NaN where two have nothing in common."""
-        # Surfaces of others: does this view claim to see there, and free cells alone about them?
-        surfaces, whose = self._nearby([other.surfaces for other in others])
-        about = self.states_at(surfaces[:, None] + _ABOUT_M)
-        claimed = _is_visible(about[:, len(_ABOUT_M) // 2])
-        through = (about[claimed] == CellState.FREE).all(axis=1)
-        out = [_shares(through, whose[claimed], len(others), 0)]
-        # Free ground of others that no surface and no object of its own hides from this agent; elevated ones see over
-        # most.
-        free, of = self._nearby([other.free for other in others])
-        if not self.report.elevated:
-            objects = footprint_points(self.report.detections.boxes, COARSE).reshape(-1, 2)
-            first_m = _first_m(np.concatenate([self.surface_xy, surfaces, objects]), self.grid.cell_m)
-            is_open = np.hypot(free[:, 0], free[:, 1]) < first_m[_sectors(free)] - 0.5
-            free, of = free[is_open], of[is_open]
-        denied = _shares(self.states_at(free) == CellState.HIDDEN, of, len(others), 1)
-        out.append(denied if self.visible.mean() >= LEAST_SEEN else np.full(len(others), np.nan))
-        return np.column_stack(out)
+    def against(self, others: _Cells, agents: int) -> F64:
+        """Return *through* and *denied* (A, 2) of this view and others; NaN where two have nothing in common."""
+        report, grid = self.report, self.report.estimate.grid
+        ground = HeightMap.flat(grid.half_extent_m) if report.ground is None else report.ground
+        # Elevated sensors see over what stands in the way of others.
+        blockers = np.concatenate([self.surfaces, footprint_points(report.detections.boxes, COARSE).reshape(-1, 2)])
+        claimed, through, free, denied = _core.compare_view(
+            self.state, *grid.origin_m, grid.cell_m, ground.heights_m, ground.half_extent_m,
+            _numbers(report.world_from_level), *others, own=self.number, agents=agents, blockers=blockers,
+            from_above=report.elevated, nearest_m=NEAREST_M, farthest_m=min(FARTHEST_M, grid.half_extent_m),
+            same_ground_m=SAME_GROUND_M,
+        )  # fmt: skip
+        if self.visible.mean() < LEAST_SEEN:
+            free = np.zeros_like(free)
+        return np.column_stack([_shares(through, claimed, 0), _shares(denied, free, 1)])
 
     def since(self, last: ComparedView) -> tuple[float, float]:
         """Return *opened* and *closed*, as shares of what is seen now or then."""
-        before = last.report.in_level(self.in_world(self.lattice))
-        known = np.abs(before).max(axis=1) < last.grid.half_extent_m
-        now, states = self.visible[known], last.states_at(before[known])
-        then = _is_visible(states)
-        seen = max(int((now | then).sum()), 1)
-        hidden = int((then & self.hidden[known]).sum()) - int((now & (states == CellState.HIDDEN)).sum())
-        return (int(now.sum()) - int(then.sum())) / seen, hidden / seen
+        last_from_now = last.report.world_from_level.inverse() @ self.report.world_from_level
+        grid, then = self.report.estimate.grid, last.report.estimate.grid
+        sees, saw, either, hidden, shown = _core.compare_past(
+            self.state, *grid.origin_m, grid.cell_m, last.state, *then.origin_m, then.cell_m, _numbers(last_from_now),
+            self.lattice,
+        )  # fmt: skip
+        return (sees - saw) / max(either, 1), (hidden - shown) / max(either, 1)
 
-    def misplaced(self, surfaces: Mask) -> float:
+    def misplaced(self, seen_by: NDArray[np.uint32]) -> float:
         """Return how many more surfaces lie on others', on their map, at another pose than the claimed one, a share."""
-        own = _some(self.surface_xy)
+        own, pose = _some(self.surfaces), self.report.world_from_level
         if len(own) < _FEWEST_MET:
             return np.nan
-        cells = np.floor(self.in_world(np.stack([own @ turn for turn in _TURNS])) / _MAP_M).astype(np.int32)
-        met = surfaces[_map_numbers(cells[:, None] + _SHIFTS[:, None])].sum(axis=-1).ravel()
+        x_m, y_m = pose.translation[0] + _SHIFTS_M, pose.translation[1] + _SHIFTS_M
+        met = _core.count_met(own, pose.yaw + _TURNS, x_m, y_m, _MAP_M, seen_by, agent_bit(self.number))
         return float((met.max() - met[_CLAIMED]) / met.max()) if met.max() >= _FEWEST_MET else np.nan
 
 
 def _some(xy: F64) -> F64:
-    return xy[:: max(-(-len(xy) // MOST_CELLS), 1)]
+    return np.ascontiguousarray(xy[:: max(-(-len(xy) // MOST_CELLS), 1)])
+
+
+def _numbers(pose: Rigid) -> F64:
+    """Return x, y, z and yaw (4,) of an upright pose."""
+    return np.append(pose.translation, pose.yaw)
 
 
 @lru_cache(maxsize=4)
@@ -173,52 +160,13 @@ def _lattice(grid: BevGrid) -> F64:
 
 @lru_cache(maxsize=4)
 def _lattice_numbers(grid: BevGrid) -> NDArray[np.intp]:
-    return _numbers(grid, _lattice(grid))
+    """Return the flat numbers (P,) of the cells of the lattice, the nearest ones beyond the edge."""
+    cells = np.clip(((_lattice(grid) - grid.origin_m) / grid.cell_m).astype(np.intp), 0, grid.cells - 1)
+    return np.ravel_multi_index((cells[:, 0], cells[:, 1]), grid.shape)
 
 
-def _numbers(grid: BevGrid, level: F64) -> NDArray[np.intp]:
-    """Return the flat numbers (…,) of the cells at places (…, 2) of ``level``, the nearest ones beyond the edge."""
-    cells = ((level - grid.origin_m) / grid.cell_m).astype(np.int32)
-    cells = np.clip(cells, 0, grid.cells - 1)
-    numbers: NDArray[np.intp] = cells[..., 0] * grid.cells + cells[..., 1]
-    return numbers
-
-
-def _map_numbers(cells: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Return the flat numbers (…,) on the map of surfaces of cells (…, 2) of the world."""
-    cells = cells & (_MAP_CELLS - 1)
-    numbers: NDArray[np.int32] = cells[..., 0] * _MAP_CELLS + cells[..., 1]
-    return numbers
-
-
-def _first_m(level: F64, cell_m: float) -> F64:
-    """Return the range (sectors,) from which surfaces (S, 2), cells of some width, hide what is behind them."""
-    range_m, sectors = np.hypot(level[:, 0], level[:, 1]), _sectors(level)
-    first_m = np.full(_SECTORS, np.inf)
-    np.minimum.at(first_m, sectors, range_m)
-    # A near cell is several sectors wide: so many to both sides as its half width spans, one at least.
-    wide = first_m.copy()
-    for step in range(1, _WIDEST + 1):
-        reaches = (step == 1) | (first_m * step * (2 * np.pi / _SECTORS) <= cell_m)
-        near = np.where(reaches, first_m, np.inf)
-        wide = np.minimum(wide, np.minimum(np.roll(near, step), np.roll(near, -step)))
-    return wide
-
-
-def _is_visible(states: NDArray[np.uint8]) -> Mask:
-    visible: Mask = (states == CellState.FREE) | (states == CellState.SURFACE)
-    return visible
-
-
-def _sectors(level: F64) -> NDArray[np.intp]:
-    turn = (np.arctan2(level[:, 1], level[:, 0]) + np.pi) / (2 * np.pi)
-    sectors: NDArray[np.intp] = (turn * _SECTORS).astype(np.intp) % _SECTORS
-    return sectors
-
-
-def _shares(part: Mask, whose: NDArray[np.intp], count: int, name: int) -> F64:
-    """Return the share (K,) of each other's cells (N,), of few ones near the usual; NaN of none."""
-    total, some = np.bincount(whose, minlength=count), np.bincount(whose, part, minlength=count)
+def _shares(some: NDArray[np.int32], total: NDArray[np.int32], name: int) -> F64:
+    """Return the share (A,) of some of each other's cells, of few ones near the usual; NaN of none."""
     return np.where(total > 0, (some + _FEW * _USUAL[name]) / (total + _FEW), np.nan)
 
 
@@ -242,23 +190,20 @@ def compare_views(
         asked: numbers of the agents whose views are compared with all others, both ways.
     """
     pairs, own = np.full((agents, agents, len(PAIR)), np.nan), np.full((agents, len(OWN)), np.nan)
-    views = {number: ComparedView(report) for number, report in reports.items()} if asked else {}
+    if not asked:
+        return Comparisons(pairs, own), {}
+    views = {number: ComparedView(report, number) for number, report in reports.items()}
     # Who sees a surface in each cell of the map: a bit for each agent, so that its own can be left out.
-    seen_by = np.zeros(_MAP_CELLS**2, np.uint32)
+    seen_by = np.zeros((_MAP_CELLS, _MAP_CELLS), np.uint32)
     for number, view in views.items():
-        cells = np.floor(view.in_world(view.surface_xy) / _MAP_M).astype(np.int32)
-        seen_by[np.unique(_map_numbers(cells))] |= np.uint32(1 << number % 32)
-    for number in asked:
-        view = views[number]
-        others = [other for other in views if other != number]
-        since = view.since(last[number]) if number in last else (np.nan, np.nan)
-        misplaced = view.misplaced((seen_by & ~np.uint32(1 << number % 32)) != 0)
-        own[number] = *since, misplaced
-        if others:
-            pairs[number, others] = view.against([views[other] for other in others])
-    for number in views.keys() - set(asked):
-        if asked:
-            pairs[number, list(asked)] = views[number].against([views[other] for other in asked])
+        cells = np.floor(view.in_world(view.surfaces) / _MAP_M).astype(np.int32) & (_MAP_CELLS - 1)
+        seen_by[cells[:, 0], cells[:, 1]] |= agent_bit(number)
+    everybody, of_asked = _Cells.of(list(views.values())), _Cells.of([views[number] for number in asked])
+    for number, view in views.items():
+        pairs[number] = view.against(everybody if number in asked else of_asked, agents)
+        if number in asked:
+            since = view.since(last[number]) if number in last else (np.nan, np.nan)
+            own[number] = *since, view.misplaced(seen_by)
     return Comparisons(pairs, own), {number: views[number] for number in asked}
 
 

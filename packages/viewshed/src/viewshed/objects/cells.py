@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed import _core
 from viewshed.arrays import F64
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import FloatArray, Rigid
@@ -22,10 +23,6 @@ MARGIN_M = 0.25
 
 REACH_M, STEP_M = 2.0, 0.5
 """How far, and in what steps, a box is moved to find where its surface stands."""
-
-_RING_M = 1.0
-
-_NO_SURFACE_M = 10.0
 
 _WEIGHTS = np.array([0.0, -1.0, 1.0, 0.0], np.float32)
 """What a point of a box is worth by its cell's state (unknown, free, surface, hidden) when the box is moved."""
@@ -84,32 +81,12 @@ class SeenCells:
 
     def look(self, boxes: F64, place: F64, counts: tuple[int, int] = FINE) -> BoxCells:
         """Return what the cells in and about boxes (K, 7) are, seen from a place (2,), at ``counts`` points."""
-        points, around = footprint_points(boxes, counts), footprint_points(boxes, counts, _RING_M)
-        states, about = np.split(self.states_at(np.concatenate([points, around], axis=1)), 2, axis=1)
-        is_surface, is_free = states == CellState.SURFACE, states == CellState.FREE
-        # How deep each point lies in the box, along the line of sight to its center.
-        away = boxes[:, :2] - place
-        range_m = np.hypot(*away.T)
-        depth_m = ((points - boxes[:, None, :2]) * (away / np.maximum(range_m, 1e-6)[:, None])[:, None]).sum(axis=-1)
-        depth_m -= depth_m.min(axis=1, keepdims=True)
-        near = depth_m <= np.maximum(0.4 * depth_m.max(axis=1, keepdims=True), 0.8)
-        # The points of a box a meter larger that do not lie in the box itself.
-        along, across = np.abs(_lattice(*counts))
-        half, ring = boxes[:, 3:5] / 2 + MARGIN_M, boxes[:, 3:5] + 2 * _RING_M
-        outside = (along * ring[:, :1] > half[:, :1]) | (across * ring[:, 1:] > half[:, 1:])
-        # Counts of points are products with ones, which numpy does faster than means of a few numbers each.
-        one, count = np.ones(points.shape[1]), points.shape[1]
-        outer = np.maximum(outside @ one, 1.0)
-        return BoxCells(
-            is_surface @ one / count,
-            is_free @ one / count,
-            (states == CellState.HIDDEN) @ one / count,
-            ((about == CellState.SURFACE) & outside) @ one / outer,
-            ((about == CellState.FREE) & outside) @ one / outer,
-            (is_free & near) @ one / (near @ one),
-            np.where(is_surface, depth_m, _NO_SURFACE_M).min(axis=1),
-            range_m,
-        )
+        pose = np.append(self.frame_from_level.translation, self.frame_from_level.yaw)
+        cells = _core.look_at_boxes(
+            self.state, *self.grid.origin_m, self.grid.cell_m, pose, np.ascontiguousarray(boxes, np.float64),
+            float(place[0]), float(place[1]), *counts,
+        )  # fmt: skip
+        return BoxCells(*cells.T)
 
     def shifts(self, boxes: F64) -> F64:
         """Return the vector (K, 2) in meters from each box to where its surface stands, 0 where none is near.

@@ -11,13 +11,13 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from viewshed import _core
 from viewshed.arrays import F64
 from viewshed.detections import moved_boxes
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, probability_of_visible
 from viewshed.geometry import Rigid
 from viewshed.objects.detection_table import detection_table
-from viewshed.objects.matching import corners_of
 from viewshed.preprocess.evidence import expected_returns
 from viewshed.preprocess.leveling import LeveledSweep
 
@@ -40,9 +40,6 @@ _MOST_RINGS = 8
 
 _MOST_PLACES = 10_000
 """The most places in one question, whoever sends how many boxes; then rings are fewer, at least one."""
-
-_SIGHTS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
-"""Lines of sight to a box that are looked at: parts of its width as the sensor sees it."""
 
 
 class View(Protocol):
@@ -165,21 +162,12 @@ class GridView(_NoOdds):
         self.t_s, self.in_world = t_s, estimate.world_from_level is not None
         self._level_from_tracks = _level_from_tracks(estimate.world_from_level)
         self._estimate, self._detectable = estimate, detectable
-        self._prob = estimate.visible() if hard else estimate.visible_prob
+        self._prob = estimate.visible().astype(np.float32) if hard else estimate.visible_prob
 
     def visible(self, boxes: F64) -> F64:
         """Return the probability (K,) of the cells before each box; 0 outside the grid."""
-        return self.visible_at(points_before(self.in_level(boxes), self._estimate.grid.cell_m))
-
-    def in_level(self, boxes: F64) -> F64:
-        """Return boxes (K, 7) in the ``level`` frame of the estimate."""
-        return moved_boxes(boxes, self._level_from_tracks)
-
-    def visible_at(self, points: F64) -> F64:
-        """Return the mean probability (K,) of the cells at points (K, P, 2) of ``level``; 0 outside the grid."""
-        cells, is_inside = self._estimate.grid.index(points)
-        prob = np.where(is_inside, self._prob[cells[..., 0], cells[..., 1]], 0.0)
-        return np.asarray(prob.mean(axis=1))
+        level, grid = moved_boxes(boxes, self._level_from_tracks), self._estimate.grid
+        return _core.visible_before(self._prob, *grid.origin_m, grid.cell_m, level)
 
     def detectable(self, boxes: F64, kinds: Kinds) -> F64:
         """Return the same probability (K,) for each box."""
@@ -273,35 +261,6 @@ def hidden_within(view: View, boxes: F64, within_m: F64) -> F64:
     places[..., :2] += within_m[:, None, None] * unit
     visible = view.visible(places.reshape(-1, 7)).reshape(len(boxes), len(unit))
     return np.asarray(1.0 - visible.min(axis=1))
-
-
-def points_before(boxes: F64, step_m: float) -> F64:
-    """Return points (K, 5, 2) in front of boxes (K, 7) in ``level``: where lines of sight meet them, ``step_m`` nearer.
-
-    Where the sensor stands in the box, its own place.
-    """
-    at_corners = corners_of(boxes)
-    middle = np.arctan2(boxes[:, 1], boxes[:, 0])
-    off = np.arctan2(at_corners[..., 1], at_corners[..., 0]) - middle[:, None]
-    off = (off + np.pi) % (2 * np.pi) - np.pi
-    low, high = off.min(axis=1, keepdims=True), off.max(axis=1, keepdims=True)
-    azimuth = middle[:, None] + low + (high - low) * _SIGHTS
-
-    # The range at which each line enters the box: the later of its entries between front and back, and between sides.
-    cos, sin = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
-    ahead, left = cos * boxes[:, 0] + sin * boxes[:, 1], cos * boxes[:, 1] - sin * boxes[:, 0]  # of its center
-    turned = azimuth - boxes[:, 6, None]
-    entry_m = np.maximum(
-        _entry_m(np.cos(turned), ahead, boxes[:, 3] / 2), _entry_m(np.sin(turned), left, boxes[:, 4] / 2)
-    )
-    range_m = np.maximum(entry_m - step_m, 0.0)
-    return np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth)], axis=-1)
-
-
-def _entry_m(slope: F64, middle_m: F64, half_m: F64) -> F64:
-    """Return where lines (K, 5) that gain ``slope`` a meter come within ``half_m`` (K,) of ``middle_m`` (K,)."""
-    slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
-    return np.asarray(middle_m[:, None] / slope - half_m[:, None] / np.abs(slope))
 
 
 @lru_cache(maxsize=_MOST_RINGS)

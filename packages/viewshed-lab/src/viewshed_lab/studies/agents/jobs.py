@@ -15,16 +15,13 @@ from viewshed.arrays import Mask
 from viewshed.objects.detector import Detector
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.drive import drive_sweeps
-from viewshed_lab.studies.agents.plan import STEPS, AgentsPlan
+from viewshed_lab.studies.agents.plan import HONEST_MODEL, STEPS, AgentsPlan
 from viewshed_lab.studies.agents.runs import SceneCases, honest_examples
 from viewshed_lab.studies.agents.scenes import FOLDER, Scene, scene_path, scene_world
 from viewshed_lab.studies.cases import generator
 from viewshed_lab.studies.plan import check_names
 from viewshed_lab.studies.runner import Job, Progress, ignore_progress, lacking, run_jobs
 from viewshed_lab.studies.store import JobResult, ResultStore
-
-HONEST_MODEL = "honest.json"
-"""What honest agents do: fitted on the scenes of the first split."""
 
 
 def run_study(

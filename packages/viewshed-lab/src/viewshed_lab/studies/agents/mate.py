@@ -18,8 +18,8 @@ the center, whose trust is τ_i and τ_j with mean E and standard deviation σ, 
 What i sees and the center lacks is left empty. Confidences of agents are clipped to [1e-4, 0.9999]. The weight w of
 what is not matched is the product of three: of the frames that j was in view, of its distance, and of its age.
 
-What the publication leaves open, and how it is read here: frames in view are counted in a row; clusters are chains of
-tracks, each within the radius of the next; a round takes all trusts as they were at its beginning.
+What the publication leaves open, and how it is read here: frames in view are counted in a row; a round takes all
+trusts as they were at its beginning.
 """
 
 from __future__ import annotations
@@ -60,8 +60,6 @@ class MateRules:
         least_updates: a track of the center with fewer updates is not missed.
         least_measurements: tracks with fewer pseudo-measurements in a round keep their trust.
         least_trust: tracks below are left out of the fused picture; in the air 0.5.
-        radio_m: agents farther apart do not hear each other.
-        cluster_m: tracks of several agents within this distance are of one object.
 
     Raises:
         ValueError: a prior is none, or a number is out of its range.
@@ -87,14 +85,12 @@ class MateRules:
     least_updates: int = 2
     least_measurements: int = 2
     least_trust: float = 0.4
-    radio_m: float = 40.0
-    cluster_m: float = 2.0
 
     def __post_init__(self) -> None:
         for name in ("agent_prior", "track_prior"):
             if getattr(self, name) not in PRIOR_MEANS:
                 raise ValueError(f"{name} must be one of {', '.join(PRIOR_MEANS)}, got {getattr(self, name)!r}")
-        for name in ("prior_strength", "agent_bias", "track_bias", "return_s", "gate_m", "cluster_m"):
+        for name in ("prior_strength", "agent_bias", "track_bias", "return_s", "gate_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
@@ -312,35 +308,3 @@ class MateTrust:
         others = {key: count for key, count in self._frames.items() if key[0] != report.agent}
         self._frames = others | counted
         return frames
-
-    def is_trusted(self, ids: NDArray[np.int64]) -> Mask:
-        """Return which tracks (J,) belong to the fused picture."""
-        return np.asarray(self.of_tracks(ids) >= self.rules.least_trust)
-
-
-def observable(covers: Mask, repairs_empty_view: bool = False) -> Mask:
-    """Return which tracks (J,) an agent's view lets the central tracker miss.
-
-    The published code takes a view that covers no track for no view, so that **all** tracks count; ``True`` repairs it.
-
-    >>> observable(np.array([False, False])).tolist(), observable(np.array([False, False]), True).tolist()
-    ([True, True], [False, False])
-    """
-    if not covers.any() and not repairs_empty_view:
-        return np.ones_like(covers)
-    return covers.copy()
-
-
-def clusters_of(xy_m: F64, radius_m: float) -> NDArray[np.int64]:
-    """Return the number (N,) of the cluster of each point (N, 2): chains of points nearer than ``radius_m``.
-
-    >>> clusters_of(np.array([[0.0, 0.0], [1.5, 0.0], [9.0, 0.0], [3.0, 0.0]]), 2.0).tolist()
-    [0, 0, 1, 0]
-    """
-    is_near = np.linalg.norm(xy_m[:, None] - xy_m[None], axis=-1) < radius_m
-    labels = np.arange(len(xy_m))
-    while True:  # each takes the least label of its neighbors, until none changes
-        least = np.where(is_near, labels[None], len(xy_m)).min(axis=1, initial=len(xy_m))
-        if (least == labels).all():
-            return np.asarray(np.unique(labels, return_inverse=True)[1], np.int64)
-        labels = least

@@ -6,22 +6,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from viewshed.agents.rounds import FALSE_RATE
-from viewshed.agents.trust import TrustLimits
+from viewshed.agents.honest import HonestModel
+from viewshed.agents.many import CommandCenter
+from viewshed.agents.rounds import FALSE_RATE, Round
+from viewshed.agents.trust import QUESTIONS, TrustLimits
 from viewshed.arrays import F64, Mask
+from viewshed.show.fused import fused_picture
 from viewshed_lab._page import facts
 from viewshed_lab.studies.agents.lies import LIES
-from viewshed_lab.studies.agents.plan import HONEST, ONSET_S, STATED, UNSTATED, AgentsPlan
-from viewshed_lab.studies.agents.runs import Run
-from viewshed_lab.studies.agents.scenes import MAST_M, PITCH_DEG
+from viewshed_lab.studies.agents.plan import HONEST, HONEST_MODEL, ONSET_S, STATED, UNSTATED, AgentsPlan
+from viewshed_lab.studies.agents.runs import Run, SceneCases
+from viewshed_lab.studies.agents.scenes import MAST_M, PITCH_DEG, Scene, scene_path
 from viewshed_lab.studies.formatting import commits, format_interval, format_rate, mean
-from viewshed_lab.studies.pages import Table, fill_template
+from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.records import Results
 from viewshed_lab.studies.store import ResultStore
 
@@ -37,6 +41,9 @@ GROUPS = {
     "over-claim": ("over_claim",),
 }
 """Lies under each heading of the targets."""
+
+SHOWN = "fabricate"
+"""The lie of the picture."""
 
 TARGETS = {"fabricated": 0.97, "moved": 0.96, "pose": 0.94, "removed": 0.90, "stale": 0.88, "over-claim": 0.85}
 """AUROC."""
@@ -61,11 +68,10 @@ class AgentsResults:
 
     @cached_property
     def limits(self) -> TrustLimits:
-        """Who is accused: limits of the most evidence against each kind in each calibration scene."""
-        runs = self.runs("calibration")
-        most = np.array([np.max(run.evidence, axis=0) for run in runs])
-        low, elevated = (most[:, kind].max(axis=1, initial=-99.0) for kind in (~self.elevated, self.elevated))
-        return TrustLimits.of(low, elevated, np.array([max(run.doubt) for run in runs]))
+        """Who is accused: limits of the most that speaks against anybody in each calibration scene."""
+        learning, benign = (self.runs(split) for split in ("learning", "calibration"))
+        answers = (np.array([np.max(run.answers, axis=0) for run in runs]) for runs in (learning, benign))
+        return TrustLimits.of(*answers, self.elevated, np.array([max(run.doubt) for run in benign]))
 
     @property
     def rate(self) -> float:
@@ -74,7 +80,7 @@ class AgentsResults:
 
     def accused(self, run: Run, until: int | None = None) -> Mask:
         """Return who is accused (A,) in a run at ``rate``, up to one of its times."""
-        return self.limits.accused(np.max(run.evidence[:until], axis=0), self.elevated, self.rate)
+        return self.limits.accused(np.max(run.answers[:until], axis=0), self.elevated, self.rate)
 
     @cached_property
     def test(self) -> list[Run]:
@@ -122,9 +128,10 @@ class AgentsResults:
                 for center in ("ours", "published")
             )
             delay_s = float(np.median([self.delay_s(run) for run in runs]))
+            delay = f"{delay_s:g}" if np.isfinite(delay_s) else "–"
             rows.append([
                 name, str(len(runs[0].liars)), format_rate(self.area(runs)), format_rate(_published_area(runs, self)),
-                format_rate(mean(caught)), _share(honest), _share(victims), f"{delay_s:g}",
+                format_rate(mean(caught)), _share(honest), _share(victims), delay,
                 format_rate(float((trust < 0.5).mean())), f"{ratio:.2f} / {published:.2f}",
                 f"{len(runs)} of {len(self.of(name, counting=False))}",
             ])  # fmt: skip
@@ -135,20 +142,45 @@ class AgentsResults:
         )  # fmt: skip
         return Table(header, rows)
 
-    def area(self, runs: Sequence[Run]) -> float:
-        """Return the AUROC of the rank of evidence: liars against honest agents of scenes in which nobody lies."""
-        honest = np.concatenate([self._rank(run) for run in self.of(HONEST)])
-        liars = np.concatenate([self._rank(run)[run.liars] for run in runs])
+    def area(self, runs: Sequence[Run], asked: Sequence[str] = QUESTIONS) -> float:
+        """Return the AUROC of the scores: liars against honest agents of scenes in which nobody lies."""
+        honest = np.concatenate([self._rank(run, asked) for run in self.of(HONEST)])
+        liars = np.concatenate([self._rank(run, asked)[run.liars] for run in runs])
         return _area(honest, liars)
 
-    def _rank(self, run: Run) -> F64:
-        """Return how much evidence beyond the limit of its kind there is against each agent (A,)."""
-        low, elevated = (np.quantile(kind, 1.0 - self.rate / 2) for kind in (self.limits.low, self.limits.elevated))
-        return np.asarray(np.max(run.evidence, axis=0) - np.where(self.elevated, elevated, low))
+    def _rank(self, run: Run, asked: Sequence[str]) -> F64:
+        """Return how much speaks against each agent (A,) by some questions, on the scale of those of its kind."""
+        answers = np.where(np.isin(QUESTIONS, asked), np.max(run.answers, axis=0), -np.inf)
+        return self.limits.scores(answers, self.elevated)
+
+    def questions_table(self) -> Table:
+        """Return the AUROC of each group of lies with all questions, with each one left out, and with one alone."""
+        groups = {name: runs for name, lies in GROUPS.items() if (runs := self.of(*lies))}
+        asked = {"all": QUESTIONS}
+        asked |= {f"without {name}": tuple(each for each in QUESTIONS if each != name) for name in QUESTIONS}
+        asked |= {f"{name} alone": (name,) for name in QUESTIONS}
+        rows = [
+            [what, *(format_rate(self.area(runs, some)) for runs in groups.values())] for what, some in asked.items()
+        ]
+        return Table(("questions", *groups), rows)
+
+    def picture(self, folder: Path, case: str) -> Picture:
+        """Return the last time of the first test scene in a case."""
+        honest = HonestModel.from_json((folder / HONEST_MODEL).read_text("utf-8"))
+        scene = Scene.load(scene_path(folder, "test", 0))
+        liars, said = SceneCases(scene, (self.plan.seed, "test", 0), honest, compared=False).said(case)
+        center = CommandCenter(scene.agents, honest=honest)
+        for t_s, reports in zip(scene.times_s.tolist(), said, strict=True):
+            last = center.add(t_s, reports)
+        accused = self.limits.accused(last.verdicts.answers, last.elevated, self.rate)
+        done = Round(last, accused, self.limits.disputed(last.verdicts, accused, self.rate))
+        who = ", ".join(scene.agents[number] for number in liars.numbers) if liars else "nobody"
+        alt = f"{self.plan.test_worlds[0]}, {scene.times_s[-1]:.1f} s, {who} lies: agents by trust, objects by belief"
+        return Picture(f"agents_{case}.png", fused_picture(done), alt)
 
     def delay_s(self, run: Run) -> float:
         """Return the seconds from the onset until a liar is accused; infinite where none ever is."""
-        for time in range(len(run.evidence)):
+        for time in range(len(run.answers)):
             t_s = (time + 0.5) / self.plan.hz
             if t_s >= ONSET_S and self.accused(run, time + 1)[run.liars].any():
                 return t_s - ONSET_S
@@ -248,7 +280,8 @@ def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
         "heights": ", ".join(f"{height:g}" for height in plan.heights_m),
         "worlds": ", ".join(dict.fromkeys(plan.worlds)), "test_worlds": ", ".join(plan.test_worlds),
     }  # fmt: skip
-    page = fill_template("agents/page.md", results=found, **values)
+    pictures = [found.picture(store.folder, case) for case in (HONEST, SHOWN)]
+    page = fill_template("agents/page.md", results=found, pictures=pictures, **values)
     scenes = f"{plan.learning} learning, {plan.calibration} calibration, {plan.test} test"
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed),

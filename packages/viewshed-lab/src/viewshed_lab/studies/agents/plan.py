@@ -19,6 +19,9 @@ the third, whose kinds of world and sensors are in none of the others."""
 ONSET_S = 2.0
 """Agents lie from this time of a scene on."""
 
+HONEST_MODEL = "honest.json"
+"""What honest agents do: fitted on the scenes of the first split."""
+
 STEPS = ("scenes", "runs", "page")
 
 HONEST, STATED, UNSTATED = "honest", "pose noise stated", "pose noise not stated"
@@ -77,10 +80,10 @@ class AgentsPlan(Plan):
 
     def run_keys(self) -> list[JobKey]:
         """Return the names of the runs' jobs: split and number of a scene, in all of its cases."""
-        return [("run", *key[1:]) for key in self.scene_keys() if key[1] != SPLITS[0]]
+        return [("run", *key[1:]) for key in self.scene_keys()]
 
     def cases_of(self, split: str, number: int) -> list[str]:
-        """Return what is tried in a scene: honest agents, poses of every other calibration scene off; lies in turn."""
+        """Return what is tried in a scene: honest agents, poses off in every other ten; in test scenes lies too."""
         if split != "test":
             return [(HONEST, STATED)[number // len(self.worlds) % 2]]
         count = min(self.each, len(self.lies))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -50,7 +50,7 @@ class Run:
     case: str  # ``HONEST`` or a lie
     liars: list[int]  # numbers of the agents that lied
     victim: int  # of a lie about another one, or -1
-    evidence: list[list[float]]  # [T][A] against each agent, in nats
+    answers: list[list[list[float]]]  # [T][A][4] what speaks against each agent by ``QUESTIONS``, in nats
     doubt: list[float]  # [T] of all
     trust: list[list[float]]  # [T][A]
     published_trust: list[list[float]]  # [T][A], of the published formulas
@@ -74,8 +74,8 @@ class SceneCases:
     def __post_init__(self) -> None:
         self._reports = [self.scene.reports(time) for time in range(len(self.scene.times_s))]
 
-    def run(self, case: str) -> Run:
-        """Return what a case of the scene comes to."""
+    def said(self, case: str) -> tuple[Liars | None, Iterator[list[AgentReport]]]:
+        """Return the liars of a case, and what all agents say, time after time."""
         scene, agents = self.scene, self.scene.agents
         rng = generator(*self.seed, case)
         order = [int(number) for number in rng.permutation(len(agents))]
@@ -84,21 +84,28 @@ class SceneCases:
         liars = None if lie is None else Liars(lie, tuple(order[:count]), order[count] if lie.flips else -1, rng)
         errors = rng.normal(size=(len(agents), 3)) * (POSE_STD.place_m, POSE_STD.place_m, POSE_STD.yaw)
 
+        def reports() -> Iterator[list[AgentReport]]:
+            for t_s, honest in zip(scene.times_s, self._reports, strict=True):
+                said = list(honest)
+                if case in POSE_NOISE:
+                    pairs = zip(said, errors, strict=True)
+                    said = [_misplaced(report, error, stated=case == STATED) for report, error in pairs]
+                if liars is not None:
+                    said = liars.forge(said) if t_s >= ONSET_S else liars.look(said)
+                yield said
+
+        return liars, reports()
+
+    def run(self, case: str) -> Run:
+        """Return what a case of the scene comes to."""
+        scene, agents, (liars, said) = self.scene, self.scene.agents, self.said(case)
         centers = {"ours": CommandCenter(agents, honest=self.honest)}
         if self.compared:
             centers["no trust"] = CommandCenter(agents, honest=self.honest, trusting=True)
         distances: dict[str, list[float]] = {name: [] for name in CENTERS}
-        evidence, doubt, trust, suspects, published_trust = [], [], [], [], []
+        answers, doubt, trust, suspects, published_trust = [], [], [], [], []
         published = PublishedTrust()
-        for time, honest in enumerate(self._reports):
-            reports = list(honest)
-            if case in POSE_NOISE:
-                reports = [
-                    _misplaced(report, error, stated=case == STATED)
-                    for report, error in zip(reports, errors, strict=True)
-                ]
-            if liars is not None:
-                reports = liars.forge(reports) if scene.times_s[time] >= ONSET_S else liars.look(reports)
+        for time, reports in enumerate(said):
             truth = seen_objects(scene, time)
             for name, center in centers.items():
                 picture = center.add(float(scene.times_s[time]), reports)
@@ -111,12 +118,12 @@ class SceneCases:
                     distances["published"].append(gospa(xy_m[believed & now], truth[:, :2]).distance_m)
                     distances["all tracks"].append(gospa(xy_m[shown], truth[:, :2]).distance_m)
                 else:
-                    evidence.append(picture.verdicts.evidence)
+                    answers.append(picture.verdicts.answers)
                     doubt.append(picture.verdicts.doubt)
                     trust.append(picture.verdicts.trust)
                     suspects.append(picture.verdicts.suspects)
         return Run(
-            case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(evidence),
+            case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(answers),
             _rounded(doubt), _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(),
             {name: _rounded(values) for name, values in distances.items()},
             liars.touched if liars else [], overlap_of(scene, liars) if liars else float("nan"),
@@ -174,7 +181,7 @@ def honest_examples(scene: Scene, rng: np.random.Generator) -> tuple[list[Honest
             away = np.linalg.norm(truth[:, None, :2] - report.in_world.boxes[None, :, :2], axis=2)
             if away.size:
                 members[:, number] = np.where(away.min(axis=1) < FOUND_M, away.argmin(axis=1), -1)
-        past = np.zeros((len(truth), 3, len(numbers)))
+        past = np.zeros((len(truth), 4, len(numbers)))
         objects = object_reports(reports, numbers, len(numbers), truth, members, past)
         away = np.linalg.norm(picture.tracks.boxes[picture.reported, None, :2] - truth[None, :, :2], axis=2)
         is_object = away.min(axis=1, initial=np.inf) < FOUND_M
@@ -204,7 +211,7 @@ def _put_elsewhere(reports: Sequence[AgentReport], rng: np.random.Generator) -> 
         own = np.full((len(rows), agents, 7), np.nan)
         for line, (number, each) in enumerate(rows):
             own[line, number] = each
-        nobody, past = np.full((len(rows), agents), -1, np.int32), np.zeros((len(rows), 3, agents))
+        nobody, past = np.full((len(rows), agents), -1, np.int32), np.zeros((len(rows), 4, agents))
         out.append(object_reports(reports, np.arange(agents), agents, boxes, nobody, past, own))
     return out[0], out[1]
 
