@@ -91,7 +91,7 @@ def test_what_lasts_becomes_the_past_and_the_alarm_ends_once() -> None:
     assert not any(watch.check(one).alarm for one in evidence(100))
     # From now on the sensor is higher, noisier and has more returns.
     changed = evidence(2 * MOST_HELD_SWEEPS)
-    changed[:, [list(EVIDENCE).index(name) for name in ("sensor_height", "range_noise", "returns")]] *= 30.0
+    changed[:, [list(EVIDENCE).index(name) for name in ("sensor_height", "range_noise", "returns")]] += 300.0
     alarms = [watch.check(one).alarm for one in changed]
     ended = alarms.index(False)
     assert MOST_HELD_SWEEPS <= ended <= MOST_HELD_SWEEPS + CALM_SWEEPS

@@ -26,6 +26,12 @@ def _off(sweep: Sweep, yaw_deg: float = 0.0, x_m: float = 0.0, y_m: float = 0.0)
     return sweep.replace(world_from_sensor=Rigid(turn @ pose.rotation, pose.translation + np.array([x_m, y_m, 0.0])))
 
 
+def _turned(sweep: Sweep) -> Sweep:
+    pose = sweep.world_from_sensor
+    assert pose is not None
+    return sweep.replace(world_from_sensor=Rigid.from_yaw(np.pi / 2) @ pose)
+
+
 def _drive(boxes: tuple[Box, ...] = ROOM, count: int = 6) -> list[Sweep]:
     rng = np.random.default_rng(2)
     return [look(boxes, number, 1.0 * number, rng, yaw=0.01 * number) for number in range(count)]
@@ -40,8 +46,7 @@ def test_a_pose_that_jumps_is_told(off: dict[str, float]) -> None:
 
 def test_a_pose_that_is_as_noisy_as_it_states_is_no_cause_for_worry() -> None:
     # The map's y is straight ahead of the sensor; the covariance is along the map's axes.
-    turned = Rigid.from_yaw(np.pi / 2)
-    *before, now = (sweep.replace(world_from_sensor=turned @ sweep.world_from_sensor) for sweep in _drive())
+    *before, now = map(_turned, _drive())
     off, stated = _off(now, y_m=0.5), np.diag([0.0, 0.3, 0.0, 0.0, 0.0, 0.0]) ** 2
     assert measure("registration", *before, off)[0] > 4.0
     assert measure("registration", *before, off.replace(pose_covariance=stated))[0] < 2.5

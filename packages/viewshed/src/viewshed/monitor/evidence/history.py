@@ -332,4 +332,4 @@ def measure_frame_noise(monitored: MonitoredSweep) -> F32:
     for weight, sweep in zip(weights, sweeps, strict=True):
         stated += weight**2 * _covariance_of(sweep, sweeps[0])
     variance_m2 = float(np.linalg.eigvalsh(stated[1:, 1:])[-1] + USUAL_RANGE_M**2 * stated[0, 0])
-    return np.sqrt(np.maximum(jump_m**2 - np.float32(4.0 * variance_m2), np.float32(0.0)))
+    return np.asarray(np.sqrt(np.maximum(jump_m**2 - 4.0 * variance_m2, 0.0)), np.float32)
