@@ -5,13 +5,19 @@
     python tools/fit_ground.py make training road --scenes 0:500 --sweeps 2 --out samples
     python tools/fit_ground.py make training indoor --scenes 0:250 --sweeps 2 --out samples
     python tools/fit_ground.py make own indoor --scenes 16:216 --sweeps 1 --out samples
-    python tools/fit_ground.py fit samples --minutes 60 --out packages/viewshed/src/core/ground_network.inc
-    python tools/fit_ground.py judge development --scenes 0:60
+    python tools/fit_ground.py fit samples --minutes 60 --out ground.pt
+    python tools/fit_ground.py judge ground.pt development --scenes 0:60
 
 ``make`` writes one file for 50 scenes and goes on where it was stopped; ``fit`` takes the time that it is given, keeps
-a checkpoint beside the network for every 250 steps, goes on from it, takes up files that come meanwhile, and writes the
-network as C++, which is compiled into the core; ``judge`` holds the shadow map on the guessed ground against that on
-the found ground and on the exact one. The sealed set is not opened.
+a checkpoint for every 250 steps, goes on from it, and takes up files that come meanwhile; ``judge`` holds the shadow
+map on the network's ground against that on the found ground and on the exact one. The sealed set is not opened.
+
+It is no default: it gains too little for its time. F1 of the shadow map, rings given, 16 scenes each that no fit saw,
+found ground → that of a network fitted for 270 s to 3,572 sweeps, its rate not yet lowered: development roads
+.811 → .808 (precision .883 → .903, false claims at p ≥ .8 .070 → .058), development rooms .959 → .964, roads of the
+presets .916 → .914, their rooms .967 → .968. A network without the found ground, of two modes a node and 6,800
+sweeps, reached .844 of .825 on development roads, and lost .013 in rooms and on the presets' roads. In the core a
+network of 126,000 weights took 5 ms of one core a sweep.
 """
 
 from __future__ import annotations
@@ -44,11 +50,11 @@ from viewshed_lab.training.ground_prior import (
     HEIGHTS,
     GroundNet,
     exact_ground,
+    guessed,
     loss_of,
     network_inputs,
     on_ground,
     on_lattice,
-    source_of,
 )
 
 SCENES_OF_FILE, BATCH, SAVED_EVERY, RATE, SHOWN_SHARE = 50, 8, 250, 2e-3, 0.94
@@ -161,9 +167,8 @@ def fit(given: argparse.Namespace) -> None:
     net, first = GroundNet(), 0
     optimizer = torch.optim.AdamW(net.parameters(), RATE, weight_decay=3e-2)
     spent_s = 0.0
-    checkpoint = given.out.with_suffix(".pt")
-    if checkpoint.exists():
-        saved = torch.load(checkpoint)
+    if given.out.exists():
+        saved = torch.load(given.out)
         net.load_state_dict(saved["net"])
         optimizer.load_state_dict(saved["optimizer"])
         first, spent_s = saved["step"], saved["spent_s"]
@@ -195,10 +200,9 @@ def fit(given: argparse.Namespace) -> None:
             )
             loss_sum = 0.0
             state = {"net": net.state_dict(), "optimizer": optimizer.state_dict()}
-            torch.save(state | {"step": step, "spent_s": time.monotonic() - start_s}, checkpoint)
+            torch.save(state | {"step": step, "spent_s": time.monotonic() - start_s}, given.out)
             samples.refresh()
         if done == 1.0:
-            given.out.write_text(source_of(net.eval()), encoding="ascii")
             return
 
 
@@ -217,6 +221,9 @@ def validated(net: GroundNet, rows: list[Row]) -> float:
 
 def judge(given: argparse.Namespace) -> None:
     """Print precision, recall and F1 of the shadow map on each ground, rings given, within the sensor's reach."""
+    net = GroundNet()
+    net.load_state_dict(torch.load(given.net)["net"])
+    net.eval()
     target = CAR if given.domain == "road" else PEDESTRIAN
     found: dict[str, ConfusionCounts] = {}
     within: dict[str, list[float]] = {}
@@ -225,10 +232,10 @@ def judge(given: argparse.Namespace) -> None:
         if seen.mounting.family.frame == "base":
             continue
         sample, grid = seen.sample("rings"), seen.truth.grid
-        leveled = level(sample.sweep, grid, guess_ground=True)
+        leveled = level(sample.sweep, grid)
         reach_m = min(optics_of(seen.sensor.model).reach_m, seen.sensor.model.max_range_m)
         known = seen.known & (polar_of_cells(grid)[0] <= reach_m)
-        leveled_on = {"found": level(sample.sweep, grid), "guessed": leveled}
+        leveled_on = {"found": leveled, "guessed": guessed(leveled, net)}
         # The exact ground where no return shows it, as far as the cells reach.
         exact = (leveled.ground.at(grid.centers) - ground_error_m(leveled, sample)).astype(np.float32)
         heights_m, std_m, shown = on_lattice(leveled.ground)
@@ -267,6 +274,8 @@ def main(words: Sequence[str] | None = None) -> None:
     for work in (make, fit, judge):
         step = steps.add_parser(work.__name__, help=(work.__doc__ or "").split(";")[0])
         step.set_defaults(work=work)
+        if work is judge:
+            step.add_argument("net", type=Path)
         if work is fit:
             step.add_argument("folder", type=Path)
             step.add_argument("--minutes", type=float, default=60.0, help="of training")

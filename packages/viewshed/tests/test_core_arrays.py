@@ -43,10 +43,6 @@ PLANE = np.zeros((4, 4), U1)
 BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_m": -2.0, "cell_m": 1.0}
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
-GUESSED = {
-    "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
-    "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8,
-}  # fmt: skip
 GOOD: dict[str, dict[str, Any]] = {
     "range_image": {"points": POINTS, "ring": np.zeros(N, I2),
      "columns": 16, "rings": 4, "near_m": 0.5, "far_m": 100.0},
@@ -65,9 +61,11 @@ GOOD: dict[str, dict[str, Any]] = {
                        "high_m": 3.0, "cells": 4},
     "level_sweep": {"points": POINTS, "ring": np.arange(N, dtype=I2) % RINGS, "rings": RINGS, "columns": COLUMNS,
                     "near_m": 0.5, "far_m": 100.0, "attitude": None, "height_m": None, "yaw": None,
-                    "half_extent_m": 32.0, "guesses_ground": True},
+                    "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
-    "guess_inputs": GUESSED, "guess_ground": GUESSED,
+    "guess_inputs": {
+        "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
+        "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8},
     "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
         "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
@@ -198,10 +196,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("ground_of_lows", {"rise_m": FLAT[:5]}, r"rise_m must be \(n, n\)"),
     ("guess_inputs", {"azimuth": SHORT}, "azimuth and range_m must be as long as points"),
     ("guess_inputs", {"sensor_height_m": NAN}, "sensor_height_m must be finite"),
-    ("guess_ground", {"seen": SQUARE[:5]}, r"heights_m, std_m and seen must be \(n, n\)"),
-    ("guess_ground", {key: GUESSED[key][:24, :24].copy() for key in ("heights_m", "std_m", "seen")}, "multiple of 32"),
-    ("guess_ground", {"heights_m": FLAT * F4(NAN)}, "heights_m must be finite"),
-    ("guess_ground", {"std_m": FLAT + F4(INF)}, "std_m must be finite"),
+    ("guess_inputs", {"seen": SQUARE[:5]}, r"heights_m, std_m and seen must be \(n, n\)"),
     ("fill_ground", {"accepted": SQUARE[:5]}, r"walked_m and accepted must be \(n, n\)"),
     ("fill_ground", {"walked_m": FLAT * F4(NAN)}, "walked_m must be finite"),
     ("fill_ground", {"walked_m": FLAT.T[::2]}, TYPE), ("fill_ground", {"plane": np.zeros(2, F4)}, "plane must be"),

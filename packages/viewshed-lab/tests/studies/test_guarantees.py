@@ -8,7 +8,9 @@ from tests.cli.commands import run
 
 from viewshed.guarantees.envelope import Envelope, Threat
 from viewshed.sweep import Sweep
+from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.lidar.weather import Conditions
+from viewshed_lab.sim.world import Thing
 from viewshed_lab.studies.guarantees import attacks, driving, jobs
 from viewshed_lab.studies.guarantees.attacks import Tally, Victim
 
@@ -71,6 +73,12 @@ def test_a_stronger_threat_allows_no_higher_speed() -> None:
         assert found == sorted(found, reverse=True)
     assert speeds["the whole claim"] >= 5.0
     assert speeds["wedge:30"] == 0.0
+
+
+def test_who_walks_fills_a_part_of_a_box_and_a_box_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert 0.15 < driving.filled_share(0) < 0.6
+    monkeypatch.setattr(driving, "person", lambda *_, **__: Thing("box", (Box(0.0, 0.0, 0.6, 0.6, 1.7),)))
+    assert 0.8 < driving.filled_share(0) < 1.2
 
 
 @pytest.mark.slow

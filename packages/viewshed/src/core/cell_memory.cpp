@@ -88,7 +88,8 @@ void CellMemory::check(const SweepView& now, const Transform& now_from_memory, d
         }
         if (known) continue;
         const float sudden = suddenness(arrival_mps(p, earlier), CAME_MPS);
-        if (sudden <= 0.0f) continue;
+        // Its own sweep must find it as well: returns that lie off their beams cannot be sought by them.
+        if (sudden <= 0.0f || now.look_at(p) != Seen::OCCUPIED) continue;
         new_m2[std::size_t(now.sector_of(p, sectors))] += sudden * now.area_of_pixel(p) * float(now.obstacle_step());
     }
 }

@@ -7,7 +7,6 @@
 
 #include "ego_vehicle.hpp"
 #include "ground.hpp"
-#include "ground_guess.hpp"
 #include "height_map.hpp"
 
 namespace viewshed {
@@ -109,20 +108,6 @@ GroundMap walked_ground(const UnleveledSweep& sweep, View1<const bool> isolated,
             found.carrier.support};
 }
 
-void guess_unseen(GroundMap& ground, float sensor_height_m, LevelPoints& level) {
-    const std::size_t n = ground.nodes;
-    Buffer<float> heights_m(n * n), std_m(n * n);
-    const View2<const float> points{level.points.data(), level.count, 3};
-    guess_ground({points, level.azimuth, level.range_m},
-                 {{ground.heights_m.data(), n, n}, {ground.std_m.data(), n, n}, {ground.seen.data(), n, n}, float(ground.half_m)},
-                 sensor_height_m, heights_m.view(n, n), std_m.view(n, n));
-    ground.heights_m = std::move(heights_m);
-    ground.std_m = std::move(std_m);
-    const LatticePositions at = lattice_positions(points, float(ground.half_m), n);
-    interpolate({ground.heights_m.data(), n, n}, at.node, at.down, at.right, level.height_m);
-    for (std::size_t k = 0; k < level.count; ++k) level.height_m[k] = points(k, 2) - level.height_m[k];
-}
-
 }  // namespace
 
 float GroundMap::at(float x_m, float y_m) const {
@@ -168,8 +153,6 @@ SweepLevel level_sweep(const UnleveledSweep& sweep) {
     const View1<const bool> clutter = image && image->clutter ? View1<const bool>(*image->clutter) : View1<const bool>{nullptr, 0};
     LevelPoints level =
         level_points(sweep.points, clutter, {transform, 3, 4}, sweep.near_m, sweep.far_m, heading, ground.view());
-    // 5. Ground that no return shows, as a network guesses it from all of this.
-    if (sweep.guesses_ground && ground.support > 0.0) guess_unseen(ground, float(height_m), level);
     return {std::move(image), rotation, height_m, std::move(ground), std::move(level)};
 }
 

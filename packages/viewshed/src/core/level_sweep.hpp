@@ -40,7 +40,6 @@ struct UnleveledSweep {
     std::optional<Rotation> attitude;               // from the sensor to level
     std::optional<double> height_m, yaw;            // of the sensor above the ground, of the own vehicle
     double half_extent_m;                           // of the ground that is wanted
-    bool guesses_ground = false;                    // where no return shows it
 };
 
 // A sweep in its level frame.
@@ -53,7 +52,7 @@ struct SweepLevel {
 };
 
 // Level a sweep: the attitude is the known one, else upright unless the ground is clearly tilted; the height is the known one,
-// else that above the ground. Ground that no return shows may be guessed from all of it (ground_guess.hpp).
+// else that above the ground.
 SweepLevel level_sweep(const UnleveledSweep& sweep);
 
 }  // namespace viewshed

@@ -67,7 +67,10 @@ void follow_all(const SweepView& view, const std::vector<Other>& others, const S
                    for (std::size_t k = begin; k < end; ++k) {
                        const Point3 p = obstacles[k];
                        if (p.x * p.x + p.y * p.y > FARTHEST_M * FARTHEST_M) continue;
-                       followed[k] = {around.sector_of(around_from_view(p), sectors), follow(p, others)};
+                       const float speed = follow(p, others);
+                       // Its own sweep must find it as well: returns that lie off their beams cannot be sought by them.
+                       if (speed <= 0.0f || view.look_at(p) != Seen::OCCUPIED) continue;
+                       followed[k] = {around.sector_of(around_from_view(p), sectors), speed};
                    }
                });
     // 2. Of each sector the one at the rank.
@@ -160,6 +163,29 @@ constexpr int BESIDE = 3;
 constexpr float MOVED_M = 0.6f, MOVED_SHARE = 0.1f;
 constexpr int LEAST_IN_SECTOR = 20;
 
+// What passes near by covers and uncovers many beams from sweep to sweep: it may have moved so far along them.
+constexpr float PASSED_M = 1.5f;
+
+// Surfaces nearer than this fall silent as they come nearer still, and too many beams meet them.
+constexpr float LEAST_SILENCED_M = 2.0f;
+
+// Whether a surface at a range was at the beams about a column of a ring, as far to either side as it may have moved:
+// for what is farther than before, whether any of them saw as far.
+bool was_beside(const float* ring, int columns, int column, float range_m, float moved_m, bool is_near) {
+    for (int side = -1; side <= 1; side += 2) {
+        // What uncovers a beam is as near as those beside it, so the reach is by their range.
+        for (int b = BESIDE + 1; b < columns / 4; ++b) {
+            const float other_m = ring[((column + side * b) % columns + columns) % columns];
+            const float reach_m = std::min(range_m, other_m) * float(b) * (2 * PI / float(columns));
+            if (reach_m > PASSED_M) break;
+            if (other_m < 1e6f && (is_near ? std::fabs(other_m - range_m) <= moved_m : other_m >= range_m - moved_m)) {
+                return true;
+            }
+        }
+    }
+    return false;
+}
+
 }  // namespace
 
 void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
@@ -181,17 +207,22 @@ void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>&
                 const int middle = c + int(std::lround(turned_columns[k])) + columns;
                 for (int b = -BESIDE; b <= BESIDE; ++b) {
                     const float other_m = then[(middle + b + columns) % columns];
-                    if (!(other_m < 1e6f)) {
-                        is_steady = false;
-                        continue;
-                    }
+                    is_steady &= other_m < 1e6f && other_m > LEAST_SILENCED_M;
+                    if (!(other_m < 1e6f)) continue;
                     ++seen;
                     is_known |= std::fabs(other_m - range_m) <= moved_m;
                     is_near &= other_m > range_m;
                     is_far &= other_m < range_m;
                 }
             }
-            // 2. What that makes of it.
+            // 2. Nor may it, or what hid it, have passed by.
+            if (is_return && !is_known && seen > 0 && is_near != is_far) {
+                for (std::size_t k = 0; k < others.size() && !is_known; ++k) {
+                    const int middle = c + int(std::lround(turned_columns[k]));
+                    is_known = was_beside(others[k]->ring(r), columns, middle, range_m, moved_m, is_near);
+                }
+            }
+            // 3. What that makes of it.
             returns[s] += is_return;
             near[s] += is_return && !is_known && seen > 0 && is_near;
             far[s] += is_return && !is_known && seen > 0 && is_far;

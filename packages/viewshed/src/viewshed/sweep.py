@@ -92,6 +92,8 @@ class Sweep:
         vehicle_yaw: heading of the vehicle that carries the sensor, radians counter-clockwise from the sensor's x, or
             None where the returns near the sensor must tell it.
         planar: for a scan in one plane (a 2-D laser), what is known beside its returns; None for any other sweep.
+        pose_covariance: (6, 6) float64 of the pose, of x, y, z in meters and of turns about them in radians, along the
+            axes of the map, as ROS has it; or None where nobody says.
 
     Raises:
         ValueError: a shape, a value or a type is not as above; the message says what to mend.
@@ -116,6 +118,7 @@ class Sweep:
     dropped_points: int = field(default=0)
     vehicle_yaw: float | None = None
     planar: PlanarScan | None = None
+    pose_covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         points = _points(self.points)
@@ -134,6 +137,7 @@ class Sweep:
         self._check_span("azimuth", _MOST_AZIMUTH, "finite radians within ±2π")
         self._check_span("time_s", REVOLUTION_S, f"finite seconds within one revolution (±{REVOLUTION_S:g} s)")
         self._check_attitude()
+        self._check_covariance()
         if self.t_ns is not None and not -_INT64 <= self.t_ns < _INT64:
             raise ValueError(f"t_ns must be nanoseconds that fit int64, got {self.t_ns}")
         if self.vehicle_yaw is not None and not np.isfinite(self.vehicle_yaw):
@@ -167,6 +171,19 @@ class Sweep:
         attitude = np.array(self.attitude, dtype=np.float64)
         rotation_from_quaternion(attitude)
         _set(self, "attitude", _frozen(attitude))
+
+    def _check_covariance(self) -> None:
+        if self.pose_covariance is None:
+            return
+        covariance = np.array(self.pose_covariance, np.float64)
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            raise ValueError(f"pose_covariance must be (6, 6) finite numbers, got shape {covariance.shape}")
+        least = float(np.linalg.eigvalsh((covariance + covariance.T) / 2.0)[0])
+        if not np.allclose(covariance, covariance.T, atol=1e-9) or least < -1e-9:
+            raise ValueError(
+                f"pose_covariance must be symmetric with no negative variance, got {least:g}; give m² and rad²"
+            )
+        _set(self, "pose_covariance", _frozen(covariance))
 
     def __len__(self) -> int:
         return len(self.points)

@@ -41,6 +41,7 @@ def sweeps(draw: st.DrawFn) -> Sweep:
         agent=draw(st.sampled_from(["ego", "car 2", "Übersicht"])),
         dropped_points=draw(st.integers(0, 5)),
         planar=draw(st.one_of(st.none(), st.builds(PlanarScan, hnp.arrays(np.float32, 3, elements=ANGLES), RANGES))),
+        pose_covariance=np.diag(np.arange(6.0)) if draw(st.booleans()) else None,
     )
 
 
@@ -56,7 +57,7 @@ def same(first: Any, second: Any) -> bool:
 def test_npz_keeps_everything(suffix: str, sweep: Sweep, tmp_path: Path) -> None:
     write_sweep(sweep, tmp_path / f"a{suffix}")
     back = read_sweep(tmp_path / f"a{suffix}")
-    for name in ("points", "intensity", "ring", "azimuth", "time_s", "attitude"):
+    for name in ("points", "intensity", "ring", "azimuth", "time_s", "attitude", "pose_covariance"):
         assert same(getattr(sweep, name), getattr(back, name)), name
     for name in ("t_ns", "sensor_height_m", "agent", "dropped_points"):
         assert getattr(sweep, name) == getattr(back, name), name

@@ -16,10 +16,10 @@ from viewshed.monitor.calibration import (
     Promise,
     alarms_allowed,
     load_calibration,
-    peaks_of,
     save_calibration,
 )
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
+from viewshed.monitor.tails import peaks_of
 
 RATES = st.sampled_from([0.01, 0.02, 0.05, 0.1, 0.25, 0.5])
 

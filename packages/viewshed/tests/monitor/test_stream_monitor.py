@@ -10,9 +10,9 @@ from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 
 from viewshed import Sweep
 from viewshed.monitor import Calibration, StreamMonitor
-from viewshed.monitor.calibration import CALM_SWEEPS
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
 from viewshed.monitor.stream_monitor import ALONE, EvidenceStream, StreamReport
+from viewshed.monitor.tails import CALM_SWEEPS
 from viewshed.monitor.watch import MOST_HELD_SWEEPS, Watch
 from viewshed.preprocess.leveling import LeveledSweep, level
 
@@ -80,7 +80,11 @@ def test_what_lasts_becomes_the_past_and_the_alarm_ends_once() -> None:
     rng, kinds = np.random.default_rng(0), len(EVIDENCE)
 
     def evidence(count: int) -> NDArray[np.float32]:
-        return rng.exponential(1.0, (count, kinds, SECTORS)).astype(np.float32)
+        drawn = rng.exponential(1.0, (count, kinds, SECTORS)).astype(np.float32)
+        drawn[:, of_sensor] = drawn[:, of_sensor, :1]
+        return drawn
+
+    of_sensor = np.array([kind.two_sided for kind in EVIDENCE.values()])
 
     made = Calibration.fit([evidence(400) for _ in range(4)], hz=10.0)
     watch = Watch(made, made.limit(10.0, extrapolate=True))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from tests.preprocess.random_sensors import random_scene, random_sensor, right_share, rosette
 
-from viewshed import BevGrid, Sweep
+from viewshed import BevGrid, Sweep, _core
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.preprocess.beam_matching import polar
-from viewshed.preprocess.elevation_clusters import find_clusters, rings_by_clusters
+from viewshed.preprocess.elevation_clusters import find_clusters
 from viewshed.preprocess.sensor_identification import identify_sensor
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import cast, junction
@@ -29,11 +29,15 @@ def measured(seed: int) -> tuple[Sweep, np.random.Generator]:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_rings_ascend_and_do_not_depend_on_the_order_of_the_points(seed: int) -> None:
     sweep, rng = measured(seed)
-    found = rings_by_clusters(*polar(sweep.points))
-    assert (np.diff(found[1].elevation) > 0).all()
     order = rng.permutation(len(sweep))
-    again = rings_by_clusters(*polar(sweep.points[order]))
-    assert (again[0] == found[0][order]).mean() > 0.99
+    rings = []
+    for points in (sweep.points, sweep.points[order]):
+        azimuth, slope, range_m = polar(points)
+        clusters = find_clusters(azimuth, slope, range_m)
+        assert clusters is not None
+        assert (np.diff(clusters.elevation) > 0).all()
+        rings.append(_core.match_beams(slope, range_m, clusters.elevation, clusters.origin_m)[0])
+    assert (rings[1] == rings[0][order]).mean() > 0.99
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed import Sweep
-from viewshed.preprocess.range_image import DEFAULT_COLUMNS, RangeImage, pixels_of, range_image_by_rings
-from viewshed.preprocess.ring_recovery import recover_rings
+from viewshed.preprocess.range_image import RangeImage, pixels_of, range_image_by_rings
+from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, recover_rings
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId
 from viewshed.sensors import LidarModel
 

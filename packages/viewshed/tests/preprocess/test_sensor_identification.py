@@ -84,8 +84,9 @@ def test_no_sensor_is_inferred_where_there_is_said_to_be_none(with_rings: bool) 
     """The beams of an HDL-32E explain the points, but the sweep says that no table does."""
     sweep = KNOWN.replace(model=None) if with_rings else bare(KNOWN)
     none = sweep.replace(infer_sensor=False)
-    assert identify_sensor(sweep).model is KNOWN.model
-    sensor_id = identify_sensor(none)
+    inferred, sensor_id = identify_sensor(sweep), identify_sensor(none)
+    assert inferred.model is KNOWN.model
+    assert inferred.ring is sweep.ring if with_rings else inferred.ring is not None
     assert sensor_id.model is None
     assert sensor_id.ring is none.ring if with_rings else sensor_id.ring is not None
     leveled = level(none.select(np.arange(len(none))), GRID)

@@ -1,23 +1,31 @@
 """Rings of sensors that moved while they measured: points in one frame, each measured from another place."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.preprocess.random_sensors import random_sensor, right_share, rosette
 
-from viewshed import Sweep
+from viewshed import Sweep, _core
 from viewshed.arrays import F32
 from viewshed.preprocess.beam_matching import polar
 from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.preprocess.sensor_identification import identify_sensor
-from viewshed.preprocess.sensor_motion import SensorMotion, find_motion
 from viewshed.sensors import LidarModel, lidar_model
 
 SEAMS = (-np.pi, -np.pi / 2, 0.0, np.pi / 2)
 
 Rings = NDArray[np.int16]
+
+
+class SensorMotion(NamedTuple):
+    """An even motion during a revolution, in the frame of the points."""
+
+    way_m: NDArray[np.float64]  # (3,) meters from its beginning to its end
+    seam: float  # azimuth in radians at which it begins and ends
+    reference: float  # part of the turn, counter-clockwise, at which the sensor was at the origin
 
 
 def measured(model: LidarModel, motion: SensorMotion, rng: np.random.Generator) -> tuple[F32, Rings]:
@@ -50,9 +58,10 @@ def uneven(rings: int = 24) -> LidarModel:
 def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tuple[float, ...]) -> None:
     true = SensorMotion(np.array(way_m), seam, reference)
     points, ring = measured(uneven(), true, np.random.default_rng(1))
-    found = find_motion(points)
-    assert (found.seam, found.reference) == (seam, reference)
-    assert found.way_m == pytest.approx(way_m, abs=0.12)
+    found = _core.find_motion(points)
+    assert found is not None
+    assert found[3:] == (seam, reference)
+    assert found[:3] == pytest.approx(way_m, abs=0.12)
     inferred = identify_sensor(Sweep(points)).ring
     assert right_share(inferred, ring) > 0.96  # near the seam a point may be of either end of the revolution
 
@@ -60,7 +69,8 @@ def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tupl
 def test_undoing_a_motion_gives_the_points_as_they_were_measured() -> None:
     model, motion = uneven(), SensorMotion(np.array([1.5, -0.4, 0.1]), -np.pi, 0.5)
     points, ring = measured(model, motion, np.random.default_rng(2))
-    _, slope, _ = polar(motion.undo(points))
+    x_m, y_m, z_m = motion.way_m.tolist()
+    _, slope, _ = polar(_core.undo_motion(points, x_m, y_m, z_m, motion.seam, motion.reference))
     off = np.abs(np.arctan(slope) - model.elevation[ring])
     assert np.quantile(off, 0.97) < np.deg2rad(0.02)  # near the seam a point may be of either end of the revolution
 
@@ -103,12 +113,12 @@ def test_a_moving_sensor_that_is_known_is_given_its_beams(off_deg: float) -> Non
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_motion_makes_rings_of_a_pattern_that_has_none(seed: int) -> None:
-    assert find_motion(rosette(np.random.default_rng(seed))) is None
+    assert _core.find_motion(rosette(np.random.default_rng(seed))) is None
 
 
 @pytest.mark.parametrize("count", [0, 1, 255])
 def test_too_few_returns_show_no_motion(count: int) -> None:
-    assert find_motion(np.tile(np.array([[8.0, 1.0, -1.0]], np.float32), (count, 1))) is None
+    assert _core.find_motion(np.tile(np.array([[8.0, 1.0, -1.0]], np.float32), (count, 1))) is None
 
 
 def test_rings_that_are_known_are_not_inferred_again() -> None:

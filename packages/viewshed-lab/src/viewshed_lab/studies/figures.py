@@ -71,11 +71,11 @@ def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
         line[0].set_ylabel(name, fontsize=9)
         for axis, picture in zip(line, maps, strict=False):
             drawn[picture.kind] = _map(axis, picture, max(most, 1e-3))
-    half = across // 2
+    half = across // 2 if "deviation" in drawn else across
     for kind, columns in (("probability", axes[:, :half]), ("deviation", axes[:, half:])):
         if kind in drawn:
             bar = figure.colorbar(drawn[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
-            bar.set_label("mean: probability of visible" if kind == "probability" else "deviation", fontsize=8)
+            bar.set_label("probability of visible" if kind == "probability" else "deviation", fontsize=8)
             bar.ax.tick_params(labelsize=7)
     return _png(figure, _MAP_COLORS)
 

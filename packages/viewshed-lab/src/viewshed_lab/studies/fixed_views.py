@@ -51,7 +51,8 @@ class FixedView(ClassicalEstimator):
         """Return 1 for the cells (cells, cells) inside, 0 for the others."""
         range_m, azimuth = polar_of_cells(self.grid)
         inside = (range_m <= self.range_m) & (np.abs(azimuth) <= np.deg2rad(self.opening_deg / 2))
-        return inside.astype(np.float32)
+        prob: NDArray[np.float32] = inside.astype(np.float32)
+        return prob
 
 
 FIXED_VIEWS: dict[str, EstimatorFactory] = {

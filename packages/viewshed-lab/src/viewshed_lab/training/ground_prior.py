@@ -2,14 +2,12 @@
 
 It is given what the returns of a sweep show on the lattice of the ground, the ground as it was found from them with its
 deviation, and the lowest beam that passes over each node: the ground lies below that. It answers with three quantiles
-of the height above the found ground, so that it need not know what rules know already. What goes in, the network and
-what is made of its answer are native (``core/ground_guess.cpp``); :func:`source_of` writes its numbers.
+of the height above the found ground, so that it need not know what rules know already. What goes in is native
+(``core/ground_guess.cpp``). It is an experiment: ``tools/fit_ground.py`` says what it reaches.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +21,6 @@ from viewshed import _core
 from viewshed.arrays import F32, Mask
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
-from viewshed.networks.onnx_export import with_norm
 from viewshed.preprocess.ground import lattice_nodes
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.sim.terrain import Terrain
@@ -31,9 +28,9 @@ from viewshed_lab.sim.terrain import Terrain
 CHANNELS, FOLD = 13, 4
 """Maps of the inputs, and nodes a side that the network sees as one position."""
 
-HEIGHTS, PASSED, SEEN, GROUND, GROUND_UNIT_M = [1, 2, 3, 5, 8, 10, 12], 6, 7, 8, 4.0
-"""Channels of the inputs: heights; whether a beam passes over the node; whether returns show the ground; its z, and the
-unit of that."""
+HEIGHTS, BEAM, PASSED, SEEN, GROUND, GROUND_UNIT_M = [1, 2, 3, 5, 8, 10, 12], 5, 6, 7, 8, 4.0
+"""Channels of the inputs: heights; the lowest beam over the node, and whether there is one; whether returns show the
+ground; its z, and the unit of that."""
 
 PROBABILITIES = (0.15, 0.5, 0.85)
 """Of the quantiles: the middles of the weights by which visibility is averaged over the ground (.3, .4, .3)."""
@@ -41,10 +38,11 @@ PROBABILITIES = (0.15, 0.5, 0.85)
 UNIT_M = 0.3
 """Heights are learned as asinh(height / UNIT_M): 10 cm more count near 0, and hardly at 5 m."""
 
-_LEVELS_OF_WEIGHT = 44
-"""Weights are whole multiples, at most this, of a scale for each output."""
+_OUTER_STDS = 1.0364
+"""Standard deviations between the median of a normal distribution and its outer quantiles."""
 
-_LETTERS = "".join(chr(code) for code in range(35, 127) if chr(code) not in "?\\")
+_MOST, _MOST_ABOVE_M, _OVER_BEAM_M = 5.0, 15.0, 0.1
+"""Quantiles are cut off; beams are as high as inputs say at most; the ground may lie this far above a beam."""
 
 
 class _Block(nn.Sequential):
@@ -112,21 +110,31 @@ def loss_of(outputs: Tensor, inputs: Tensor, ground_m: Tensor, half_extent_m: Te
 
 
 def network_inputs(leveled: LeveledSweep) -> F32:
-    """Return the inputs (CHANNELS, n, n) of the network for a sweep on its found ground.
+    """Return the inputs (CHANNELS, n, n) of the network for a leveled sweep.
 
-    They are maps of the lattice, z of them above the found ground (``core/ground_guess.cpp``): any return; z of the
-    second-lowest, lowest and highest one; how many; z of the lowest beam that passes over a node, and whether one does;
-    whether the ground is seen; its z; range, height of the sensor, side of a node; the deviation of the ground.
+    They are maps of the lattice, z of them above the found ground: any return; z of the second-lowest, lowest and
+    highest one; how many; z of the lowest beam that passes over a node, and whether one does; whether the ground is
+    seen; its z; range, height of the sensor, side of a node; the deviation of the ground.
     """
-    heights_m, std_m, seen = on_lattice(leveled.ground)
-    n = len(seen)
-    folded = _core.guess_inputs(
-        leveled.points, leveled.azimuth, leveled.range_m, heights_m, std_m, seen, leveled.ground.half_extent_m,
+    return _core.guess_inputs(
+        leveled.points, leveled.azimuth, leveled.range_m, *on_lattice(leveled.ground), leveled.ground.half_extent_m,
         leveled.sensor_height_m,
     )  # fmt: skip
-    return np.ascontiguousarray(
-        folded.reshape(n // FOLD, n // FOLD, FOLD, FOLD, CHANNELS).transpose(4, 0, 2, 1, 3).reshape(CHANNELS, n, n)
-    )
+
+
+def guessed(leveled: LeveledSweep, net: GroundNet) -> LeveledSweep:
+    """Return a leveled sweep on the ground that a network guesses; as it was found where returns show it.
+
+    It lies nowhere above the lowest beam that passes over it.
+    """
+    maps, (heights_m, std_m, seen) = network_inputs(leveled), on_lattice(leveled.ground)
+    with torch.no_grad():
+        quantiles = quantiles_of(net(torch.tensor(maps)[None]))
+    low_m, median_m, high_m = (UNIT_M * np.sinh(each[0].clamp(-_MOST, _MOST).numpy()) for each in quantiles)
+    passes = (maps[PASSED] > 0) & (maps[BEAM] < _MOST_ABOVE_M)
+    above_m = np.minimum(median_m, np.where(passes, maps[BEAM] + _OVER_BEAM_M, np.inf))
+    guessed_std_m = (high_m - low_m) / (2 * _OUTER_STDS)
+    return on_ground(leveled, heights_m + np.where(seen, 0.0, above_m), np.where(seen, std_m, guessed_std_m))
 
 
 def on_lattice(ground: HeightMap) -> tuple[F32, F32, Mask]:
@@ -136,44 +144,6 @@ def on_lattice(ground: HeightMap) -> tuple[F32, F32, Mask]:
         array.repeat(times, 0).repeat(times, 1) for array in (ground.heights_m, ground.std_m, ground.seen)
     )
     return heights_m, std_m, seen
-
-
-def source_of(net: GroundNet) -> str:
-    """Return a network's numbers as C++, which is compiled into the core; batch normalization becomes part of them."""
-    scales, biases, letters = [], [], []
-    for weight, bias in _layers(net):
-        scale = np.abs(weight).max(axis=(0, 1)).clip(1e-9) / _LEVELS_OF_WEIGHT
-        numbers = np.rint(weight / scale).astype(int) + _LEVELS_OF_WEIGHT
-        letters += [_LETTERS[number] for number in numbers.ravel()]
-        scales.append(scale)
-        biases.append(bias)
-    lines = [f"static const std::size_t WIDTHS[] = {{{', '.join(map(str, net.widths))}}};"]
-    for name, values in (("SCALES", np.concatenate(scales)), ("BIASES", np.concatenate(biases))):
-        words = [f"{value:.9e}f" for value in values.tolist()]
-        rows = [", ".join(words[k : k + 8]) for k in range(0, len(words), 8)]
-        lines.append(f"static const float {name}[] = {{\n" + ",\n".join(rows) + "};")
-    text = "".join(letters)
-    lines.append("static const char WEIGHTS[] =")
-    lines += [f'"{text[k : k + 120]}"' for k in range(0, len(text), 120)]
-    return "\n".join(lines) + ";\n"
-
-
-def _layers(net: GroundNet) -> Iterator[tuple[F32, F32]]:
-    """Yield weights (taps, inputs, outputs) and bias (outputs,) of each layer; folded nodes before their values."""
-    nodes = FOLD**2
-    for module in (net.fold, *net.down, *net.up):
-        for convolution, norm in itertools.pairwise(module.children()):
-            if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-                weight, bias = (tensor.detach().numpy() for tensor in with_norm(convolution, norm))
-                if module is net.fold:
-                    weight = weight.reshape(-1, CHANNELS, nodes, 1).transpose(0, 2, 1, 3).reshape(weight.shape)
-                yield weight.reshape(*weight.shape[:2], -1).transpose(2, 1, 0), bias
-    last = net.unfold[0]
-    assert isinstance(last, nn.Conv2d)
-    assert last.bias is not None
-    weight, bias = (tensor.detach().numpy() for tensor in (last.weight, last.bias))
-    weight = weight.reshape(len(PROBABILITIES), nodes, -1).transpose(1, 0, 2).reshape(-1, weight.shape[1], 1)
-    yield weight.transpose(2, 1, 0), bias.reshape(len(PROBABILITIES), nodes).T.ravel()
 
 
 def exact_ground(leveled: LeveledSweep, world_from_sensor: Rigid, terrain: Terrain) -> tuple[F32, Mask]:

@@ -17,14 +17,13 @@ void bind_level_sweep(nb::module_& m) {
         "level_sweep",
         [](Points points, std::optional<In1<std::int16_t>> ring, std::size_t rings, std::size_t columns, float near_m,
            float far_m, std::optional<RotationArray> attitude, std::optional<double> height_m, std::optional<double> yaw,
-           double half_extent_m, bool guesses_ground) {
+           double half_extent_m) {
             require(points.shape(0) < (std::size_t{1} << 31), "a sweep must have fewer than 2^31 points");
             require(far_m <= MOST_M, "far_m must be at most 1e6 m");
             require(!height_m || std::isfinite(*height_m), "height_m must be finite");
             require(!yaw || std::isfinite(*yaw), "yaw must be finite");
             require_lattice(2, half_extent_m);
-            UnleveledSweep sweep{view(points), std::nullopt, rings, columns, near_m, far_m, std::nullopt, height_m, yaw, half_extent_m,
-                                 guesses_ground};
+            UnleveledSweep sweep{view(points), std::nullopt, rings, columns, near_m, far_m, std::nullopt, height_m, yaw, half_extent_m};
             std::optional<Buffer<std::int16_t>> own;
             if (ring && points.shape(0) > 0) {
                 require(ring->shape(0) == points.shape(0), "ring must have one row for each point");
@@ -55,7 +54,6 @@ void bind_level_sweep(nb::module_& m) {
         },
         "points"_in, "ring"_in.none(), "rings"_a, "columns"_a, "near_m"_a, "far_m"_a, "attitude"_in.none(),
         "height_m"_a.none(), "yaw"_a.none(), "half_extent_m"_a,
-        "guesses_ground"_a,
         "Range image (as range_image gives it, or None), rotation (3, 3) to level, height of the sensor, ground (heights, "
         "deviations, seen nodes, plane, support), and level points (as level_points gives them) of points (N, 3).");
 }

@@ -105,6 +105,7 @@ class Saved:
     agent: str = "ego"
     dropped_points: int = 0
     planar: PlanarScan | None = None
+    pose_covariance: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,6 +159,7 @@ def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
         sensor_height_m=saved.sensor_height_m if given.sensor_height_m is None else given.sensor_height_m,
         world_from_sensor=given.world_from_sensor or saved.world_from_sensor,
         model=model, agent=saved.agent, dropped_points=saved.dropped_points, planar=saved.planar,
+        pose_covariance=None if given.world_from_sensor is not None else saved.pose_covariance,
     )  # fmt: skip
     if len(sweep) == 0 and len(points) > 0:
         raise ValueError(f"none of the {len(points)} points is finite")

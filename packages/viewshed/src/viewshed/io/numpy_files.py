@@ -143,6 +143,7 @@ def _with_saved(columns: Columns, members: Mapping[str, NDArray[Any]]) -> Column
         str(members["agent"]),
         int(members["dropped_points"]),
         PlanarScan(members["open_azimuth"], float(members["open_m"])) if "open_m" in members else None,
+        members.get("pose_covariance"),
     )
     t_ns = int(members["t_ns"]) if "t_ns" in members else None
     return Columns(
@@ -167,8 +168,8 @@ def _saved_model(members: Mapping[str, NDArray[Any]]) -> LidarModel | None:
 
 _KEYS = {
     "points", *_SAVED, "viewshed_sweep", "t_ns", "attitude", "sensor_height_m", "world_from_sensor", "agent",
-    "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits", "model_reach_m",
-    "model_reach_source", "model_fires_no_rings",
+    "pose_covariance", "dropped_points", "open_azimuth", "open_m", "model_name", "model_source", "model_limits",
+    "model_reach_m", "model_reach_source", "model_fires_no_rings",
     *(f"model_{key}" for key in _BEAMS),
 }  # fmt: skip
 
@@ -189,6 +190,7 @@ def write_npz(sweep: Sweep) -> bytes:
         "t_ns": sweep.t_ns, "attitude": sweep.attitude, "sensor_height_m": sweep.sensor_height_m,
         **{name: getattr(sweep, name) for name in _SAVED},
         "world_from_sensor": None if sweep.world_from_sensor is None else sweep.world_from_sensor.as_matrix(),
+        "pose_covariance": sweep.pose_covariance,
     }  # fmt: skip
     if sweep.planar is not None:
         arrays |= {"open_azimuth": sweep.planar.open_azimuth, "open_m": sweep.planar.max_range_m}

@@ -25,22 +25,14 @@ from numpy.typing import ArrayLike
 from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.arrays import F32, F64
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidence
-from viewshed.monitor.score import BESIDE, MEMORY_SWEEPS, ONSET_SWEEPS, Past, SurpriseScale, added, strongest, two_sided
+from viewshed.monitor.score import BESIDE, MEMORY_SWEEPS, ONSET_SWEEPS, Past, SurpriseScale, added, numbers_of
+from viewshed.monitor.tails import heights_of, peaks_of, shape_of
 
 Promise = Literal["expected", "confident"]
 """Which of the two rates must not exceed the chosen one."""
 
 CONFIDENCE = 0.9
 """Probability of the confident promise."""
-
-CALM_SWEEPS = 10
-"""An alarm ends after so many sweeps in a row below the limit."""
-
-TAIL_PEAKS = 30
-"""Peaks, the highest, to which the tail is fitted; half of all where there are fewer."""
-
-_SHAPES, _SCALES = np.linspace(-0.495, 0.495, 100), np.geomspace(0.1, 10.0, 60)
-"""Of generalized Pareto distributions: from a tail that ends to one hardly with a variance, and in scores."""
 
 LEAST_MINUTES = 1.0
 """Driving without which nothing is calibrated."""
@@ -53,7 +45,7 @@ class Calibration:
     Attributes:
         names: (E,) kinds of evidence, in their order.
         prior_scale: (E,) median over the streams of the scale of each kind, see ``score.Past``.
-        changes: scale (E, K) of standardized changes on benign sweeps.
+        changes: scale (E, K) of standardized changes of the strongest sector on benign sweeps.
         scores: scale (1, K) of scores on benign sweeps.
         peaks: (P,) heights of the peaks of the score, one for each alarm that a limit below it would have raised.
         shape: of the tail of the peaks, 0 of an exponential, less where it ends; a few minutes cannot say it.
@@ -122,33 +114,31 @@ class Calibration:
             raise ValueError(
                 f"benign drives must last {LEAST_MINUTES:g} minute at least, got {hours * 60.0:.2g}; give more"
             )
-        both = two_sided(kinds)
         # 1. The usual scale of each kind: what the first seconds of a stream are standardized by.
         prior = base.prior_scale if base is not None else _prior_scale(pasts, kinds)
         # 2. Standardized changes of all streams, and how rare they are.
         changes = [changes_of(one, prior, kinds) for one in pasts]
-        scale = base.changes if base is not None else SurpriseScale.fit(np.concatenate(changes))
+        strongest = [np.fmax.reduce(one, axis=2) for one in changes]
+        scale = base.changes if base is not None else SurpriseScale.fit(strongest)
         # 3. Scores, each by the streams of other places, and their peaks.
-        scores = [added(scale(one), both) for one in changes]
+        scores = [added(scale(one)) for one in changes]
         if base is None and len(set(kept)) > 1:
             others = {
-                place: SurpriseScale.fit(
-                    np.concatenate([one for one, where in zip(changes, kept, strict=True) if where != place])
-                )
+                place: SurpriseScale.fit([one for one, where in zip(strongest, kept, strict=True) if where != place])
                 for place in set(kept)
             }
-            scores = [added(others[place](one), both) for one, place in zip(changes, kept, strict=True)]
+            scores = [added(others[place](one)) for one, place in zip(changes, kept, strict=True)]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
-        shape = base.shape if base is not None else _shape_of(peaks)
+        shape = base.shape if base is not None else shape_of(heights_of(peaks)[1])
         return cls(
-            tuple(kinds), prior, scale, SurpriseScale.fit(np.concatenate(scores)[:, None]), peaks, shape, hours,
+            tuple(kinds), prior, scale, SurpriseScale.fit([one[:, None] for one in scores]), peaks, shape, hours,
             dict(facts or {}), evidence_id(kinds),
         )  # fmt: skip
 
     def score(self, changes: F32) -> tuple[float, F32]:
-        """Return the score of standardized changes (E,), and the surprise (E,) of each."""
+        """Return the score of standardized changes (E, SECTORS), and the surprise (E, SECTORS) of each."""
         surprises = self.changes(changes[None])
-        return float(added(surprises, two_sided(EVIDENCE))[0]), surprises[0]
+        return float(added(surprises)[0]), surprises[0]
 
     def p_value(self, score: float) -> float:
         """Return the share of benign sweeps that score as high at least, going on beyond the highest."""
@@ -207,31 +197,12 @@ class Calibration:
 
     def _tail(self) -> tuple[float, float, int]:
         """Return where the tail of the peaks begins, the scale of their heights above that, and how many there are."""
-        begin, heights = _heights_of(self.peaks)
+        begin, heights = heights_of(self.peaks)
         if not len(heights):
             return begin, 1.0, 0
         # The scale by the median: a few attacks among the drives hardly move that.
         scale = float(np.median(heights)) * self.shape / (2.0**self.shape - 1.0)
         return begin, max(scale, 0.1), len(heights)
-
-
-def _heights_of(peaks: F64) -> tuple[float, F64]:
-    """Return where the tail of peaks (P,), ascending, begins, and the heights above that."""
-    count = min(TAIL_PEAKS, len(peaks) // 2)
-    begin = float(peaks[-count - 1]) if len(peaks) else 0.0
-    return begin, peaks[len(peaks) - count :] - begin
-
-
-def _shape_of(peaks: F64) -> float:
-    """Return the shape of the tail of peaks (P,), the median of a grid of shapes and scales, alike before."""
-    heights = np.maximum(_heights_of(peaks)[1], 1e-3)
-    shape, scale = _SHAPES[:, None, None], _SCALES[None, :, None]
-    # Where a tail would end before the highest peak its likelihood is 0.
-    within = np.maximum(1.0 + shape * heights / scale, 1e-300)
-    logs = -len(heights) * np.log(_SCALES) - ((1.0 + 1.0 / shape) * np.log(within)).sum(axis=2)
-    logs[(within <= 1e-300).any(axis=2)] = -np.inf
-    posterior = np.exp(logs - logs.max()).sum(axis=1)
-    return float(_SHAPES[np.searchsorted(np.cumsum(posterior) / posterior.sum(), 0.5)])
 
 
 @lru_cache(maxsize=8)
@@ -242,26 +213,13 @@ def _draws_of(count: int) -> tuple[F64, F64]:
 
 
 def changes_of(stream: F32, prior_scale: F32, kinds: Mapping[str, Evidence] = EVIDENCE) -> F32:
-    """Return the standardized changes (T - EARLIER_SWEEPS, E) of the evidence (T, E, SECTORS) of a benign stream."""
+    """Return the changes (T - EARLIER_SWEEPS, E, SECTORS) of a benign stream's evidence (T, E, SECTORS)."""
     past, changes = Past(prior_scale, kinds), []
     for evidence in stream:
         if past.sweeps >= EARLIER_SWEEPS:
-            changes.append(past.reference().changes(strongest(past.onset(evidence), kinds)))
+            changes.append(past.reference().changes(numbers_of(past.onset(evidence), kinds)))
         past.add(evidence)
-    return np.array(changes, np.float32).reshape(-1, len(prior_scale))
-
-
-def peaks_of(scores: F32) -> F32:
-    """Return the heights of the peaks of a stream's scores (T,): highest scores with ``CALM_SWEEPS`` between them.
-
-    >>> peaks_of(np.array([0, 3, 2, *[0] * 12, 1], np.float32)).tolist()
-    [3.0, 1.0]
-    """
-    peaks, left = [], np.array(scores, np.float32)
-    while left.size and (top := int(np.argmax(left))) >= 0 and left[top] > 0.0:
-        peaks.append(float(left[top]))
-        left[max(top - CALM_SWEEPS, 0) : top + CALM_SWEEPS + 1] = 0.0
-    return np.array(peaks, np.float32)
+    return np.array(changes, np.float32).reshape(-1, len(prior_scale), SECTORS)
 
 
 def _prior_scale(streams: Sequence[F32], kinds: Mapping[str, Evidence]) -> F32:
@@ -337,7 +295,7 @@ def evidence_id(kinds: Mapping[str, Evidence]) -> str:
 EVIDENCE_ID = evidence_id(EVIDENCE)
 """Of the evidence of this version; other numbers void a calibration, a release does not."""
 
-NAME, FORMAT_VERSION = "stream", 5
+NAME, FORMAT_VERSION = "stream", 6
 
 SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 """The shipped calibration."""

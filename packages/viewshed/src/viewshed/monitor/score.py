@@ -4,12 +4,13 @@ Evidence is a matrix (E, SECTORS), one line for each kind. Five steps make one n
 
 1. Of a kind that accuses by more than before, a sector counts by what is beyond the largest number that it and the
    sectors beside it had in the last five sweeps: edges, crowds and fences are odd where they were odd a moment ago.
-2. Of each kind the mean of the three strongest sectors counts, as log(1 + mean / grain).
-3. It is standardized by the past of its own stream: location and scale of the last minute, robust. What is odd in a
-   place (a quarry, a fence, a noisy pose) is odd in all its sweeps, and so is no change.
-4. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams that changed
-   as much: 2 means one in a hundred. So kinds of evidence compare.
-5. What surprises are beyond 2 is added up, each to 2 or 4 at most: several rare changes at once are an attack's.
+2. A sector and the two beside it are one: their mean counts, as log(1 + mean / grain).
+3. It is standardized by the past of its own stream: location and scale of the strongest sector in the last minute,
+   robust. What is odd in a place (a quarry, a fence, a noisy pose) is odd in all its sweeps, and so is no change.
+4. A standardized change becomes its surprise, -log10 of the share of benign sweeps of calibration streams of which any
+   sector changed as much: 2 means one in a hundred. So kinds of evidence compare.
+5. In each sector what surprises are beyond 1.5 is added up over the kinds; the score is that of the highest sector. One
+   kind that is beyond doubt is an attack's, and so are several rare changes at once in one place.
 
 A rank among the 600 sweeps of a minute could not ask for fewer than 60 false alarms an hour; the tail beyond is that of
 the calibration streams (:mod:`viewshed.monitor.calibration`).
@@ -18,7 +19,7 @@ the calibration streams (:mod:`viewshed.monitor.calibration`).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F32
 from viewshed.monitor.evidence import EVIDENCE, Evidence
+from viewshed.monitor.tails import heights_of, peaks_of, share_above
 
 MEMORY_SWEEPS = 600
 """Sweeps of the past that evidence is standardized by: a minute at 10 Hz."""
@@ -37,37 +39,32 @@ SHORT_SWEEPS = 50
 PRIOR_SWEEPS = 20
 """The scale of the calibration streams counts as much as this number of sweeps of the own past."""
 
-STRONGEST = 3
-"""Sectors whose mean counts for a kind of evidence."""
+RARE = 1.5
+"""Surprise from which evidence counts, and is a reason: one benign sweep in thirty."""
 
-RARE = 2.0
-"""Surprise from which evidence counts, and is a reason: one benign sweep in a hundred."""
+LEAST_SCALE = 0.2
+"""The scale is at least that: evidence that is 0 in nearly all sweeps differs by less than a fifth of its grain."""
 
 ONSET_SWEEPS, BESIDE = 5, 2
 """Sweeps, and sectors to either side, whose largest number a sector must exceed."""
 
-MOST_ADDED = 2.0, 4.0
-"""What one kind of evidence adds at most: one that compares with the sweeps before, one of the sensor's state.
-
-Beyond one in 10,000 nobody has counted, and a new place may be odd once; the sensor is the same in all places.
-"""
-
-_SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 5.0, 12)])
-_ONE_IN_A_HUNDRED = int(np.searchsorted(_SURPRISES, 2.0 - 1e-9))
+_SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 7.0, 20)])
+_HEIGHTS = np.concatenate([[0.0], np.geomspace(0.02, 1e4, 80)])
+"""In mean heights, at which the share of higher peaks is computed."""
 
 
-def strongest(evidence: NDArray[np.floating[Any]], kinds: Mapping[str, Evidence] = EVIDENCE) -> F32:
-    """Return log(1 + number / grain) (…, E) of the strongest sectors of evidence (…, E, SECTORS); NaN for none."""
-    # NaN sorts last: descending, the sectors that are known come first.
-    top = -np.sort(-np.asarray(evidence, np.float32), axis=-1)[..., :STRONGEST]
-    known = np.isfinite(top)
-    mean = np.where(known, top, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
-    return np.where(known.any(axis=-1), in_grains(mean, grains_of(kinds)), np.nan).astype(np.float32)
+def numbers_of(evidence: NDArray[np.floating[Any]], kinds: Mapping[str, Evidence] = EVIDENCE) -> F32:
+    """Return log(1 + mean / grain) (E, SECTORS) of evidence (E, SECTORS): of each sector and the two beside it.
 
-
-def in_grains(numbers: NDArray[np.floating[Any]], grains: F32) -> F32:
-    """Return log(1 + number / grain), as floats; numbers below 0 count as 0."""
-    return np.asarray(np.log1p(np.maximum(numbers, 0.0) / grains), np.float32)
+    NaN where none of the three is known.
+    """
+    known = np.isfinite(evidence)
+    numbers = np.stack([np.where(known, evidence, np.float32(0.0)), known.astype(np.float32)])
+    # Sums of three in a circle.
+    closed = np.concatenate([numbers[..., -1:], numbers, numbers[..., :1]], axis=-1)
+    total, count = closed[..., :-2] + closed[..., 1:-1] + closed[..., 2:]
+    mean = np.maximum(total, np.float32(0.0)) / np.maximum(count, np.float32(1.0))
+    return np.where(count > 0.0, np.log1p(mean / grains_of(kinds)[:, None]), np.float32(np.nan)).astype(np.float32)
 
 
 def grains_of(kinds: Mapping[str, Evidence]) -> F32:
@@ -85,7 +82,7 @@ class Reference:
     """What is usual in a stream now.
 
     Attributes:
-        location: (E,) median of the past; NaN where there is none.
+        location: (E,) median of the strongest sectors of the past; NaN where there is none.
         scale: (E,) standard deviation, robust.
         two_sided: (E,) bool, whether less is as suspicious as more.
     """
@@ -95,9 +92,9 @@ class Reference:
     two_sided: NDArray[np.bool_]
 
     def changes(self, numbers: F32) -> F32:
-        """Return numbers (…, E) as changes in standard deviations (…, E); NaN where one of both is not known."""
-        change = (numbers - self.location) / self.scale
-        return np.where(self.two_sided, np.abs(change), change).astype(np.float32)
+        """Return numbers (E, SECTORS) as changes in standard deviations; NaN where one of both is not known."""
+        change = (numbers - self.location[:, None]) / self.scale[:, None]
+        return np.where(self.two_sided[:, None], np.abs(change), change).astype(np.float32)
 
 
 @dataclass(slots=True, eq=False)
@@ -133,7 +130,9 @@ class Past:
 
     def add(self, evidence: F32) -> None:
         """Add the evidence (E, SECTORS) of a sweep."""
-        self._numbers[:, self.sweeps % MEMORY_SWEEPS] = strongest(self.onset(evidence), self.kinds)
+        self._numbers[:, self.sweeps % MEMORY_SWEEPS] = np.fmax.reduce(
+            numbers_of(self.onset(evidence), self.kinds), axis=1
+        )
         # What the sectors beside had counts as a sector's own.
         closed = np.concatenate([evidence[:, -BESIDE:], evidence, evidence[:, :BESIDE]], axis=1)
         sides = [closed[:, step : step + evidence.shape[1]] for step in range(2 * BESIDE + 1)]
@@ -150,13 +149,14 @@ class Past:
         location, scale, count = _location_and_scale(every, both)
         scale = np.maximum(scale, _location_and_scale(self._numbers[:, last], both)[1])
         squared = (count * scale**2 + PRIOR_SWEEPS * self.prior_scale**2) / (count + PRIOR_SWEEPS)
-        return Reference(location, np.sqrt(squared).astype(np.float32), both)
+        least = np.where(both, np.float32(0.0), np.float32(LEAST_SCALE))
+        return Reference(location, np.maximum(np.sqrt(squared), least).astype(np.float32), both)
 
 
 def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32, NDArray[np.intp]]:
     """Return median, scale and count (E,) of numbers (E, n) that are known.
 
-    The scale is that of a normal distribution by the quartiles, or by the upper twentieth where that is wider (of what
+    The scale is that of a normal distribution by the quartiles, or by the upper fiftieth where that is wider (of what
     is suspicious on both sides, by the lower one as well): most evidence is 0 in most sweeps.
     """
     ordered, count = np.sort(numbers, axis=1), np.isfinite(numbers).sum(axis=1)
@@ -165,9 +165,9 @@ def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32
         rank = np.round(share * np.maximum(count - 1, 0)).astype(np.intp)
         return np.asarray(ordered[np.arange(len(ordered)), rank], np.float32)
 
-    low, first, middle, third, high = map(quantile, (0.05, 0.25, 0.5, 0.75, 0.95))
-    scale = np.maximum((third - first) / 1.349, (high - middle) / 1.645)
-    scale = np.where(both, np.maximum(scale, (middle - low) / 1.645), scale)
+    low, first, middle, third, high = map(quantile, (0.02, 0.25, 0.5, 0.75, 0.98))
+    scale = np.maximum((third - first) / 1.349, (high - middle) / 2.054)
+    scale = np.where(both, np.maximum(scale, (middle - low) / 2.054), scale)
     return middle, np.nan_to_num(scale).astype(np.float32), count
 
 
@@ -175,8 +175,10 @@ def _location_and_scale(numbers: F32, both: NDArray[np.bool_]) -> tuple[F32, F32
 class SurpriseScale:
     """How rare a number is on benign sweeps, for each kind of it.
 
-    Between knots the surprise is linear; beyond the largest, where there were no benign numbers, it goes on as the tail
-    begins, ever more slowly, so that one huge number does not outweigh all others.
+    Up to where the tail begins it is the share of benign sweeps that were counted; beyond, that share times the share
+    of peaks that a generalized Pareto distribution has higher. What few peaks say of that is uncertain, so the tail is
+    the mean over all that they leave possible: heavier than the likeliest one, and the fewer minutes the heavier. So no
+    cap is needed: a kind counts by as much as its minutes support.
 
     Attributes:
         values: (E, K) ascending numbers.
@@ -198,19 +200,17 @@ class SurpriseScale:
             raise ValueError("values must ascend and surprises be finite, got others; fit the scale again")
 
     @classmethod
-    def fit(cls, benign: NDArray[np.floating[Any]]) -> Self:
-        """Return the scale of benign numbers (N, E, …); a kind that always abstained stays at a surprise of 0."""
+    def fit(cls, streams: Sequence[NDArray[np.floating[Any]]]) -> Self:
+        """Return the scale of the numbers (T, E) of benign streams; a kind that always abstained stays at 0."""
+        kinds = streams[0].shape[1]
         # Of a kind that never spoke no number is known to be rare: all lie below the first knot.
-        values = np.full((benign.shape[1], len(_SURPRISES)), np.finfo(np.float32).max, np.float32)
+        values = np.full((kinds, len(_SURPRISES)), np.finfo(np.float32).max, np.float32)
         surprises = np.zeros_like(values)
-        for number, of_one in enumerate(np.moveaxis(benign, 1, 0)):
-            known = np.sort(of_one[np.isfinite(of_one)].astype(np.float32))
+        for number in range(kinds):
+            of_one = [np.asarray(stream[:, number], np.float32) for stream in streams]
+            known = np.sort(np.concatenate([one[np.isfinite(one)] for one in of_one]))
             if known.size:
-                rank = np.ceil((1.0 - 10.0**-_SURPRISES) * (known.size - 1)).astype(np.intp)
-                values[number] = known[rank]
-                # Equal numbers share the surprise of the first: a common value is no surprise at all.
-                reached = known.size - np.searchsorted(known, values[number], "left")
-                surprises[number] = -np.log10(reached / known.size)
+                values[number], surprises[number] = _knots(known, [peaks_of(one) for one in of_one])
         return cls(values, surprises)
 
     def __call__(self, numbers: NDArray[np.floating[Any]]) -> F32:
@@ -219,25 +219,37 @@ class SurpriseScale:
         surprises = np.empty(numbers.shape, np.float32)
         for number, (values, known) in enumerate(zip(self.values, self.surprises, strict=True)):
             surprises[:, number] = np.interp(numbers[:, number], values, known)
-        last = self.values[:, -1].reshape(1, -1, *[1] * (numbers.ndim - 2))
-        steps = np.diff(self.surprises[:, [_ONE_IN_A_HUNDRED, -1]])[:, 0].reshape(last.shape)
-        begin = self.values[:, _ONE_IN_A_HUNDRED].reshape(last.shape)
-        width = np.maximum(last - begin, 1e-3 * np.maximum(np.abs(last), 1e-3))
-        with np.errstate(invalid="ignore", over="ignore"):
-            excess = np.clip((numbers - last) / width, 0.0, 1e6)
-        more: F32 = np.maximum(steps, 1.0) * np.log1p(excess)
-        return surprises + more
+        return surprises
 
 
-def added(surprises: NDArray[np.floating[Any]], of_sensor: NDArray[np.bool_]) -> F32:
-    """Return the sum (N,) of surprises (N, E) beyond ``RARE``, each at most by ``MOST_ADDED``; NaN counts as none.
+def _knots(known: F32, peaks: Sequence[F32]) -> tuple[F32, F32]:
+    """Return numbers (K,), and how rare they are, of ascending benign numbers and of their peaks in each stream."""
+    # 1. Counted: equal numbers share the surprise of the first, so that a common value is no surprise at all.
+    begin, heights = heights_of(np.sort(np.concatenate(peaks)).astype(np.float64))
+    begin = max(begin, float(known[0]))
+    rank = np.ceil((1.0 - 10.0**-_SURPRISES) * (known.size - 1)).astype(np.intp)
+    values = known[rank].astype(np.float64)
+    reached = known.size - np.searchsorted(known, values, "left")
+    surprises = -np.log10(reached / known.size)
+    # 2. The tail: one peak more, a standard deviation high, keeps it from being none where there were no peaks.
+    heights = np.append(heights, 1.0)
+    above = (known.size - np.searchsorted(known, begin, "right") + 0.5) / (known.size + 0.5)
+    tail = begin + _HEIGHTS * heights.mean()
+    rare = -np.log10(np.maximum(above * share_above(heights, tail - begin), 1e-12))
+    beyond = rare[0] < _SURPRISES
+    values[beyond], surprises[beyond] = np.interp(_SURPRISES[beyond], rare, tail), _SURPRISES[beyond]
+    # 3. Where it begins both are as rare.
+    values[~beyond] = np.minimum(values[~beyond], begin)
+    return np.maximum.accumulate(values).astype(np.float32), np.maximum.accumulate(surprises).astype(np.float32)
 
-    Args:
-        surprises: of each kind of evidence.
-        of_sensor: (E,) which kinds are of the sensor's state.
 
-    >>> added(np.array([[2.0, 1.0], [3.5, 2.5], [9.0, np.nan], [0.0, 9.0]]), np.array([False, True])).tolist()
-    [0.0, 2.0, 2.0, 4.0]
+def added(surprises: NDArray[np.floating[Any]]) -> F32:
+    """Return the score (N,) of surprises (N, E, SECTORS): the most that a sector's are beyond ``RARE``, added up.
+
+    NaN counts as none.
+
+    >>> added(np.array([[[1.5, 1.0], [0.0, 0.0]], [[4.0, 1.0], [2.5, 3.0]], [[np.nan, 9.0], [3.0, np.nan]]])).tolist()
+    [0.0, 3.5, 7.5]
     """
-    most = np.where(of_sensor, MOST_ADDED[1], MOST_ADDED[0])
-    return np.asarray(np.clip(np.nan_to_num(surprises) - RARE, 0.0, most).sum(axis=1), np.float32)
+    beyond = np.maximum(np.nan_to_num(surprises) - RARE, 0.0)
+    return np.asarray(beyond.sum(axis=1).max(axis=-1), np.float32)

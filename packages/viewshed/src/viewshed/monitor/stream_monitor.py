@@ -168,7 +168,7 @@ class StreamMonitor:
         grid: BevGrid | None,
     ) -> IntegrityReport:  # fmt: skip
         """Return the report on one sweep; its reasons are the rarest changes, the rarest first."""
-        surprises = np.nan_to_num(verdict.surprises)
+        surprises = np.nan_to_num(verdict.sectors).max(axis=1)
         kinds = list(EVIDENCE.values())
         order = np.argsort(-surprises, kind="stable")
         rare = order[: max(int((surprises >= RARE).sum()), int(verdict.inconsistent))]

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from viewshed.arrays import F32, Mask
-from viewshed.monitor.calibration import CALM_SWEEPS, Calibration
+from viewshed.monitor.calibration import Calibration
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
-from viewshed.monitor.score import RARE, Past, grains_of, in_grains, strongest
+from viewshed.monitor.score import RARE, Past, numbers_of
+from viewshed.monitor.tails import CALM_SWEEPS
 
 MOST_HELD_SWEEPS = 100
 """After so many sweeps of an alarm, 10 s, they become the past: the world changed, or nobody can tell."""
@@ -21,8 +22,7 @@ class Verdict:
 
     Attributes:
         score: how rare its changes are together; NaN where too few sweeps came before.
-        surprises: (E,) how rare the change of each kind of evidence is; NaN where it abstains.
-        sectors: (E, SECTORS) the same of single sectors.
+        sectors: (E, SECTORS) how rare the change of each kind of evidence is in each sector; NaN where it abstains.
         inconsistent: whether the score is above the limit.
         alarm: the same, latched until ``CALM_SWEEPS`` sweeps in a row are below it.
         suspect: (SECTORS,) bool, where, of all sweeps of the alarm.
@@ -30,7 +30,6 @@ class Verdict:
     """
 
     score: float
-    surprises: F32
     sectors: F32
     inconsistent: bool = False
     alarm: bool = False
@@ -70,13 +69,10 @@ class Watch:
         A sweep that is ``impossible`` is inconsistent in all sectors, whatever its score.
         """
         onset = self._past.onset(evidence)
-        # 1. Changes against the past, all sectors together and each by itself.
-        score, surprises, sectors = np.nan, np.full(len(evidence), np.nan, np.float32), np.full_like(evidence, np.nan)
+        # 1. Changes against the past.
+        score, sectors = np.nan, np.full_like(evidence, np.nan)
         if self._past.sweeps >= EARLIER_SWEEPS:
-            reference = self._past.reference()
-            score, surprises = self.calibration.score(reference.changes(strongest(onset)))
-            of_sectors = reference.changes(in_grains(onset.T, grains_of(EVIDENCE))).T
-            sectors = self.calibration.changes(of_sectors[None])[0]
+            score, sectors = self.calibration.score(self._past.reference().changes(numbers_of(onset)))
         # 2. The alarm begins, goes on, or ends after enough calm sweeps.
         inconsistent = impossible or score > self.limit
         self._calm = 0 if inconsistent else self._calm + 1
@@ -87,7 +83,7 @@ class Watch:
                 self._suspect, self._of_alarm = np.zeros(SECTORS, np.bool_), self._nothing()
             self._sweeps += 1
         if inconsistent:
-            self._suspect = self._suspect | impossible | suspect_sectors(surprises, sectors)
+            self._suspect = self._suspect | impossible | suspect_sectors(sectors)
         # 3. What is usual from now on.
         if not inconsistent:
             self._past.add(evidence)
@@ -97,10 +93,10 @@ class Watch:
             self._past, self._of_alarm = self._of_alarm, self._nothing()
         alarm = self._sweeps > 0
         suspect = self._suspect if alarm else np.zeros(SECTORS, np.bool_)
-        return Verdict(score, surprises, sectors, inconsistent, alarm, suspect, self._sweeps)
+        return Verdict(score, sectors, inconsistent, alarm, suspect, self._sweeps)
 
 
-def suspect_sectors(surprises: F32, sectors: F32) -> Mask:
-    """Return the mask (SECTORS,) of sectors that changed as no sweep does, in a kind of evidence (E,) that did."""
-    rare = np.nan_to_num(surprises) >= max(RARE, float(np.nanmax(surprises, initial=0.0)) - 1.0)
-    return np.asarray((np.nan_to_num(sectors[rare]) >= RARE).any(axis=0), np.bool_)
+def suspect_sectors(sectors: F32) -> Mask:
+    """Return the mask (SECTORS,) of sectors whose surprises (E, SECTORS) add up to nearly as much as the highest's."""
+    beyond = np.maximum(np.nan_to_num(sectors) - RARE, 0.0).sum(axis=0)
+    return np.asarray(beyond > max(float(beyond.max()) - 1.0, 0.0), np.bool_)

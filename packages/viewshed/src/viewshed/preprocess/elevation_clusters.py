@@ -37,14 +37,3 @@ def find_clusters(azimuth: F32, slope: F32, range_m: F32) -> ElevationClusters |
     """
     found = _core.find_clusters(azimuth, slope, range_m)
     return None if found is None else ElevationClusters(*found)
-
-
-def rings_by_clusters(azimuth: F32, slope: F32, range_m: F32) -> tuple[NDArray[np.int16], ElevationClusters] | None:
-    """Return the rings (N,) by the elevations at which the returns gather, and these; None where they do not.
-
-    Rings are the clusters from the lowest to the highest: a beam without returns has none. -1 far from all of them.
-    """
-    clusters = find_clusters(azimuth, slope, range_m)
-    if clusters is None:
-        return None
-    return _core.match_beams(slope, range_m, clusters.elevation, clusters.origin_m)[0], clusters

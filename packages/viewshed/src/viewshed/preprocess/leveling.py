@@ -96,9 +96,7 @@ class LeveledSweep:
         )
 
 
-def level(
-    sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None, *, guess_ground: bool = False
-) -> LeveledSweep:
+def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
     """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
 
     The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
@@ -107,9 +105,6 @@ def level(
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
     (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. A sensor that is
     ``expected``, that of the sweep before, is only looked at first: the result is the same without.
-
-    With ``guess_ground`` a small network in the core guesses the ground that no return shows
-    (``src/core/ground_guess.cpp``). It is an experiment (``tools/fit_ground.py``).
 
     A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
     and each of its returns is an obstacle.
@@ -123,7 +118,7 @@ def level(
         sweep.points, None if pixels is None else pixels.ring, 0 if pixels is None else len(pixels.elevation),
         0 if pixels is None else pixels.columns, *range_limits(sweep),
         None if attitude is None else rotation_from_quaternion(attitude), sweep.sensor_height_m, sweep.vehicle_yaw,
-        _half_extent_m(grid), guess_ground,
+        _half_extent_m(grid),
     )  # fmt: skip
     for column in columns:
         column.setflags(write=False)

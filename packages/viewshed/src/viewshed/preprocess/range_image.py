@@ -20,11 +20,8 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.arrays import F32, Mask
-from viewshed.preprocess.ring_recovery import RingAssignment
+from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment
 from viewshed.preprocess.sensor_identification import SensorId
-
-DEFAULT_COLUMNS = 1024
-"""Columns of a revolution where the sensor is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,8 @@
 """Things that stand, or are gone, where beams passed: speeds by hand."""
 
+import numpy as np
 import pytest
-from tests.monitor.evidence.drives import PLATE, YARD, look, measure, sector_at
+from tests.monitor.evidence.drives import HEIGHT_M, PLATE, YARD, leveled, look, measure, sector_at
 
 from viewshed_lab.sim import Box
 
@@ -47,6 +48,17 @@ def test_the_sensor_may_move() -> None:
     boxes = (*YARD, PLATE)
     assert measure("arrival", *(look(boxes, number, 2.0 * number) for number in range(3))).max() < 8.0
     assert measure("arrival", look(YARD, 0, 0.0), look(boxes, 1, 2.0))[sector_at(7.0)] > 40.0
+
+
+def test_returns_off_their_beams_appear_nowhere() -> None:
+    # The mounting is stated .6 m too high; where the ground of one sweep follows that, all of it seems to stand.
+    rng = np.random.default_rng(50)
+    raised = [look(YARD, number, 0.2 * number, rng) for number in (10, 11, 12)]
+    raised = [sweep.replace(points=sweep.points + np.array([0.0, 0.0, 0.6], np.float32)) for sweep in raised]
+    now = leveled(raised[-1])
+    ground = np.abs(now.sweep.points[now.rows, 2] + HEIGHT_M - 0.6) < 0.1
+    assert now.height_m[ground].min() > 0.3, "this sweep's ground is wrong"
+    assert measure("arrival", *raised).max() == 0.0
 
 
 def test_a_surface_that_jumps_is_measured() -> None:

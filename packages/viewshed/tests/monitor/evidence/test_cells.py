@@ -167,5 +167,22 @@ def test_a_sensor_that_turns_sees_no_new_ranges() -> None:
         stream.add(leveled(look(YARD, number, 0.0, rng, yaw=0.1 * number)))
     sweep = look(YARD, 10, 0.0, rng, yaw=1.0)
     assert max(measured(stream, name, sweep).max() for name in ("nearer", "farther")) < 0.1
-    still = sweep.replace(world_from_sensor=look(YARD, 9, yaw=0.9).world_from_sensor)
-    assert measured(stream, "nearer", still).max() > 0.15
+    otherwise = sweep.replace(world_from_sensor=look(YARD, 9, yaw=0.5).world_from_sensor)
+    assert measured(stream, "nearer", otherwise).max() > 0.15
+
+
+def test_who_passes_near_by_makes_no_new_ranges_but_a_far_thing_that_is_gone_does() -> None:
+    # A truck beside the sensor drives on by 1 m in each sweep: it covers, and uncovers, 15° at once.
+    def truck(x_m: float) -> Box:
+        return Box(x_m, 3.5, 8.0, 2.0, 3.0)
+
+    stream = EvidenceStream()
+    for number in range(3):
+        stream.add(leveled(look((*YARD, truck(number - 4.0)), number)))
+    passing = look((*YARD, truck(-1.0)), 3)
+    assert max(measured(stream, name, passing).max() for name in ("nearer", "farther")) < 0.1
+    before = EvidenceStream()
+    plate = Box(12.0, 1.0, 0.2, 8.0, 4.0)
+    for number in range(3):
+        before.add(leveled(look((*YARD, plate), number)))
+    assert measured(before, "farther", look(YARD, 3))[sector_at(6.0)] > 0.3

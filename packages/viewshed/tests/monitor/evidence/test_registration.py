@@ -38,6 +38,19 @@ def test_a_pose_that_jumps_is_told(off: dict[str, float]) -> None:
     assert measure("registration", *before, _off(now, **off))[0] > 4.0
 
 
+def test_a_pose_that_is_as_noisy_as_it_states_is_no_cause_for_worry() -> None:
+    # The map's y is straight ahead of the sensor; the covariance is along the map's axes.
+    turned = Rigid.from_yaw(np.pi / 2)
+    *before, now = (sweep.replace(world_from_sensor=turned @ sweep.world_from_sensor) for sweep in _drive())
+    off, stated = _off(now, y_m=0.5), np.diag([0.0, 0.3, 0.0, 0.0, 0.0, 0.0]) ** 2
+    assert measure("registration", *before, off)[0] > 4.0
+    assert measure("registration", *before, off.replace(pose_covariance=stated))[0] < 2.5
+    across = np.diag([0.3, 0.0, 0.0, 0.0, 0.0, 0.0]) ** 2
+    assert measure("registration", *before, off.replace(pose_covariance=across))[0] > 3.5
+    assert measure("frame_noise", *before, off).max() > 0.4
+    assert measure("frame_noise", *before, off.replace(pose_covariance=stated)).max() < 0.1
+
+
 def test_a_pose_that_stays_off_is_told_while_an_earlier_sweep_is_right() -> None:
     sweeps = _drive()
     off = [_off(sweep, yaw_deg=0.5) for sweep in sweeps]

@@ -14,16 +14,16 @@ from viewshed.monitor.evidence import EVIDENCE, CellMemory, MonitoredSweep
 from viewshed.preprocess.leveling import LeveledSweep, level
 
 NUMBERS: dict[str, tuple[int, float, float]] = {
-    "arrival": (1, 1.07058, 27.9083),
-    "departure": (1, 0, 0),
+    "arrival": (2, 1.07058, 27.9083),
+    "departure": (2, 0, 0),
     "same_noise": (1, 0.0660463, 1),
     "registration": (1, 0.305573, 0.305573),
     "frame_noise": (1, 0.00531843, 0.0308933),
-    "nearer": (1, 0.0137731, 0.198333),
-    "farther": (1, 0.0500062, 0.594256),
-    "no_return": (1, 0.0638889, 0.893333),
+    "nearer": (2, 0.0125579, 0.180833),
+    "farther": (2, 0.0161076, 0.117917),
+    "no_return": (2, 0.0638889, 0.893333),
     "gone": (1, 0, 0),
-    "out_of_nowhere": (1, 0.0177272, 0.448445),
+    "out_of_nowhere": (2, 0.0177272, 0.448445),
     "jump": (1, 0, 0),
     "sensor_height": (1, 1.84536, 1.84536),
     "returns": (1, 31323, 31323),

@@ -152,6 +152,18 @@ def test_places_by_latitude_and_longitude_look_along_their_way(tmp_path: Path) -
     assert [pose.translation.round(3).tolist() for pose in again.poses] == [[x, y, z] for x, y, z, _ in found]
     placed = again.place_sweep(SWEEP.replace(t_ns=int((1e9 + 0.25) * S)), folder / "a.pcd", 0, [folder / "a.pcd"])
     assert placed.world_from_sensor.translation.tolist() == pytest.approx([0.0, 0.5, 0.0], abs=1e-3)
+    assert placed.pose_covariance is None, "one deviation of three is none"
+
+
+def test_standard_deviations_of_places_become_the_covariance_of_the_pose(tmp_path: Path) -> None:
+    header = "timestamp,latitude,longitude,height,latitude_std_dev,longitude_std_dev,height_std_dev"
+    rows = ["1000000000,37.0,-122.0,15.8,0.05,0.04,0.2", "1000000001,37.00001,-122.0,15.8,0.5,0.4,2"]
+    table = PoseFile.read(written(tmp_path, "\n".join([header, *rows])))
+    placed = table.place_sweep(SWEEP.replace(t_ns=int((1e9 + 0.1) * S)), Path("a.pcd"), 0, [Path("a.pcd")])
+    # x is east, y north: of the place nearest in time.
+    assert np.sqrt(np.diag(placed.pose_covariance)).tolist() == pytest.approx([0.04, 0.05, 0.2, 0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="line 2: standard deviations must be finite and not negative"):
+        PoseFile.read(written(tmp_path, "\n".join([header, "1e9,37.0,-122.0,15.8,-0.05,0.04,0.2"])))
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from viewshed.arrays import F32, F64
-from viewshed.monitor.calibration import Calibration, changes_of, peaks_of
+from viewshed.monitor.calibration import Calibration, changes_of
 from viewshed.monitor.evidence import EVIDENCE
 from viewshed.monitor.roc import auroc
-from viewshed.monitor.score import Past, added, strongest, two_sided
+from viewshed.monitor.score import Past, added, numbers_of
+from viewshed.monitor.tails import peaks_of
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.studies.monitor.streams import StreamEvidence
@@ -25,8 +26,8 @@ from viewshed_lab.studies.monitor.traces import Called
 ASKED = (1.0, 6.0, 10.0)
 """False alarms an hour."""
 
-HONEST = ("fog",)
-"""Cases that are no attack: weather that begins."""
+HONEST = ("fog", "stated_noise")
+"""Cases that are no attack: weather that begins, and poses whose noise begins and is stated."""
 
 TITLE = "Alarms of streams"
 
@@ -38,8 +39,8 @@ class Judged:
     Attributes:
         stream: that was judged.
         scores: (T - EARLIER_SWEEPS,) of its sweeps.
-        surprises: (T - EARLIER_SWEEPS, E) of their evidence.
-        attacked: (C, K, E) surprises of the attacked sweeps.
+        surprises: (T - EARLIER_SWEEPS, E, SECTORS) of their evidence.
+        attacked: (C, K, E, SECTORS) surprises of the attacked sweeps.
     """
 
     stream: StreamEvidence
@@ -63,16 +64,16 @@ def judge(calibration: Calibration, stream: StreamEvidence) -> Judged:
     begins: dict[int, list[int]] = defaultdict(list)
     for case, (_, first) in enumerate(stream.cases):
         begins[first].append(case)
-    past, attacked = Past(calibration.prior_scale, EVIDENCE), np.zeros(stream.attacked.shape[:3], np.float32)
+    past, attacked = Past(calibration.prior_scale, EVIDENCE), np.zeros(stream.attacked.shape, np.float32)
     for number, evidence in enumerate(stream.benign):
         for case in begins.get(number, ()):
             branch, reference = past.copy(), past.reference()
             for k, tampered in enumerate(stream.attacked[case]):
-                changes = reference.changes(strongest(branch.onset(tampered)))
+                changes = reference.changes(numbers_of(branch.onset(tampered)))
                 attacked[case, k] = calibration.changes(changes[None])[0]
                 branch.add(tampered)
         past.add(evidence)
-    return Judged(stream, added(surprises, two_sided(EVIDENCE)), surprises, attacked)
+    return Judged(stream, added(surprises), surprises, attacked)
 
 
 def rate_interval(alarms: int, hours: float) -> tuple[float, float]:
@@ -145,7 +146,7 @@ def _groups(calibration: Calibration, judged: Sequence[Judged]) -> str:
 
 
 def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
-    """Return the surprises (C, K, E) of the attacked sweeps of each attack."""
+    """Return the surprises (C, K, E, SECTORS) of the attacked sweeps of each attack."""
     found: dict[str, list[F32]] = defaultdict(list)
     for one in judged:
         for case, (name, _) in enumerate(one.stream.cases):
@@ -154,8 +155,8 @@ def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
 
 
 def _scores(surprises: F32) -> F32:
-    """Return the scores (C, K) of surprises (C, K, E)."""
-    return added(surprises.reshape(-1, surprises.shape[-1]), two_sided(EVIDENCE)).reshape(surprises.shape[:2])
+    """Return the scores (C, K) of surprises (C, K, E, SECTORS)."""
+    return added(surprises.reshape(-1, *surprises.shape[2:])).reshape(surprises.shape[:2])
 
 
 def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
@@ -166,7 +167,7 @@ def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
         scores = _scores(surprises)
         caught = [float((scores.max(axis=1) > calibration.limit(r, extrapolate=True)).mean()) for r in ASKED]
         area = auroc(benign, scores[:, 0])
-        median = np.nanmedian(np.nan_to_num(surprises[:, 0]), axis=0)
+        median = np.median(np.nan_to_num(surprises[:, 0]).max(axis=2), axis=0)
         best = ", ".join(f"{kinds[k]} {median[k]:.1f}" for k in np.argsort(-median)[:2])
         rows.append([name, str(len(scores)), f"{area:.3f}", *(f"{one:.2f}" for one in caught), best])
         if name not in HONEST:
@@ -194,8 +195,8 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
     families = {name: found for name, found in _by_family(judged).items() if name not in HONEST}
     rows = []
     for name in ["none", *EVIDENCE]:
-        kept = np.array([kind != name for kind in EVIDENCE])
-        benign = [added(one.surprises * kept, two_sided(EVIDENCE)) for one in judged]
+        kept = np.array([[kind != name] for kind in EVIDENCE])
+        benign = [added(one.surprises * kept) for one in judged]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in benign]))[::-1]
         own_limit = float(peaks[min(count, len(peaks) - 1)]) if len(peaks) else 0.0
         every = np.concatenate(benign)

@@ -50,6 +50,9 @@ INDOOR = ("rooms", "corridors", "hall", "warehouse", "loft", "tunnel")
 POSE_NOISE = (0.1, np.deg2rad(0.2))
 """Standard deviations of noisy poses: of each axis in meters, and of the yaw."""
 
+UPRIGHT = 0.3
+"""Share of that in height."""
+
 
 @dataclass(frozen=True, slots=True)
 class Stream:
@@ -119,13 +122,17 @@ class Stream:
         t_s = (number + 0.5) / self.plan.hz
         stored = measure_sweep(world, agent, t_s, setting, paths, noise, sensor.model)[1]
         sweep = sensor.deliver(stored.sweep(), self.rng("delivery", number)).replace(sensor_height_m=None)
-        pose = sweep.world_from_sensor
-        if pose is not None and self.has_noisy_poses:
-            rng = self.rng("pose", number)
-            shift = rng.normal(0.0, POSE_NOISE[0], 3) * (1.0, 1.0, 0.3)
-            turn = Rigid.from_yaw(float(rng.normal(0.0, POSE_NOISE[1]))).rotation
-            sweep = sweep.replace(world_from_sensor=Rigid(turn @ pose.rotation, pose.translation + shift))
+        return _with_pose_noise(sweep, self.rng("pose", number)) if self.has_noisy_poses else sweep
+
+
+def _with_pose_noise(sweep: Sweep, rng: np.random.Generator) -> Sweep:
+    """Return a sweep whose pose, if it has one, is as noisy as ``POSE_NOISE``."""
+    pose = sweep.world_from_sensor
+    if pose is None:
         return sweep
+    shift = rng.normal(0.0, POSE_NOISE[0], 3) * (1.0, 1.0, UPRIGHT)
+    turn = Rigid.from_yaw(float(rng.normal(0.0, POSE_NOISE[1]))).rotation
+    return sweep.replace(world_from_sensor=Rigid(turn @ pose.rotation, pose.translation + shift))
 
 
 @lru_cache(maxsize=1)
@@ -207,7 +214,7 @@ def _halved(values: F32) -> NDArray[np.float16]:
 
 
 def measure_stream(stream: Stream) -> StreamEvidence:
-    """Return what all evidence says of each sweep of a stream, and of each attack on it."""
+    """Return what all evidence says of each sweep of a stream; of one to report on, of each attack on it as well."""
     plan, grid = stream.plan, stream.grid
     every = round(plan.attack_every_s * plan.hz)
     sweeps, past, state, degraded = list[Sweep](), EvidenceStream(), SensorState(), list[bool]()
@@ -216,7 +223,8 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     for number in range(round(plan.seconds * plan.hz)):
         sweep = stream.sweep(number)
         # Two attacks branch off here, each of five sweeps; the next sweeps of the stream are made for them.
-        if number % every == every - 1 and number + ATTACKED_SWEEPS <= round(plan.seconds * plan.hz):
+        is_branch = stream.part == "report" and number % every == every - 1
+        if is_branch and number + ATTACKED_SWEEPS <= round(plan.seconds * plan.hz):
             clean = [sweep, *(stream.sweep(number + k) for k in range(1, ATTACKED_SWEEPS))]
             turn = 2 * (number // every) + 7 * stream.number + 3 * len(stream.style)
             for name in (plan.attacks[(turn + k) % len(plan.attacks)] for k in range(2)):
@@ -242,11 +250,12 @@ def measure_stream(stream: Stream) -> StreamEvidence:
         "sensor": sensor, "conditions": stream.conditions, "poses": "noisy" if stream.has_noisy_poses else "exact"
     }  # fmt: skip
     shape = (ATTACKED_SWEEPS, len(EVIDENCE), SECTORS)
+    corruptions = CORRUPTIONS if stream.part == "report" else ()
     return StreamEvidence(
         stream.name, stream.style, facts, tuple(EVIDENCE), np.stack(benign), tuple(cases),
         np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
         np.array(degraded, np.bool_),
-        {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in CORRUPTIONS},
+        {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in corruptions},
     )  # fmt: skip
 
 
@@ -309,6 +318,13 @@ def _offset(sweep: Sweep, direction: NDArray[np.float64], _: int, __: np.random.
     return sweep.replace(points=sweep.points + shift)
 
 
+def _stated_noise(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generator) -> Sweep:
+    """Make the pose noisy, and state the covariance of that: no attack."""
+    shift_m, yaw = POSE_NOISE
+    variance = np.array([shift_m, shift_m, UPRIGHT * shift_m, 0.0, 0.0, yaw]) ** 2
+    return _with_pose_noise(sweep, rng).replace(pose_covariance=np.diag(variance))
+
+
 def _noise(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Generator) -> Sweep:
     """Add noise of the size of the sensor's own, 2 cm, to all coordinates."""
     return sweep.replace(points=sweep.points + rng.normal(0.0, 0.02, sweep.points.shape).astype(np.float32))
@@ -321,6 +337,7 @@ def _blinded(sweep: Sweep, _: NDArray[np.float64], __: int, rng: np.random.Gener
 
 OWN_ATTACKS: dict[str, Callable[[Sweep, NDArray[np.float64], int, np.random.Generator], Sweep]] = {
     "drift": _drift, "offset": _offset, "noise": _noise, "blinded": _blinded,
+    "stated_noise": _stated_noise,
 }  # fmt: skip
 """Attacks on the whole sweep or on its pose, beside those of ``ATTACKS``."""
 

@@ -15,9 +15,13 @@ from viewshed.arrays import F32
 from viewshed.geometry import Rigid
 from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep, sector_of
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.sweep import Sweep
 
 MOST_GAP_S = 0.6
 """Sweeps that lie further apart in time are not compared."""
+
+USUAL_RANGE_M = 10.0
+"""Range at which a turn of the pose moves surfaces."""
 
 USUAL_GAP_S = 0.1
 """Time between two sweeps that have no times."""
@@ -182,19 +186,37 @@ def measure_registration(monitored: MonitoredSweep) -> F32:
         return ABSTAINS
     compared = sorted({0, len(comparison.earlier) - 1})
     found = comparison.view.register_on([comparison.earlier[k] for k in compared], comparison.to_earlier[compared])
+    # What is stated of the poses is no deviation.
+    now, before = monitored.leveled.sweep, [monitored.earlier[-1 - k].sweep for k in compared]
+    stated = [_covariance_of(now, frame) + _covariance_of(frame, frame) for frame in before]
     distances = [
-        _deviations(step, information, sigma_m, matches)
-        for step, information, sigma_m, matches in zip(*found, strict=True)
+        _deviations(step, information, sigma_m, matches, covariance)
+        for step, information, sigma_m, matches, covariance in zip(*found, stated, strict=True)
         if matches >= LEAST_MATCHES
     ]
     return np.full(SECTORS, max(distances), np.float32) if distances else ABSTAINS
 
 
-def _deviations(step: NDArray[np.float64], information: NDArray[np.float64], sigma_m: float, matches: int) -> float:
-    """Return the Mahalanobis distance of a turn and a shift (3,) with their information (3, 3) for unit noise."""
+def _covariance_of(sweep: Sweep, frame: Sweep) -> NDArray[np.float64]:
+    """Return the stated covariance (3, 3) of a sweep's pose: turn, and shift in the frame of a sensor; 0 without."""
+    covariance, pose = np.zeros((3, 3)), frame.world_from_sensor
+    if sweep.pose_covariance is not None and pose is not None:
+        place = pose.rotation.T @ sweep.pose_covariance[:3, :3] @ pose.rotation
+        covariance[0, 0], covariance[1:, 1:] = sweep.pose_covariance[5, 5], place[:2, :2]
+    return covariance
+
+
+def _deviations(
+    step: NDArray[np.float64], information: NDArray[np.float64], sigma_m: float, matches: int,
+    stated: NDArray[np.float64],
+) -> float:  # fmt: skip
+    """Return the Mahalanobis distance of a turn and a shift (3,) with their information (3, 3) for unit noise.
+
+    stated is the covariance of both that is known beside.
+    """
     variance_m2 = max(sigma_m, SIGMA_M) ** 2 * DEPENDENT
     covariance = variance_m2 * np.linalg.inv(information + 1e-6 * np.eye(3))
-    covariance += np.diag([SURE_YAW**2, SURE_SHIFT_M**2, SURE_SHIFT_M**2])
+    covariance += np.diag([SURE_YAW**2, SURE_SHIFT_M**2, SURE_SHIFT_M**2]) + stated
     # Directions of shift that few returns show: those may lie on things that move.
     seen, directions = np.linalg.eigh(information[1:, 1:] / matches)
     carried_m = CARRIED_M * np.clip(1.0 - seen / ENOUGH_SEEN, 0.0, 1.0)
@@ -236,9 +258,10 @@ def _new_range(part: int) -> Callable[[MonitoredSweep], F32]:
 
     Of the returns of a sector the share that is nearer, or farther, than all that the beams about them had in the last
     three sweeps, and of the beams that returned in all of those the share that does not now; each as the mean of 25°,
-    for what attacks is wider than an edge. It holds the ground and
-    what is higher than a car as well, wherever it may have come from: cover is near everywhere indoors. Poses say how
-    the sensor turned; without them it went straight on.
+    for what attacks is wider than an edge. What passes near by covers and uncovers as much: a range is new only if no
+    beam within 1.5 m beside had such a one. Beams silenced within 2 m say nothing. It holds the ground and what is
+    higher than a car as well, wherever it may have come from: cover is near everywhere indoors. Poses say how the
+    sensor turned; without them it went straight on.
     """
 
     def measure(monitored: MonitoredSweep) -> F32:
@@ -294,9 +317,19 @@ def measure_frame_noise(monitored: MonitoredSweep) -> F32:
 
     A spoofer times all its pulses by one clock, which is off by some decimeters in each sweep anew; so what it shows
     jumps to and fro as a whole, along the beams, while the world stands still. Things that move at a constant speed do
-    not: their second difference is zero. Abstains without poses, two earlier sweeps or rings.
+    not: their second difference is zero. Poses that are stated to be noisy make surfaces jump as well: what lies
+    within two standard deviations of that is no jump. Abstains without poses, two earlier sweeps or rings.
     """
     comparison = compare(monitored)
     if comparison is None or len(comparison.earlier) < 2:
         return ABSTAINS
-    return comparison.view.jumps(comparison.earlier[:2], comparison.to_earlier[:2], comparison.gaps_s[:2], SECTORS)
+    jump_m = comparison.view.jumps(comparison.earlier[:2], comparison.to_earlier[:2], comparison.gaps_s[:2], SECTORS)
+    # A surface is at constant speed where (1 - ratio) now + ratio last - second is zero.
+    sweeps = [monitored.leveled.sweep, monitored.earlier[-1].sweep, monitored.earlier[-2].sweep]
+    ratio = 1.0 + float(comparison.gaps_s[1] / comparison.gaps_s[0])
+    weights = (1.0 - ratio, ratio, 1.0)
+    stated = np.zeros((3, 3))
+    for weight, sweep in zip(weights, sweeps, strict=True):
+        stated += weight**2 * _covariance_of(sweep, sweeps[0])
+    variance_m2 = float(np.linalg.eigvalsh(stated[1:, 1:])[-1] + USUAL_RANGE_M**2 * stated[0, 0])
+    return np.sqrt(np.maximum(jump_m**2 - np.float32(4.0 * variance_m2), np.float32(0.0)))

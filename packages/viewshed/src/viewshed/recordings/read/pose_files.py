@@ -20,7 +20,10 @@ from viewshed.sweep import Sweep
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
 
 _PLACE_COLUMNS = ("timestamp", "latitude", "longitude", "height")
-"""Of a table of places, in its first line; what else it has is left out."""
+"""Of a table of places, in its first line."""
+
+_DEVIATION_COLUMNS = ("longitude_std_dev", "latitude_std_dev", "height_std_dev")
+"""Standard deviations in meters that it may have as well: east, north, up. What else it has is left out."""
 
 _MOVED_M = 0.5
 """A heading is that of the way between two places that are so far apart; nearer ones are noise."""
@@ -49,6 +52,8 @@ class PoseFile:
     times_ns: NDArray[np.int64] | None
     by_time: bool  # whether sweeps are found by their time (TUM), else by number
     notes: tuple[str, ...] = ()  # what was assumed, a line each
+    # (N, 3) float64 standard deviations of the places in meters, NaN of those that say none; None where none does
+    deviations_m: NDArray[np.float64] | None = None
 
     @classmethod
     def read(cls, place: str | os.PathLike[str]) -> PoseFile:
@@ -58,7 +63,8 @@ class PoseFile:
         ``calib.txt`` with its ``Tr`` lies beside the file, as KITTI has it, and else those of the sensor. Lines of 8
         numbers are time in seconds, place, and quaternion x, y, z, w (TUM). Lines that begin with # are left out. A
         table whose first line names timestamp (s), latitude, longitude (degrees) and height (m) is of places; the
-        sensor is taken to look along its way, level. A folder has a such table in each of its ``.pose`` files.
+        sensor is taken to look along its way, level. Standard deviations of the places (m) are kept. A folder has a
+        such table in each of its ``.pose`` files.
 
         Raises:
             ValueError: a line is neither, its numbers are no pose, or times do not ascend; the message names the line.
@@ -105,7 +111,8 @@ class PoseFile:
     def _of_places(cls, path: Path, content: bytes) -> PoseFile:
         """Return the poses of tables of places: x east, y north from the first of them, looking along the way."""
         # 1. The rows, in the order of time, each by the columns of the last header.
-        columns, found = list[int](), list[list[float]]()
+        columns, deviations = list[int](), list[int]()
+        found, spread = list[list[float]](), list[list[float]]()
         for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), start=1):
             words = [word.strip() for word in line.split(",")]
             if words[0] == _PLACE_COLUMNS[0]:
@@ -113,11 +120,15 @@ class PoseFile:
                 if missing:
                     raise ValueError(f"line {number} must name a column {missing[0]}, got {line[:60]!r}")
                 columns = [words.index(name) for name in _PLACE_COLUMNS]
+                has_all = set(_DEVIATION_COLUMNS) <= set(words)
+                deviations = [words.index(name) for name in _DEVIATION_COLUMNS] if has_all else []
             elif any(words):
                 found.append(_numbers_in(words, columns, f"line {number}"))
+                spread.append(_deviations_in(words, deviations, f"line {number}"))
         if not found:
             raise ValueError("must have places, got no line with numbers")
-        rows = np.array(found)[np.argsort([row[0] for row in found], kind="stable")]
+        order = np.argsort([row[0] for row in found], kind="stable")
+        rows, deviations_m = np.array(found)[order], np.array(spread)[order]
         times_ns = np.round(rows[:, 0] * 1e9).astype(np.int64)
         if (np.diff(times_ns) <= 0).any():
             raise ValueError(f"times must differ, got {rows[1:][np.diff(times_ns) <= 0][0, 0]:f} s twice")
@@ -127,7 +138,8 @@ class PoseFile:
         records[:, 5] = _headings(places_m)
         poses = tuple(world_from_imu(record, records[0]) for record in records)
         note = "places have no rotation: the sensor is taken to look along its way, level"
-        return cls(path, poses, times_ns, by_time=True, notes=(note,))
+        stated = deviations_m if np.isfinite(deviations_m).any() else None
+        return cls(path, poses, times_ns, by_time=True, notes=(note,), deviations_m=stated)
 
     @classmethod
     def _of_kitti(cls, path: Path, poses: tuple[Rigid, ...]) -> PoseFile:
@@ -171,12 +183,13 @@ class PoseFile:
         if self.by_time and self.times_ns is not None:
             t_ns = sweep.t_ns if sweep.t_ns is not None else time_in_name(file.name)
             pose = self._at(t_ns, file, self.times_ns)
+            covariance = None if t_ns is None else self._covariance_at(t_ns, self.times_ns)
         else:
-            row = self._row(file, number, files)
+            row, covariance = self._row(file, number, files), None
             pose = self.poses[row]
             period_ns = row * _USUAL_PERIOD_NS if self.times_ns is None else int(self.times_ns[row])
             t_ns = sweep.t_ns if sweep.t_ns is not None else period_ns
-        return sweep.replace(world_from_sensor=pose, t_ns=t_ns)
+        return sweep.replace(world_from_sensor=pose, t_ns=t_ns, pose_covariance=covariance)
 
     def check(self, files: Sequence[Path]) -> None:
         """Check that files have a pose each, as far as that is known before they are read.
@@ -235,16 +248,37 @@ class PoseFile:
         found = buffer.lookup("world", "sensor", t_ns)
         return self.poses[after] if found is None else found
 
+    def _covariance_at(self, t_ns: int, times_ns: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """Return the covariance (6, 6) of the pose nearest to a time, of its place alone; None where none is stated."""
+        if self.deviations_m is None:
+            return None
+        deviation_m = self.deviations_m[int(np.argmin(np.abs(times_ns - t_ns)))]
+        return np.diag([*deviation_m**2, 0.0, 0.0, 0.0]) if np.isfinite(deviation_m).all() else None
+
+
+def _deviations_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
+    """Return the standard deviations (3,) in a line of places, NaN where its table has none."""
+    if not columns:
+        return [np.nan] * 3
+    row = _floats_in(words, columns, where)
+    if not (np.isfinite(row).all() and min(row) >= 0.0):
+        raise ValueError(f"{where}: standard deviations must be finite and not negative, got {row}")
+    return row
+
 
 def _numbers_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
-    """Return the numbers in some columns of a line."""
-    try:
-        row = [float(words[column]) for column in columns]
-    except (ValueError, IndexError) as error:
-        raise ValueError(f"{where} must have a number for each of its columns, got {','.join(words)[:60]!r}") from error
+    """Return time and place (4,) in a line of places."""
+    row = _floats_in(words, columns, where)
     if not np.isfinite(row).all() or abs(row[1]) >= 89.0:
         raise ValueError(f"{where}: latitude must lie in (-89, 89) degrees and all be finite, got {row}")
     return row
+
+
+def _floats_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
+    try:
+        return [float(words[column]) for column in columns]
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{where} must have a number for each of its columns, got {','.join(words)[:60]!r}") from error
 
 
 def _headings(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
