@@ -110,7 +110,8 @@ class ComparedView:
         blockers = np.concatenate([self.surfaces, footprint_points(report.detections.boxes, COARSE).reshape(-1, 2)])
         claimed, through, free, denied = _core.compare_view(
             self.state, *grid.origin_m, grid.cell_m, ground.heights_m, ground.half_extent_m,
-            pose_numbers(report.world_from_level), *others, own=self.number, agents=agents, blockers=blockers,
+            pose_numbers(report.world_from_level), others.places_m, others.ground_m, others.owner, others.is_free,
+            own=self.number, agents=agents, blockers=blockers,
             from_above=report.elevated, nearest_m=NEAREST_M, farthest_m=min(FARTHEST_M, grid.half_extent_m),
             same_ground_m=SAME_GROUND_M,
         )  # fmt: skip
