@@ -70,10 +70,8 @@ class AgentsResults:
     def limits(self) -> TrustLimits:
         """Who is accused: limits of the most that speaks against anybody in each calibration scene."""
         benign = self.runs("calibration")
-        learning, answers = (
-            np.array([np.max(run.answers, axis=0) for run in runs]) for runs in (self.runs("learning"), benign)
-        )
-        return TrustLimits.of(learning, answers, self.elevated, np.array([max(run.doubt) for run in benign]))
+        answers = np.array([np.max(run.answers, axis=0) for run in benign])
+        return TrustLimits.of(answers, self.elevated, np.array([max(run.doubt) for run in benign]))
 
     @property
     def rate(self) -> float:
