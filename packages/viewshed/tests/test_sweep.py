@@ -26,7 +26,7 @@ def test_rows_that_are_not_finite_go_with_their_columns() -> None:
 )
 def test_a_covariance_that_is_none_is_refused(covariance: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Sweep(np.ones((1, 3)), pose_covariance=covariance)
+        Sweep(np.ones((1, 3), np.float32), pose_covariance=covariance)
 
 
 def test_a_sweep_is_read_only_and_its_source_stays_writable() -> None:

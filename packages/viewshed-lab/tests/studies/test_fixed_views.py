@@ -30,6 +30,6 @@ def test_no_return_changes_it(name: str) -> None:
 
 
 def test_numbers_out_of_range_are_refused() -> None:
-    for wrong in ({"range_m": 0.0}, {"opening_deg": 361.0}, {"opening_deg": 0.0}):
+    for range_m, opening_deg in ((0.0, 90.0), (70.0, 361.0), (70.0, 0.0)):
         with pytest.raises(ValueError, match="range_m must be positive"):
-            FixedView(GRID, **wrong)
+            FixedView(GRID, range_m=range_m, opening_deg=opening_deg)

@@ -140,10 +140,8 @@ def guessed(leveled: LeveledSweep, net: GroundNet) -> LeveledSweep:
 def on_lattice(ground: HeightMap) -> tuple[F32, F32, Mask]:
     """Return heights and deviations (n, n), and where returns show the ground; the fewer nodes of none are repeated."""
     times = lattice_nodes(ground.half_extent_m) // len(ground.seen)
-    heights_m, std_m, seen = (
-        array.repeat(times, 0).repeat(times, 1) for array in (ground.heights_m, ground.std_m, ground.seen)
-    )
-    return heights_m, std_m, seen
+    heights_m, std_m = (array.repeat(times, 0).repeat(times, 1) for array in (ground.heights_m, ground.std_m))
+    return heights_m, std_m, ground.seen.repeat(times, 0).repeat(times, 1)
 
 
 def exact_ground(leveled: LeveledSweep, world_from_sensor: Rigid, terrain: Terrain) -> tuple[F32, Mask]:

@@ -48,8 +48,8 @@ LEAST_SCALE = 0.2
 ONSET_SWEEPS, BESIDE = 5, 2
 """Sweeps, and sectors to either side, whose largest number a sector must exceed."""
 
-_SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 7.0, 20)])
-_HEIGHTS = np.concatenate([[0.0], np.geomspace(0.02, 1e4, 80)])
+_SURPRISES = np.concatenate([np.linspace(0.0, 2.0, 21), np.linspace(2.25, 10.0, 32)])
+_HEIGHTS = np.concatenate([[0.0], np.geomspace(0.02, 1e6, 100)])
 """In mean heights, at which the share of higher peaks is computed."""
 
 

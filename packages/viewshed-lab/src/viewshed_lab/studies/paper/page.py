@@ -25,7 +25,7 @@ from viewshed_lab.studies.figures import (
 from viewshed_lab.studies.formatting import commits
 from viewshed_lab.studies.pages import Picture, fill_template
 from viewshed_lab.studies.paper import tables
-from viewshed_lab.studies.paper.data import evaluation_of
+from viewshed_lab.studies.paper.data import archive_path, evaluation_of
 from viewshed_lab.studies.paper.jobs import ATTACKED, tampered_of
 from viewshed_lab.studies.paper.models import (
     WEIGHTS,
@@ -80,10 +80,15 @@ def violin_picture(results: PaperResults, protocol: str) -> Picture:
     )  # fmt: skip
 
 
-def spread_picture(results: PaperResults) -> Picture:
-    """Return where the published attack puts its points: on one sweep, and on every held-out one of a domain."""
+def spread_picture(results: PaperResults) -> Picture | None:
+    """Return where the published attack puts its points: on one sweep, and on every held-out one of a domain.
+
+    None without the sweeps.
+    """
     plan, folder = results.plan, results.store.folder
     domain = plan.domains[0]
+    if not archive_path(folder, domain, "test").exists():
+        return None
     setting, rows = setting_of(plan, PAPER, domain), {}
     numbers = range(plan.pair_frames[0])[:SPREAD]
     for name in ("uniform", "cluster"):

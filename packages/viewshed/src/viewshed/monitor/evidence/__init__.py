@@ -34,7 +34,7 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
     Evidence("departure", history.measure_departure, 5.0,
              "an obstacle at {degrees:.0f}° must have left at {value:.0f} m/s",
              version=2),
-    Evidence("same_noise", history.measure_same_noise, 0.02,
+    Evidence("same_noise", history.measure_same_noise, 0.2,
              "{value:.0%} of the ranges at {degrees:.0f}° repeat those of an earlier sweep, noise included"),
     Evidence("registration", history.measure_registration, 1.0,
              "the pose is {value:.0f} standard deviations off that of the earlier sweeps"),
