@@ -120,6 +120,9 @@ GOOD: dict[str, dict[str, Any]] = {
     "visible_before": {"prob": np.ones((4, 4), F4), "boxes": BOX} | CORNER,
     "look_at_boxes": {"states": PLANE, "pose": np.zeros(4), "boxes": BOX, "place_x_m": 0.0, "place_y_m": 0.0,
                       "along": 5, "across": 3} | CORNER,
+    "surface_cells": {"states": PLANE + U1(2), "nearest_m": 0.0, "farthest_m": 9.0} | CORNER,
+    "mark_surfaces": {"seen_by": np.zeros((8, 8), np.uint32), "surfaces": RING, "pose": np.zeros(4), "cell_m": 0.5,
+                      "bit": 2, "wide": True, "erase": False},
     "count_met": {"surfaces": RING, "headings": np.zeros(3), "x_m": np.zeros(5), "y_m": np.zeros(5), "cell_m": 0.5,
                   "seen_by": np.ones((8, 8), np.uint32), "own_bit": 2},
     "compare_view": {
@@ -135,7 +138,7 @@ GOOD: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """Function → arguments that it takes."""
 
-OF_VIEWS = ("visible_before", "look_at_boxes", "compare_view", "compare_past")
+OF_VIEWS = ("surface_cells", "visible_before", "look_at_boxes", "compare_view", "compare_past")
 OF_POINTS = (
     "identify_sensor", "infer_sensor", "find_motion", "recover_rings", "undo_motion", "level_sweep", "concave_hull",
     "height_codes", "level_points", "range_image",
@@ -309,6 +312,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         ({"x_m": NAN}, "corner of a view must be finite"), ({"cell_m": 0.0}, "cell_m must be positive"))),
     ("compare_past", {"last_states": PLANE[:3].copy()}, "must be a square"),
     ("count_met", {"seen_by": np.ones((6, 6), np.uint32)}, "square of a power of two"),
+    ("mark_surfaces", {"seen_by": np.zeros((8, 4), np.uint32)}, "square of a power of two"),
+    ("mark_surfaces", {"cell_m": NAN}, "cell_m must be positive"), ("mark_surfaces", {"pose": np.zeros(5)}, "x, y, z"),
     ("count_met", {"headings": np.zeros(65)}, "at most 64"),
     ("count_met", {"surfaces": np.zeros((4, 3))}, "two columns"),
     ("compare_view", {"owner": np.full(4, 3, I4)}, r"owner must lie in \[0, 2\]"),

@@ -193,6 +193,37 @@ void visible_before(const ViewCells<float>& probability, View2<const double> box
     }
 }
 
+std::vector<double> surface_cells(const ViewCells<std::uint8_t>& states, double nearest_m, double farthest_m) {
+    std::vector<double> centers;
+    for (std::size_t i = 0; i < states.values.rows; ++i) {
+        const double x = states.x_m + (double(i) + 0.5) * states.cell_m;
+        for (std::size_t j = 0; j < states.values.columns; ++j) {
+            if (states.values(i, j) != SURFACE) continue;
+            const double y = states.y_m + (double(j) + 0.5) * states.cell_m, range_m2 = x * x + y * y;
+            if (range_m2 > nearest_m * nearest_m && range_m2 < farthest_m * farthest_m) centers.insert(centers.end(), {x, y});
+        }
+    }
+    return centers;
+}
+
+void mark_surfaces(View2<std::uint32_t> seen_by, View2<const double> surfaces, const UprightPose& pose, double cell_m,
+                   std::uint32_t bit, bool wide, bool erase) {
+    const auto last = std::int32_t(seen_by.rows) - 1;
+    const double cosine = std::cos(pose.yaw), sine = std::sin(pose.yaw), before_m = wide ? cell_m / 2 : 0.0;
+    for (std::size_t s = 0; s < surfaces.rows; ++s) {
+        const double x = cosine * surfaces(s, 0) - sine * surfaces(s, 1) + pose.x_m;
+        const double y = sine * surfaces(s, 0) + cosine * surfaces(s, 1) + pose.y_m;
+        const std::int32_t row = map_step(x - before_m, cell_m, last), column = map_step(y - before_m, cell_m, last);
+        for (const std::int32_t down : {0, 1}) {
+            for (const std::int32_t right : {0, 1}) {
+                if (!wide && (down || right)) continue;
+                std::uint32_t& cell = seen_by(std::size_t((row + down) & last), std::size_t((column + right) & last));
+                cell = erase ? cell & ~bit : cell | bit;
+            }
+        }
+    }
+}
+
 void count_met(View2<const double> surfaces, View1<const double> headings, View1<const double> x_m, View1<const double> y_m,
                double cell_m, View2<const std::uint32_t> seen_by, std::uint32_t own_bit, View3<std::int32_t> out) {
     const auto last = std::int32_t(seen_by.rows) - 1;

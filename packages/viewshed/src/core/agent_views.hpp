@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <vector>
 
 #include "arrays.hpp"
 
@@ -49,6 +50,14 @@ enum BoxCell { IN_SURFACE, IN_FREE, IN_HIDDEN, RING_SURFACE, RING_FREE, NEAR_FRE
 // view's `level` stands at a pose in the boxes' frame.
 void look_at_boxes(const ViewCells<std::uint8_t>& states, const UprightPose& pose, View2<const double> boxes, double place_x_m,
                    double place_y_m, std::size_t along, std::size_t across, View2<double> out);
+
+// The centers (S, 2) of the surface cells of a view at ranges between two, in `level`, row by row.
+std::vector<double> surface_cells(const ViewCells<std::uint8_t>& states, double nearest_m, double farthest_m);
+
+// Note in a map of the world that an agent sees surfaces (S, 2) of its `level`, or take that back: in the cell that holds each, or
+// `wide` in the four nearest.
+void mark_surfaces(View2<std::uint32_t> seen_by, View2<const double> surfaces, const UprightPose& pose, double cell_m,
+                   std::uint32_t bit, bool wide, bool erase);
 
 // Count how many surfaces (S, 2) of `level` meet one that another agent sees, at each of T headings, X and Y places:
 // (T, X, Y). `seen_by` is a map of the world, a bit for each agent, that repeats after its power of two of cells.

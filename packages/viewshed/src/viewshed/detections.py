@@ -44,7 +44,7 @@ class Detections:
 
     def __post_init__(self) -> None:
         for name, kind in (("boxes", np.float64), ("kinds", np.uint8), ("returns", np.int32)):
-            array = np.array(getattr(self, name), kind)
+            array: NDArray[Any] = np.array(getattr(self, name), kind)
             if name == "kinds":
                 array[array >= len(ObjectKind)] = ObjectKind.OTHER
             array.setflags(write=False)

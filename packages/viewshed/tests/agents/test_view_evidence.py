@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from viewshed import _core
 from viewshed.agents.report import AgentReport
 from viewshed.agents.view_evidence import OWN as OF_ONE
 from viewshed.agents.view_evidence import PAIR, Comparisons, Surprises, compare_views
@@ -110,6 +111,20 @@ def test_views_over_other_ground_are_not_compared() -> None:
     flat, sloped = (compare(OWN, ground=ground).pairs[0, 1:, 0] for ground in (None, slope))
     assert np.isfinite(flat).all()
     assert not np.allclose(flat, sloped, equal_nan=True)
+
+
+@pytest.mark.parametrize("from_above", [False, True])
+def test_what_stands_in_the_way_hides_a_little_more_than_its_own_sector(from_above: bool) -> None:
+    """Free places of another agent, one before a surface, one behind it half a degree off, one behind it far off."""
+    places = np.array([[5.0, 0.1], [20.0, 0.2], [20.0, 9.0], [20.0, 20.0]])
+    counts = _core.compare_view(
+        states=np.full((128, 128), CellState.HIDDEN, np.uint8), x_m=-32.0, y_m=-32.0, cell_m=0.5,
+        heights_m=np.zeros((8, 8), np.float32), half_extent_m=32.0, pose=np.zeros(4), places_m=places,
+        ground_m=np.array([0.0, 0.0, 0.0, 1.0]), owner=np.ones(4, np.int32), is_free=np.ones(4, np.bool_), own=0,
+        agents=2, blockers=np.array([[10.0, -0.05]]), from_above=from_above, nearest_m=2.0, farthest_m=30.0,
+        same_ground_m=0.4,
+    )  # fmt: skip
+    assert counts.tolist() == [[0, 0], [0, 0], [0, 3 if from_above else 2], [0, 3 if from_above else 2]]
 
 
 def test_one_view_alone_is_compared_with_its_past_only() -> None:

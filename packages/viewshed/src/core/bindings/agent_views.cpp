@@ -19,6 +19,12 @@ ViewCells<T> cells_of(const In2<T>& values, double x_m, double y_m, double cell_
     return {view(values), x_m, y_m, cell_m};
 }
 
+void require_map(std::size_t rows, std::size_t columns, double cell_m) {
+    require(columns == rows && rows >= 1 && rows <= MOST_SIDE && (rows & (rows - 1)) == 0,
+            "seen_by must be a square of a power of two, at most 16384");
+    require(std::isfinite(cell_m) && cell_m > 0, "cell_m must be positive and finite");
+}
+
 // x, y, z and yaw of a pose.
 UprightPose pose_of(const In1<double>& numbers) {
     require(numbers.shape(0) == 4, "a pose must be x, y, z and yaw");
@@ -65,14 +71,30 @@ void bind_agent_views(nb::module_& m) {
         "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "pose"_in, "boxes"_in, "place_x_m"_a, "place_y_m"_a, "along"_a, "across"_a,
         "What the cells in and about boxes (K, 7) are, (K, 8).");
     m.def(
+        "surface_cells",
+        [](In2<std::uint8_t> states, double x_m, double y_m, double cell_m, double nearest_m, double farthest_m) {
+            const std::vector<double> centers = surface_cells(cells_of(states, x_m, y_m, cell_m), nearest_m, farthest_m);
+            return array_of(centers, {centers.size() / 2, 2});
+        },
+        "states"_in, "x_m"_a, "y_m"_a, "cell_m"_a, "nearest_m"_a, "farthest_m"_a,
+        "Centers (S, 2) of the surface cells of a view between two ranges.");
+    m.def(
+        "mark_surfaces",
+        [](InOut2<std::uint32_t> seen_by, In2<double> surfaces, In1<double> pose, double cell_m, std::uint32_t bit, bool wide,
+           bool erase) {
+            require(surfaces.shape(1) == 2, "surfaces must have two columns");
+            require_map(seen_by.shape(0), seen_by.shape(1), cell_m);
+            mark_surfaces(view(seen_by), view(surfaces), pose_of(pose), cell_m, bit, wide, erase);
+        },
+        "seen_by"_in, "surfaces"_in, "pose"_in, "cell_m"_a, "bit"_a, "wide"_a, "erase"_a,
+        "Note in a map of the world that an agent sees surfaces (S, 2), or take that back.");
+    m.def(
         "count_met",
         [](In2<double> surfaces, In1<double> headings, In1<double> x_m, In1<double> y_m, double cell_m,
            In2<std::uint32_t> seen_by, std::uint32_t own_bit) {
             const std::size_t side = seen_by.shape(0), turns = headings.shape(0), rows = x_m.shape(0), columns = y_m.shape(0);
             require(surfaces.shape(1) == 2, "surfaces must have two columns");
-            require(seen_by.shape(1) == side && side >= 1 && side <= MOST_SIDE && (side & (side - 1)) == 0,
-                    "seen_by must be a square of a power of two, at most 16384");
-            require(std::isfinite(cell_m) && cell_m > 0, "cell_m must be positive and finite");
+            require_map(side, seen_by.shape(1), cell_m);
             require(turns <= 64 && rows <= 64 && columns <= 64, "at most 64 headings and places along each axis");
             Buffer<std::int32_t> out(turns * rows * columns);
             without_lock([&] {

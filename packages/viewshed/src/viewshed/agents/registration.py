@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from viewshed import _core
 from viewshed.arrays import F64
-from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
 
 MOST_M, MOST_TURN = 0.25, float(np.radians(0.6))
@@ -123,7 +123,7 @@ def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> l
     # Who sees a surface where: a bit for each agent, so that its own can be left out.
     seen_by = np.zeros((_CELLS, _CELLS), np.uint32)
     for number, (own, pose) in enumerate(zip(surfaces, poses, strict=True)):
-        _mark(seen_by, number, _placed(own, pose))
+        _mark(seen_by, number, own, pose)
     # One after the other, the least certain first: each meets those before it where they were put.
     for number in sorted(range(len(views)), key=lambda k: -stds[k].bounded.place_m - 20.0 * stds[k].bounded.yaw):
         if stds[number].matters and len(surfaces[number]) >= _FEWEST_MET:
@@ -135,18 +135,15 @@ def registered_poses(views: Sequence[FovEstimate], stds: Sequence[PoseStd]) -> l
                 seen_by,
                 number,
             )
-            _mark(seen_by, number, _placed(own, poses[number]), erase=True)
-            _mark(seen_by, number, _placed(own, moved))
+            _mark(seen_by, number, own, poses[number], erase=True)
+            _mark(seen_by, number, own, moved)
             poses[number] = moved
     return poses
 
 
 def surface_cells(view: FovEstimate, nearest_m: float, farthest_m: float) -> F64:
     """Return the centers (S, 2) of the surface cells of a view between two ranges, in ``level``."""
-    xy = view.grid.centers.reshape(-1, 2)[np.flatnonzero(view.state == CellState.SURFACE)]
-    range_m2 = (xy**2).sum(axis=1)
-    near: F64 = xy[(range_m2 > nearest_m**2) & (range_m2 < farthest_m**2)]
-    return near
+    return _core.surface_cells(view.state, *view.grid.origin_m, view.grid.cell_m, nearest_m, farthest_m)
 
 
 def agent_bit(number: int) -> int:
@@ -154,19 +151,14 @@ def agent_bit(number: int) -> int:
     return 1 << number % _BITS
 
 
-def _placed(xy: F64, pose: Rigid) -> F64:
-    placed: F64 = xy @ pose.rotation[:2, :2].T + pose.translation[:2]
-    return placed
+def pose_numbers(pose: Rigid) -> F64:
+    """Return x, y, z and yaw (4,) of an upright pose."""
+    return np.append(pose.translation, pose.yaw)
 
 
-def _mark(seen_by: NDArray[np.uint32], number: int, xy: F64, *, erase: bool = False) -> None:
-    """Note that an agent sees surfaces half a meter wide at places (S, 2), or take that back."""
-    flat, bit = seen_by.reshape(-1), np.uint32(agent_bit(number))
-    # A surface covers the cell at its lower corner, and those beside it.
-    steps = np.floor(xy / _CELL_M - 0.5).astype(np.int32) & (_CELLS - 1)
-    corner = steps @ np.array([_CELLS, 1], np.int32)
-    cells = (corner + np.array([[0], [1], [_CELLS], [_CELLS + 1]], np.int32)) % _CELLS**2
-    flat[cells] = flat[cells] & ~bit if erase else flat[cells] | bit
+def _mark(seen_by: NDArray[np.uint32], number: int, xy: F64, pose: Rigid, *, erase: bool = False) -> None:
+    """Note that an agent sees surfaces half a meter wide at places (S, 2) of ``level``, or take that back."""
+    _core.mark_surfaces(seen_by, xy, pose_numbers(pose), _CELL_M, agent_bit(number), wide=True, erase=erase)
 
 
 def _put_right(xy: F64, pose: Rigid, std: PoseStd, seen_by: NDArray[np.uint32], number: int) -> Rigid:

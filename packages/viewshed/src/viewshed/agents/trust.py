@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from itertools import combinations
@@ -375,10 +375,11 @@ class Trust:
 class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
-    Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of some benign scenes.
-    The unit is the scene: whoever is accused must stand higher on that scale, by any question, than anybody of nearly
-    all of the other benign scenes. If the scene at hand is one like those (exchangeable), somebody is accused in at
-    most the stated share of benign scenes, however the agents of one scene depend on each other.
+    Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of benign scenes. The
+    unit is the scene: whoever is accused must stand higher on that scale, by any question, than anybody of nearly all
+    benign scenes does on the scale of the others (a jackknife: one scene moves the scale hardly). If the scene at hand
+    is one like those (exchangeable), somebody is accused in at most the stated share of benign scenes, however the
+    agents of one scene depend on each other.
     """
 
     usual: F64  # (2, 4) nine in ten answers are smaller, by whether the sensor is elevated and by question
@@ -387,30 +388,26 @@ class TrustLimits:
     doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
-    def of(cls, learning: F64, answers: F64, elevated: Mask, doubt: NDArray[np.floating[Any]]) -> TrustLimits:
-        """Return the limits of benign scenes.
+    def of(cls, answers: F64, elevated: Mask, doubt: NDArray[np.floating[Any]]) -> TrustLimits:
+        """Return the limits of benign scenes; each is scored on the scale of all others, as a further scene is.
 
         Args:
-            learning: (M, A, 4) largest answers of each agent of each scene that the scale is from.
-            answers: (N, A, 4) the same of the scenes that the rank is among.
+            answers: (N, A, 4) largest answers of each agent of each scene.
             elevated: (A,) bool, whose sensors look over the traffic.
-            doubt: (N,) largest doubt of each of those.
+            doubt: (N,) largest doubt of each scene.
 
         Raises:
-            ValueError: there are none of either, or a number is not finite.
+            ValueError: there are fewer than two, or a number is not finite.
         """
-        if not (len(learning) and len(answers) == len(doubt) > 0):
-            raise ValueError(f"limits must be of benign scenes, got {len(learning)}, {len(answers)} and {len(doubt)}")
-        if not all(np.isfinite(each).all() for each in (learning, answers, doubt)):
+        if not len(answers) == len(doubt) > 1:
+            raise ValueError(f"limits must be of two benign scenes or more, got {len(answers)} and {len(doubt)}")
+        if not (np.isfinite(answers).all() and np.isfinite(doubt).all()):
             raise ValueError("answers and doubt must be finite; leave out scenes without reports")
-        usual, spread = np.zeros((2, len(QUESTIONS))), np.ones((2, len(QUESTIONS)))
-        for kind in np.unique(elevated.astype(np.intp)):
-            own = learning[:, elevated == kind].reshape(-1, len(QUESTIONS))
-            usual[kind] = np.quantile(own, USUAL, axis=0)
-            beyond = np.maximum(own - usual[kind], 0.0).mean(axis=0) / (1.0 - USUAL)
-            spread[kind] = np.maximum(beyond, LEAST_SPREAD)
-        scale = cls(usual, spread, np.zeros(0), np.sort(doubt))
-        return replace(scale, score=np.sort([scale.scores(each, elevated).max() for each in answers]))
+        score = []
+        for scene, own in enumerate(answers):
+            usual, spread = _scale_of(np.delete(answers, scene, axis=0), elevated)
+            score.append(cls(usual, spread, doubt, doubt).scores(own, elevated).max())
+        return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt))
 
     def to_json(self) -> str:
         """Return the limits as text."""
@@ -455,6 +452,17 @@ class TrustLimits:
         need = int(np.ceil(1.0 / rate - 1e-9)) - 1 if 0 < rate < 1 else -1
         if need < 0 or len(self.doubt) < need:
             raise ValueError(f"rate must be in (0, 1), and {rate:g} needs {need} benign scenes, got {len(self.doubt)}")
+
+
+def _scale_of(answers: F64, elevated: Mask) -> tuple[F64, F64]:
+    """Return what is usual and what others are beyond (2, 4), by whether sensors are elevated, of answers (N, A, 4)."""
+    usual, spread = np.zeros((2, len(QUESTIONS))), np.ones((2, len(QUESTIONS)))
+    for kind in np.unique(elevated.astype(np.intp)):
+        own = answers[:, elevated == kind].reshape(-1, len(QUESTIONS))
+        usual[kind] = np.quantile(own, USUAL, axis=0)
+        beyond = np.maximum(own - usual[kind], 0.0).mean(axis=0) / (1.0 - USUAL)
+        spread[kind] = np.maximum(beyond, LEAST_SPREAD)
+    return usual, spread
 
 
 @lru_cache(maxsize=1)

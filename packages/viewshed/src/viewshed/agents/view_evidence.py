@@ -28,12 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed import _core
-from viewshed.agents.registration import agent_bit, surface_cells
+from viewshed.agents.registration import agent_bit, pose_numbers, surface_cells
 from viewshed.agents.report import AgentReport
 from viewshed.arrays import F64, Mask
 from viewshed.fov.estimate import CellState
 from viewshed.fov.height_map import HeightMap
-from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.objects.cells import COARSE, footprint_points
 
@@ -111,7 +110,8 @@ class ComparedView:
         blockers = np.concatenate([self.surfaces, footprint_points(report.detections.boxes, COARSE).reshape(-1, 2)])
         claimed, through, free, denied = _core.compare_view(
             self.state, *grid.origin_m, grid.cell_m, ground.heights_m, ground.half_extent_m,
-            _numbers(report.world_from_level), *others, own=self.number, agents=agents, blockers=blockers,
+            pose_numbers(report.world_from_level), others.places_m, others.ground_m, others.owner, others.is_free,
+            own=self.number, agents=agents, blockers=blockers,
             from_above=report.elevated, nearest_m=NEAREST_M, farthest_m=min(FARTHEST_M, grid.half_extent_m),
             same_ground_m=SAME_GROUND_M,
         )  # fmt: skip
@@ -124,8 +124,8 @@ class ComparedView:
         last_from_now = last.report.world_from_level.inverse() @ self.report.world_from_level
         grid, then = self.report.estimate.grid, last.report.estimate.grid
         sees, saw, either, hidden, shown = _core.compare_past(
-            self.state, *grid.origin_m, grid.cell_m, last.state, *then.origin_m, then.cell_m, _numbers(last_from_now),
-            self.lattice,
+            self.state, *grid.origin_m, grid.cell_m, last.state, *then.origin_m, then.cell_m,
+            pose_numbers(last_from_now), self.lattice,
         )  # fmt: skip
         return (sees - saw) / max(either, 1), (hidden - shown) / max(either, 1)
 
@@ -141,11 +141,6 @@ class ComparedView:
 
 def _some(xy: F64) -> F64:
     return np.ascontiguousarray(xy[:: max(-(-len(xy) // MOST_CELLS), 1)])
-
-
-def _numbers(pose: Rigid) -> F64:
-    """Return x, y, z and yaw (4,) of an upright pose."""
-    return np.append(pose.translation, pose.yaw)
 
 
 @lru_cache(maxsize=4)
@@ -196,8 +191,8 @@ def compare_views(
     # Who sees a surface in each cell of the map: a bit for each agent, so that its own can be left out.
     seen_by = np.zeros((_MAP_CELLS, _MAP_CELLS), np.uint32)
     for number, view in views.items():
-        cells = np.floor(view.in_world(view.surfaces) / _MAP_M).astype(np.int32) & (_MAP_CELLS - 1)
-        seen_by[cells[:, 0], cells[:, 1]] |= agent_bit(number)
+        pose = pose_numbers(view.report.world_from_level)
+        _core.mark_surfaces(seen_by, view.surfaces, pose, _MAP_M, agent_bit(number), wide=False, erase=False)
     everybody, of_asked = _Cells.of(list(views.values())), _Cells.of([views[number] for number in asked])
     for number, view in views.items():
         pairs[number] = view.against(everybody if number in asked else of_asked, agents)

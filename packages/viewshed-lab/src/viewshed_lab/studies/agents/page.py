@@ -69,9 +69,9 @@ class AgentsResults:
     @cached_property
     def limits(self) -> TrustLimits:
         """Who is accused: limits of the most that speaks against anybody in each calibration scene."""
-        learning, benign = (self.runs(split) for split in ("learning", "calibration"))
-        answers = (np.array([np.max(run.answers, axis=0) for run in runs]) for runs in (learning, benign))
-        return TrustLimits.of(*answers, self.elevated, np.array([max(run.doubt) for run in benign]))
+        benign = self.runs("calibration")
+        answers = np.array([np.max(run.answers, axis=0) for run in benign])
+        return TrustLimits.of(answers, self.elevated, np.array([max(run.doubt) for run in benign]))
 
     @property
     def rate(self) -> float:
@@ -156,7 +156,7 @@ class AgentsResults:
     def questions_table(self) -> Table:
         """Return the AUROC of each group of lies with all questions, with each one left out, and with one alone."""
         groups = {name: runs for name, lies in GROUPS.items() if (runs := self.of(*lies))}
-        asked = {"all": QUESTIONS}
+        asked: dict[str, tuple[str, ...]] = {"all": QUESTIONS}
         asked |= {f"without {name}": tuple(each for each in QUESTIONS if each != name) for name in QUESTIONS}
         asked |= {f"{name} alone": (name,) for name in QUESTIONS}
         rows = [

@@ -80,10 +80,10 @@ class AgentsPlan(Plan):
 
     def run_keys(self) -> list[JobKey]:
         """Return the names of the runs' jobs: split and number of a scene, in all of its cases."""
-        return [("run", *key[1:]) for key in self.scene_keys()]
+        return [("run", *key[1:]) for key in self.scene_keys() if key[1] != SPLITS[0]]
 
     def cases_of(self, split: str, number: int) -> list[str]:
-        """Return what is tried in a scene: honest agents, poses off in every other ten; in test scenes lies too."""
+        """Return what is tried in a scene: honest agents, poses of every other calibration scene off; lies in turn."""
         if split != "test":
             return [(HONEST, STATED)[number // len(self.worlds) % 2]]
         count = min(self.each, len(self.lies))
