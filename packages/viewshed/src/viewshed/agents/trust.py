@@ -403,11 +403,11 @@ class TrustLimits:
             raise ValueError(f"limits must be of two benign scenes or more, got {len(answers)} and {len(doubt)}")
         if not (np.isfinite(answers).all() and np.isfinite(doubt).all()):
             raise ValueError("answers and doubt must be finite; leave out scenes without reports")
-        score = []
+        score = np.zeros(len(answers))
         for scene, own in enumerate(answers):
             usual, spread = _scale_of(np.delete(answers, scene, axis=0), elevated)
-            score.append(cls(usual, spread, doubt, doubt).scores(own, elevated).max())
-        return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt))
+            score[scene] = cls(usual, spread, doubt, doubt).scores(own, elevated).max()
+        return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt.astype(np.float64)))
 
     def to_json(self) -> str:
         """Return the limits as text."""
