@@ -41,7 +41,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -388,7 +387,7 @@ class TrustLimits:
     doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
-    def of(cls, answers: F64, elevated: Mask, doubt: NDArray[np.floating[Any]]) -> TrustLimits:
+    def of(cls, answers: F64, elevated: Mask, doubt: F64) -> TrustLimits:
         """Return the limits of benign scenes; each is scored on the scale of all others, as a further scene is.
 
         Args:
@@ -407,7 +406,7 @@ class TrustLimits:
         for scene, own in enumerate(answers):
             usual, spread = _scale_of(np.delete(answers, scene, axis=0), elevated)
             score[scene] = cls(usual, spread, doubt, doubt).scores(own, elevated).max()
-        return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt.astype(np.float64)))
+        return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt))
 
     def to_json(self) -> str:
         """Return the limits as text."""
