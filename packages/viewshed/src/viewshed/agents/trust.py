@@ -41,7 +41,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import resources
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -388,7 +387,7 @@ class TrustLimits:
     doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
     @classmethod
-    def of(cls, answers: F64, elevated: Mask, doubt: NDArray[np.floating[Any]]) -> TrustLimits:
+    def of(cls, answers: F64, elevated: Mask, doubt: F64) -> TrustLimits:
         """Return the limits of benign scenes; each is scored on the scale of all others, as a further scene is.
 
         Args:
@@ -403,10 +402,10 @@ class TrustLimits:
             raise ValueError(f"limits must be of two benign scenes or more, got {len(answers)} and {len(doubt)}")
         if not (np.isfinite(answers).all() and np.isfinite(doubt).all()):
             raise ValueError("answers and doubt must be finite; leave out scenes without reports")
-        score = []
+        score = np.zeros(len(answers))
         for scene, own in enumerate(answers):
             usual, spread = _scale_of(np.delete(answers, scene, axis=0), elevated)
-            score.append(cls(usual, spread, doubt, doubt).scores(own, elevated).max())
+            score[scene] = cls(usual, spread, doubt, doubt).scores(own, elevated).max()
         return cls(*_scale_of(answers, elevated), np.sort(score), np.sort(doubt))
 
     def to_json(self) -> str:
