@@ -79,13 +79,13 @@ def robustness(
 
 @study_app.command()
 def paper(
-    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, paper.")] = "small",
+    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small, medium, paper.")] = "small",
     out: Out = None,
     only: Annotated[
         str | None,
         typer.Option(
             metavar="STEPS",
-            help="Only these steps, separated by commas: data, models, pairs, strict, trade, monitor, pages.",
+            help="Only these steps, separated by commas: data, crossval, models, pairs, strict, trade, monitor, pages.",
         ),
     ] = None,
     protocol: Annotated[

@@ -203,8 +203,8 @@ class PaperPlan(Plan):
         """Return the numbers of the held-out sweeps of a domain's pairs, part by part.
 
         >>> plan = PaperPlan.load("tiny")
-        >>> plan.parts("ugv", mcd=False), plan.parts("ugv", mcd=True)
-        ([range(0, 2), range(2, 3)], [range(0, 3, 2)])
+        >>> [list(part) for part in plan.parts("ugv", mcd=False)], [list(part) for part in plan.parts("ugv", mcd=True)]
+        ([[0, 1], [2]], [[0, 2]])
         """
         numbers = range(0, self.pair_frames[self.domains.index(domain)], self.mcd_every if mcd else 1)
         return [numbers[start : start + self.pair_part] for start in range(0, len(numbers), self.pair_part)]
