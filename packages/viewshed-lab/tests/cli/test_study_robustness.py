@@ -61,7 +61,7 @@ def test_a_finished_study_is_only_written_again(made: Path, tmp_path: Path) -> N
 def test_what_it_refuses_is_one_line(made: Path, tmp_path: Path) -> None:
     code, _, complaint = run("study", "robustness", "--preset", "small", "--out", str(made), "--no-run")
     assert code == 2
-    assert "must hold results of this plan and version, got another plan; choose another folder" in complaint
+    assert "must hold results of this plan and version, got another plan (" in complaint
     damaged = tmp_path / "damaged"
     shutil.copytree(made, damaged)
     (damaged / "jobs" / "attacks ugv 0.parquet").write_bytes(b"PAR1")

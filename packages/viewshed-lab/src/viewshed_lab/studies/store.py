@@ -119,6 +119,9 @@ class ResultStore(Generic[P]):
 
 
 def _changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Return what differs between two plans in plain values."""
+    """Return what differs between two plans in plain values: the first three that do."""
     keys = [key for key in (*before, *(set(now) - set(before))) if before.get(key) != now.get(key)]
-    return ", ".join(f"{key} {before.get(key, 'nothing')} there, {now.get(key, 'nothing')} now" for key in keys)
+    more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
+    return (
+        ", ".join(f"{key} {before.get(key, 'nothing')} there, {now.get(key, 'nothing')} now" for key in keys[:3]) + more
+    )

@@ -65,16 +65,16 @@ def verdicts(report: IntegrityReport) -> str:
 
 
 def azimuths(suspect: NDArray[Any]) -> str:
-    """Return which azimuths some sectors (SECTORS,) cover, in degrees counter-clockwise from ahead.
+    """Return which azimuths some sectors (SECTORS,) cover, in degrees counter-clockwise from ahead: the two widest.
 
     >>> import numpy as np
-    >>> azimuths(np.isin(np.arange(72), [0, 1, 40]))
-    '-180° to -170°, 20° to 25°'
+    >>> azimuths(np.isin(np.arange(72), [0, 1, 40])), azimuths(np.isin(np.arange(72), [0, 1, 30, 40, 41, 50]))
+    ('-180° to -170°, 20° to 25°', '-180° to -170°, 20° to 30° and 2 more')
     """
     import numpy as np
 
     width = 360 // len(suspect)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], suspect, [False]])))
-    return ", ".join(
-        f"{first * width - 180}° to {last * width - 180}°" for first, last in edges.reshape(-1, 2).tolist()
-    )
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], suspect, [False]]))).reshape(-1, 2)
+    widest = np.sort(np.argsort(edges[:, 0] - edges[:, 1], kind="stable")[:2])
+    more = f" and {len(edges) - 2} more" if len(edges) > 2 else ""
+    return ", ".join(f"{at * width - 180}° to {to * width - 180}°" for at, to in edges[widest].tolist()) + more
