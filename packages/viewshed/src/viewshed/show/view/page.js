@@ -336,7 +336,7 @@ function tip(event) {
   output.style.top = `${Math.min(row + 14, stage.clientHeight - output.offsetHeight - 4)}px`;
 }
 
-// Visible area and, where there is one, the score of the monitor over time; ticks are alarms, the bar is the frame shown.
+// Visible area and, where there is one, the monitor's score over time; ticks are alarms, the bar is the frame shown.
 function drawStrip() {
   const context = cleared(strip);
   const [width, height, above] = [strip.clientWidth, strip.clientHeight, 16];
@@ -356,7 +356,7 @@ function drawStrip() {
   context.fillRect(0, above, width, height - above);
   curve("visible area", " m²", abouts.map((about) => about.visible_m2), color("accent"), "left");
   if (abouts.some((about) => about.score !== undefined)) {
-    curve("score of the monitor", "", abouts.map((about) => about.score ?? NaN), color("suspect"), "right");
+    curve("monitor's score", "", abouts.map((about) => about.score ?? NaN), color("suspect"), "right");
   }
   for (const agent of agents) {
     context.strokeStyle = agentColor(agent);
