@@ -17,13 +17,10 @@ from viewshed.monitor.report import IntegrityReport, cells_of_sectors
 from viewshed.monitor.score import RARE
 from viewshed.monitor.watch import Verdict, Watch
 from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.preprocess.streams import AGENTS, remember, why_anew
+from viewshed.preprocess.streams import AGENTS, FORGET_S, remember, why_anew
 
 PER_HOUR = 6.0
 """False alarms an hour that are asked for unless another number is given."""
-
-FORGET_S = 10.0
-"""A stream without a sweep for longer begins anew."""
 
 ALONE = "one sweep cannot tell a forgery that keeps to the beams"
 

@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from viewshed import _core
+from viewshed.arrays import F32
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import Held, LeveledSweep, level
-from viewshed.preprocess.range_image import RangeImage
 from viewshed.preprocess.reach import reach_of_sweep
 from viewshed.preprocess.streams import FORGET_S, why_anew
 
@@ -72,31 +72,32 @@ class Rest:
     over height and ground of a place that looks the same.
     """
 
-    _since: RangeImage | None = None  # of the sweep with which it came to rest
+    _since_m: F32 | None = None  # (rings, columns) range image of the sweep with which it came to rest
     _before: LeveledSweep | None = None
 
     def hold(self, leveled: LeveledSweep) -> LeveledSweep:
         """Return the next sweep of the stream with what those before it hold; as it is if it moved, or has a pose."""
         before, sweep = self._before, leveled.sweep
+        now_m = None if leveled.range_image is None else leveled.range_image.range_m
         if (
             before is not None
             and sweep.world_from_sensor is None
             and not why_anew(before.sweep.t_ns, sweep.t_ns, FORGET_S)
-            and _is_same_place(self._since, leveled.range_image)
+            and _is_same_place(self._since_m, now_m)
         ):
             leveled = hold(leveled, before, Rigid.identity())
         else:
-            self._since = leveled.range_image
+            self._since_m = now_m
         self._before = leveled
         return leveled
 
 
-def _is_same_place(since: RangeImage | None, now: RangeImage | None) -> bool:
-    """Return whether two range images were taken from one place."""
-    if since is None or now is None or since.counts.shape != now.counts.shape:
+def _is_same_place(since_m: F32 | None, now_m: F32 | None) -> bool:
+    """Return whether two range images, +inf where nothing returned, were taken from one place."""
+    if since_m is None or now_m is None or since_m.shape != now_m.shape:
         return False
-    both = np.isfinite(since.squared_range_m2) & np.isfinite(now.squared_range_m2)
-    apart_m = np.abs(np.sqrt(since.squared_range_m2[both]) - np.sqrt(now.squared_range_m2[both]))
+    both = np.isfinite(since_m) & np.isfinite(now_m)
+    apart_m = np.abs(since_m[both] - now_m[both])
     return apart_m.size >= STILL_PIXELS and float(np.mean(apart_m <= STILL_M)) >= STILL_SHARE
 
 

@@ -10,7 +10,7 @@ AGENTS = 64
 """Agents that a stream remembers."""
 
 FORGET_S = 10.0
-"""Sweeps from longer before do not help: who stood there has gone."""
+"""Sweeps from longer before do not help: who stood there has gone. A stream without a sweep for longer begins anew."""
 
 
 def remember(known: dict[str, Memory], agent: str, memory: Memory, most: int = AGENTS) -> None:
