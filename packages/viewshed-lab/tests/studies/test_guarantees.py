@@ -81,6 +81,41 @@ def test_who_walks_fills_a_part_of_a_box_and_a_box_all_of_it(monkeypatch: pytest
     assert 0.8 < driving.filled_share(0) < 1.2
 
 
+def test_without_an_alarm_three_monitors_drive_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driving, "LAST_S", 2.0)
+    seen: list[list[tuple[float, float, bytes]]] = []
+    for monitor in ("ours", "no monitor", "ours + certificate"):
+        steps: list[tuple[float, float, bytes]] = []
+        driving.drive_through(
+            0, "none", monitor, lambda t_s, mps, _, view, to=steps: to.append((t_s, mps, view.state.tobytes()))
+        )
+        seen.append(steps)
+    assert len(seen[0]) == 10
+    assert seen[0] == seen[1] == seen[2]
+
+
+@pytest.mark.parametrize(("alarm_s", "driven"), [(0.0, {"ours", "published detector", "certified only"}), (0.2, None)])
+def test_what_is_known_is_not_driven_again(
+    monkeypatch: pytest.MonkeyPatch, alarm_s: float, driven: set[str] | None
+) -> None:
+    called: list[str] = []
+
+    def drive(number: int, case: str, monitor: str) -> driving.Drive:
+        called.append(monitor)
+        return driving.Drive(False, 20.0 if monitor == "ours" else 21.0, 0.0, alarm_s)
+
+    monkeypatch.setattr(driving, "drive_through", drive)
+    found = dict(driving.drives_left(0, "none", {}))
+    assert set(found) == set(driving.MONITORS)
+    assert sorted(called) == sorted(driven or driving.MONITORS)
+    assert found["ours + certificate"].time_s == (20.0 if driven else 21.0)
+    called.clear()
+    left = dict(driving.drives_left(0, "none", {"ours": found["ours"], "certified only": found["certified only"]}))
+    assert set(left) == {"no monitor", "published detector", "ours + certificate"}
+    assert "ours" not in called
+    assert not dict(driving.drives_left(0, "none", found))
+
+
 @pytest.mark.slow
 def test_a_tiny_study(tmp_path: Path) -> None:
     words = ("study", "guarantees", "--preset", "tiny", "--out", tmp_path, "--ship", tmp_path / "conformal.json")

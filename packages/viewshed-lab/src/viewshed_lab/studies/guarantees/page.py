@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -41,7 +41,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
         speeds=_speeds(lines["speeds"]), filled=_filled(lines["speeds"]), certified=CERTIFIED,
-        last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
+        drives=_drives(lines["driving"]), last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
         strip=_strip(lines["driving"]) if lines["driving"] else None,
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
@@ -315,22 +315,38 @@ def _driving(lines: list[Line]) -> Table | None:
     if not lines:
         return None
     rows = []
+    alone_s = {x["number"]: x["time_s"] for x in lines if (x["case"], x["monitor"]) == ("none", "no monitor")}
     for case in CASES:
         for monitor in MONITORS:
             of = [line for line in lines if (line["case"], line["monitor"]) == (case, monitor)]
             if not of:
                 continue
             hit, passed = sum(line["collided"] for line in of), [x["time_s"] for x in of if x["time_s"] < LAST_S]
+            both_s = [(x["time_s"], alone_s.get(x["number"], LAST_S)) for x in of]
+            longer = [time_s / without_s for time_s, without_s in both_s if max(time_s, without_s) < LAST_S]
+            more = f" ({100 * np.mean(longer) - 100:+.0f} %)" if longer else ""
             stood = np.array([line["needless_s"] for line in of])
             spread = f" ±{1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)):.1f}" if len(passed) > 1 else ""
             rows.append([
                 case, monitor, str(len(of)), f"{hit}: {format_interval(hit / len(of), _interval(hit, len(of)))}",
                 f"{stood.mean():.1f} s in {int((stood > 0).sum())}", f"{sum(line['alarm_s'] > 0 for line in of)}",
-                str(len(passed)), f"{np.mean(passed):.1f}{spread}" if passed else "–",
+                str(len(passed)), f"{np.mean(passed):.1f}{spread}{more}" if passed else "–",
             ])  # fmt: skip
     header = ["attack", "monitor", "drives", "collisions", "stood needlessly, mean", "drives with an alarm",
               "drives that passed", "time of these, s"]  # fmt: skip
     return Table(header, rows)
+
+
+def _drives(lines: list[Line]) -> str:
+    """Return how many drives a pair has, and what that many can tell of collisions."""
+    if not lines:
+        return "no drives"
+    counts = Counter((line["case"], line["monitor"]) for line in lines).values()
+    least, most = (f"{_interval(0, count)[1]:.0%}".replace("%", " %") for count in (max(counts), min(counts)))
+    return (
+        f"{min(counts)} to {max(counts)} drives a pair: where none hit, that shows no more than collisions below"
+        f" {least} (most drives) or {most} (fewest)"
+    )
 
 
 def _speeds(lines: list[Line]) -> Table | None:
