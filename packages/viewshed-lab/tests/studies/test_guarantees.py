@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 from tests.cli.commands import run
 
+from viewshed.fov.visibility import TARGETS
+from viewshed.geometry import Rigid
 from viewshed.guarantees.envelope import Envelope, Threat
+from viewshed.io import read_sweep
+from viewshed.io.samples import junction_path
+from viewshed.preprocess.leveling import level
+from viewshed.recordings.read.source import ObjectBox
 from viewshed.sweep import Sweep
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.lidar.weather import Conditions
 from viewshed_lab.sim.world import Thing
-from viewshed_lab.studies.guarantees import attacks, driving, jobs
+from viewshed_lab.studies.guarantees import attacks, driving, jobs, scenes
 from viewshed_lab.studies.guarantees.attacks import Tally, Victim
 
 
@@ -114,6 +120,24 @@ def test_what_is_known_is_not_driven_again(
     assert set(left) == {"no monitor", "published detector", "ours + certificate"}
     assert "ours" not in called
     assert not dict(driving.drives_left(0, "none", found))
+
+
+def test_behind_a_box_is_what_it_hides_whole() -> None:
+    sweep = read_sweep(junction_path(), sensor="hdl32e", sensor_height_m=1.84, attitude=[1, 0, 0, 0])
+    leveled, flat = level(sweep, scenes.GRID), np.zeros(scenes.GRID.shape, np.float32)
+
+    def hides(height_m: float, *xy: tuple[float, float]) -> list[bool]:
+        # Without a pose a box is in the sensor's frame; this one stands on the ground, 6 m wide, 10 to 12 m ahead.
+        box = ObjectBox(Rigid.from_yaw(0.0, (11.0, 0.0, height_m / 2 - 1.84)), (2.0, 6.0, height_m), "truck")
+        behind = scenes.behind_boxes(leveled, [box], flat, TARGETS["car"])
+        return [bool(behind[tuple(scenes.GRID.index(np.array(one))[0])]) for one in xy]
+
+    # Right behind it, far behind, half beside it, before it, at its side, and behind the sensor.
+    places = (14.0, 0.0), (40.0, 8.0), (20.0, 5.5), (8.0, 0.0), (11.0, 5.0), (-20.0, 0.0)
+    assert hides(3.0, *places) == [True, True, False, False, False, False]
+    # Over 1.7 m the sensor looks down: the line that touches the top's end at 12 m is 1.5 m high at 29 m.
+    assert hides(1.7, (16.0, 0.0), (27.0, 0.0), (32.0, 0.0)) == [True, True, False]
+    assert hides(1.0, *places) == [False] * 6
 
 
 @pytest.mark.slow

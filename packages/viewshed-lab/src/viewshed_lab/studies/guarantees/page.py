@@ -147,7 +147,8 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
         ))  # fmt: skip
     if of := lines["survey"]:
         masks = [name for name in of[0] if name.startswith("guaranteed")]
-        off = [float(np.divide(*np.sum([line[name] for line in of], axis=0)[::-1])) for name in masks]
+        sums = [np.sum([line[name] for line in of], axis=0) for name in masks]
+        off = [float(far / surveyed) for surveyed, far, _ in sums]
         rows.append((
             "surveyed ground: guaranteed cells that are off, by own calibration / retested", "≤ .010",
             format_rates(*off), max(off) <= 0.01,
@@ -405,14 +406,16 @@ def _development(folder: Path) -> Table | None:
 
 
 def _survey(lines: list[Line]) -> Table | None:
-    """Return the share of the claimed cells whose ground lies elsewhere than the surveyed one."""
+    """Return the shares of the claimed cells whose ground lies elsewhere than the surveyed one, or behind a box."""
     if not lines:
         return None
     rows = []
     for name in (name for name in lines[0] if name != "number"):
-        surveyed, off = np.sum([line[name] for line in lines], axis=0)
-        rows.append([name, f"{surveyed / len(lines):.0f}", format_rate(off / max(surveyed, 1), 4)])
-    return Table(["mask", "claimed cells on surveyed ground, a sweep", "of these off by more than .3 m"], rows)
+        surveyed, off, behind = np.sum([line[name] for line in lines], axis=0)
+        shares = (format_rate(count / max(surveyed, 1), 4) for count in (off, behind))
+        rows.append([name, f"{surveyed / len(lines):.0f}", *shares])
+    header = ["mask", "claimed cells on surveyed ground, a sweep", "of these off by more than .3 m", "behind a box"]
+    return Table(header, rows)
 
 
 def _crossview(lines: list[Line]) -> Table | None:
