@@ -75,6 +75,8 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "certificates", number, certificates_of(own_scene("certificates", number)))
     for number in _left(folder, "broken", sizes.broken, on_line):
         _add(folder, "broken", number, broken_of(own_scene("certificates", number)))
+    for number in _left(folder, "adapted", sizes.adapted, on_line):
+        _add(folder, "adapted", number, adapted_of(own_scene("attacks", number), number, sizes.queries))
     for number in _left(folder, "calibration", sizes.calibration, on_line):
         scene = own_scene("calibration", number)
         _add(folder, "calibration", number, {t: _packed(counts_of(scene, t, number)[1]) for t in TARGETS})
@@ -92,9 +94,6 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
                 scene, target, estimate, calibration.mask(estimate, scene.leveled.ground, ALPHA, DELTA)
             )
         _add(folder, "report", number, found)
-    for number in _left(folder, "adapted", sizes.adapted, on_line):
-        asked = own_scene("attacks", number), number, sizes.queries
-        _add(folder, "adapted", number, adapted_of(*asked, calibrations["car"]))
     for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
         _add(folder, "attacks", number, attack_scene(number, sizes))
     for number in _left(folder, "speeds", sizes.drives, on_line):

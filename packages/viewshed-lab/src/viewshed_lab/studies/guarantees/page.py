@@ -321,7 +321,6 @@ def _adapted(lines: list[Line]) -> Table | None:
         return None
     names = {"default": "default", "final": "default ∩ envelope"}
     names |= {words: f"its certified part, `{words}`" for words in WITHSTOOD}
-    names |= {"guaranteed": "mask of a promised error, which promises nothing under attack"}
     rows = [
         [words, *(f"{np.mean([line[name][k] for line in lines]):.0f}" for k in (0, 1)),
          f"{max(line[name][1] for line in lines):.0f}"]
