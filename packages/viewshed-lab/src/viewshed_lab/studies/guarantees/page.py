@@ -93,12 +93,16 @@ def _f1(areas: Any) -> float:
     return 2 * right / max(right + false + visible, 1e-9)
 
 
+Aim = tuple[str, str, str, bool | None]
+"""What was aimed at, what was wanted, what was measured, and whether that meets it; None where nothing shows it."""
+
+
 def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
-    """Return what was aimed at, what was measured, and whether that meets it."""
-    rows: list[tuple[str, str, str, bool]] = []
+    """Return the aims of the study."""
+    rows: list[Aim] = []
     if of := lines["certificates"]:
-        told = "height and attitude, slope 0.01"
-        areas = {words: _sum(of, f"{told} | {words}", "certified envelope") for words in ("added", "replaced:5")}
+        not_told = "height and attitude, slope 0.01"
+        areas = {words: _sum(of, f"{not_told} | {words}", "certified envelope") for words in ("added", "replaced:5")}
         found = {words: (r / max(r + f, 1e-9), r / max(v, 1e-9)) for words, (r, f, v) in areas.items()}
         for words, least in (("added", (0.90, 0.90)), ("replaced:5", (0.95, 0.55))):
             rows.append((
@@ -106,13 +110,13 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
                 f"≥ {format_rates(*least)}", format_rates(*found[words]), bool(np.all(np.array(found[words]) >= least)),
             ))  # fmt: skip
         for words, wanted in (("replaced:150", 0.75), ("wedge:10", 0.80)):
-            worst = _worst_precision(of, f"{told} | {words}")
+            worst = _worst_precision(of, f"{not_told} | {words}")
             rows.append((
                 f"precision under the worst attack, `{words}`", f"≥ {format_rate(wanted)}", format_rate(worst),
                 worst >= wanted,
             ))  # fmt: skip
         default = _f1(np.sum([line["default"] for line in of], axis=0))
-        lost = default - _f1(_sum(of, f"{told} | added", "final"))
+        lost = default - _f1(_sum(of, f"{not_told} | added", "final"))
         rows.append(("F1 that the default loses inside the envelope", "≤ .010", format_rate(lost), lost <= 0.01))
     if of := lines["adapted"]:
         false_m2 = float(np.mean([line["final"][1] for line in of]))
@@ -161,16 +165,13 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
                 "≤ .020 / ≤ .150", format_rates(over, under), over <= 0.02 and under <= 0.15,
             ))  # fmt: skip
     rows += _aims_of_driving(lines["driving"])
-    return (
-        Table(["aim", "wanted", "measured", ""], [[*row[:3], "met" if row[3] else "missed"] for row in rows])
-        if rows
-        else None
-    )
+    told = {True: "met", False: "missed", None: "not shown"}
+    return Table(["aim", "wanted", "measured", ""], [[*row[:3], told[row[3]]] for row in rows]) if rows else None
 
 
-def _aims_of_driving(lines: list[Line]) -> list[tuple[str, str, str, bool]]:
+def _aims_of_driving(lines: list[Line]) -> list[Aim]:
     """Return the rows of the closed loop: collisions beside no monitor at the same junctions, and travel time."""
-    rows: list[tuple[str, str, str, bool]] = []
+    rows: list[Aim] = []
     known = {(line["case"], line["monitor"], line["number"]): line for line in lines}
     for monitor in MONITORS[1:]:
         pairs = [
@@ -182,7 +183,7 @@ def _aims_of_driving(lines: list[Line]) -> list[tuple[str, str, str, bool]]:
             hit, alone = np.sum(pairs, axis=0)
             rows.append((
                 f"collisions, far wall, removal, ghost wall, weather: {monitor}", "≤ 1/10 of no monitor's",
-                f"{hit} beside {alone} in {len(pairs)} drives", bool(alone > 0 and hit <= alone / 10),
+                f"{hit} beside {alone} in {len(pairs)} drives", bool(hit <= alone / 10) if alone else None,
             ))  # fmt: skip
         longer = _longer(lines, "none", monitor)
         if longer:
