@@ -147,7 +147,9 @@ REFUSED = {
     f"export {GOOD} --out no/a.geojson": "must lie in a folder that exists",
     **dict.fromkeys((
         "estimate sweep.npz --out .", "export sweep.npz --to npz", "compare sweep.npz --out sweep.npz",
-        f"export {GOOD} --out {GOOD}", f"view {GOOD} --html {GOOD}", f"view {GOOD} --rerun {GOOD}"
+        f"export {GOOD} --out {GOOD}",
+        "replay two.mcap --topic /front --as-fast --to two.mcap",
+        f"view {GOOD} --html {GOOD}", f"view {GOOD} --rerun {GOOD}"
     ), REPLACED),
     f"view {GOOD} --html nothing": "path must name a file, got the folder",
     f"view {GOOD} --sweeps 1": "--html run.html",

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.test_core_arrays import BIG, azimuth_answers
 
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.azimuth_bins import (
@@ -56,12 +55,3 @@ def test_cells_within_a_limit_are_those_no_farther() -> None:
     plain = polar_of_cells(GRID)[0] <= limit_m[bins_of_cells(GRID, 90)]
     assert np.array_equal(within_limits(GRID, limit_m), plain)
     assert plain.any()
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 1e-40, 0.0])
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_azimuths_and_ranges_of_any_value_have_an_answer(value: float, count: int) -> None:
-    wild, tame = np.full(count, value, np.float32), np.ones(count, np.float32)
-    for azimuth, range_m in ((wild, tame), (tame, wild), (wild, wild)):
-        answers = azimuth_answers(azimuth, range_m)
-        assert len(answers[-1]) == BIG.cells

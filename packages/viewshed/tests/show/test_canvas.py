@@ -22,14 +22,6 @@ def test_a_png_holds_what_is_drawn() -> None:
     assert (pixels == 255).all(axis=-1).sum() == 60 * 40 - 20 * 5
 
 
-def test_a_pasted_page_has_a_frame_outside_of_itself() -> None:
-    page, other = Canvas.blank(20, 20), Canvas.blank(4, 6)
-    page.paste(other, 5, 7)
-    ink = _ink(page)
-    assert not ink[7:13, 5:9].any()
-    assert ink.sum() == 6 * 8 - 4 * 6
-
-
 @pytest.mark.parametrize("points", [6.5, 10.0])
 @pytest.mark.parametrize("bold", [False, True])
 def test_text_takes_the_width_that_is_told(points: float, bold: bool) -> None:
@@ -60,14 +52,6 @@ def test_a_polygon_has_its_area_and_smooth_edges_and_may_lie_outside() -> None:
     before = page.pixels().copy()
     page.polygon([(500.0, 5.0), (530.0, 9.0), (510.0, 33.0)], WHITE)
     np.testing.assert_array_equal(page.pixels(), before)
-
-
-def test_a_veil_lets_shine_through() -> None:
-    page = Canvas(np.zeros((20, 20, 3), np.uint8))
-    page.veil((5, 5, 15, 15), radius=3.0, opacity=0.8)
-    assert page.pixels()[10, 10, 0] == 204
-    assert page.pixels()[5, 5, 0] < 100
-    assert not page.pixels()[:5].any()
 
 
 @pytest.mark.parametrize("name", ["viridis", "cividis", "magma"])

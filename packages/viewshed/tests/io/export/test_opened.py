@@ -103,13 +103,6 @@ def test_a_map_with_a_pose_lies_along_the_axes_of_the_map(tmp_path: Path) -> Non
     assert [x_m, y_m] == pytest.approx([100.0 - left_m, 50.0 + ahead_m], abs=1.0)
 
 
-def test_hidden_and_unknown_differ_in_the_occupancy_grid_of_states() -> None:
-    estimate = random_estimate(5)
-    data = np.array(to_occupancy_grid(estimate, "state")["data"], np.int8).reshape(estimate.grid.shape).T
-    for state, value in zip(CellState, (-1, 0, 100, 50), strict=True):
-        assert (data[estimate.state == state] == value).all()
-
-
 def test_rasterio_opens_the_raster_where_the_cells_lie(tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio", reason="needs the extra geo")
     estimate = random_estimate(6, pose=HAMBURG)
@@ -133,12 +126,6 @@ def test_a_raster_without_a_reference_system_says_none(tmp_path: Path) -> None:
         assert raster.crs is None
         assert raster.tags()["frame"] == "level"
         assert raster.bounds.left == pytest.approx(estimate.grid.origin_m[0])
-
-
-@pytest.mark.parametrize("pose", [None, Rigid.from_yaw(0.7, (105.0, -37.5, 2.0))])
-def test_geojson_in_meters_names_a_local_system(pose: Rigid | None) -> None:
-    system = to_geojson(random_estimate(8, pose=pose))["crs"]["properties"]["name"]
-    assert re.fullmatch(r'LOCAL_CS\["(level|world) frame of viewshed",UNIT\["metre",1\],.*\]', system)
 
 
 def test_geojson_in_a_reference_system_keeps_to_rfc_7946() -> None:
