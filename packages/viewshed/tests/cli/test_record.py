@@ -40,17 +40,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return places
 
 
-def test_a_replay_as_fast_as_possible_writes_the_same_bytes(files: list[Path], tmp_path: Path) -> None:
-    for name in ("a.mcap", "b.mcap"):
-        code, out, err = run("replay", *files, "--as-fast", "--to", tmp_path / name)
-        assert (code, err) == (0, "")
-        *_, counts, last = out.splitlines()
-        assert counts.startswith("3 answered, 0 dropped; ")
-        assert last.startswith(f"{tmp_path / name}: 0.")
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
-
-
 def test_what_cannot_be_read_or_written_is_a_line_each(files: list[Path], tmp_path: Path) -> None:
     code, out, err = run("replay", tmp_path / "none.pcd", "--as-fast")
     assert (code, out) == (2, "")

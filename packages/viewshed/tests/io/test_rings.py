@@ -21,12 +21,6 @@ def cloud(beams: list[int], columns: int = 40) -> tuple[np.ndarray, np.ndarray]:
     return (distance[:, None] * xyz).astype(np.float32), beam
 
 
-@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4, 5], [5, 4, 3, 2, 1, 0], [3, 0, 5, 1, 4, 2]])
-def test_any_order_becomes_ascending(order: list[int]) -> None:
-    points, beam = cloud([0, 1, 2, 3, 4, 5])
-    assert rings_by_elevation(np.array(order)[beam], points).tolist() == beam.tolist()
-
-
 @pytest.mark.parametrize("order", [[0, 1, 2, 3, 4, 5], [5, 4, 3, 2, 1, 0]])
 def test_a_beam_without_returns_keeps_its_place(order: list[int]) -> None:
     points, beam = cloud([0, 1, 3, 5])

@@ -5,8 +5,8 @@ import pytest
 from matplotlib import colormaps
 from PIL import Image
 
-from viewshed.show._canvas import BLACK, WHITE, Canvas, text_width
-from viewshed.show.plot import _ticks, _value_pixels, color_map
+from viewshed.show._canvas import BLACK, WHITE, Canvas
+from viewshed.show.plot import _value_pixels, color_map
 
 
 def _ink(canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
@@ -20,17 +20,6 @@ def test_a_png_holds_what_is_drawn() -> None:
     np.testing.assert_array_equal(pixels, page.pixels())
     assert (pixels[20:25, 10:30] == (1, 2, 3)).all()
     assert (pixels == 255).all(axis=-1).sum() == 60 * 40 - 20 * 5
-
-
-@pytest.mark.parametrize("points", [6.5, 10.0])
-@pytest.mark.parametrize("bold", [False, True])
-def test_text_takes_the_width_that_is_told(points: float, bold: bool) -> None:
-    page = Canvas.blank(400, 40)
-    page.text((20, 30), "visible 6940 m², hidden", points, bold=bold)
-    columns = np.flatnonzero(_ink(page).any(axis=0))
-    assert columns[0] >= 20
-    assert columns[-1] + 1 - 20 == pytest.approx(text_width("visible 6940 m², hidden", points, bold), abs=2.5)
-    assert not _ink(page)[34:].any()
 
 
 @pytest.mark.parametrize("letter", list("²°↑→…–±éüßøłžαβπЖя×≥"))
@@ -68,12 +57,3 @@ def test_values_are_drawn_from_ahead_and_left_and_unknown_ones_white() -> None:
     assert (pixels[:2, 2:] == 255).all()
     assert (pixels[2:, :2] == color_map("cividis")[128]).all()
     assert (pixels[2:, 2:] == color_map("cividis")[0]).all()
-
-
-@pytest.mark.parametrize("top", [1.0, 0.25, 0.5, 0.001, 0.173, 3.0, 17.0])
-def test_ticks_are_round_and_reach_from_zero_near_the_top(top: float) -> None:
-    values = [value for value, _ in _ticks(top)]
-    assert values[0] == 0.0
-    assert top * 0.75 < values[-1] <= top * (1 + 1e-9)
-    assert 5 <= len(values) <= 11
-    assert [float(words) for _, words in _ticks(top)] == pytest.approx(values)

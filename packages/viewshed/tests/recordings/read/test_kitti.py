@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from viewshed.geometry import Rigid
-from viewshed.io import IndexEntry, read_index, read_sweep
+from viewshed.io import read_sweep
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import SweepSource, each_sweep
 
@@ -456,41 +454,3 @@ def test_a_broken_file_of_tracklets_costs_the_boxes_alone(content: bytes, line: 
 
 
 # Real sweeps
-
-
-def gap_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Median distance of the points of one sweep to the nearest of another, meters."""
-    return float(np.median(cKDTree(other).query(one)[0]))
-
-
-def _solid(points: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Points that are neither ground nor the car, nor far."""
-    range_m = np.linalg.norm(points[:, :2], axis=1)
-    keep: NDArray[np.bool_] = (range_m > 3.0) & (range_m < 40.0) & (points[:, 2] > -1.2)
-    return points[keep].astype(np.float64)
-
-
-def _checked(entries: list[IndexEntry], source: SweepSource) -> list[tuple[NDArray[np.float64], Rigid]]:
-    """Compare a source with the index; return the solid points and the pose of each sweep."""
-    solid = []
-    for entry, (_, sweep) in zip(entries, each_sweep(source), strict=True):
-        assert sweep.points.tobytes() == read_sweep(entry.file).points.tobytes()
-        assert sweep.sensor_height_m == entry.sensor_height_m
-        assert sweep.world_from_sensor is not None
-        assert entry.world_from_sensor is not None
-        _same(sweep.world_from_sensor, entry.world_from_sensor, 1e-5)
-        solid.append((_solid(sweep.points), sweep.world_from_sensor))
-    return solid
-
-
-def test_real_odometry_comes_back_bit_for_bit(real_data: Path, tmp_path: Path) -> None:
-    entries = [entry for entry in read_index(real_data / "index.json") if entry.seq == "kitti-odometry-00"]
-    posed = [entry for entry in entries if entry.world_from_sensor is not None]
-    assert len(posed) == 4
-    sweeps = [(int(e.file.stem), e.file.read_bytes(), e.world_from_sensor or Rigid.identity()) for e in posed]
-    write_odometry(tmp_path, sweeps, 4)
-    found = _checked(posed, open_source(tmp_path))
-    (first, here), (last, there) = found[0], found[-1]  # 2.6 m on
-    right_m = gap_m(here @ first, there @ last)
-    assert right_m < 0.15
-    assert gap_m(first, last) > 2 * right_m
