@@ -79,26 +79,6 @@ def test_any_view_comes_back_with_its_states_and_its_mask(estimate: FovEstimate)
         assert (found.visible() == estimate.visible()).all()
 
 
-@given(st.integers(1, 24), st.integers(0, 2**32), st.booleans())
-def test_the_core_keeps_every_number(cells: int, seed: int, with_deviations: bool) -> None:
-    rng = np.random.default_rng(seed)
-    kinds = int(rng.integers(1, 5)), int(rng.integers(1, 17)), int(rng.integers(1, 10))
-    state, level, deviation = (rng.integers(0, kind, (cells, cells), dtype=np.uint8) for kind in kinds)
-    deviation = deviation if with_deviations else deviation[:0, :0].copy()
-    row, column = (int(each) for each in rng.integers(cells, size=2))
-    code = _core.encode_view(state, level, deviation, row, column)
-    prob, std = np.arange(16, dtype=np.float32), np.arange(9, dtype=np.float32)
-    found = _core.decode_view(
-        np.frombuffer(code, np.uint8), cells, row, column, prob, std if with_deviations else std[:0].copy()
-    )
-    if code:
-        assert (found[0] == state).all()
-        assert (found[1] == level).all()
-        assert (found[2] is not None) == with_deviations
-        if found[2] is not None:
-            assert (found[2] == deviation).all()
-
-
 def test_noise_falls_back_to_fewer_levels_and_then_is_refused() -> None:
     rng, grid = np.random.default_rng(0), BevGrid(64, 16.0)
     prob = np.where(grid.centers[..., 0] > 4, rng.random(grid.shape), 0.0)

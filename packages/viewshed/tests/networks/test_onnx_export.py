@@ -105,18 +105,6 @@ def test_damaged_and_other_files_are_refused(path: Path, engine: str) -> None:
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"engine": "abacus"}, "engine must be one of onnxruntime, cuda, got 'abacus'"),
-        ({"threads": 0}, "threads must be at least 1, got 0"),
-    ],
-)
-def test_settings_that_do_not_exist_are_refused(path: Path, settings: dict[str, str], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        OnnxRunner(path, **settings)  # type: ignore[arg-type]
-
-
 def test_arrays_of_other_shapes_are_refused(path: Path) -> None:
     runner, masks = OnnxRunner(path, 1, "onnxruntime"), SMALL.no_masks(2)
     with pytest.raises(
