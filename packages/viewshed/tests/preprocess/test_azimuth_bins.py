@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from tests.test_core_arrays import BIG, azimuth_answers
 
 from viewshed.grid import BevGrid
-from viewshed.preprocess.azimuth_bins import (
-    Crop,
-)
+from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
@@ -28,12 +25,3 @@ def test_a_crop_knows_whether_a_return_that_counts_lies_on_the_grid(crop: Crop) 
         found.append(crop.any_on(leveled, GRID))
         assert found[-1] == GRID.index(crop.apply(leveled).points)[1].any()
     assert {True, False} == set(found)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 1e-40, 0.0])
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_azimuths_and_ranges_of_any_value_have_an_answer(value: float, count: int) -> None:
-    wild, tame = np.full(count, value, np.float32), np.ones(count, np.float32)
-    for azimuth, range_m in ((wild, tame), (tame, wild), (wild, wild)):
-        answers = azimuth_answers(azimuth, range_m)
-        assert len(answers[-1]) == BIG.cells
