@@ -327,6 +327,13 @@ def test_ros1_chunks_of_every_packing(tmp_path: Path, packing: str) -> None:
     assert source.damage() == ()
 
 
+@pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
+def test_an_empty_file_is_one_line(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(ValueError, match=rf"{name}: the file is empty$"):
+        open_source(tmp_path / name)
+
+
 def test_a_ros1_bag_that_only_keeps_a_reader_busy_is_refused(tmp_path: Path) -> None:
     place = tmp_path / "a.bag"
     message = ros1_fields(op=b"\x02", conn=bytes(4), time=bytes(8))
