@@ -64,9 +64,6 @@ GOOD: dict[str, dict[str, Any]] = {
                     "near_m": 0.5, "far_m": 100.0, "attitude": None, "height_m": None, "yaw": None,
                     "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
-    "guess_inputs": {
-        "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
-        "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8},
     "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
         "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
@@ -172,7 +169,6 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
                     {"far_m": INF}, {"far_m": NAN}, {"half_extent_m": 0.0}, {"half_extent_m": NAN}, {"height_m": NAN},
                     {"yaw": INF}, {"ring": np.full(N, RINGS, I2)}, {"columns": 0}],
     "ground_of_lows": [{"lows_m": LOWS * F4(3.0)}],
-    "guess_inputs": [{"sensor_height_m": NAN}],
     "fill_ground": [{"walked_m": FLAT * F4(NAN)}, {"plane": np.full(3, INF, F4)}],
     "held_ground": [{"before_heights_m": FLAT * F4(NAN)}, {"before_from_now": FLAT}, {"height_m": NAN},
                     {"plane": (0.0, 0.0)}],
