@@ -90,12 +90,11 @@ def test_compare_prints_a_row_for_each_method(tmp_path: Path) -> None:
 
 def test_an_export_replaces_none_of_another_format(tmp_path: Path) -> None:
     out = tmp_path / "view.one"
-    names = ["npz", "geojson", "nav2_map"]
-    for earlier, name in zip(names, [*names[1:], names[0]], strict=True):
+    for earlier, name in (("geojson", "npz"), ("npz", "geojson")):
         for _ in range(2):  # the same format is replaced
-            assert run("export", junction_path(), "--to", earlier, "--out", out).returncode == 0
+            assert run("export", junction_path(), "--grid", "64x32", "--to", earlier, "--out", out).returncode == 0
         before = out.read_bytes()
-        code, said, err = run("export", junction_path(), "--to", name, "--out", out)
+        code, said, err = run("export", junction_path(), "--grid", "64x32", "--to", name, "--out", out)
         assert (code, said) == (2, "")
         assert err == (
             f"viewshed: --out must not replace an export of another format, got {out}, which is {earlier}; choose"

@@ -207,7 +207,7 @@ def wedges(apex: tuple[float, float], bins: int, wider: float) -> list[shapely.P
 @given(st.integers(0, 19), st.floats(-5, 5), st.floats(-5, 5), st.sampled_from([12, 72, 360]))
 @example(386 % 20, -5.0, -0.99999, 360)  # on a border between cells: free on one side only
 @example(0, 0.0, 1e-9, 360)  # beside a border: corners far along it
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_free_ranges_are_the_distance_to_what_is_not_true_in_each_wedge(
     seed: int, x: float, y: float, bins: int
 ) -> None:
