@@ -41,7 +41,7 @@ def made(shape: UNetShape, tmp_path: Path, counts: str = "log") -> tuple[OnnxRun
     return OnnxRunner(path, 1), OnnxRunner.of_content(content, "bytes", 1)
 
 
-@pytest.mark.parametrize(("shape", "counts"), zip(SHAPES, ("log", "linear") * 2, strict=True), ids=str)
+@pytest.mark.parametrize(("shape", "counts"), list(zip(SHAPES, ("log", "linear") * 2, strict=True)), ids=str)
 def test_a_network_in_bytes_says_nearly_what_it_said(shape: UNetShape, counts: str, tmp_path: Path) -> None:
     whole, small = made(shape, tmp_path, counts)
     frames = [np.minimum(each, 100) if counts == "log" else each for each in maps(4, shape)]

@@ -49,7 +49,7 @@ def uneven(rings: int = 24) -> LidarModel:
     return LidarModel("nobody's", np.deg2rad(elevation_deg), 900)
 
 
-@pytest.mark.parametrize(("seam", "reference"), zip(SEAMS, (0.0, 0.5, 1.0, 0.5), strict=True))
+@pytest.mark.parametrize(("seam", "reference"), list(zip(SEAMS, (0.0, 0.5, 1.0, 0.5), strict=True)))
 @pytest.mark.parametrize("way_m", [(1.4, 0.1, 0.02), (-0.3, 2.1, -0.06), (1.8, 0.0, 0.2)])
 def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tuple[float, ...]) -> None:
     true = SensorMotion(np.array(way_m), seam, reference)
