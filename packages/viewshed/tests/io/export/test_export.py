@@ -250,6 +250,7 @@ def test_grid_map_round_trip() -> None:
     for name in ("visible_prob", "std", "state"):
         np.testing.assert_array_equal(getattr(back, name), getattr(made, name))
     np.testing.assert_allclose([*back.grid.offset_m, back.grid.half_extent_m], [2.5, -1.25, made.grid.half_extent_m])
+    assert to_grid_map(street())["layers"] == ["visible_prob", "state"]  # no cell has a deviation
     message = to_grid_map(made)
     message["layers"][0] = "elevation"
     with pytest.raises(ValueError, match="layers must include visible_prob and state"):
