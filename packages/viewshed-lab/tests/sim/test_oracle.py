@@ -153,21 +153,6 @@ def _cut(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.nan_to_num(t, nan=-1.0)
 
 
-def test_the_same_seed_stops_the_same_beams_and_another_does_not() -> None:
-    snapshot = _world(("leaves",), 20, 7).snapshot(0.0)
-    first, again, other = (_cast(VIEWS[0], snapshot, seed) for seed in (1, 1, 2))
-    assert (first.depth_m == again.depth_m).all()
-    assert (first.depth_m != other.depth_m).mean() > 0.01
-
-
-def test_more_solids_never_lengthen_a_beam() -> None:
-    world = _world(("paint", "leaves"), 40, 11)
-    some = World("some", world.terrain, world.things[:25])
-    few, many = (_cast(VIEWS[3], w.snapshot(0.2)).depth_m for w in (some, world))
-    assert (many <= few + 1e-4).all()
-    assert (many < few - 1e-4).any()
-
-
 def test_incidence_by_hand() -> None:
     """45° down on level ground, and level on a wall turned by 30°."""
     fan = LidarModel("fan", np.deg2rad([-45.0, 0.0]), 8, azimuth_offset=np.full(2, np.pi / 8))
