@@ -95,15 +95,6 @@ def test_claims_over_ground_that_is_surveyed_elsewhere_are_counted(log: Path, tm
     assert float(bottoms["seen, 0 to 16 m"][1]) < 0.05 or float(bottoms["unseen, 0 to 16 m"][1]) < 0.05
 
 
-def test_boxes_alone_are_judged_of_any_annotated_recording(log: Path, tmp_path: Path) -> None:
-    page = _run("boxes", str(log), "--methods", "shadow_map", "--out", str(tmp_path / "page.md"))
-    assert _rows(page, "Vehicles with returns")["shadow_map"] == ["1.000 of 1", "–", "–", "–"]
-    assert "surveyed" not in page.partition("## What this cannot show")[0]
-    with pytest.raises(SystemExit) as refused:
-        main(["evaluate", "boxes", str(made.write(tmp_path / "odometry", made.kitti_odometry()))])
-    assert refused.value.code == 2
-
-
 def test_a_raster_is_read_where_it_lies_and_unknown_beyond() -> None:
     survey = SurveyedGround(np.array([[1.0, 2.0], [3.0, np.nan]]), np.array([10.0, 20.0]), 0.5)
     xyz = np.array(
