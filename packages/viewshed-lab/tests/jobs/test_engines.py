@@ -1,7 +1,6 @@
 """Every engine gives one result for every job, and outlives what the work and its workers do."""
 
 import os
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -99,9 +98,3 @@ def test_engines_are_checked_when_they_are_made() -> None:
             engine_named(name, 0)
     with pytest.raises(ValueError, match="engine must be one of local, ray, got 'slurm'"):
         engine_named("slurm", 2)
-
-
-def test_a_missing_ray_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ImportError, match=r"engine ray needs ray: pip install 'viewshed-lab\[ray\]'"):
-        engine_named("ray", 2)

@@ -53,11 +53,3 @@ def test_firing_starts_and_points_where_the_returns_are(motion: Motion) -> None:
     assert sweep.time_s == pytest.approx(time_s[column] + motion.period_s / 2, abs=1e-7)
     assert not start.flags.writeable
     assert not direction.flags.writeable
-
-
-def test_wrong_arrays_are_refused() -> None:
-    empty = np.zeros((360, 32), np.uint16)
-    with pytest.raises(ValueError, match="steps must be uint16"):
-        StoredSweep(MODEL, empty.T, empty.astype(np.uint8), 0.002, POSE)
-    with pytest.raises(ValueError, match="step_m must lie in"):
-        StoredSweep(MODEL, empty, empty.astype(np.uint8), 2.0, POSE)

@@ -53,6 +53,19 @@ def test_a_ghost_car_stands_left_and_shows_its_rear(flat_scene: FlatScene, rng: 
     assert top.any()
 
 
+def test_a_budget_takes_the_beams_nearest_to_the_middle(flat_scene: FlatScene, rng: np.random.Generator) -> None:
+    tampered = GhostWall(60, 40.0, 12.0, azimuth=1.0, spoofer=SURE).apply(flat_scene(), rng)
+    new = _new(tampered)
+    assert len(new) == 60
+    assert np.abs(_azimuth(new) - 1.0).max() < 6 * MODEL.azimuth_step / 2 + 1e-3
+
+
+def test_what_stands_nearer_hides_a_ghost(flat_scene: FlatScene, rng: np.random.Generator) -> None:
+    tampered = GhostWall(sector_deg=10.0, range_m=15.0, azimuth=0.0, spoofer=SURE).apply(flat_scene(8.0), rng)
+    # only what passes over the wall at 8 m, 0.7 m above the sensor: nothing below 3° does
+    assert not tampered.added.any()
+
+
 def test_a_far_wall_leaves_free_road(flat_scene: FlatScene, rng: np.random.Generator) -> None:
     clean = flat_scene(8.0)
     tampered = FarWall(sector_deg=40.0, near_m=20.0, far_m=40.0, azimuth=0.0, spoofer=SURE).apply(clean, rng)
