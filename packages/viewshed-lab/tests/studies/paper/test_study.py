@@ -2,17 +2,12 @@
 
 import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.studies.by_hand import stored
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
@@ -56,35 +51,6 @@ def test_every_job_is_there_and_none_is_done_twice(study: tuple[ResultStore[Pape
     before = {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()}
     assert list(run_study(store, Scope(workers=1), ignore_progress)) == []
     assert {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()} == before
-
-
-_KILLED = """
-import sys
-from pathlib import Path
-from tests.studies.paper.test_study import PLAN, SOME
-from viewshed_lab.studies.paper.jobs import run_study
-from viewshed_lab.studies.runner import ignore_progress
-from viewshed_lab.studies.store import ResultStore
-list(run_study(ResultStore.open(Path(sys.argv[1]), PLAN), SOME, ignore_progress))
-"""
-
-SOME = Scope(steps=("data", "crossval", "models", "pairs"), protocols=("paper",), workers=1)
-
-
-def test_a_killed_run_goes_on_and_ends_the_same(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
-    store, _ = study
-    run = subprocess.Popen([sys.executable, "-c", _KILLED, tmp_path], cwd=Path(__file__).parents[3])
-    while run.poll() is None and not list(tmp_path.glob("crossval/*/fold-1/last.ckpt")):
-        time.sleep(0.02)
-    run.kill()
-    assert run.wait() == -signal.SIGKILL
-    again = ResultStore.open(tmp_path, PLAN)
-    done = again.keys()
-    left = [key for step in SOME.steps for key in PLAN.job_keys_of(step, SOME.protocols) if key not in done]
-    assert left
-    assert list(run_study(again, SOME, ignore_progress)) == []
-    pairs = PLAN.job_keys_of("pairs", SOME.protocols)
-    assert {key: stored(again)[key] for key in pairs} == {key: stored(store)[key] for key in pairs}
 
 
 def test_models_are_trained_with_what_cross_validation_chose(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
