@@ -88,6 +88,8 @@ def test_a_wedge_called_visible_is_found_although_the_view_hardly_changes(tmp_pa
 def test_who_claims_nothing_any_more_loses_all_recall(tmp_path: Path) -> None:
     verdict = _domain(tmp_path, [72, 18, 28, 82], [0, 0, 10, 10]).verdict("majority_vote", "ghost_wall")
     assert (verdict.precision, verdict.recall) == pytest.approx((0.0, 0.8))
+    assert not replace(verdict, f1=0.0).withstands
+    assert replace(verdict, f1=0.0, recall=0.0).withstands
 
 
 def test_tables_say_what_was_counted(tmp_path: Path) -> None:

@@ -28,6 +28,14 @@ def _seen_from(tracker: Tracker, sweeps: int, *centers: tuple[float, float]) -> 
     return sweeps
 
 
+def test_three_detections_confirm() -> None:
+    tracker = Tracker(PublishedRules())
+    confirmed = []
+    for k in range(4):
+        confirmed += tracker.step(0.1 * k, cars((5.0, 0.0)), SeesAll(0.1 * k)).confirmed.tolist()
+    assert confirmed == [False, False, True, True]
+
+
 def test_only_what_the_polygon_covers_counts_misses() -> None:
     tracker = Tracker(PublishedRules())
     start = _seen_from(tracker, 5, (10.0, 20.0), (10.0, -20.0))
@@ -65,6 +73,14 @@ def test_overlap_or_distance_decides() -> None:
         tracker = Tracker(rules)
         tracker.step(0.0, cars((10.0, 0.0)), SeesAll(0.0))
         assert tracker.step(0.1, cars((13.9, 0.0)), SeesAll(0.1)).ids.tolist() == ids
+
+
+def test_too_fast_a_track_ends() -> None:
+    tracker = Tracker(PublishedRules(cost="center", radius_m=20.0))
+    for k in range(6):
+        tracks = tracker.step(0.1 * k, cars((8.0 * k, 0.0)), SeesAll(0.1 * k))
+    assert np.hypot(*tracks.states[:, 2:].T).max(initial=0.0) <= 60.0
+    assert tracks.ids.max() > 0
 
 
 def test_its_filter_is_the_published_one() -> None:
