@@ -16,6 +16,7 @@ from viewshed.metrics import ConfusionCounts
 from viewshed_lab.data.sample import Sample
 from viewshed_lab.studies.against_truth import DEFINITION, FORMS, TruthEvaluation, form_case
 from viewshed_lab.studies.records import VIEW, Results, Series
+from viewshed_lab.studies.samples import CLEAR
 
 GRID = BevGrid(4, 8.0)
 COUNTS = np.array([[0, 2, 3, 4], [5, 6, 7, 8], [255, 5, 0, 0], [9, 9, 9, 9]], np.uint8)
@@ -98,3 +99,8 @@ def test_command_writes_a_page(tmp_path: Path) -> None:
     assert "### F1 by sensor, rings known" in text
     assert all(0 <= float(cell) <= 1 for cell in rows[0].split("|")[2:6])
     assert "| line_of_sight |" in text
+
+
+def test_clear_leaves_out_three_to_seven_returns_of_a_car() -> None:
+    scores = _evaluate([_sample()], TruthEvaluation({"fixed": _Fixed}, CAR, {"x": FORMS["rings known"]}))
+    assert scores("fixed", "x", CLEAR) == ConfusionCounts(0, 1, 2, 3, 6 * 16.0)

@@ -79,3 +79,10 @@ def test_earlier_sweeps_are_of_the_same_sensor_and_before() -> None:
         befores = [now_ns - earlier.t_ns for earlier in sample.earlier if earlier.t_ns is not None]
         assert befores == pytest.approx([2e9, 0.5e9])
         assert {earlier.agent for earlier in sample.earlier} == {sample.sweep.agent}
+
+
+def test_few_samples_meet_attackers_who_ask_and_they_are_spread_evenly() -> None:
+    study = replace(TINY, samples=(12,), adaptive_samples=(3,))
+    assert [number for part, _, number in study.job_keys() if part == "adaptive"] == ["0", "4", "8"]
+    none = replace(TINY, adaptive_samples=(0,))
+    assert {part for part, _, _ in none.job_keys()} == set(PARTS) - {"adaptive"}

@@ -5,7 +5,7 @@ import pytest
 
 from viewshed import CAR, BevGrid
 from viewshed.geometry import Rigid
-from viewshed.sensors import LidarModel
+from viewshed.sensors import LidarModel, lidar_model
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.raycast.caster import cast_world
 from viewshed_lab.sim.raycast.scan import STILL, ExactScan
@@ -15,7 +15,7 @@ from viewshed_lab.sim.world import Thing, World
 from viewshed_lab.studies.cases import apply, case_generator, kept_rings, visible_with, with_rings
 from viewshed_lab.studies.records import BENIGN, Case
 from viewshed_lab.studies.samples import StudySample, sample_of
-from viewshed_lab.threats.corruptions import CORRUPTIONS
+from viewshed_lab.threats.corruptions import CORRUPTIONS, FewerBeams
 
 FLAT = Terrain.of(np.linspace(-40, 40, 5), np.linspace(-40, 40, 5), lambda x, y: 0.0 * x)
 LEFT_WALL = World("test", FLAT, (Thing("wall", (Box(0, 0, 20, 0.5, 5),), 5, 8, 0.0),))
@@ -74,3 +74,10 @@ def test_other_cases_and_recorded_samples_keep_their_truth(sample: StudySample) 
     assert visible_with(BENIGN, sample, rng) is None
     assert visible_with(Case("corruption", "fog", "3"), sample, rng) is None
     assert visible_with(Case("corruption", "fewer_beams", "3"), StudySample(sample.sample), rng) is None
+
+
+def test_kept_rings_by_hand() -> None:
+    model = lidar_model("HDL-32E")
+    kept = kept_rings(FewerBeams(1, 4), model, np.random.default_rng(0))
+    assert np.flatnonzero(kept).tolist() == [0, 4, 8, 12, 16, 20, 24, 28]
+    assert (~kept_rings(CORRUPTIONS["dead_rings"](5), model, np.random.default_rng(0))).sum() == 16

@@ -126,3 +126,14 @@ def test_time_that_goes_back_begins_anew() -> None:
     assert len(running.apply(Detections.none(), 10.0, GROUND).detections) == 0
     assert len(running.apply(Detections.none(), 12.0, GROUND).detections) == 1
     assert len(running.apply(Detections.none(), 3.0, GROUND).detections) == 0
+
+
+def test_removal_on_a_trajectory_follows_its_object() -> None:
+    """An object that drives 2 m a sweep stays removed until the reset."""
+    start = _detections(1, spread_m=5.0)
+    running = OBJECT_ATTACKS["remove_trajectory"](counts="exact", mean_count=1.0, start_s=0.0).begin(
+        np.random.default_rng(0)
+    )
+    for step in range(20):
+        there = Detections(start.boxes + np.array([[2.0 * step, 0, 0, 0, 0, 0, 0]]), start.kinds, start.returns)
+        assert running.apply(there, 0.1 * step, GROUND).removed.tolist() == [True]

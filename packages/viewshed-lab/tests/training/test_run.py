@@ -15,7 +15,6 @@ import pytest
 import torch
 from torch.nn import functional
 
-from viewshed.cli import main
 from viewshed.networks.runtime import load_runner
 from viewshed.networks.unet_torch import load_weights
 from viewshed_lab.training import TrainConfig, Trained, train
@@ -184,33 +183,6 @@ def test_a_checkpoint_of_something_else_is_refused(
     _refused(config, tmp_path, r"must be a checkpoint of viewshed train, got another; delete it, and training begins")
     last.write_bytes(trained(config).checkpoint.read_bytes()[:-1000])
     _refused(config, tmp_path, r"last.ckpt is damaged or no checkpoint; delete it, and training begins again")
-
-
-def test_without_torch_or_a_graphics_card_nothing_is_written(
-    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "tiny.toml").write_text(toml_of(config))
-    words = ["train", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out")]
-    with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "torch", None)
-        said = _said(capsys, words)
-    assert said == "viewshed: training needs torch: pip install 'viewshed-lab[train]'\n"
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    assert "device cuda needs 2 graphics card(s), 0 found; use --device cpu" in _said(
-        capsys, [*words, "--device", "cuda", "--devices", "2"]
-    )
-    assert "device must be one of cpu, cuda, got 'tpu'" in _said(capsys, [*words, "--device", "tpu"])
-    assert "nodes must be at least 1, got 0" in _said(capsys, [*words, "--nodes", "0"])
-    assert not (tmp_path / "out").exists()
-
-
-def _said(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
-    with pytest.raises(SystemExit) as stop:
-        main(words)
-    assert stop.value.code == 2
-    told = capsys.readouterr()
-    assert told.err.count("\n") == 1
-    return told.err
 
 
 _COMMAND = "from viewshed.cli import main; main()"

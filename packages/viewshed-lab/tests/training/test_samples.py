@@ -237,3 +237,10 @@ def test_mirrored_frames_are_turned_alike_in_all_their_parts(config: TrainConfig
             assert (after[name] == _turned(before[name], *fitting[0])).all()
         seen |= set(fitting)
     assert len(seen) == 8
+
+
+def test_a_blank_frame_counts_nowhere(config: TrainConfig, tmp_path: Path) -> None:
+    frames = prepare(config, tmp_path).validation
+    blank, real = frames[0, BLANK], frames[0, 0]
+    assert {name: array.shape for name, array in blank.items()} == {name: array.shape for name, array in real.items()}
+    assert not blank["known"].any()

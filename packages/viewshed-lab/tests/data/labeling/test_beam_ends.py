@@ -105,3 +105,10 @@ def test_snow_in_the_air_stops_no_beam() -> None:
     leveled = (slice(None), slice(18, 25))  # beams that end far away
     assert (np.abs(snowy.best_m - clear.best_m) < 1.0)[leveled].mean() > 0.97
     assert (snowy.best_m < 6.0)[leveled].mean() < 0.02
+
+
+def test_a_dead_ring_tells_nothing() -> None:
+    range_m = _ranges()
+    range_m[:, 8] = 0
+    stops = _stops(range_m)
+    assert (stops.least_m[:, 8] == 0).all()

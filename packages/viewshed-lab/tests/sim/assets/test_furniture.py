@@ -59,3 +59,8 @@ def test_a_group_turns_about_its_origin() -> None:
     half_x = np.cos(np.pi / 6) + 0.5 * np.sin(np.pi / 6)
     half_y = np.sin(np.pi / 6) + 0.5 * np.cos(np.pi / 6)
     assert askew == pytest.approx((-half_x, -half_y, half_x, half_y))
+
+
+def test_a_door_swings_counter_clockwise_about_its_hinge() -> None:
+    corners = footprint(fittings.door(0.9, np.pi / 2))
+    assert corners == pytest.approx((-0.02, 0.0, 0.02, 0.9))

@@ -221,3 +221,20 @@ def test_bad_numbers_are_refused(make: object, words: str) -> None:
     assert callable(make)
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_noise_of_weak_returns_doubles_at_the_threshold() -> None:
+    model = lidar_model("hdl32e")
+    threshold_m = OPTICS["HDL-32E"].reach_m * 1.2**0.5  # asphalt reflects 12 %, the reach is for 10 %
+    found = range_m(measured(scan_of(model, threshold_m)))
+    assert found.std() == pytest.approx(2 * OPTICS["HDL-32E"].sigma_m, rel=0.05)
+
+
+def test_a_bright_near_surface_outshines_particles() -> None:
+    model = lidar_model("hdl32e")
+    fog = replace(CONDITIONS["dense_fog"], noise=0.0)
+    near, far = (measured(scan_of(model, depth, "plaster"), fog) for depth in (4.0, 45.0))
+    assert np.mean(np.abs(range_m(near) - 4.0) < 0.01) > 0.95
+    early = range_m(far)[range_m(far) < 44.0]
+    assert len(early) > 0.3 * near.steps.size
+    assert range_m(far).max() < 45.01

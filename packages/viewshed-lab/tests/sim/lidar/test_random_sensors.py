@@ -104,6 +104,15 @@ def test_what_is_handed_out_obeys_the_family(name: str) -> None:
         assert np.linalg.norm(ways - old_ways, axis=1).mean() > 0.3
 
 
+def test_ranges_of_a_ring_are_off_by_its_offset() -> None:
+    sensor = DrawnSensor("two", lidar_model("vlp16"), None, np.linspace(-0.05, 0.05, 16))
+    sweep = swept(sensor.model)
+    given = sensor.deliver(sweep, np.random.default_rng(0))
+    off = np.linalg.norm(given.points, axis=1) - np.linalg.norm(sweep.points, axis=1)
+    assert sweep.ring is not None
+    assert off == pytest.approx(sensor.range_offset_m[sweep.ring], abs=2e-5)
+
+
 def test_shots_at_the_angles_of_the_rings_meet_what_the_rings_meet() -> None:
     model = lidar_model("vlp16")
     columns = -np.pi + (np.arange(model.azimuth_columns) + 0.5) * model.azimuth_step
@@ -145,16 +154,3 @@ def test_nothing_is_seen_outside_of_the_field() -> None:
     assert (truth.state["car"][outside] == CellState.UNKNOWN).all()
     assert (truth.expected_returns["car"][outside] == 0).all()
     assert truth.visible()[~outside].sum() > 500
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"pattern": "spiral"}, "pattern must be one of rings, rosette, weave"),
-    ({"order": "sorted"}, "order must be one of"),
-    ({"leaves_out": ("color",)}, "leaves_out must be among"),
-    ({"pattern": "rosette"}, "must leave out ring"),
-    ({"rings": (20, 10)}, "rings must ascend"),
-    ({"lowest_deg": (-10.0, 30.0)}, "lowest_deg must lie below"),
-])  # fmt: skip
-def test_a_wrong_family_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(FAMILIES["train_spin_16_40"], **change)  # type: ignore[arg-type]

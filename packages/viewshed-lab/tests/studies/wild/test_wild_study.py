@@ -135,11 +135,12 @@ def _blank() -> Row:
 def test_recall_at_a_precision_and_clear_cells_by_hand() -> None:
     """Of 10 sure cells 9 are visible, of 10 doubtful ones 5: precision .9 allows the sure ones alone, .7 all."""
     bins = np.zeros((FINE_BINS, 3))
-    bins[140], bins[90] = (10, 9, 9.4), (10, 5, 6.0)
+    bins[140], bins[90] = (10, 9, 8.0), (10, 5, 6.0)
     numbers = {"clear_both": 3.0, "clear_over": 1.0, "clear_under": 1.0}
     pool = pool_of(_blank() | {"bins": bins.ravel()} | numbers)
     assert (pool.recall_at(0.9), pool.recall_at(0.7), pool.recall_at(0.95)) == (9 / 14, 1.0, 0.0)
     assert pool.clear_f1() == 0.75
+    assert pool.ece() == pytest.approx(0.1)  # one of ten too few, one of ten too many
     assert np.isnan(pool_of().recall_at(0.5))
 
 

@@ -121,14 +121,3 @@ def test_evading_keeps_the_monitor_quiet(flat_scene: Any) -> None:
     )
     assert 0.0 < score(evade.tampered.sweep) <= 9.0
     assert evade.value > 0.0
-
-
-@pytest.mark.parametrize(("make", "message"), [
-    (lambda: BlackBox(OverClaim(Reach([])), queries=0), r"queries must lie in \[1, 1e\+07\], got 0"),
-    (lambda: BlackBox(OverClaim(Reach([])), None, mode="free_form"), "budget must lie in .* for free points, got None"),
-    (lambda: BlackBox(OverClaim(Reach([])), -1), "budget must be a whole number"),
-    (lambda: Evade(OverClaim(Reach([])), len, 0.0, -1.0), "penalty must lie in"),
-])  # fmt: skip
-def test_attackers_that_cannot_be(make: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()

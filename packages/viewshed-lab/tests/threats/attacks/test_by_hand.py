@@ -251,3 +251,8 @@ def test_a_phantom_keeps_its_place(flat_scene: FlatScene, rng: np.random.Generat
     moving = replace(ghost, first_ns=0, velocity_mps=(-2.0, 0.0))
     moved = _new(moving.apply(flat_scene(pose=first).replace(t_ns=2_000_000_000), rng))
     assert moved[:, 0].mean() < here[0] - 3.0
+
+
+def test_removal_aims_at_an_obstacle(flat_scene: FlatScene, rng: np.random.Generator) -> None:
+    tampered = PhysicalRemoval().apply(flat_scene(8.0), rng)
+    assert np.arctan2(-4, 8) - 0.01 < tampered.wedge.azimuth < np.arctan2(6, 8) + 0.01

@@ -130,3 +130,22 @@ def test_sweeps_without_poses_are_one_clear_line() -> None:
     with pytest.raises(ValueError, match=r"^every sweep must have a pose"):
         TemporalConsistency((sweep,)).apply(sweep.replace(world_from_sensor=None))
     assert not DEFENSES["temporal"]().apply(sweep.replace(world_from_sensor=None)).dropped.any()
+
+
+def test_null_returns_and_other_rings_are_left_alone() -> None:
+    sweep = with_returns(fan(720), [10.25, 10.25, 20.25], [0.6, 0.7, 50.0])
+    ring = np.array(sweep.ring)
+    ring[-1] = 1
+    assert rows(OneReturnPerBeam().apply(sweep.replace(ring=ring))) == []
+
+
+def test_a_few_returns_do_not_fill_a_sector() -> None:
+    stray = with_returns(_without_sector(30), [160.0, 168.5, 171.5, 180.0], [20.0, 3.0, 50.0, 7.0])
+    near = with_returns(_without_sector(30), np.linspace(155, 185, 600).tolist(), [0.4] * 600)
+    assert EmptySectorCheck().apply(stray).alarm
+    assert EmptySectorCheck().apply(near).alarm  # the housing's own returns
+
+
+def test_a_surface_that_the_past_saw_stays() -> None:
+    now = _seen(SCENE, 2.0)
+    assert not TemporalConsistency((_seen(SCENE), _seen(SCENE, 1.0))).apply(now).dropped.any()
