@@ -142,7 +142,8 @@ def scan_frame(scene: ScenePlan, frame: int, world: World | None = None) -> tupl
 
     A ``world`` with the same agents takes the place of the scene's own.
     """
-    return measure_sweep(*_place_of(scene, frame, world), *scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2))
+    for_paths, for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2)
+    return measure_sweep(*_place_of(scene, frame, world), for_paths, for_noise)
 
 
 def _place_of(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[World, Agent, float, Setting]:
