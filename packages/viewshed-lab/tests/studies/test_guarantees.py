@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.cli.commands import run
 
+from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid
 from viewshed.guarantees.envelope import Envelope, Threat
@@ -90,12 +91,13 @@ def test_who_walks_fills_a_part_of_a_box_and_a_box_all_of_it(monkeypatch: pytest
 def test_without_an_alarm_three_monitors_drive_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driving, "LAST_S", 2.0)
     seen: list[list[tuple[float, float, bytes]]] = []
+
+    def keep(time_s: float, speed_mps: float, _: tuple[float, float], view: FovEstimate) -> None:
+        seen[-1].append((time_s, speed_mps, view.state.tobytes()))
+
     for monitor in ("ours", "no monitor", "ours + certificate"):
-        steps: list[tuple[float, float, bytes]] = []
-        driving.drive_through(
-            0, "none", monitor, lambda t_s, mps, _, view, to=steps: to.append((t_s, mps, view.state.tobytes()))
-        )
-        seen.append(steps)
+        seen.append([])
+        driving.drive_through(0, "none", monitor, keep)
     assert len(seen[0]) == 10
     assert seen[0] == seen[1] == seen[2]
 
