@@ -63,9 +63,6 @@ GOOD: dict[str, dict[str, Any]] = {
                     "near_m": 0.5, "far_m": 100.0, "attitude": None, "height_m": None, "yaw": None,
                     "half_extent_m": 32.0},
     "ground_of_lows": {"lows_m": LOWS, "rise_m": FLAT, "half_m": 32.0, "height_m": 1.8},
-    "guess_inputs": {
-        "points": POINTS, "azimuth": LONG, "range_m": LONG, "heights_m": FLAT - F4(1.8), "std_m": FLAT + F4(0.1),
-        "seen": SQUARE, "half_m": 32.0, "sensor_height_m": 1.8},
     "fill_ground": {"walked_m": FLAT, "accepted": SQUARE, "plane": np.array([0.0, 0.0, -1.8], F4), "half_m": 32.0},
     "held_ground": {
         "heights_m": FLAT - F4(1.8), "std_m": np.where(HALF, F4(0.1), F4(1.0)), "seen": HALF,
@@ -194,9 +191,6 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("ground_of_lows", {"lows_m": LOWS * F4(3.0)}, "lows_m must lie on the lattice"),
     ("ground_of_lows", {"lows_m": LOWS.astype(np.float64)}, TYPE),
     ("ground_of_lows", {"rise_m": FLAT[:5]}, r"rise_m must be \(n, n\)"),
-    ("guess_inputs", {"azimuth": SHORT}, "azimuth and range_m must be as long as points"),
-    ("guess_inputs", {"sensor_height_m": NAN}, "sensor_height_m must be finite"),
-    ("guess_inputs", {"seen": SQUARE[:5]}, r"heights_m, std_m and seen must be \(n, n\)"),
     ("fill_ground", {"accepted": SQUARE[:5]}, r"walked_m and accepted must be \(n, n\)"),
     ("fill_ground", {"walked_m": FLAT * F4(NAN)}, "walked_m must be finite"),
     ("fill_ground", {"walked_m": FLAT.T[::2]}, TYPE), ("fill_ground", {"plane": np.zeros(2, F4)}, "plane must be"),

@@ -12,8 +12,6 @@
 
 namespace viewshed {
 
-void bind_ground_guess(nb::module_& m);  // ground_guess.cpp
-
 namespace {
 
 // Heights, standard deviations, seen nodes, plane and support as numpy arrays; and the z of level ground, NaN where it is seen.
@@ -106,7 +104,6 @@ void bind_ground(nb::module_& m) {
         },
         "points"_a.noconvert(),
         "Unit normal (3,) of the ground below a sensor tilted by up to 60°, and the share of area of points (n, 3) on it.");
-    bind_ground_guess(m);
 }
 
 }  // namespace viewshed

@@ -285,20 +285,25 @@ class Sectors:
     @property
     def area_m2(self) -> float:
         """Area of the union of the sectors in square meters."""
-        turn = 2 * np.pi
-        borders = np.unique(np.concatenate([[0.0, turn], self.start % turn, self.end % turn]))
-        middle = 0.5 * (borders[1:, None] + borders[:-1, None])
-        within = (middle - self.start) % turn < self.end - self.start
-        reach = np.where(within, self.range_m, self.inner_m).max(axis=1, initial=self.inner_m)
+        borders, reach = self._union()
         return float(0.5 * ((reach**2 - self.inner_m**2) * np.diff(borders)).sum())
 
     def covers(self, xy: FloatArray) -> Mask:
         """Return whether each of the points (…, 2) lies in a sector (…,)."""
         x, y = np.asarray(xy)[..., 0] - self.apex_m[0], np.asarray(xy)[..., 1] - self.apex_m[1]
-        radius, angle = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
-        within = (angle - self.start) % (2 * np.pi) < self.end - self.start
-        covered: Mask = (within & (radius >= self.inner_m) & (radius < self.range_m)).any(axis=-1)
+        borders, reach = self._union()
+        piece = np.searchsorted(borders, np.arctan2(y, x) % (2 * np.pi), side="right") - 1
+        radius = np.hypot(x, y)
+        covered: Mask = (radius >= self.inner_m) & (radius < reach[piece.clip(max=len(reach) - 1)])
         return covered
+
+    def _union(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return ascending angles (B,) from 0 to 2π, and the range (B - 1,) of the union between two of them."""
+        turn = 2 * np.pi
+        borders = np.unique(np.concatenate([[0.0, turn], self.start % turn, self.end % turn]))
+        middle = 0.5 * (borders[1:, None] + borders[:-1, None])
+        within = (middle - self.start) % turn < self.end - self.start
+        return borders, np.where(within, self.range_m, self.inner_m).max(axis=1, initial=self.inner_m)
 
 
 def sectors_of_mask(

@@ -112,12 +112,15 @@ def _fans(mask: Mask, grid: BevGrid, sectors: int, whole_cells: bool) -> list[Se
     x, y = grid.centers[..., 0], grid.centers[..., 1]
     splits = [[mask], [mask & (x > 0), mask & (x < 0)], [mask & (y > 0), mask & (y < 0)]]
     reach = about.inner_m + grid.cell_m
-
-    def fans(parts: list[Mask], count: int) -> list[Sectors]:
-        return [_beside(part, grid, count // len(parts), reach, whole_cells) for part in parts]
-
-    best = max(splits, key=lambda parts: _area(fans(parts, min(sectors, MAX_IN_REGION))))
-    return max(reaching, fans(best, sectors), _scattered(mask, grid, sectors, whole_cells), key=_area)
+    # The split is chosen by what can be seen from its points, with as many sectors as there are directions.
+    apexes = [[_apex(part, grid, reach, whole_cells) for part in parts] for parts in splits]
+    parts, seen = max(zip(splits, apexes, strict=True), key=lambda split: sum(area for _, area in split[1]))
+    count = sectors // len(parts)
+    beside = [
+        sectors_of_mask(part, grid, count, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
+        for part, (apex, _) in zip(parts, seen, strict=True)
+    ]
+    return max(reaching, beside, _scattered(mask, grid, sectors, whole_cells), key=_area)
 
 
 def _area(fans: list[Sectors]) -> float:
@@ -133,18 +136,18 @@ def _scattered(mask: Mask, grid: BevGrid, sectors: int, whole_cells: bool) -> li
             apex = _whole_cm(deepest_point(left & near, grid))
             fan = sectors_of_mask(left, grid, sectors // 4, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
             fans.append(fan)
-            left &= ~fan.covers(grid.centers)
+            left[left] = ~fan.covers(grid.centers[left])
     return fans
 
 
-def _beside(part: Mask, grid: BevGrid, sectors: int, reach_m: float, whole_cells: bool) -> Sectors:
-    """Return the fan of most area about one of eight points around the sensor, or about the deepest point."""
+def _apex(part: Mask, grid: BevGrid, reach_m: float, whole_cells: bool) -> tuple[tuple[float, float], float]:
+    """Return the point that sees most of a part, of eight around the sensor and the deepest one, and about how much."""
     turns = np.arange(8) * (np.pi / 4)
     around = np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach_m
     points = [_whole_cm(point) for point in (*around, deepest_point(part, grid)) if np.abs(point + 10.4).max() < 20.4]
     areas = [(free_ranges(part, grid, point, BINS, whole_cells=whole_cells) ** 2).sum() for point in points]
-    apex = points[int(np.argmax(areas))]
-    return sectors_of_mask(part, grid, sectors, apex_m=apex, whole_cells=whole_cells, range_step_m=0.1)
+    best = int(np.argmax(areas))
+    return points[best], float(areas[best])
 
 
 def _whole_cm(point: FloatArray) -> tuple[float, float]:
