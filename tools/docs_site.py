@@ -274,8 +274,8 @@ def methods() -> str:
 def figures() -> str:
     """Return the table of the README: what is asked, by which command, how well, on what, what was given, and where."""
     wild, ring, alone = "wild", _known("ring, time and intensity"), _known("points alone")
-    told = _result("wild_versions").split("## Told rings\n")[1]
-    doubt = next(row for row in re.findall(r"^\| viewnet \| after \|.*$", told, re.MULTILINE)).split(" | ")[5]
+    _, calibrated = re.findall(r"^\| viewnet \|.*$", _known("the maker's beam table"), re.MULTILINE)
+    doubt = calibrated.split(" | ")[5].split(" / ")[1]
     over = _headline("crossview", "claimed though hidden, of the hidden columns, `shadow_map`, HDL-64E")
     alarms = _result("monitor")
     caught = next(iter(re.findall(r"^\| mean of the attacks \|.*$", alarms, re.MULTILINE))).split(" | ")[4]
@@ -289,7 +289,7 @@ def figures() -> str:
         ("Is hidden ground claimed?", "evaluate crossview INDEX", f"{over} columns", "real, HDL-64E",
          "points, poses", "crossview"),
         ("Which answers are wrong?", "estimate FILE --method viewnet", f"AUROC of the doubt {doubt}", "simulated",
-         "rings; no sensor, no height", "wild_versions"),
+         "rings, sensor, height", "wild"),
         ("Is someone lying?", "monitor check DRIVE",
          f"{caught} of the attacks caught in .5 s, {false} false alarms an hour",
          "simulated, unseen places and attacks", "a limit for 6 an hour", "monitor"),

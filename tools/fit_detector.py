@@ -1,7 +1,7 @@
 """Fit the detector's classifier and measure its table again: ``python tools/fit_detector.py``.
 
 Both files go into the package. The classifier is fitted on simulated drives with seeds from ``--seed`` on (road, then
-indoors), the table measured on others, and what ``python -m benchmarks.detector`` reports comes from others again.
+indoors), the table measured on others.
 """
 
 from __future__ import annotations

@@ -13,16 +13,6 @@ from numpy.typing import NDArray
 import viewshed
 from viewshed import _core
 
-OFFERED = {name: getattr(_core, name) for name in sorted(dir(_core)) if not name.startswith("_")}
-FUNCTIONS = [name for name, offered in OFFERED.items() if callable(offered) and not isinstance(offered, type)]
-
-
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_each_function_says_what_it_does(name: str) -> None:
-    lines = getattr(_core, name).__doc__.splitlines()
-    assert len(lines) > 1
-    assert lines[-1].endswith(".")
-
 
 def test_threads_are_set_within_bounds() -> None:
     before = _core.threads()
@@ -121,10 +111,8 @@ WRITTEN = {
 }
 
 
-@pytest.mark.parametrize("name", WRITTEN)
-def test_arrays_that_another_thread_writes_meanwhile_do_no_harm(name: str) -> None:
+def test_arrays_that_another_thread_writes_meanwhile_do_no_harm() -> None:
     # Drivers use a buffer again: what was checked may be another number when it is used.
-    call, written, wrong = WRITTEN[name]
     code = f"""
 import sys, threading, time
 import numpy as np
@@ -144,26 +132,30 @@ node = rng.integers(0, 64 * 62, count).astype(np.int32)
 state, many = np.ones((256, 256), np.uint8), np.full((256, 256), 5.0, np.float32)
 cell_node, table = np.zeros((256, 256), np.int32), np.linspace(0.0, 1.0, 99, dtype=np.float32)
 corners, begin = np.tile([[1.0, 1.0], [9.0, 1.0], [9.0, 9.0], [1.0, 1.0]], (2000, 1)), np.arange(0, 8001, 4)
-written = {written}
-nan, right, done = np.nan, written.copy(), threading.Event()
-def write():
-    while not done.is_set():
-        written[...] = {wrong!r}
-        written[...] = right
-writer = threading.Thread(target=write, daemon=True)
-writer.start()
-end = time.monotonic() + 0.5
-while time.monotonic() < end:
-    try:
-        {call}
-    except ValueError:
-        pass
-done.set()
-writer.join()
-{call}
+nan = np.nan
+for name, (call, written, wrong) in {WRITTEN}.items():
+    print(name, flush=True)
+    call, written, done = compile(call, name, "eval"), globals()[written], threading.Event()
+    right = written.copy()
+    def write():
+        while not done.is_set():
+            written[...] = wrong
+            written[...] = right
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    end = time.monotonic() + 0.5
+    while time.monotonic() < end:
+        try:
+            eval(call)
+        except ValueError:
+            pass
+    done.set()
+    writer.join()
+    written[...] = right
+    eval(call)
 """
     run = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False, timeout=60)
-    assert run.returncode == 0, run.stderr
+    assert run.returncode == 0, run.stdout + run.stderr
 
 
 def _no_return_beams(rows: NDArray[np.int32]) -> object:
@@ -228,12 +220,3 @@ assert threads() == before
 """
     run = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False, timeout=60)
     assert run.returncode == 0, run.stderr
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 1e-40, 0.0])
-def test_points_that_are_no_place_have_an_answer(value: float) -> None:
-    points = np.full((40, 3), value, np.float32)
-    column, counts, nearest_m2, *_ = _core.range_image(points, np.zeros(40, np.int16), 16, 4, 0.5, 100.0)
-    assert ((column >= 0) & (column < 16)).all()
-    assert counts.sum() == 40
-    assert np.isinf(nearest_m2).all()

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from viewshed.arrays import F32, Mask
-from viewshed.metrics import STEPS, ConfusionCounts, Scores
+from viewshed.metrics import STEPS, Scores
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # what torch's own imports warn of is not ours
@@ -115,21 +115,6 @@ def test_risk_coverage_area_by_going_through_every_order(thousandths: NDArray[np
     assert _scores(prob, visible, std).aurc_std() == pytest.approx(_aurc_by_hand(std, wrong), abs=1e-12)
 
 
-def test_risk_coverage_area_of_many_cells() -> None:
-    """Against the definition, cell by cell, where no two doubts are equal; steps cost less than a thousandth."""
-    prob, visible = _cells(3, 20_000)
-    wrong = ((prob >= 0.5) != visible)[np.argsort(np.minimum(prob, 1 - prob), kind="stable")]
-    exact = (wrong.cumsum() / np.arange(1, len(prob) + 1)).mean()
-    assert _scores(prob, visible).aurc() == pytest.approx(exact, abs=1e-3)
-
-
-def test_equal_doubt_everywhere_leaves_the_error_rate() -> None:
-    visible = np.arange(5000) % 5 == 0
-    scores = _scores(np.full(5000, 0.2, np.float32), visible, np.full(5000, 0.3, np.float32))
-    assert scores.aurc() == pytest.approx(0.2, abs=1e-12)
-    assert scores.aurc_std() == pytest.approx(0.2, abs=1e-12)
-
-
 @settings(max_examples=30)
 @given(st.integers(0, 10_000), st.lists(st.integers(0, 400), min_size=1, max_size=5))
 def test_grouping_and_order_do_not_change_a_bit(seed: int, cuts: list[int]) -> None:
@@ -150,13 +135,6 @@ def test_json_gives_the_same_back(seed: int) -> None:
     assert after.to_json() == before.to_json()
     assert after.summary(0.7) == before.summary(0.7)
     assert after.cells == 50
-
-
-def test_a_perfect_estimate_and_an_inverted_one() -> None:
-    visible = np.array([True, False, False, True, False])
-    perfect, inverted = _scores(visible.astype(np.float32), visible), _scores((~visible).astype(np.float32), visible)
-    assert [perfect.auprc(), perfect.iou(), perfect.ece(), perfect.brier(), perfect.aurc()] == [1, 1, 0, 0, 0]
-    assert [inverted.precision(), inverted.iou(), inverted.ece(), inverted.brier(), inverted.aurc()] == [0, 0, 1, 1, 1]
 
 
 def test_reliability_by_hand() -> None:
@@ -205,12 +183,3 @@ def test_damaged_scores_are_refused(change: dict[str, Any]) -> None:
         Scores.from_json(Scores().to_json() | change)
     with pytest.raises(ValueError, match="scores must be of version 1, got 2"):
         Scores.from_json(Scores().to_json() | {"version": 2})
-
-
-@given(st.integers(0, 2**16 - 1), st.integers(0, 2**16 - 1), st.integers(1, 2**16 - 1))
-def test_counts_hold_every_cell_once(claimed: int, true: int, mask: int) -> None:
-    a, b, c = (np.array([value >> k & 1 for k in range(16)], bool) for value in (claimed, true, mask))
-    counts = ConfusionCounts.of(a, b, c, 0.25)
-    assert (counts.both, counts.over) == (int((a & b & c).sum()), int((a & ~b & c).sum()))
-    assert (counts.under, counts.neither) == (int((~a & b & c).sum()), int((~a & ~b & c).sum()))
-    assert counts.cells * 0.25 == counts.area_m2

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import viewshed
 from viewshed import GRIDS, Sweep, read_sweep, write_sweep
@@ -136,28 +134,6 @@ def test_wrong_table_is_told_in_one_line(tmp_path: Path, text: str, message: str
 def test_missing_file_is_an_oserror(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"none\.toml"):
         lidar_model(str(tmp_path / "none.toml"))
-
-
-@given(
-    elevations=st.lists(st.integers(-8999, 8999), min_size=1, max_size=40, unique=True),
-    columns=st.integers(4, 36_000),
-    data=st.data(),
-)
-def test_what_is_written_is_read(
-    tmp_path_factory: pytest.TempPathFactory, elevations: list[int], columns: int, data: st.DataObject
-) -> None:
-    degrees = [e / 100 for e in sorted(elevations)]
-    numbers = st.lists(st.floats(-5, 5), min_size=len(degrees), max_size=len(degrees))
-    offsets, origins = data.draw(numbers), data.draw(numbers)
-    text = (
-        f'name = "x"\nazimuth_columns = {columns}\nelevations_deg = {degrees}\n'
-        f"azimuth_offsets_deg = {offsets}\norigins_m = {origins}\n"
-    )
-    model = LidarModel.from_toml(_write(tmp_path_factory.mktemp("toml"), text))
-    assert [math.degrees(e) for e in model.elevation] == pytest.approx(degrees)
-    assert [math.degrees(e) for e in model.azimuth_offset] == pytest.approx(offsets)
-    assert model.origin_m.tolist() == origins
-    assert model.azimuth_columns == columns
 
 
 def test_only_sensors_that_were_held_against_sweeps_or_stand_alone_are_inferred() -> None:

@@ -138,22 +138,6 @@ def test_a_range_that_is_given_wrongly_at_the_start_is_told_and_can_be_mended() 
         context.shutdown()
 
 
-def test_descriptors_have_ranges_and_read_only_flags(node: FieldOfView) -> None:
-    rate, history = node.describe_parameter("rate_hz"), node.describe_parameter("history")
-    assert (rate.floating_point_range[0].from_value, rate.floating_point_range[0].to_value) == (-1.0, 1000.0)
-    assert (history.integer_range[0].from_value, history.integer_range[0].to_value) == (-1, 1000)
-    assert node.describe_parameter("autostart").read_only
-    assert "read when the node is configured" in history.additional_constraints
-    assert rate.additional_constraints == ""
-
-
-def test_every_parameter_has_a_description() -> None:
-    for table in (parameters.PARAMETERS, parameters.SENSOR_PARAMETERS):
-        for parameter in table.values():
-            assert parameter.description.endswith(".")
-            assert not parameter.choices or parameter.default in parameter.choices
-
-
 def test_the_servers_of_nav2_are_told_what_the_node_would_publish() -> None:
     servers = yaml.safe_load((PACKAGE / "config" / "nav2_filter_info.yaml").read_text(encoding="utf-8"))
     for mask in ("keepout_mask", "speed_mask"):
@@ -163,22 +147,10 @@ def test_the_servers_of_nav2_are_told_what_the_node_would_publish() -> None:
         assert server["multiplier"] == pytest.approx(info.multiplier)
 
 
-def test_shared_memory_holds_many_clouds() -> None:
-    root = ET.parse(PACKAGE / "config" / "fastdds.xml").getroot()
-    assert [int(each.text or 0) for each in root.iter() if each.tag.endswith("segment_size")] == [64 << 20]
-
-
 def test_rviz_shows_topics_that_exist() -> None:
     view = yaml.safe_load((PACKAGE / "rviz" / "field_of_view.rviz").read_text(encoding="utf-8"))
     topics = [each["Topic"]["Value"] for each in view["Visualization Manager"]["Displays"] if "Topic" in each]
     assert {topic.removeprefix("/front/") for topic in topics} <= {*LAYERS, "points"}
-
-
-@pytest.mark.parametrize("file", sorted((PACKAGE / "launch").glob("*.launch.py")), ids=lambda file: file.name)
-def test_launch_files_are_python_that_names_this_package(file: Path) -> None:
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    assert any(isinstance(node, ast.FunctionDef) and node.name == "generate_launch_description" for node in tree.body)
-    assert "viewshed_ros" in file.read_text(encoding="utf-8")
 
 
 def test_the_package_names_what_it_imports_by_keys_that_rosdep_knows() -> None:

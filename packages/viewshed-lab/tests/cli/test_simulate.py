@@ -19,16 +19,6 @@ def test_it_says_what_was_made(made: Path, tmp_path: Path) -> None:
         assert path.read_bytes() == (made / path.name).read_bytes()
 
 
-def test_info_tells_composition(made: Path) -> None:
-    code, said, _ = run("dataset", "info", str(made))
-    assert code == 0
-    assert "6 sweeps in 2 scene(s), 2 shards" in said
-    assert "preset ugv-small, seed 0" in said
-    assert "24 × 24 cells of 0.666667 m" in said
-    assert "split:   train, 5 sweeps in 1 scene(s)" in said
-    assert "split:   test, 1 sweeps in 1 scene(s)" in said
-
-
 def test_verify_finds_a_flipped_byte(made: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(made, tmp_path / "b"))
     assert run("dataset", "verify", str(folder))[:2] == (0, "2 shards, all as they were written\n")
@@ -48,15 +38,6 @@ def test_another_seed_into_the_same_place_is_one_line(made: Path) -> None:
     code, _, complaint = run(*SMALL, made, "--seed", 3)
     assert code == 2
     assert complaint.splitlines()[-1] == f"viewshed: {made} holds seed 0, not 3; choose another place"
-
-
-def test_a_later_schema_is_one_line(made: Path, tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(made, tmp_path / "b"))
-    manifest = folder / "manifest.json"
-    manifest.write_text(manifest.read_text("utf-8").replace('"schema_version": 1', '"schema_version": 2'), "utf-8")
-    code, _, complaint = run("dataset", "info", str(folder))
-    assert code == 2
-    assert "schema_version must be 1, got 2; read it with the version of viewshed that wrote it" in complaint
 
 
 def test_preview_writes_one_picture_and_no_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

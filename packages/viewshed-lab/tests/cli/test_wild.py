@@ -7,14 +7,6 @@ from tests.cli.commands import run
 from viewshed_lab.data import Archive
 
 
-def test_the_tiny_study_writes_its_page_and_picture(tmp_path: Path) -> None:
-    code, out, _ = run("study", "wild", "--preset", "tiny", "--out", str(tmp_path), "--workers", "1")
-    assert (code, "wild.md" in out) == (0, True)
-    page = (tmp_path / "wild.md").read_text(encoding="utf-8")
-    assert "| viewnet |" in page
-    assert len(list(tmp_path.glob("wild_road_*.png"))) == 1
-
-
 def test_the_sealed_set_asks_for_a_reason_and_writes_nothing_without(tmp_path: Path) -> None:
     log = tmp_path / "log.md"
     code, _, complaint = run("study", "wild", "--preset", "sealed", "--out", str(tmp_path / "s"), "--log", str(log))

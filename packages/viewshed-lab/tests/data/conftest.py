@@ -100,16 +100,6 @@ def s3() -> Iterator[str]:
         yield options
 
 
-@pytest.fixture(scope="session")
-def gs() -> Iterator[str]:
-    """As ``s3``, for ``gs://anonymous@data/FOLDER?OPTIONS``."""
-    pytest.importorskip("gcp_storage_emulator", reason="gcp-storage-emulator is not installed: GCS is not tested")
-    port = _free_port()
-    words = ("start", "--host", "127.0.0.1", "--port", port, "--in-memory", "--default-bucket", "data")
-    with _server("gcp_storage_emulator", *words):
-        yield f"endpoint_override=127.0.0.1:{port}&scheme=http&retry_limit_seconds=3"
-
-
 def _free_port() -> str:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -118,7 +108,7 @@ def _free_port() -> str:
 
 @contextlib.contextmanager
 def _server(module: str, *words: str) -> Iterator[None]:
-    port = int(words[words.index("-p" if "-p" in words else "--port") + 1])
+    port = int(words[words.index("-p") + 1])
     server = subprocess.Popen(
         [sys.executable, "-m", module, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )

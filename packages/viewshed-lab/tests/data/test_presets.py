@@ -1,8 +1,6 @@
 """Presets have the paper's numbers of sweeps and scenes; scenes and shards add up."""
 
-import tomllib
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +50,7 @@ def test_shards_hold_every_frame_once(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", preset_names())
-@pytest.mark.parametrize("sweeps", [3, 100, 1000, 10_000])
+@pytest.mark.parametrize("sweeps", [3, 1000])
 def test_scaling_keeps_ratio_and_length_of_scenes(name: str, sweeps: int) -> None:
     preset = preset_named(name)
     scaled = preset.scaled(sweeps)
@@ -77,52 +75,20 @@ def test_scenes_take_worlds_and_weather_by_weight() -> None:
             assert got[name] == pytest.approx(700 * weight / sum(weights), abs=3)
 
 
-def test_seeds_of_frames_and_purposes_differ() -> None:
-    small = preset_named("carla-small")
-    plans = [
-        ScenePlan(replace(small, seed=seed), split, number) for seed in (0, 1) for split in (0, 1) for number in (0, 1)
-    ]
-    states = {
-        tuple(plan.seed(purpose, frame).generate_state(2))
-        for plan in plans
-        for purpose in range(4)
-        for frame in range(25)
-    }
-    assert len(states) == 8 * 4 * 25
-
-
-def test_every_table_is_flat() -> None:
-    for name in preset_names():
-        table = tomllib.loads((TABLES / f"{name}.toml").read_text("utf-8"))
-        assert not any(isinstance(value, dict) for value in table.values())
-
-
 @pytest.mark.parametrize(("change", "message"), [
     ({"worlds": ["moon"], "world_weights": [1.0]}, "worlds must be among .*, got 'moon'"),
-    ({"conditions": ["hail"], "condition_weights": [1.0]}, "conditions must be one of .*, got 'hail'"),
     ({"sensors": ["nosuch"]}, "sensor must be one of"),
     ({"scenes": [1]}, "splits must be different names with scenes"),
     ({"frames": [4, 4]}, "train must have a frame for each scene"),
-    ({"frames": [-4, 4]}, "frames must be positive"),
     ({"seed": 2**32}, "seed must lie in"),
-    ({"seed": "1"}, "seed must be int, got '1'"),
-    ({"worlds": "street"}, "worlds must be a list"),
     ({"moving": 0}, "at least one agent"),
     ({"grid_cells": 4096}, "1 to 2048 cells a side, got 4096: a frame would not fit"),
-    ({"interval_s": 0}, "interval_s must be positive"),
     ({"more": 1}, "missing or unknown: more"),
 ])  # fmt: skip
 def test_a_bad_table_is_one_line(change: dict[str, object], message: str) -> None:
     table = preset_named("nuscenes-small").to_json() | change
     with pytest.raises(ValueError, match=message):
         Preset.from_json(table)
-
-
-def test_an_unknown_preset_names_those_that_exist() -> None:
-    with pytest.raises(ValueError, match=r"preset must be one of carla, carla-small, .*, got 'kitti'"):
-        preset_named("kitti")
-    with pytest.raises(ValueError, match="sweeps must be at least 2, one for each split, got 1"):
-        preset_named("ugv").scaled(1)
 
 
 def test_no_two_frames_share_their_luck() -> None:

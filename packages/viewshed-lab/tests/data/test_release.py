@@ -1,6 +1,5 @@
 """The published data set: the same bytes from the same seed, a data card, and a loader that takes nothing else."""
 
-import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -42,21 +41,6 @@ def test_every_shard_of_the_preset_has_a_recorded_hash() -> None:
     jobs = jobs_of(preset_named("release"))
     assert {job.name for job in jobs} == set(release.published().shards)
     assert all(len(digest) == 64 for digest in release.published().shards.values())
-
-
-def test_the_digest_is_that_of_the_hashes_in_the_order_of_names(tiny: Archive) -> None:
-    lines = "".join(f"{shard.sha256}  {shard.name}\n" for shard in sorted(tiny.shards, key=lambda one: one.sha256))
-    assert release.digest_of(tiny.shards) == hashlib.sha256(lines.encode()).hexdigest()
-    assert release.digest_of(tiny.shards[::-1]) == release.digest_of(tiny.shards)
-
-
-def test_the_loader_takes_the_published_data_set(tiny: Archive, monkeypatch: pytest.MonkeyPatch) -> None:
-    _published_as(monkeypatch, tiny)
-    archive = open_release(tiny.store.place)
-    assert archive.splits == ("train", "validation", "test")
-    sample = archive.split("test")[0]
-    assert sample.truth.visible().shape == sample.known.shape == (64, 64)
-    assert len(sample.sweep) > 1000
 
 
 def test_the_loader_refuses_another_data_set_and_a_damaged_one(

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from viewshed import GRIDS, Archive, Sweep, write_sweep
@@ -17,7 +16,6 @@ from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import simulate
 from viewshed_lab.data.tampered import (
     AttackPlan,
-    CorruptionPlan,
     sweeps_of_archive,
     sweeps_of_files,
     sweeps_of_recording,
@@ -25,7 +23,6 @@ from viewshed_lab.data.tampered import (
     tampered_sweep,
 )
 from viewshed_lab.threats.attacks import ATTACKS
-from viewshed_lab.threats.attacks.base import Tampered
 
 pytestmark = pytest.mark.slow
 
@@ -37,10 +34,6 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Archive:
     """Scenes of ten agents each in three splits, with coarse truth."""
     preset = replace(preset_named("carla-small").scaled(40), grid_cells=16)
     return simulate(preset, Storage.of(tmp_path_factory.mktemp("clean")), ONE)
-
-
-def _content(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def test_truth_stays_and_the_record_explains_every_row(clean: Archive, tmp_path: Path) -> None:
@@ -69,27 +62,6 @@ def test_a_sweep_is_attacked_with_the_seed_of_its_scene_and_number(clean: Archiv
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([9, 1, 2])))
     wanted = ATTACKS["uniform"](25).apply(clean[inside[2]].sweep, rng)
     assert made[inside[2]].sweep.points.tobytes() == wanted.sweep.points.tobytes()
-
-
-def test_workers_do_not_change_bytes(clean: Archive, tmp_path: Path) -> None:
-    plan = AttackPlan("ghost_car", 60)
-    told: list[ShardResult] = []
-    tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "one"), ONE, 1, told.append)
-    tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "two"), LocalEngine(2), 1)
-    whole = _content(tmp_path / "one")
-    assert _content(tmp_path / "two") == whole
-    assert len(told) == len(clean.shards)
-
-
-def test_a_split_holds_the_same_sweeps_as_the_whole(clean: Archive, tmp_path: Path) -> None:
-    plan = AttackPlan("uniform_on_beams", 30)
-    whole = tamper(sweeps_of_archive(clean), plan, Storage.of(tmp_path / "all"), ONE)
-    test = tamper(sweeps_of_archive(clean, "test"), plan, Storage.of(tmp_path / "test"), ONE)
-    assert test.splits == ("test",)
-    told = {shard.name: shard.sha256 for shard in whole.shards}
-    assert [told[shard.name] for shard in test.shards] == [shard.sha256 for shard in test.shards]
-    with pytest.raises(ValueError, match="split must be one of train, test, got 'val'"):
-        sweeps_of_archive(clean, "val")
 
 
 def test_a_replay_plays_the_sweep_before_of_the_same_agent(clean: Archive, tmp_path: Path) -> None:
@@ -127,35 +99,6 @@ def test_damage_costs_the_damaged_sweeps_alone(clean: Archive, tmp_path: Path) -
     assert len(made) == len(clean) - victim.frames
 
 
-def test_an_archive_without_a_record_has_no_column_for_it(clean: Archive, tmp_path: Path) -> None:
-    attacked = tamper(sweeps_of_archive(clean, "test"), AttackPlan("relay"), Storage.of(tmp_path / "a"), ONE)
-    foggy = tamper(sweeps_of_archive(clean, "test"), CorruptionPlan("fog", 5), Storage.of(tmp_path / "b"), ONE)
-    assert clean.store.folder is not None
-    columns = [
-        pq.read_schema(folder / attacked.shards[0].name).names
-        for folder in (clean.store.folder, tmp_path / "b", tmp_path / "a")
-    ]
-    assert columns[0] == columns[1] == [name for name in columns[2] if name != "touched"]
-    assert columns[2][-1] == "touched"
-    assert foggy[0].tampered is None
-    assert len(foggy[0].sweep) != len(clean.split("test")[0].sweep)
-
-
-def test_an_untouched_frame_stays_a_range_image(clean: Archive, tmp_path: Path) -> None:
-    made = tamper(sweeps_of_archive(clean, "test"), AttackPlan("far_wall", 0), Storage.of(tmp_path), ONE)
-    sample, before = made[0], clean.split("test")[0]
-    assert sample.sweep.points.tobytes() == before.sweep.points.tobytes()
-    assert not sample.tampered.added.any()
-    assert not sample.tampered.removed.any()
-
-
-def test_a_record_that_does_not_fit_is_refused(clean: Archive) -> None:
-    sample, none = clean[0], np.zeros(2, np.bool_)
-    tampered = Tampered(sample.sweep.select(np.arange(2)), none, none)
-    with pytest.raises(ValueError, match=r"tampered must have \d+ returns, as measured, got 2"):
-        replace(sample, tampered=tampered)
-
-
 def test_a_place_that_holds_another_attack_is_refused(clean: Archive, tmp_path: Path) -> None:
     sweeps, store = sweeps_of_archive(clean, "test"), Storage.of(tmp_path)
     tamper(sweeps, AttackPlan("far_wall", 10), store, ONE)
@@ -188,19 +131,3 @@ def test_recordings_and_files_have_no_truth(tmp_path: Path) -> None:
     sweep, record = tampered_sweep(files, AttackPlan("uniform", 7))
     assert len(sweep) == 57
     assert record.count('"removed_rows": []') == 1
-
-
-@pytest.mark.parametrize(("make", "message"), [
-    (lambda: AttackPlan("far_wal"), "attack must be one of uniform, .*, paper, got 'far_wal'"),
-    (lambda: AttackPlan("paper", 100), "attack paper draws its own points"),
-    (lambda: AttackPlan("relay", mode="free_form"), "attack relay must be left in its own mode, got 'free_form'"),
-    (lambda: AttackPlan("cluster", mode="both"), "mode must be one of free_form, beam_constrained, got 'both'"),
-    (lambda: AttackPlan("paper", placement="random"), "leave budget, mode and placement out"),
-    (lambda: AttackPlan("far_wall", -3), "budget must be a whole number of returns"),
-    (lambda: CorruptionPlan("hail"), "corruption must be one of rain, .*, got 'hail'"),
-    (lambda: CorruptionPlan("rain", 6), "severity must be a whole number from 1 to 5, got 6"),
-])  # fmt: skip
-def test_plans_that_cannot_be(make: object, message: str) -> None:
-    assert callable(make)
-    with pytest.raises(ValueError, match=message):
-        make()

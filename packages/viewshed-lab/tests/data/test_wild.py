@@ -71,14 +71,6 @@ def test_sets_that_share_anything_are_refused(key: str) -> None:
             check_apart((known, shared))
 
 
-def test_no_two_sets_have_a_sensor_in_common() -> None:
-    drawn = [
-        (scene.domain.set_name, scene.drawn_sensor().model.elevation.tobytes()) for scene in first_scenes(10)
-        if scene.sensor in TABLES.sensors
-    ]  # fmt: skip
-    assert len({beams for _, beams in drawn}) == len(set(drawn)) == len(drawn)
-
-
 def test_the_sealed_set_has_what_it_must_have() -> None:
     domains = TABLES.of_set("sealed")
     assert sum(domain.scenes for domain in domains) >= 60
@@ -143,16 +135,6 @@ def test_ground_returns_lie_on_the_exact_ground(scene: WildScene) -> None:
     assert np.percentile(height, 2) > -0.5
 
 
-def test_a_set_or_style_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ValueError, match="set must be one of"):
-        wild_scenes("test")
-    domain = TABLES.domains[0]
-    with pytest.raises(ValueError, match="styles must be among"):
-        replace(domain, styles=("moon",))
-    with pytest.raises(ValueError, match="told must be one of"):
-        first_scenes(1)[0].observe(0).told("all")
-
-
 def test_an_archive_goes_on_to_the_same_bytes_and_gives_the_samples_back(tmp_path: Path) -> None:
     stores = [Storage.of(str(tmp_path / name)) for name in ("whole", "stopped")]
     whole = make_wild_archive("development", "road", stores[0], LocalEngine(1), scenes=2)
@@ -173,13 +155,3 @@ def test_an_archive_goes_on_to_the_same_bytes_and_gives_the_samples_back(tmp_pat
 
 def _stop(_shard: ShardResult) -> None:
     raise OSError("stop")
-
-
-def test_the_sealed_set_has_no_archive(tmp_path: Path) -> None:
-    store = Storage.of(str(tmp_path / "a"))
-    with pytest.raises(ValueError, match="must not be sealed"):
-        make_wild_archive("sealed", "road", store, LocalEngine(1))
-    with pytest.raises(ValueError, match="told must be"):
-        make_wild_archive("development", "road", store, LocalEngine(1), told=("all",))
-    with pytest.raises(ValueError, match="must have a domain"):
-        make_wild_archive("development", "moon", store, LocalEngine(1))

@@ -260,7 +260,6 @@ def config() -> dict[str, Any]:
 
 TINY_PAGES = {
     "robustness": "robustness/robustness.md",
-    "robustness_tables": "robustness/robustness_tables.md",
     "paper": "paper/paper.md",
     "paper_strict": "paper/paper_strict.md",
     "monitor_study": "deviation/deviation.md",

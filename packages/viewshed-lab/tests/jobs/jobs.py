@@ -4,9 +4,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from viewshed._files import write_atomic
 
@@ -62,12 +60,3 @@ def loud(job: int) -> int:
     print("a worker's chatter")
     print("a worker's complaint", file=sys.stderr)
     return job
-
-
-def hang_on_doomed_node(folder: Path, work: Callable[[Any], Any], job: Any) -> Any:
-    """Do the work; on the doomed node say so and hang, so that the node dies before it can report what it has done."""
-    result = work(job)
-    if int((folder / "doomed").read_text()) == os.getppid():
-        (folder / f"hangs{os.getpid()}").touch()
-        time.sleep(120)
-    return result

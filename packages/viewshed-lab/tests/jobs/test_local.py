@@ -52,10 +52,6 @@ def _gone(pids: list[int], within_s: float) -> bool:
     return not any(map(_alive, pids))
 
 
-def test_one_worker_is_this_process() -> None:
-    assert [one.result for one in LocalEngine(1).run(lambda _: os.getpid(), [0])] == [os.getpid()]
-
-
 @pytest.mark.skipif(not Path("/proc").exists(), reason="processes are looked up in /proc")
 @pytest.mark.parametrize("preload", PRELOADS, ids=["spawned", "forked"])
 def test_closing_the_run_ends_the_workers(preload: tuple[str, ...], tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Mountings: where the sensor sits, what it sees of its carrier, and in which frame its points are given."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -86,29 +84,3 @@ def test_a_sensor_at_the_roof_edge_sees_its_own_carrier() -> None:
         counts[name] = own.sum()
         assert not seen.known[127:129, 127:129].any()
     assert counts["sealed_edge"] > 2 * counts["sealed_roof"]
-
-
-def test_the_carrier_lies_across_a_sensor_turned_by_90_degrees() -> None:
-    """Cells that the car covers are not known: longer across the sensor's x than along it."""
-    seen, _, _ = observed(FAMILIES["sealed_quarter"])
-    i, j = np.nonzero(~seen.known)
-    assert np.ptp(j) > 1.5 * np.ptp(i)
-
-
-def test_a_mast_carries_nothing() -> None:
-    world = flat_world(2.0)
-    post = replace(world.agents[0], carrier=None)
-    mounting = draw_mounting(FAMILIES["sealed_roof"], np.random.default_rng(0))
-    with pytest.raises(ValueError, match="must have a carrier"):
-        mounting.mounted(replace(world, agents=(post,)), 0)
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"frame": "map"}, "frame must be one of"),
-    ({"height_m": (2.0, 1.0)}, "height_m must ascend"),
-    ({"height_m": (0.1, 1.0)}, "height_m must be 0.2 or more"),
-    ({"frame": "base"}, "yaw_deg must be 0, 0"),
-])  # fmt: skip
-def test_a_wrong_family_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(FAMILIES["sealed_quarter"], **change)  # type: ignore[arg-type]

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.sim.oracle import triangle_depths, triangles_of
 
-from viewshed_lab.sim.assets.shapes import MATERIALS
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import World
 
@@ -39,11 +38,6 @@ def test_heights_lie_on_the_triangles_that_beams_meet(x: float, y: float) -> Non
 def test_normals_lean_away_from_the_rise() -> None:
     normals = Terrain.plane(50.0, (0.1, -0.2)).normals_at([[3.0, 4.0]])
     assert normals[0] == pytest.approx(np.array([-0.1, 0.2, 1.0]) / np.sqrt(1.05))
-
-
-def test_materials_belong_to_quads() -> None:
-    ground = Terrain.of([0, 1, 3], [0, 2], lambda x, y: 0 * x, lambda x, y: np.where(x > 1, 10, 0).astype(np.uint8))
-    assert [MATERIALS[row].name for row in ground.material[:, 0]] == ["asphalt", "grass"]
 
 
 @pytest.mark.parametrize(

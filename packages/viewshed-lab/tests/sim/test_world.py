@@ -35,11 +35,6 @@ def test_a_vehicle_moves_along_its_track_and_along_the_slope() -> None:
     assert snapshot.velocity_mps[1].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_it_stands_still_before_and_after_its_track() -> None:
-    assert WORLD.snapshot(-3.0).velocity_mps[0].tolist() == [0.0, 0.0, 0.0]
-    assert WORLD.snapshot(50.0).center_m[0] == pytest.approx(WORLD.snapshot(60.0).center_m[0])
-
-
 def test_sensors_ride_on_their_carrier_or_stay() -> None:
     up = np.array([-0.1, 0.0, 1.0]) / np.sqrt(1.01)
     assert WORLD.world_from_sensor(ROOF, 5.0).translation == pytest.approx(np.array([10.0, 5.0, 1.0]) + 2.0 * up)
@@ -77,3 +72,8 @@ def test_a_plan_without_sense_is_refused(moving: int, roadside: int, duration: f
 def test_a_track_must_go_forward_in_time() -> None:
     with pytest.raises(ValueError, match="ascending t_s"):
         Track(np.array([1.0, 1.0]), np.zeros((2, 2)), np.zeros(2))
+
+
+def test_it_stands_still_before_and_after_its_track() -> None:
+    assert WORLD.snapshot(-3.0).velocity_mps[0].tolist() == [0.0, 0.0, 0.0]
+    assert WORLD.snapshot(50.0).center_m[0] == pytest.approx(WORLD.snapshot(60.0).center_m[0])

@@ -9,7 +9,7 @@ from viewshed_lab.studies.cases import apply, case_generator
 from viewshed_lab.studies.records import BENIGN, Case
 from viewshed_lab.studies.robustness.plan import PARTS, RobustnessPlan
 from viewshed_lab.studies.samples import sample_of
-from viewshed_lab.threats.attacks import ATTACKS, FULL_WEDGE
+from viewshed_lab.threats.attacks import ATTACKS
 from viewshed_lab.threats.corruptions import CORRUPTIONS
 from viewshed_lab.threats.defenses import DEFENSES
 
@@ -30,13 +30,6 @@ def test_the_small_study_has_every_member_of_every_table() -> None:
     assert {(c.name, c.defense) for c in cases["adaptive"] if c.level == "150"} >= {
         ("adaptive_under_claim", ""), *(("adaptive_over_claim", defense) for defense in DEFENSES)
     }  # fmt: skip
-
-
-def test_few_samples_meet_attackers_who_ask_and_they_are_spread_evenly() -> None:
-    study = replace(TINY, samples=(12,), adaptive_samples=(3,))
-    assert [number for part, _, number in study.job_keys() if part == "adaptive"] == ["0", "4", "8"]
-    none = replace(TINY, adaptive_samples=(0,))
-    assert {part for part, _, _ in none.job_keys()} == set(PARTS) - {"adaptive"}
 
 
 @pytest.mark.parametrize("name", list(ATTACKS))
@@ -77,20 +70,6 @@ def test_wedges_are_the_same_for_every_budget_so_that_none_is_the_reference() ->
         assert len(trials[0].sweep) == len(sample.sweep)
 
 
-def test_a_full_wedge_is_a_budget_that_none_holds() -> None:
-    sample = sample_of("ugv", 0, 2, 7)
-    full = apply(
-        Case("attack", "ghost_wall", "full"), sample, case_generator(1, "ugv", 0, Case("attack", "ghost_wall"))
-    )
-    assert 150 < full.added.sum() < FULL_WEDGE
-
-
-def test_a_kind_that_nobody_makes_is_refused() -> None:
-    sample = sample_of("ugv", 0, 2, 7)
-    with pytest.raises(ValueError, match="kind must be one that attacks, got 'adaptive'"):
-        apply(Case("adaptive", "uniform", "1"), sample, np.random.default_rng(0))
-
-
 def test_earlier_sweeps_are_of_the_same_sensor_and_before() -> None:
     for domain, agents in (("carla", 10), ("ugv", 1)):
         sample = sample_of(domain, 7, 8, 7)
@@ -102,6 +81,8 @@ def test_earlier_sweeps_are_of_the_same_sensor_and_before() -> None:
         assert {earlier.agent for earlier in sample.earlier} == {sample.sweep.agent}
 
 
-def test_adding_a_sample_keeps_the_seed_of_the_others() -> None:
-    more = replace(TINY, samples=(3,))
-    assert set(TINY.job_keys()) < set(more.job_keys())
+def test_few_samples_meet_attackers_who_ask_and_they_are_spread_evenly() -> None:
+    study = replace(TINY, samples=(12,), adaptive_samples=(3,))
+    assert [number for part, _, number in study.job_keys() if part == "adaptive"] == ["0", "4", "8"]
+    none = replace(TINY, adaptive_samples=(0,))
+    assert {part for part, _, _ in none.job_keys()} == set(PARTS) - {"adaptive"}

@@ -13,7 +13,7 @@ from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
-from viewshed.metrics import ConfusionCounts, average_precision
+from viewshed.metrics import ConfusionCounts
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed_lab.data import Sample
@@ -25,18 +25,6 @@ from viewshed_lab.studies.suite import EstimatorSuite, paper_suite, strict_suite
 from viewshed_lab.threats.attacks import Wedge
 
 GRID = BevGrid(4, 8.0)
-
-
-def test_average_precision_by_hand() -> None:
-    """Ranks 1 to 4 are visible, hidden, visible, hidden: 1 · 1/2 + 2/3 · 1/2."""
-    prob = np.array([0.9, 0.8, 0.7, 0.1], np.float32)
-    assert average_precision(prob, np.array([True, False, True, False])) == pytest.approx(5 / 6)
-
-
-def test_probabilities_between_thousandths_belong_to_the_one_that_they_reach() -> None:
-    """.7009 and .7001 share a step; rounded to the nearest thousandth they would be two."""
-    assert average_precision(np.array([0.7009, 0.7001], np.float32), np.array([False, True])) == 0.5
-    assert average_precision(np.array([0.7011, 0.7001], np.float32), np.array([True, False])) == 1.0
 
 
 class _Fixed(ClassicalEstimator):
@@ -120,29 +108,6 @@ def test_the_label_is_right_about_itself_and_a_far_point_is_not() -> None:
     far = np.concatenate([sample.sweep.points, [[17.0, 3.0, 0.0]]]).astype(np.float32)
     spoofed = Sweep(far, sensor_height_m=sample.sweep.sensor_height_m, attitude=sample.sweep.attitude)
     assert counted("paper_quantized", spoofed).over > counted("paper_quantized", sample.sweep).over
-
-
-def test_the_same_sweep_is_estimated_once() -> None:
-    sample = _sample(np.ones(GRID.shape, bool), np.ones(GRID.shape, bool))
-    evaluation = _evaluation(sample, np.ones(GRID.shape, np.float32), np.ones(GRID.shape, bool))
-    leveled = level(sample.sweep, GRID)
-    first = evaluation.suite.estimates(leveled)["fixed"]
-    for seconds in range(12):
-        evaluation.suite.estimates(level(sample.sweep.replace(sensor_height_m=1.0 + seconds / 8), GRID))
-    assert evaluation.suite.estimates(leveled)["fixed"] is first
-
-
-def test_only_samples_with_truth_and_cells_that_are_known_count() -> None:
-    known = np.zeros(GRID.shape, bool)
-    known[3, 0] = True
-    sample = _sample(np.ones(GRID.shape, bool), known)
-    assert list(strict_suite(GRID, ["quantized"]).estimators) == ["quantized"]
-    reference = Reference.exact(sample)
-    ones = np.ones(GRID.shape, np.float32)
-    assert reference.counts(ones, 0.5, reference.known) == ConfusionCounts(1, 0, 0, 0, 16.0)
-    angle = float(np.arctan2(-6.0, 6.0))
-    assert reference.inside(Wedge(angle, 0.1)).sum() == 1
-    assert not reference.inside(Wedge(angle + 0.2, 0.1)).any()
 
 
 def test_a_case_that_cannot_be_made_is_named_and_the_rest_goes_on() -> None:

@@ -9,8 +9,6 @@ import pytest
 
 from viewshed.cli import main
 from viewshed.geometry import Rigid
-from viewshed.io import read_sweep
-from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import ObjectBox
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
@@ -95,15 +93,6 @@ def test_claims_over_ground_that_is_surveyed_elsewhere_are_counted(log: Path, tm
     assert float(bottoms["seen, 0 to 16 m"][1]) < 0.05 or float(bottoms["unseen, 0 to 16 m"][1]) < 0.05
 
 
-def test_boxes_alone_are_judged_of_any_annotated_recording(log: Path, tmp_path: Path) -> None:
-    page = _run("boxes", str(log), "--methods", "shadow_map", "--out", str(tmp_path / "page.md"))
-    assert _rows(page, "Vehicles with returns")["shadow_map"] == ["1.000 of 1", "–", "–", "–"]
-    assert "surveyed" not in page.partition("## What this cannot show")[0]
-    with pytest.raises(SystemExit) as refused:
-        main(["evaluate", "boxes", str(made.write(tmp_path / "odometry", made.kitti_odometry()))])
-    assert refused.value.code == 2
-
-
 def test_a_raster_is_read_where_it_lies_and_unknown_beyond() -> None:
     survey = SurveyedGround(np.array([[1.0, 2.0], [3.0, np.nan]]), np.array([10.0, 20.0]), 0.5)
     xyz = np.array(
@@ -118,30 +107,6 @@ def test_returns_in_a_turned_box_and_the_point_where_it_is_looked_up() -> None:
     sweep = Sweep(np.array([*inside, [11.9, 0.0, 0.0], [10.0, 0.0, 0.9], [8.8, 0.0, 0.0]]))
     assert returns_in(box, sweep) == len(inside)
     np.testing.assert_allclose(near_point(Rigid.identity(), box), [9.3, 0.0], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "complaint"),
-    [
-        ("map/log___img_Sim2_city.json", b'{"R": [0, 1, 1, 0], "t": [0, 0], "s": 2}', "R must be the identity"),
-        ("map/log___img_Sim2_city.json", b"[1]", "R must be the identity"),
-        ("map/log___img_Sim2_city.json", b'{"R": [1, 0, 0, 1]}', "'t'"),
-        ("map/log_ground_height_surface____PIT.npy", b"\x93NUMPY", "PIT.npy"),
-    ],
-)
-def test_a_damaged_survey_is_one_line(
-    log: Path, name: str, content: bytes, complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files = {str(file.relative_to(log)): file.read_bytes() for file in log.rglob("*") if file.is_file()}
-    made.write(tmp_path, files | {name: content})
-    with pytest.raises(SystemExit) as refused:
-        main(["evaluate", "survey", str(tmp_path), "--methods", "shadow_map"])
-    assert refused.value.code == 2
-    said = capsys.readouterr().err
-    assert complaint in said
-    assert said.count("\n") == 1
-    assert len(open_source(tmp_path).scenes()) == 1
-    assert read_sweep(next(tmp_path.glob("sensors/lidar/*"))).t_ns == TIME_NS
 
 
 def test_surveyed_ground_agrees_with_the_real_log(real_data: Path, tmp_path: Path) -> None:

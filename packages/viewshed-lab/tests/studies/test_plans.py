@@ -1,7 +1,5 @@
 """The plans of the studies: they survive their plain values, and a wrong one is one line that names the key."""
 
-from dataclasses import replace
-
 import pytest
 
 from viewshed_lab._config import preset_names
@@ -18,16 +16,13 @@ REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
         ({"domain": "moon"}, "domain must be among .*, got 'moon'"),
         ({"frames": 0}, "frames must be at least 1, got 0"),
         ({"attacks": ["unifrom"]}, "attacks must be among uniform, .*, got 'unifrom'"),
-        ({"corruptions": ["smog"]}, "corruptions must be among rain, .*, got 'smog'"),
         ({"severity": 6}, "severity must be a whole number from 1 to 5, got 6"),
     ],
     PaperPlan: [
         ({"domains": ["moon", "ugv", "carla"]}, "domains must be among .*, got 'moon'"),
-        ({"domains": ["ugv", "ugv", "carla"]}, "domains must be different names"),
         ({"train_scenes": [1, 2]}, r"train_scenes must be a positive number for each domain, got \[1, 2\]"),
         ({"test_seed": 1}, "test_seed must not be the seed that is trained on, got 1 for both"),
         ({"cells": 30}, "cells must divide by 2 to the power of the depth 2, got 30"),
-        ({"passes": 0}, "passes must be at least 1, got 0"),
         (
             {"pair_frames": [3, 13, 3]},
             "pair_frames and strict_frames must be at most 12, what nuscenes has with a past",
@@ -35,7 +30,6 @@ REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
         ({"monitor_frames": 4}, "monitor_frames must be at most 3, a third of the held-out scenes"),
         ({"monitor_false_alarms": 0.2}, r"monitor_false_alarms must lie in \[1 / \(monitor_frames \+ 1\), 1\), got 0"),
         ({"trained_attacks": list(ATTACKS)}, "trained_attacks must name some attacks and leave others unseen"),
-        ({"trade_domain": "roads"}, "trade_domain must be among carla, nuscenes, ugv, got 'roads'"),
         ({"dropout": "much"}, "dropout must be float, got 'much'"),
     ],
     RobustnessPlan: [
@@ -43,16 +37,12 @@ REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
         ({"severities": [6]}, "severities must be among 1, 2, 3, 4, 5, got 6"),
         ({"budgets": ["half"]}, "budgets must be whole numbers or full, got 'half'"),
         ({"samples": [1, 2]}, r"samples must be a positive number for each of \['ugv'\], got \(1, 2\)"),
-        ({"samples": [0]}, "samples must be a positive number"),
         ({"domains": "ugv"}, "domains must be a list, got 'ugv'"),
         ({"domains": ["ugv", "ugv"], "samples": [1, 1]}, "domains must be different, got ugv, ugv"),
         ({"paper_points": [-1]}, "paper_points must not be negative"),
         ({"adaptive": ["far_wall"]}, "adaptive must be among adaptive_over_claim, .*, got 'far_wall'"),
         ({"adaptive_samples": [3]}, r"adaptive_samples must be 0 to \[2\], one a domain, got \[3\]"),
-        ({"adaptive_samples": [1, 1]}, "adaptive_samples must be 0 to"),
         ({"adaptive_budget": 0}, r"adaptive_budget must lie in \[1, 1000000\], got 0"),
-        ({"adaptive_queries": 2}, "adaptive_queries must be at least 3, got 2"),
-        ({"adaptive_defended": ["nobody"]}, "adaptive_defended must be among continuous, .*, got 'nobody'"),
     ],
 }
 OF_EVERY_PLAN: list[tuple[dict[str, object], str]] = [
@@ -69,15 +59,6 @@ def test_a_plan_survives_its_plain_values(kind: type[Plan]) -> None:
     for plan in plans:
         assert kind.from_json(plan.to_json()) == plan
         assert len(set(plan.job_keys())) == len(plan.job_keys()) > 0
-
-
-def test_a_plan_of_one_domain_is_one_too() -> None:
-    one = replace(
-        PaperPlan.load("tiny"), domains=("ugv",), train_scenes=(4,), train_times=(2,), test_scenes=(9,),
-        test_times=(5,), interval_s=(0.5,), strict_frames=1, trade_widths=(4,),
-        pair_frames=(3,),
-    )  # fmt: skip
-    assert PaperPlan.from_json(one.to_json()) == one
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
 from viewshed_lab.studies import published_cases
-from viewshed_lab.studies.published_cases import CASES, _area, _as_view, cases_page, mast_beside_a_car
+from viewshed_lab.studies.published_cases import CASES, _as_view, cases_page, mast_beside_a_car
 
 
 def test_exact_truth_as_a_view_claims_what_is_seen_and_known() -> None:
@@ -26,12 +26,6 @@ def test_exact_truth_as_a_view_claims_what_is_seen_and_known() -> None:
     assert (made.state[:4] == CellState.UNKNOWN).all()
     assert made.world_from_level is not None
     assert made.world_from_level.yaw == pytest.approx(0.4)
-
-
-def test_who_is_trusted_less_is_ranked_first() -> None:
-    trust = np.array([0.9, 0.2, 0.8])
-    assert _area([(trust, trust, [1])], 0) == 1.0
-    assert _area([(trust, trust, [0])], 0) == 0.0
 
 
 @pytest.mark.slow

@@ -62,10 +62,6 @@ def test_intervals_draw_scenes_not_sweeps() -> None:
     assert np.isnan(bootstrap([(np.empty((0, 4)), [])], precision)).all()
 
 
-def test_a_rate_of_nothing_is_not_a_number() -> None:
-    assert np.isnan([precision(np.zeros(4)), f1(np.zeros(4))]).all()
-
-
 def _scores(prob: float, visible: bool) -> Scores:
     scores = Scores()
     scores.add([prob], [visible], [0.1])

@@ -30,13 +30,6 @@ def test_finished_jobs_are_there_when_it_is_opened_again(tmp_path: Path) -> None
     assert again.results("attacks").series() == []
 
 
-def test_what_a_crash_left_of_a_file_is_no_result(tmp_path: Path) -> None:
-    store = ResultStore.open(tmp_path, TINY)
-    store.append(KEY, FOUND)
-    store.path_of(KEY).rename(store.path_of(KEY).with_suffix(".parquet.tmp"))
-    assert ResultStore.open(tmp_path, TINY).keys() == set()
-
-
 @pytest.mark.parametrize("other", [replace(TINY, seed=1), replace(TINY, budgets=("0", "50")), PaperPlan.load("tiny")])
 def test_another_plan_is_refused(tmp_path: Path, other: RobustnessPlan | PaperPlan) -> None:
     ResultStore.open(tmp_path, TINY)

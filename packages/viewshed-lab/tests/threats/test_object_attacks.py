@@ -54,14 +54,6 @@ def test_every_attack_keeps_its_times_and_its_record(name: str) -> None:
     assert all(np.array_equal(a.detections.boxes, b.detections.boxes) for a, b in zip(sweeps, again, strict=True))
 
 
-@pytest.mark.parametrize("name", OBJECT_ATTACKS)
-def test_no_object_no_harm(name: str) -> None:
-    """Nothing to remove or move is no error, and no count of 0 forges anything."""
-    for one in _run(name, Detections.none(), seconds=3.0):
-        assert len(one.removed) == 0
-    assert all(len(one.detections) == 0 for one in _run(name, Detections.none(), seconds=3.0, mean_count=0.0))
-
-
 @given(st.integers(0, 2**32 - 1), st.integers(0, 12))
 def test_a_random_walk_is_never_too_fast(seed: int, count: int) -> None:
     """A fabricated object that walks at random keeps its number, its height, and a speed of 30 m/s at most."""
@@ -106,17 +98,6 @@ def test_removal_takes_the_nearest_within_six_meters_and_only_near_objects() -> 
     assert running.apply(gone, 0.2, GROUND).removed.tolist() == [False]
 
 
-def test_removal_on_a_trajectory_follows_its_object() -> None:
-    """An object that drives 2 m a sweep stays removed until the reset."""
-    start = _detections(1, spread_m=5.0)
-    running = OBJECT_ATTACKS["remove_trajectory"](counts="exact", mean_count=1.0, start_s=0.0).begin(
-        np.random.default_rng(0)
-    )
-    for step in range(20):
-        there = Detections(start.boxes + np.array([[2.0 * step, 0, 0, 0, 0, 0, 0]]), start.kinds, start.returns)
-        assert running.apply(there, 0.1 * step, GROUND).removed.tolist() == [True]
-
-
 @pytest.mark.parametrize(("name", "low", "high"), [("translate_static", 2.0, 6.0), ("shift_static", 0.3, 1.0)])
 def test_translated_objects_are_moved_by_so_much(name: str, low: float, high: float) -> None:
     """The vector of each object stays the same, and has the length of its attack."""
@@ -145,3 +126,14 @@ def test_time_that_goes_back_begins_anew() -> None:
     assert len(running.apply(Detections.none(), 10.0, GROUND).detections) == 0
     assert len(running.apply(Detections.none(), 12.0, GROUND).detections) == 1
     assert len(running.apply(Detections.none(), 3.0, GROUND).detections) == 0
+
+
+def test_removal_on_a_trajectory_follows_its_object() -> None:
+    """An object that drives 2 m a sweep stays removed until the reset."""
+    start = _detections(1, spread_m=5.0)
+    running = OBJECT_ATTACKS["remove_trajectory"](counts="exact", mean_count=1.0, start_s=0.0).begin(
+        np.random.default_rng(0)
+    )
+    for step in range(20):
+        there = Detections(start.boxes + np.array([[2.0 * step, 0, 0, 0, 0, 0, 0]]), start.kinds, start.returns)
+        assert running.apply(there, 0.1 * step, GROUND).removed.tolist() == [True]

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from math import inf, nan
+from math import nan
 from typing import Any
 
 import pytest
@@ -24,7 +24,6 @@ def on_objects(**changes: Any) -> object:
 
 
 REFUSED: list[tuple[object, str]] = [
-    (attack("uniform", half_extent_m=0.0), "half_extent_m must lie in [1, 1000], got 0.0"),
     (attack("uniform", mode="beams"), "mode must be one of free_form, beam_constrained, got 'beams'"),
     (attack("cluster", range_m=(30.0, 20.0)), "range_m[0] must lie in [0.1, 20], got 30.0"),
     (attack("wedge_cluster", azimuth=nan), "azimuth must be finite, in radians, got nan"),
@@ -33,20 +32,11 @@ REFUSED: list[tuple[object, str]] = [
     (attack("ghost_wall", sector_deg=180.0), "sector_deg must lie in [0.01, 150], got 180.0"),
     (attack("far_wall", far_m=-1.0), "far_m must lie in [0.5, 1000], got -1.0"),
     (attack("far_wall", placement="best"), "placement must be one of random, … largest_hidden_area, got 'best'"),
-    (attack("removal", sector_deg=400.0), "sector_deg must lie in [0.01, 360], got 400.0"),
-    (attack("removal_and_far_wall", sector_deg=0.0), "sector_deg must lie in [0.01, 360], got 0.0"),
-    (attack("high_frequency_removal", noise_rate=1.5), "noise_rate must lie in [0, 1], got 1.5"),
     (attack("jamming", share=nan), "share must lie in [0, 1], got nan"),
-    (attack("relay", offset_m=inf), "offset_m must lie in [-1000, 1000], got inf"),
-    (attack("pose_spoof", yaw_deg=-1.0), "yaw_deg must lie in [0, 180], got -1.0"),
     (attack("coherent_phantom", velocity_mps=(1.0, 0.0)), "a ghost that moves must have a start, got no first_ns…"),
-    (attack("coherent_phantom", anchor="moon"), "anchor must be one of world, sensor, got 'moon'"),
     (lambda: Spoofer(1.2), "reliability must lie in [0, 1], got 1.2"),
-    (on_objects(mean_count=-1.0), "mean_count must lie in [0, 1000], got -1.0"),
     (on_objects(mean_count=1.5), "mean_count must be a whole number where counts are exact, got 1.5"),
     (on_objects(motion="sideways"), "motion must be one of static, markov, trajectory, got 'sideways'"),
-    (on_objects(reset_s=0.0), "reset_s must lie in [0.1, 1e+06], got 0.0"),
-    (on_objects(start_s=nan), "start_s must lie in [0, 1e+06], got nan"),
     (on_objects(trajectory=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))), "trajectory must be rows of rising seconds…"),
     (lambda: Adversary("melt"), "attack must be one of … far_wall, … got 'melt'"),
     (lambda: Adversary("far_wall", start_s=3.0, end_s=2.0), "… must start at 0 s or later, before it ends…"),
@@ -57,14 +47,8 @@ REFUSED: list[tuple[object, str]] = [
     (lambda: defenses.EmptySectorCheck(0.0), "width_deg must lie in (0, 360] and share in (0, 1], got …"),
     (lambda: TemporalConsistency(margin_m=0.0), "margin_m and gap_m must be positive, got 0.0 and 1.0"),
     (lambda: corruptions.DroppedBeams(1.5), "share must lie in [0, 1], got 1.5"),
-    (lambda: corruptions.DroppedSectors(1, 400.0), "width_deg must lie in [0, 360], got 400.0"),
     (lambda: corruptions.FewerBeams(3, 2), "kept must lie in [1, 2], got 3"),
     (lambda: corruptions.RangeNoise(nan), "sigma_m must lie in [0, 10], got nan"),
-    (lambda: corruptions.MotionDistortion(-1.0, 0.0), "speed_mps must lie in [0, 100], got -1.0"),
-    (lambda: corruptions.Miscalibration(90.0), "tilt_deg must lie in [0, 45], got 90.0"),
-    (lambda: corruptions.Slope(2.0, 5.0), "grade must lie in [-1, 1], got 2.0"),
-    (lambda: corruptions.GlassPatches(-1, 1.0), "patches must lie in [0, 1000], got -1"),
-    (lambda: corruptions.Vegetation(1, 9.0), "radius_m must lie in [0, 2.5], got 9.0"),
 ]
 """What makes it, and its line (… stands for anything but a new line)."""
 

@@ -60,14 +60,6 @@ def test_what_loses_too_much_is_not_written(
     assert not (tmp_path / "bytes.onnx").exists()
 
 
-def test_a_network_of_another_config_is_refused(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
-    config, network = fresh
-    with pytest.raises(ValueError, match="the network must be one of the config tiny, with counts linear, got log"):
-        quantize(replace(config, counts="linear"), network, tmp_path / "bytes.onnx", 1)
-    with pytest.raises(ValueError, match="frames must be at least 1, got 0"):
-        quantize(config, network, tmp_path / "bytes.onnx", 0)
-
-
 def test_the_command_tells_what_it_costs(fresh: tuple[TrainConfig, Path], tmp_path: Path) -> None:
     config, network = fresh
     lines = [f"{key} = {json.dumps(value)}" for key, value in config.to_json().items() if key != "name"]

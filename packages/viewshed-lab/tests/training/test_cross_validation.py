@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import viewshed_lab.training.cross_validation as crossval_module
-from viewshed.cli import main
 from viewshed_lab.training import TrainConfig, train
-from viewshed_lab.training.cross_validation import Hyperparameters, Search, crossval, toml_of
+from viewshed_lab.training.cross_validation import Search, crossval
 
 pytestmark = pytest.mark.slow
 
@@ -22,12 +21,6 @@ SMALL = Search(folds=2, widths=(2, 4), dropouts=(0.1,), learning_rates=(1e-2,))
 @pytest.fixture
 def short(config: TrainConfig) -> TrainConfig:
     return replace(config, epochs=1)
-
-
-def test_the_grid_is_the_papers() -> None:
-    settings = Search().grid
-    assert len(set(settings)) == len({setting.name for setting in settings}) == 36
-    assert Hyperparameters(32, 0.15, 1e-4) in settings
 
 
 def test_a_stopped_search_goes_on_and_chooses_the_best_mean(
@@ -72,36 +65,12 @@ def test_optuna_asks_again_for_what_it_asked_before(short: TrainConfig, tmp_path
     assert (tmp_path / "folds.jsonl").read_bytes() == before
 
 
-def test_another_search_is_refused(short: TrainConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_search_is_refused(short: TrainConfig, tmp_path: Path) -> None:
     crossval(short, tmp_path / "out", search=replace(SMALL, trials=1))
     with pytest.raises(ValueError, match=r"folds.jsonl is of a cross-validation with other batch; choose another"):
         crossval(replace(short, batch=3), tmp_path / "out", search=SMALL)
     with pytest.raises(ValueError, match="with other folds; choose another"):
         crossval(short, tmp_path / "out", search=replace(SMALL, folds=3))
-    (tmp_path / "tiny.toml").write_text(toml_of(short))
-    words = ["crossval", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "new")]
-    for more, message in (
-        (["--sampler", "luck"], "sampler must be one of grid, optuna, got 'luck'"),
-        (["--trials", "0"], "trials must be at least 1, got 0"),
-        (["--folds", "1"], "folds must be at least 2, got 1"),
-    ):
-        with pytest.raises(SystemExit) as stop:
-            main([*words, *more])
-        assert stop.value.code == 2
-        assert message in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
     with pytest.raises(ValueError, match="must have a scene for each of 7 folds, got 6; ask for fewer folds"):
         crossval(short, tmp_path / "new", search=replace(SMALL, folds=7))
     assert not (tmp_path / "new").exists()
-
-
-def test_the_command_names_what_it_chose(
-    short: TrainConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "tiny.toml").write_text(toml_of(short))
-    with pytest.raises(SystemExit) as stop:
-        main(["crossval", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--trials", "1", "--folds", "2"])
-    said = capsys.readouterr().out
-    assert not stop.value.code
-    assert "mean F1 0." in said
-    assert said.strip().endswith("crossval.md")

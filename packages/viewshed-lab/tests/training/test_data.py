@@ -1,6 +1,5 @@
 """From a config to frames: scenes are divided, presets simulated once, and what does not fit is refused."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -9,10 +8,8 @@ import pytest
 
 from viewshed import Archive
 from viewshed.cli import main
-from viewshed_lab._jobs import Done, LocalEngine
-from viewshed_lab.data import write_archive
 from viewshed_lab.training import Fold, TrainConfig
-from viewshed_lab.training.data import TrainingData, prepare, processes_for
+from viewshed_lab.training.data import TrainingData, prepare
 from viewshed_lab.training.sources import ArchivedSamples
 
 pytestmark = pytest.mark.slow
@@ -76,18 +73,3 @@ def test_tampered_sweeps_have_no_label(config: TrainConfig, archive: Path, tmp_p
         main(["attack", str(archive), "--attack", "uniform", "--workers", "1", "--out", str(out)])
     wanted = replace(config, data=(str(out),), truth="paper_label")
     _refused(wanted, tmp_path, "holds tampered sweeps, and paper_label is of clean ones; train on its source")
-
-
-def test_an_archive_without_truth_for_the_target_is_refused(config: TrainConfig, tmp_path: Path) -> None:
-    samples = list(Archive.open(config.data[0]).split("train"))
-    bare = [replace(sample, truth=replace(sample.truth, expected_returns={}, state={})) for sample in samples]
-    write_archive(tmp_path / "bare", bare, {})
-    _refused(replace(config, data=(str(tmp_path / "bare"),)), tmp_path, "has no truth for target 'car', it has none")
-
-
-def test_a_worker_makes_frames_without_processes_of_its_own() -> None:
-    """A worker that started others would fail: so trainings beside each other once did."""
-    (done,) = LocalEngine(2).run(processes_for, [10_000])
-    assert done == Done(0, 1, None)
-    assert processes_for(10) == 1
-    assert processes_for(10_000) == os.cpu_count()

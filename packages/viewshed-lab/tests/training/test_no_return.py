@@ -12,7 +12,6 @@ from viewshed_lab.training.no_return import (
     arrays_of,
     samples_of,
     source_of,
-    within_windows,
 )
 
 
@@ -33,12 +32,6 @@ def test_the_mixture_is_a_distribution() -> None:
     assert torch.allclose(ended, 1 - at_end, atol=0.02)
     # A stop that is not there has no share.
     assert (torch.exp(mixture.log_share[:, 2]) < 1e-9).all()
-
-
-def test_windows_cross_the_seam() -> None:
-    windows = np.array([[np.pi, 0.0, 0.2, 0.1]])
-    azimuth, elevation = np.array([-3.1, 3.1, 0.0, -3.1]), np.array([0.05, -0.05, 0.0, 0.2])
-    assert within_windows(azimuth, elevation, windows).tolist() == [True, True, False, False]
 
 
 def test_most_labels_are_where_something_proposed_stands() -> None:

@@ -1,9 +1,7 @@
 """``train``: the same weights again, after a kill as well; what it refuses, and what it leaves when it fails."""
 
 import csv
-import errno
 import multiprocessing
-import os
 import shutil
 import signal
 import subprocess
@@ -11,14 +9,12 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch.nn import functional
 
-from viewshed.cli import main
 from viewshed.networks.runtime import load_runner
 from viewshed.networks.unet_torch import load_weights
 from viewshed_lab.training import TrainConfig, Trained, train
@@ -29,8 +25,6 @@ from viewshed_lab.training.log import TIMES, Epoch, Step, is_finished, scores_of
 from viewshed_lab.training.module import Learner
 
 pytestmark = pytest.mark.slow
-
-KILLED_AT = 3
 
 
 @pytest.fixture(scope="module")
@@ -146,63 +140,6 @@ def test_a_finished_training_is_not_repeated(config: TrainConfig, trained: Calla
     assert (seen, done.weights.stat().st_mtime_ns) == ([], before)
 
 
-def test_a_run_of_an_older_config_is_gone_on_with(
-    config: TrainConfig, trained: Callable[[TrainConfig], Trained], tmp_path: Path
-) -> None:
-    content = torch.load(trained(config).checkpoint, weights_only=True)
-    content["viewshed"]["config"]["doubt_frames"] = 60_000
-    torch.save(content, tmp_path / "last.ckpt")
-    done = train(config, tmp_path)
-    assert done.history == trained(config).history
-    assert _same_weights(done, trained(config))
-
-
-def test_training_ends_when_validation_no_longer_improves(config: TrainConfig, tmp_path: Path) -> None:
-    done = train(replace(config, learning_rate=1e-9, epochs=30, patience=1, schedule="constant"), tmp_path / "out")
-    losses = [epoch.validation_loss for epoch in done.history]
-    assert len(losses) < 30
-    assert losses[-1] >= min(losses[:-1])
-    assert done.best.number == 1 + int(np.argmin(losses))
-    again = train(replace(config, learning_rate=1e-9, epochs=30, patience=1, schedule="constant"), tmp_path / "out")
-    assert again == done
-
-
-def test_a_full_disk_leaves_the_epoch_before(
-    config: TrainConfig, trained: Callable[[TrainConfig], Trained], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    synced, whole = [0], os.fsync
-
-    def fsync(file: int) -> None:
-        synced[0] += 1
-        if synced[0] > 4:  # table and checkpoint of two epochs
-            raise OSError(errno.ENOSPC, "No space left on device")
-        whole(file)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", fsync)
-        with pytest.raises(OSError, match=r"history.csv: the disk is full; free some space and start the same command"):
-            train(config, tmp_path / "out")
-        synced[0] = 3
-        with pytest.raises(OSError, match=r"last.ckpt: the disk is full; free .* goes on from the last whole epoch"):
-            train(config, tmp_path / "out")
-    assert len(read_checkpoint(tmp_path / "out" / "last.ckpt")["viewshed"]["history"]) == 2
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"last.ckpt", "history.csv"}
-    assert _same_weights(train(config, tmp_path / "out"), trained(config))
-
-
-def test_a_loss_that_is_not_finite_is_told(config: TrainConfig, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="tiny: the loss of epoch 1 is not finite; choose a smaller learning_rate"):
-        train(replace(config, heights_m=(-3.0, 3.0)), tmp_path, on_progress=_Poison())
-
-
-class _Poison:
-    """Makes the running loss no number, as an overflow would."""
-
-    def __call__(self, step: Step) -> None:
-        frame: Any = sys._getframe(1)
-        frame.f_locals["self"]._train += float("nan")
-
-
 def test_what_a_worker_meets_is_one_line(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
     shutil.copytree(archive, tmp_path / "damaged")
     for shard in (tmp_path / "damaged").glob("train-*.parquet"):
@@ -248,33 +185,6 @@ def test_a_checkpoint_of_something_else_is_refused(
     _refused(config, tmp_path, r"last.ckpt is damaged or no checkpoint; delete it, and training begins again")
 
 
-def test_without_torch_or_a_graphics_card_nothing_is_written(
-    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "tiny.toml").write_text(toml_of(config))
-    words = ["train", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out")]
-    with monkeypatch.context() as patch:
-        patch.setitem(sys.modules, "torch", None)
-        said = _said(capsys, words)
-    assert said == "viewshed: training needs torch: pip install 'viewshed-lab[train]'\n"
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    assert "device cuda needs 2 graphics card(s), 0 found; use --device cpu" in _said(
-        capsys, [*words, "--device", "cuda", "--devices", "2"]
-    )
-    assert "device must be one of cpu, cuda, got 'tpu'" in _said(capsys, [*words, "--device", "tpu"])
-    assert "nodes must be at least 1, got 0" in _said(capsys, [*words, "--nodes", "0"])
-    assert not (tmp_path / "out").exists()
-
-
-def _said(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
-    with pytest.raises(SystemExit) as stop:
-        main(words)
-    assert stop.value.code == 2
-    told = capsys.readouterr()
-    assert told.err.count("\n") == 1
-    return told.err
-
-
 _COMMAND = "from viewshed.cli import main; main()"
 
 
@@ -304,15 +214,6 @@ def test_the_loss_counts_known_cells_alone(config: TrainConfig, loss: str) -> No
     assert float(learner.loss(logits, batch)) == pytest.approx(float(wanted), rel=1e-5)
     poisoned = batch | {"visible": torch.where(known > 0, visible, 1 - visible)}
     assert float(learner.loss(logits, poisoned)) == float(learner.loss(logits, batch))
-
-
-def test_making_a_learner_leaves_the_random_numbers_of_others_alone(config: TrainConfig) -> None:
-    torch.manual_seed(7)
-    wanted = torch.rand(3)
-    torch.manual_seed(7)
-    one, two = Learner(config, 1), Learner(config, 1)
-    assert torch.equal(torch.rand(3), wanted)
-    assert all(torch.equal(a, b) for a, b in zip(one.parameters(), two.parameters(), strict=True))
 
 
 def test_training_is_over_after_its_epochs_or_its_patience(config: TrainConfig) -> None:

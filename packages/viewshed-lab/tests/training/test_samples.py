@@ -1,6 +1,6 @@
 """TrainingFrames: inputs against a count by hand, truth against the archive, attacks and dropout by their seeds."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed import Archive, BevGrid, Sample, Sweep
+from viewshed import Archive, BevGrid, Sample
 from viewshed.estimators import PAPER_ESTIMATORS
 from viewshed.geometry import Rigid
 from viewshed.networks.features import HISTORY_FEATURES, NO_HISTORY
 from viewshed.sensors import LidarModel
-from viewshed.sweep import unorganized_no_sensor
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.presets import preset_named
@@ -24,7 +23,7 @@ from viewshed_lab.threats.attacks.removal import PhysicalRemoval
 from viewshed_lab.training import TrainConfig
 from viewshed_lab.training.data import prepare
 from viewshed_lab.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
-from viewshed_lab.training.sources import ArchivedSamples, CleanSample, CleanSamples, OnlineSimulation
+from viewshed_lab.training.sources import ArchivedSamples, OnlineSimulation
 
 pytestmark = pytest.mark.slow
 
@@ -128,21 +127,6 @@ def test_processes_share_an_epoch(frames: int, world: int, block: int, epoch: in
     assert len(held) == len(ValidationOrder(frames, shares[0])) * world
 
 
-def test_an_epoch_has_an_order_of_its_own_and_keeps_blocks_together() -> None:
-    order = TrainingOrder(40, 24, 8, 1)
-    first = [number for _, number in order]
-    order.set_epoch(1)
-    assert first != [number for _, number in order]
-    assert [first[k] // 8 for k in (0, 8, 16)] == [first[k] // 8 for k in (7, 15, 23)]
-
-
-def test_a_blank_frame_counts_nowhere(config: TrainConfig, tmp_path: Path) -> None:
-    frames = prepare(config, tmp_path).validation
-    blank, real = frames[0, BLANK], frames[0, 0]
-    assert {name: array.shape for name, array in blank.items()} == {name: array.shape for name, array in real.items()}
-    assert not blank["known"].any()
-
-
 def _equal(one: dict[str, NDArray[np.float32]], two: dict[str, NDArray[np.float32]]) -> bool:
     return all((one[name] == two[name]).all() for name in one)
 
@@ -174,42 +158,6 @@ def test_what_decides_kept_frames_decides_where_they_are(config: TrainConfig, tm
         assert len(set((tmp_path / "frames").iterdir()) - known) == 2
 
 
-def test_channels_of_the_same_frames_are_kept_once(config: TrainConfig, tmp_path: Path) -> None:
-    wanted = replace(config, attacks=("uniform",), attack_share=1.0, versions=1, inputs=("counts", "blocker"))
-    prepare(wanted, tmp_path)
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy")}
-    more = replace(wanted, inputs=("expected", "counts"))
-    kept, made = prepare(more, tmp_path), prepare(replace(more, versions=0), tmp_path)
-    now = {
-        path: path.stat().st_mtime_ns for path in (tmp_path / "frames").rglob("*.npy") if "expected" not in path.name
-    }
-    truth = {path for path in before if "truth" in path.name}
-    assert {path: at for path, at in now.items() if path not in truth} == {
-        p: at for p, at in before.items() if p not in truth
-    }
-    for index in range(len(made.train)):
-        assert made.train[1, index]["inputs"].shape[0] == 2
-        assert _equal(made.train[1, index], kept.train[1, index])
-
-
-def test_a_share_of_the_clouds_has_no_rings(
-    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stripped: list[Sweep] = []
-
-    def strip(sweep: Sweep) -> Sweep:
-        stripped.append(unorganized_no_sensor(sweep))
-        return stripped[-1]
-
-    monkeypatch.setattr("viewshed_lab.training.samples.unorganized_no_sensor", strip)
-    bare = replace(config, attacks=(), attack_share=0.0, ringless_share=0.5)
-    some, none = prepare(bare, tmp_path).train, prepare(replace(bare, ringless_share=0.0), tmp_path).train
-    same = [(some[1, index]["inputs"] == none[1, index]["inputs"]).all() for index in range(len(none))]
-    assert all(same)
-    assert 0.2 < len(stripped) / len(none) < 0.8
-    assert all(sweep.ring is None and sweep.model is None for sweep in stripped)
-
-
 def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig, tmp_path: Path) -> None:
     names = ("counts", "expected", *HISTORY_FEATURES)
     wanted = replace(config, attacks=(), attack_share=0.0, past_share=0.5, inputs=names)
@@ -220,39 +168,6 @@ def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig,
     assert 0.15 < np.mean(with_past) < 0.6  # the first sweep of each scene has none before it
     other = prepare(replace(wanted, inputs=HISTORY_FEATURES), tmp_path).train
     assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
-
-
-def test_sweeps_without_a_pose_have_no_past(config: TrainConfig, tmp_path: Path) -> None:
-    wanted = replace(config, attacks=(), attack_share=0.0, past_share=1.0, inputs=("confirmations",))
-    frames = prepare(wanted, tmp_path).train
-    assert any((frames[1, index]["inputs"] * 255 != NO_HISTORY).any() for index in range(len(frames)))
-    lost = replace(frames, source=_WithoutPoses(frames.source))
-    assert all((lost[1, index]["inputs"] * 255 == NO_HISTORY).all() for index in range(len(frames)))
-
-
-@dataclass(frozen=True)
-class _WithoutPoses:
-    """Samples of which every other sweep has lost its pose."""
-
-    source: CleanSamples
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    @property
-    def block(self) -> int:
-        return self.source.block
-
-    def clean(self, epoch: int, index: int) -> CleanSample:
-        return self._lost(self.source.clean(epoch, index), index)
-
-    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
-        sweeps = self.source.earlier(epoch, index, count)
-        return sweeps if index % 2 else tuple(sweep.replace(world_from_sensor=None) for sweep in sweeps)
-
-    @staticmethod
-    def _lost(sample: CleanSample, index: int) -> CleanSample:
-        return replace(sample, sweep=sample.sweep.replace(world_from_sensor=None)) if index % 2 else sample
 
 
 def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
@@ -324,14 +239,8 @@ def test_mirrored_frames_are_turned_alike_in_all_their_parts(config: TrainConfig
     assert len(seen) == 8
 
 
-def test_the_papers_label_turns_with_its_sweep(config: TrainConfig, archive: Path, tmp_path: Path) -> None:
-    """Else turned frames would be wrongly labeled: its sectors and bins must lie alike in all quarters."""
-    estimator = PAPER_ESTIMATORS["paper_label"](BevGrid(64, 32.0))
-    for sample in list(Archive.open(archive).split("train"))[::6]:
-        sweep = sample.sweep
-        left = np.column_stack([-sweep.points[:, 1], sweep.points[:, 0], sweep.points[:, 2]]).astype(np.float32)
-        level = np.array([1.0, 0.0, 0.0, 0.0])
-        straight = estimator.estimate(sweep.replace(attitude=level, world_from_sensor=None)).visible()
-        turned = estimator.estimate(sweep.replace(points=left, attitude=level, world_from_sensor=None)).visible()
-        wrong = turned != _turned(straight.astype(np.float32), 1, False).astype(np.bool_)
-        assert wrong.mean() < 0.01  # rounding at the edges of sectors
+def test_a_blank_frame_counts_nowhere(config: TrainConfig, tmp_path: Path) -> None:
+    frames = prepare(config, tmp_path).validation
+    blank, real = frames[0, BLANK], frames[0, 0]
+    assert {name: array.shape for name, array in blank.items()} == {name: array.shape for name, array in real.items()}
+    assert not blank["known"].any()

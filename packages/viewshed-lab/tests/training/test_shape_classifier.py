@@ -44,13 +44,6 @@ def test_candidates_are_what_they_lie_on() -> None:
     assert (labels[wall] == SeenAs.NOTHING).all()
 
 
-def test_nothing_is_labeled_without_objects() -> None:
-    each = scene()
-    candidates = find_candidates(each.leveled)
-    nobody = each.objects.take(np.zeros(3, np.bool_))
-    assert (labels_of(each.leveled.points[:, :2], candidates, nobody) == SeenAs.NOTHING).all()
-
-
 @pytest.mark.slow
 def test_a_fit_learns_what_it_is_shown_and_the_same_seed_gives_the_same() -> None:
     each = scene()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from viewshed import BevGrid, CellState, FovEstimate, _core
-from viewshed.agents.fov_code import decode_fov, encode_fov, has_std, level_values, max_code_bytes, sensor_cell
+from viewshed.agents.fov_code import decode_fov, encode_fov, has_std, level_values, max_code_bytes
 
 
 def view_of(grid: BevGrid, prob: Any, state: Any, std: Any = None, threshold: float = 0.5) -> FovEstimate:
@@ -77,40 +77,6 @@ def test_any_view_comes_back_with_its_states_and_its_mask(estimate: FovEstimate)
         found = sent(estimate)
         assert (found.state == estimate.state).all()
         assert (found.visible() == estimate.visible()).all()
-
-
-@given(st.integers(1, 24), st.integers(0, 2**32), st.booleans())
-def test_the_core_keeps_every_number(cells: int, seed: int, with_deviations: bool) -> None:
-    rng = np.random.default_rng(seed)
-    kinds = int(rng.integers(1, 5)), int(rng.integers(1, 17)), int(rng.integers(1, 10))
-    state, level, deviation = (rng.integers(0, kind, (cells, cells), dtype=np.uint8) for kind in kinds)
-    deviation = deviation if with_deviations else deviation[:0, :0].copy()
-    row, column = (int(each) for each in rng.integers(cells, size=2))
-    code = _core.encode_view(state, level, deviation, row, column)
-    prob, std = np.arange(16, dtype=np.float32), np.arange(9, dtype=np.float32)
-    found = _core.decode_view(
-        np.frombuffer(code, np.uint8), cells, row, column, prob, std if with_deviations else std[:0].copy()
-    )
-    if code:
-        assert (found[0] == state).all()
-        assert (found[1] == level).all()
-        assert (found[2] is not None) == with_deviations
-        if found[2] is not None:
-            assert (found[2] == deviation).all()
-
-
-def test_a_view_of_nothing_takes_a_few_bytes() -> None:
-    grid = BevGrid()
-    assert len(encode_fov(view_of(grid, np.zeros(grid.shape), np.zeros(grid.shape)))) <= 8
-
-
-def test_what_is_like_its_neighbor_toward_the_sensor_is_cheap() -> None:
-    """Four states in wedges about the sensor, which stands off the middle: boundaries alone cost bits."""
-    grid = BevGrid(128, 32.0, (8.0, 4.0))
-    angle = np.arctan2(grid.centers[..., 1], grid.centers[..., 0])
-    state = ((angle + np.pi) / (2 * np.pi) * 8).astype(np.uint8) % 4
-    code = encode_fov(view_of(grid, np.isin(state, (1, 2)).astype(np.float32), state))
-    assert len(code) < 220  # two bits a cell would be 4096
 
 
 def test_noise_falls_back_to_fewer_levels_and_then_is_refused() -> None:
@@ -181,18 +147,3 @@ def test_too_many_bytes_and_too_many_cells_are_refused_before_decoding() -> None
     with pytest.raises(ValueError, match="at most 512 cells per side, got 513"):
         encode_fov(view_of(large, np.zeros(large.shape), np.zeros(large.shape)))
     assert max_code_bytes(BevGrid(1, 1.0)) == 64
-
-
-@pytest.mark.parametrize(
-    ("cells", "offset_m", "expected"),
-    [(4, (0.0, 0.0), (2, 2)), (4, (3.0, 0.5), (0, 1)), (4, (-99.0, 99.0), (3, 0)), (3, (0.0, 0.0), (1, 1))],
-)
-def test_the_sensor_stands_in_its_cell_or_the_nearest(
-    cells: int, offset_m: tuple[float, float], expected: tuple[int, int]
-) -> None:
-    assert sensor_cell(BevGrid(cells, cells / 2, offset_m)) == expected
-
-
-def test_a_code_of_nothing_is_no_view() -> None:
-    code, prob, std = np.zeros(3, np.uint8), np.zeros(16, np.float32), np.zeros(9, np.float32)
-    assert _core.decode_view(code, 4, 0, 0, prob, std) is None

@@ -10,7 +10,6 @@ from viewshed.agents.honest import (
     HonestModel,
     ObjectReports,
     fit_honest,
-    honest_model,
     own_box_columns,
     reported_columns,
 )
@@ -52,20 +51,6 @@ def test_weights_are_the_log_odds_of_the_bins() -> None:
         Weights.fit(counted(columns, 5), np.ones(60000, bool))
 
 
-def test_a_column_that_occurs_twice_weighs_twice() -> None:
-    rng = np.random.default_rng(4)
-    columns = rng.integers(0, 4, (60000, 2))  # the last number is no column
-    odds = 1.2 * (columns == 0).sum(axis=1) - 0.8 * (columns == 1).sum(axis=1)
-    fitted = Weights.fit(counted(columns, 3), rng.random(60000) < 1 / (1 + np.exp(-odds)))
-    assert np.allclose(fitted.of_bins, [1.2, -0.8, 0.0], atol=0.1)
-
-
-def test_rows_that_weigh_more_count_more() -> None:
-    columns, label = np.zeros((100, 1), np.int32), np.arange(100) < 50
-    odds = Weights.fit(counted(columns, 1), label, np.where(label, 3.0, 1.0))(columns)[0]
-    assert odds == pytest.approx(np.log(3.0), abs=0.05)
-
-
 def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     rng = np.random.default_rng(3)
     examples = []
@@ -101,15 +86,6 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     assert np.allclose(again.reported.of_bins, model.reported.of_bins, atol=1e-3)
     with pytest.raises(ValueError, match="fit the model again"):
         HonestModel.from_json(model.to_json().replace("0.995", "0.99").replace("0.98", "0.97"))
-
-
-def test_the_model_in_the_box_asks_what_it_was_fitted_on() -> None:
-    model, blank = honest_model(), HonestModel.blank()
-    for name in ("reported", "alone", "shared", "invented", "real", "displaced"):
-        assert getattr(model, name).of_bins.shape == getattr(blank, name).of_bins.shape
-    assert (model.found.shape, model.views.pairs.shape) == (blank.found.shape, blank.views.pairs.shape)
-    # Agreement of others counts, and so does their denial.
-    assert model.of_others[4, 0] > model.of_others[1, 0] > model.of_others[1, 1]
 
 
 def test_what_agents_say_and_could_have_seen() -> None:

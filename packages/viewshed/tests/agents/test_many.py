@@ -17,7 +17,6 @@ from viewshed.agents.many import (
     joint_fov,
     match_agents,
 )
-from viewshed.agents.registration import PoseStd
 from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.detections import Detections
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
@@ -96,18 +95,6 @@ def test_what_one_conceals_stays_and_it_is_suspected() -> None:
     assert last.verdicts.evidence.argmax() == 0
 
 
-def test_looks_are_counted_since_the_last_report_or_since_the_first_of_anybody() -> None:
-    """One reports both cars, one stops after two looks, one never does: each has its past, with returns and surface."""
-    said = [
-        run([[CARS, CARS if time < 2 else CARS[:0], CARS[:0]] for time in range(count)])[-1].said for count in (2, 5)
-    ]
-    assert [each.before[0].tolist() for each in said] == [[1, 1, 0], [4, 2, 0]]
-    assert [each.silent[0].tolist() for each in said] == [[0, 0, 1], [0, 2, 4]]
-    assert said[1].returns[0, :2].tolist() == [50.0, 50.0]
-    assert np.isnan(said[1].returns[0, 2])
-    assert (said[1].surface[0, :2] > 0.05).all()
-
-
 def test_the_own_vehicle_is_no_missing_object() -> None:
     own = np.array([[0.0, 0.0, 0.8, 4.8, 2.0, 1.6, 0.0]])
     agent = AgentReport.of(AGENTS[0], Detections.none())
@@ -139,14 +126,6 @@ def test_reports_of_strangers_doubles_and_the_past_are_refused() -> None:
         AgentReport(replace(view("a"), world_from_level=None), Detections.none())
 
 
-def test_an_agent_that_says_nothing_for_a_time_is_no_liar() -> None:
-    center = CommandCenter(("a", "b", "c"))
-    for time in range(8):
-        picture = center.add(0.5 * time, [report(agent, CARS) for agent in AGENTS[: 3 if time < 3 else 2]])
-    assert not picture.verdicts.suspects.any()
-    assert picture.verdicts.trust[2] > 0.8
-
-
 def test_a_mast_that_says_nothing_for_a_time_is_judged_as_a_mast() -> None:
     mast = replace(AGENTS[1], basis=Basis(8.0, "estimated", 0.9, 0.0, 0.0, 60.0))
     center = CommandCenter(("a", "b"))
@@ -173,28 +152,6 @@ def test_a_message_says_on_what_the_sensor_stands_and_how_well_its_place_is_know
     assert len(car.detections) == 0
     with pytest.raises(ValueError, match="must have a view"):
         AgentReport.of_message(replace(sent, view=None))
-
-
-def test_poses_that_are_off_within_their_stated_errors_leave_honest_agents_trusted() -> None:
-    """The same reports, each half a meter off: with errors stated, the picture has them where they are."""
-    rng = np.random.default_rng(4)
-    said = [[report(agent, CARS) for agent in AGENTS] for _ in range(6)]
-    off = []
-    for reports in said:
-        steps = [Rigid(np.eye(3), np.append(rng.normal(0.0, 0.2, 2), 0.0)) for _ in reports]
-        views = [
-            replace(one.estimate, world_from_level=step @ one.world_from_level)
-            for one, step in zip(reports, steps, strict=True)
-        ]
-        off.append([
-            replace(one, estimate=view, pose_std=PoseStd(0.2, 0.01)) for one, view in zip(reports, views, strict=True)
-        ])  # fmt: skip
-    center = CommandCenter(("a", "b", "c"))
-    for time, reports in enumerate(off):
-        picture = center.add(0.5 * time, reports)
-    assert picture.believed.sum() == 2
-    assert not picture.verdicts.suspects.any()
-    assert [one.agent for one in picture.reports] == ["a", "b", "c"]
 
 
 def test_the_joint_view_is_what_any_trusted_agent_sees() -> None:

@@ -72,15 +72,6 @@ def test_a_replayed_time_is_refused_and_the_next_one_taken() -> None:
     assert center.add(86_404.0, honest).believed.sum() == 2
 
 
-def test_clocks_apart_by_seconds_speak_of_other_times() -> None:
-    """What an agent says late is of a round of its own: it is missing in the others, and nobody is a liar for that."""
-    center = CommandCenter(NAMES)
-    for number in range(6):
-        center.add(10.0 * number, [report(AGENTS[0], CARS), report(AGENTS[1], CARS)])
-        last = center.add(10.0 * number + 3.0, [report(AGENTS[2], CARS)])
-    assert not last.verdicts.suspects.any()
-
-
 def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:
     rng = np.random.default_rng(3)
     flood = np.tile(CARS[:1], (MAX_DETECTIONS, 1))

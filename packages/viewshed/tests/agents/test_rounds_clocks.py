@@ -56,8 +56,7 @@ def full(done: list[Round], agents: set[str]) -> int:
     return sum(agents <= {report.agent for report in each.reports} for each in done)
 
 
-@pytest.mark.parametrize("jitter_s", [0.0, 0.05, 0.1])
-@pytest.mark.parametrize("count", [3, 5, 10])
+@pytest.mark.parametrize(("count", "jitter_s"), [(3, 0.1), (5, 0.0), (10, 0.05)])
 def test_rounds_hold_all_agents_whatever_their_clocks_and_the_liar_is_found(count: int, jitter_s: float) -> None:
     offsets_s, liar = np.linspace(-0.45, 0.45, count), count - 1
     reports = fleet(count, liar)
@@ -71,7 +70,7 @@ def test_rounds_hold_all_agents_whatever_their_clocks_and_the_liar_is_found(coun
     assert abs(done[-1].picture.t_s - (BEGIN_S + 39 / HZ)) < 0.2
 
 
-@pytest.mark.parametrize("offset_s", np.linspace(-0.45, 0.45, 7))
+@pytest.mark.parametrize("offset_s", [-0.45, 0.15, 0.45])
 @pytest.mark.parametrize("named", [False, True])
 def test_one_clock_that_is_off_leaves_nobody_out(offset_s: float, named: bool) -> None:
     reports = fleet(3)

@@ -1,4 +1,4 @@
-"""Messages on the way: lost, late, doubled and in another order, the same for the same seed; and by zenoh."""
+"""Messages on the way by zenoh: between processes, bounded, and over TLS."""
 
 import datetime
 import ipaddress
@@ -9,130 +9,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
-from tests.agents import message_samples as samples
 
-from viewshed.agents.receiver import Reason, Receiver
-from viewshed.agents.signing import KeyRing, SigningKey, sign_message
-from viewshed.agents.transport import QUEUE, Radio, RadioFaults, Tls, ZenohTransport
+from viewshed.agents.transport import Tls, ZenohTransport
 from viewshed.agents.view_message import MAX_BYTES
-
-MS = 1_000_000
-
-
-def radio(seed: int = 0, **faults: float) -> Radio:
-    return Radio(np.random.default_rng(seed), RadioFaults(**faults))
-
-
-def test_all_others_get_what_is_sent_and_the_sender_does_not() -> None:
-    medium = radio()
-    a, b, c = (medium.join(name) for name in "abc")
-    a.send(b"one", 5)
-    for end in (b, c):
-        assert [(each.data, each.at_ns, each.link) for each in end.take(5)] == [(b"one", 5, "a")]
-        assert end.take(5) == []
-    assert a.take(5) == []
-    c.close()
-    a.send(b"two", 6)
-    assert [each.data for each in b.take(6)] == [b"two"]
-    assert c.take(6) == []
-
-
-def arrivals(seed: int, **faults: float) -> list[tuple[int, bytes]]:
-    """Numbers sent each 100 ms, and when they arrive."""
-    medium = radio(seed, **faults)
-    a, b = medium.join("a"), medium.join("b")
-    for k in range(1000):
-        a.send(k.to_bytes(2, "big"), 100 * MS * k)
-        if k % 100 == 0:
-            assert all(each.at_ns <= 100 * MS * k for each in b.take(-1))
-    found = []
-    for k in range(1200):
-        found += [(each.at_ns, each.data) for each in b.take(100 * MS * k)]
-    return found
-
-
-def test_the_seed_decides_what_happens() -> None:
-    faults = {"loss": 0.2, "jitter_s": 0.05, "doubled": 0.1}
-    # More than QUEUE messages wait: the newest ones are there.
-    assert arrivals(1, **faults) == arrivals(1, **faults)
-    assert arrivals(1, **faults) != arrivals(2, **faults)
-
-
-def test_faults_have_their_shares() -> None:
-    medium = radio(3, loss=0.2, doubled=0.3, delay_s=0.05, jitter_s=0.01)
-    a, b = medium.join("a"), medium.join("b")
-    found = []
-    for k in range(4000):
-        a.send(k.to_bytes(2, "big"), 100 * MS * k)
-        found += [(each.at_ns - 100 * MS * int.from_bytes(each.data, "big")) for each in b.take(100 * MS * k)]
-    waits = np.array(found) / MS
-    assert len(found) == pytest.approx(4000 * 0.8 * 1.3, rel=0.05)
-    assert waits.min() >= 50.0
-    assert waits.mean() == pytest.approx(60.0, abs=1.0)
-
-
-def test_messages_overtake_each_other() -> None:
-    medium = radio(4, reordered=0.2, reordered_s=0.25)
-    a, b = medium.join("a"), medium.join("b")
-    numbers = []
-    for k in range(500):
-        a.send(k.to_bytes(2, "big"), 100 * MS * k)
-        numbers += [int.from_bytes(each.data, "big") for each in b.take(100 * MS * k)]
-    behind = np.mean(np.diff(numbers) < 0)
-    assert 0.1 < behind < 0.3
-
-
-def test_what_waits_is_bounded() -> None:
-    medium = radio()
-    a, b = medium.join("a"), medium.join("b")
-    for k in range(QUEUE + 10):
-        a.send(k.to_bytes(2, "big"), k)
-    found = b.take(10**9)
-    assert len(found) == QUEUE
-    assert b.dropped == 10
-    assert int.from_bytes(found[0].data, "big") == 10
-
-
-def test_names_and_faults_are_checked() -> None:
-    medium = radio()
-    medium.join("a")
-    with pytest.raises(ValueError, match="a name of its own, got 'a' again"):
-        medium.join("a")
-    with pytest.raises(ValueError, match="1 to 32 letters"):
-        medium.join("a/b")
-    with pytest.raises(ValueError, match=r"loss must lie in \[0, 1\], got 2"):
-        RadioFaults(loss=2)
-    with pytest.raises(ValueError, match="delay_s must be finite and not negative, got nan"):
-        RadioFaults(delay_s=float("nan"))
-
-
-def test_over_a_bad_radio_each_message_is_taken_once_or_counted() -> None:
-    """20 % loss, 200 ms of delay, jitter, doubles and reordering: what is taken is in order, and the books balance."""
-    key = SigningKey.generate("car1")
-    medium = radio(5, loss=0.2, delay_s=0.2, jitter_s=0.02, doubled=0.1, reordered=0.1)
-    car, mast = medium.join("car1"), medium.join("mast")
-    here, arrived, sequences = Receiver(KeyRing((key.verifying(),)), start_ns=samples.NOW_NS - 1000 * MS), 0, []
-    small = {"view": None, "ground": None, "detections": None, "report": None, "tracks": None}
-    for k in range(200):
-        now_ns = samples.NOW_NS + 100 * MS * k
-        car.send(sign_message(samples.message(k, "car1", now_ns, **small), key), now_ns)
-        for each in mast.take(now_ns):
-            arrived += 1
-            receipt = here.receive(each.data, each.at_ns, each.link)
-            if receipt.message is not None:
-                sequences.append(receipt.message.sequence)
-    assert sequences == sorted(set(sequences))
-    assert here.taken + here.refused.total() == arrived
-    assert set(here.refused) == {Reason.DOUBLED, Reason.LATE}
-    assert here.agents["car1"].lost == sequences[-1] + 1 - sequences[0] - len(sequences)
-    assert len(sequences) > 130
 
 
 def free_endpoint() -> str:

@@ -16,7 +16,7 @@ from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie, with_objects, without_objects
+from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie
 
 GRID = BevGrid(128, 32.0)
 
@@ -127,18 +127,6 @@ def test_what_stands_in_the_way_hides_a_little_more_than_its_own_sector(from_abo
     assert counts.tolist() == [[0, 0], [0, 0], [0, 3 if from_above else 2], [0, 3 if from_above else 2]]
 
 
-def test_one_view_alone_is_compared_with_its_past_only() -> None:
-    reports = {1: AgentReport(OWN, Detections.none())}
-    first, seen = compare_views(reports, 2, {}, [1])
-    again, _ = compare_views(reports, 2, seen, [1])
-    assert np.isnan(first.pairs).all()
-    assert np.isnan(first.own[1, :2]).all()
-    assert again.own[1, :2].tolist() == [0.0, 0.0]
-    nothing, seen = compare_views({}, 2, {}, [])
-    assert np.isnan(nothing.own).all()
-    assert not seen
-
-
 def test_surprises_are_what_is_rare_of_each_kind() -> None:
     rng = np.random.default_rng(2)
     elevated = np.array([False, False, True])
@@ -155,38 +143,3 @@ def test_surprises_are_what_is_rare_of_each_kind() -> None:
     again = Surprises.from_json(surprises.to_json())
     assert again(Comparisons(pairs, own), elevated)[0] == pytest.approx(of_pairs, nan_ok=True, abs=0.1)
     assert np.nanmax(Surprises.blank()(Comparisons(pairs, own), elevated)[1]) == 0.0
-
-
-@pytest.mark.parametrize("name", VIEW_LIES)
-def test_lies_are_valid_views_and_change_what_they_say(name: str) -> None:
-    lie, amount = VIEW_LIES[name]
-    old = replace(honest("a", -2.0, 1.0, 0.8), t_ns=-2_000_000_000)
-    false = lie([old, OWN], ViewLie(0.7, amount))
-    assert false.agent == "a"
-    if name == "over_claim":
-        assert false.visible().sum() / OWN.visible().sum() == pytest.approx(1.2, abs=0.03)
-    if name == "under_claim":
-        assert false.visible().sum() / OWN.visible().sum() == pytest.approx(0.7, abs=0.03)
-    moved = np.linalg.norm(false.world_from_level.translation - OWN.world_from_level.translation)
-    assert moved == pytest.approx(1.0 if name == "shifted_pose" else 0.0, abs=1e-9)
-    visible = (false.state == CellState.FREE) | (false.state == CellState.SURFACE)
-    assert (false.visible() == visible).all()
-
-
-def test_a_forged_object_has_a_near_side_and_a_shadow_and_can_be_taken_away() -> None:
-    view = FovEstimate(GRID, np.full(GRID.shape, 0.9, np.float32), np.full(GRID.shape, CellState.FREE, np.uint8))
-    box = np.array([[10.0, 0.0, 0.8, 4.0, 2.0, 1.5, 0.0]])
-    forged = with_objects(view, box)
-
-    def at(x_m: float, y_m: float, of: FovEstimate = forged) -> int:
-        cells, _ = GRID.index(np.array([x_m, y_m]))
-        return int(of.state[cells[0], cells[1]])
-
-    # It stands from x = 8 to 12 m: its near side is seen, the rest and what lies behind is not.
-    assert at(8.2, 0.2) == CellState.SURFACE
-    assert at(11.2, 0.2) == at(20.2, 0.2) == CellState.HIDDEN
-    assert at(6.2, 0.2) == at(10.2, 4.2) == at(-10.2, 0.2) == CellState.FREE
-    assert not forged.visible()[forged.state == CellState.HIDDEN].any()
-    gone = without_objects(forged, box)
-    assert at(8.2, 0.2, gone) == at(11.2, 0.2, gone) == CellState.FREE
-    assert at(20.2, 0.2, gone) == CellState.HIDDEN  # nobody knows what it hid

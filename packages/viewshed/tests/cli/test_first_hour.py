@@ -2,21 +2,16 @@
 
 import inspect
 import json
-import re
 import subprocess
 import sys
-import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from tests.cli.commands import run
-from typer.main import get_command
 
 import viewshed
 from viewshed import BevGrid, Rigid, Sweep, write_sweep
-from viewshed.cli import application
 from viewshed.cli.estimate import estimate as estimate_command
 from viewshed.cli.export import export as export_command
 from viewshed.cli.record import record
@@ -95,17 +90,6 @@ def test_an_origin_in_a_reference_system_places_points_of_a_map(tmp_path: Path) 
     assert center == pytest.approx((66_000.0, 30_000.0))
 
 
-def test_points_of_a_map_keep_their_centimeters(tmp_path: Path) -> None:
-    origin = np.array([566_000.0, 5_930_000.0, 12.0])
-    np.save(tmp_path / "map.npy", STREET.points.astype(np.float64) + origin)
-    np.save(tmp_path / "own.npy", STREET.points)
-    words = ("--to", "npz", "--grid", "indoor", "--out")
-    moved = run("export", tmp_path / "map.npy", "--origin", "566000,5930000,12", *words, tmp_path / "map.npz")
-    assert (moved.returncode, moved.stderr) == (0, "")
-    assert run("export", tmp_path / "own.npy", *words, tmp_path / "own.npz").returncode == 0
-    assert (read_npz(tmp_path / "map.npz").state == read_npz(tmp_path / "own.npz").state).mean() > 0.999
-
-
 def test_each_method_has_a_file_name_of_its_own(drive: Path, tmp_path: Path) -> None:
     for method in ("shadow_map", "first_blocker"):
         words = ("--method", method, *FAST, "--out", tmp_path)
@@ -134,15 +118,6 @@ def test_one_default_everywhere(drive: Path, tmp_path: Path) -> None:
         assert f"`{DEFAULT_ESTIMATOR}`" in (DOCS / page).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("weights", "method"), [("road", "unet"), ("viewnet_road", "viewnet"), ("viewnet_road_int8", "viewnet")]
-)
-def test_the_line_names_the_network_that_looked(weights: str, method: str, drive: Path, tmp_path: Path) -> None:
-    done = run("estimate", drive / "9.npz", "--weights", weights, "--results", "npz", "--out", tmp_path)
-    assert f"({method}, " in done.stdout, done.stderr
-    assert [file.name for file in tmp_path.iterdir()] == [f"9_{method}.npz"]
-
-
 def test_points_of_any_width_are_estimated() -> None:
     rows = np.column_stack([STREET.points, np.ones(len(STREET)), np.zeros(len(STREET))])
     plain = viewshed.estimate(STREET.points, grid="indoor")
@@ -166,6 +141,8 @@ def test_points_of_any_width_are_estimated() -> None:
         (np.zeros((5, 3), complex), "points must be real numbers, got dtype complex128"),
         (np.zeros(5, [("x", "f4"), ("y", "f4")]), "points must have fields x, y and z, got x, y"),
         ([["a", "b", "c"]], "points must be real numbers"),
+        (np.ones((64, 1024)), "is it a range image"),
+        (np.ones((64, 1024, 3)), r"reshape it \(points.reshape\(-1, 3\)\)"),
     ],
 )
 def test_an_array_that_is_no_cloud_is_named(points: object, message: str) -> None:
@@ -176,23 +153,6 @@ def test_an_array_that_is_no_cloud_is_named(points: object, message: str) -> Non
 def test_what_a_sweep_says_itself_is_not_said_again() -> None:
     with pytest.raises(ValueError, match="go with points, got a Sweep"):
         viewshed.estimate(STREET, sensor="vlp16")
-
-
-def test_commands_that_read_bags_take_a_topic() -> None:
-    commands = get_command(application()).commands  # type: ignore[attr-defined]
-    for name in ("estimate", "info", "compare", "export", "view"):
-        assert "--topic" in {option for each in commands[name].params for option in each.opts}
-    assert re.search(r"--topic", run("monitor", "check", "--help").stdout)
-
-
-def test_a_line_is_short_and_a_total_ends_many(drive: Path, tmp_path: Path) -> None:
-    done = run("estimate", drive, *FAST, "--out", tmp_path / "o")
-    lines = done.stdout.splitlines()
-    assert [len(line.partition(" → ")[0]) <= 100 for line in lines] == [True] * 4
-    areas_m2 = [float(re.search(r"visible (\d+) m²", line)[1]) for line in lines[:3]]
-    assert lines[3].startswith(
-        f"3 sweeps: {np.mean(areas_m2):.0f} m² on average, {min(areas_m2):.0f} to {max(areas_m2):.0f}; "
-    )
 
 
 def test_json_says_what_the_arrays_hold_and_quiet_says_nothing(drive: Path, tmp_path: Path) -> None:
@@ -218,34 +178,6 @@ def test_out_is_a_folder_for_every_command_unless_it_is_named_like_a_file(
     assert (tmp_path / "more").is_dir()
 
 
-def test_whole_numbers_are_millimeters_and_that_is_noted(tmp_path: Path) -> None:
-    np.save(tmp_path / "mm.npy", np.rint(STREET.points * 1000).astype(np.int32))
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        code, _, err = run("estimate", tmp_path / "mm.npy", *FAST, "--out", tmp_path)
-    assert code == 0
-    assert err == "viewshed: note: int32 points are read as millimeters; save meters as float32\n"
-
-
-def test_help_of_a_command_with_many_options_has_sections() -> None:
-    text = run("estimate", "--help").stdout
-    titles = re.findall(r"^(\w.*):$", text, re.MULTILINE)
-    assert titles == ["Arguments", "Options", "Reading options", "Method options"]
-    parts = re.split(r"^\w.*:$", text, flags=re.MULTILINE)
-    assert max(len(re.findall(r"^  --", part, re.MULTILINE)) for part in parts) < 16
-    assert "Reading options" not in run("demo", "--help").stdout
-
-
-def test_no_option_means_two_things() -> None:
-    meanings: dict[str, set[str]] = {}
-    commands: Any = get_command(application())
-    for command in commands.commands.values():
-        for param in command.params:
-            if param.opts[0] in {"--profile", "--every", "--step", "--parameters", "--between"}:
-                meanings.setdefault(param.opts[0], set()).add(param.help)
-    assert {option: len(texts) for option, texts in meanings.items()} == dict.fromkeys(meanings, 1)
-
-
 def test_the_module_is_the_program(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-m", "viewshed", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"viewshed {viewshed.__version__}\n"
@@ -265,16 +197,3 @@ def test_python_takes_a_file_and_shows_what_it_found(drive: Path, monkeypatch: p
     assert path.read_bytes() == fov.plot()
     with pytest.raises(FileNotFoundError, match=r"no\.bin"):
         viewshed.estimate("no.bin")
-
-
-@pytest.mark.parametrize(
-    ("shape", "remedy"),
-    [
-        ((64, 1024), "is it a range image"),
-        ((64, 1024, 3), r"reshape it \(points.reshape\(-1, 3\)\)"),
-        ((), r"got \(\)"),
-    ],
-)
-def test_an_array_of_another_shape_is_no_cloud(shape: tuple[int, ...], remedy: str) -> None:
-    with pytest.raises(ValueError, match=remedy):
-        viewshed.estimate(np.ones(shape, np.float32))

@@ -96,12 +96,6 @@ def test_a_sweep_without_time_and_pose_is_put_together_with_none(tmp_path: Path)
     assert "--fuse needs a time and a pose of each sweep, ego has one without" in err
 
 
-def test_numbers_alone(drive: Path, tmp_path: Path) -> None:
-    code, _, err = run("fuse", drive, "--results", "jsonl", "--out", tmp_path / "numbers")
-    assert (code, err) == (0, "")
-    assert [path.name for path in (tmp_path / "numbers").iterdir()] == ["fused.jsonl"]
-
-
 def test_agents_of_one_name_in_two_files_are_two_agents(drive: Path, tmp_path: Path) -> None:
     code, _, err = run("fuse", drive, drive, "--results", "jsonl", "--out", tmp_path / "twice")
     assert (code, err) == (0, "")

@@ -48,27 +48,3 @@ def test_a_recording_is_estimated_with_what_each_agent_saw_before(drive: Path, t
         fewer += int(found.visible().sum() < before.visible().sum())
     assert number == 11
     assert fewer >= 5
-
-
-def test_the_wary_claim_less_and_nothing_of_an_agents_first_sweep(drive: Path, tmp_path: Path) -> None:
-    words = (
-        "estimate",
-        drive,
-        "--grid",
-        "64x32",
-        "--method",
-        "shadow_map",
-        "--history",
-        3,
-        "--results",
-        "npz",
-        "--out",
-    )
-    assert run(*words, tmp_path / "wary", "--require-confirmation")[0] == 0
-    assert run(*words, tmp_path / "past")[0] == 0
-    wary, past = (
-        [read_npz(next((tmp_path / kind).glob(f"street_*_{number:03}.npz"))).visible() for number in range(12)]
-        for kind in ("wary", "past")
-    )
-    assert not any(mask.any() for mask in wary[:2])
-    assert all(mask.any() and not (mask & ~other).any() for mask, other in zip(wary[2:], past[2:], strict=True))

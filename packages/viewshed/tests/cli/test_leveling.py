@@ -58,22 +58,6 @@ def test_a_sweep_is_leveled_once(words: tuple[str, ...], sweep_file: Path, ident
     assert identified.count(size) == 1
 
 
-def test_the_demo_levels_its_sweep_once(tmp_path: Path, identified: list[int]) -> None:
-    with pytest.raises(SystemExit):
-        main(["demo", "--out", str(tmp_path / "demo")])
-    assert sorted(identified.count(size) for size in set(identified)) in ([1], [1, 1])
-
-
-def test_the_readmes_python_and_its_command_give_one_mask(sweep_file: Path) -> None:
-    out = sweep_file.parent / "out"
-    with pytest.raises(SystemExit):
-        main(["estimate", str(sweep_file), "--results", "npz", "--out", str(out)])
-    saved, estimate = read_npz(out / "street.npz"), viewshed.estimate(viewshed.read_sweep(sweep_file))
-    assert (saved.method, saved.threshold) == (estimate.method, estimate.threshold) == ("shadow_map", 0.5)
-    assert np.array_equal(saved.visible(), estimate.visible())
-    assert np.array_equal(saved.state, estimate.state)
-
-
 def test_former_names_of_methods_are_taken(sweep_file: Path) -> None:
     masks = []
     for method in ("vote", "majority_vote"):

@@ -4,12 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 from tests.cli.commands import run
-from tests.networks.made import card, drawn, nearby
+from tests.networks.made import card, nearby
 
 from viewshed import BevGrid, Sweep, write_sweep
-from viewshed.fov.estimate import CellState
 from viewshed.io.export import read_npz
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.onnx_export import export_onnx
@@ -27,8 +25,8 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "sweep.ply", tmp_path / "net.onnx"
 
 
-@pytest.mark.parametrize(("method", "maps"), [("unet", 2), ("mc_dropout", 3)])
-def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str, maps: int) -> None:
+@pytest.mark.parametrize("method", ["unet", "mc_dropout"])
+def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: str) -> None:
     sweep, net = files
     words = ("estimate", sweep, "--method", method, "--weights", net, "--grid", "64x16", "--height", 1.8)
     code, out, err = run(*words, "--out", tmp_path / "out")
@@ -40,16 +38,6 @@ def test_a_network_estimates(files: tuple[Path, Path], tmp_path: Path, method: s
     assert found.at(np.array([[8.0, -5.0]]))[0] < 0.1
     assert np.isnan(found.std).all() == (method == "unet")
     assert (tmp_path / "out" / f"sweep_{method}.geojson").stat().st_size > 100
-    image = imread(tmp_path / "out" / f"sweep_{method}.png")
-    # Beside the states (640 pixels wide) small maps stand one below the other: probability, doubt, and deviation.
-    side = (640 - 34 * (maps - 1)) // maps
-    edge = image[:, 20 + 640 + 20 + side - 1, :3]
-    covered = (edge != image[-1, -1, :3]).any(axis=1)
-    steps = np.diff(covered.astype(int), prepend=0, append=0)
-    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-    starts = starts[ends - starts >= side]  # titles stand between the maps
-    assert len(starts) == maps
-    assert (np.diff(starts) == side + 34).all()
 
 
 def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -64,28 +52,6 @@ def test_seeds_and_passes_count(files: tuple[Path, Path], tmp_path: Path) -> Non
     assert np.array_equal(found[0], found[1])
     assert not np.array_equal(found[0], found[2])
     assert not np.array_equal(found[0], found[3])
-
-
-def test_what_is_in_doubt_is_unknown_and_not_drawn(files: tuple[Path, Path], tmp_path: Path) -> None:
-    sweep, net = files[0], tmp_path / "doubtful.onnx"
-    export_onnx(net, card(SHAPE, BevGrid(64, 16.0), threshold=0.45), drawn(SHAPE))
-    words = ("estimate", sweep, "--method", "unet", "--weights", net, "--grid", "64x16", "--height", 1.8)
-    found = []
-    for below, threshold in ((0.5, 0.45), (0.55, 0.55)):
-        code, out, _ = run(*words, "--abstain-below", below, "--out", tmp_path / str(below))
-        found.append(read_npz(tmp_path / str(below) / "sweep_unet.npz"))
-        assert (code, f"visible {found[-1].area_m2(threshold):.0f} m²" in out) == (0, True)
-    every, sure_ones = found
-    # Just below its threshold a claim of the network that no beam supports is cut: there each leaves UNKNOWN or HIDDEN.
-    cut = every.visible_prob == np.nextafter(np.float32(0.45), np.float32(0.0))
-    doubtful = ~cut & (every.visible_prob < 0.55) & (every.visible_prob > np.float32(1 - 0.55))
-    assert (every.state[doubtful] != CellState.UNKNOWN).any()
-    assert (sure_ones.state[doubtful] == CellState.UNKNOWN).all()
-    assert (sure_ones.state != CellState.UNKNOWN).any()
-    assert np.array_equal(sure_ones.state[~cut & ~doubtful], every.state[~cut & ~doubtful])
-    assert cut.any()
-    assert (sure_ones.state[cut] == CellState.UNKNOWN).all()
-    assert np.isin(every.state[cut], [CellState.UNKNOWN, CellState.HIDDEN]).all()
 
 
 def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Path) -> None:

@@ -113,16 +113,6 @@ def test_a_junk_ring_column_costs_one_line_and_not_the_cloud(ring: float, tmp_pa
     assert re.fullmatch(r"viewshed: warning: .*a\.pcd: ring is left out: .*", line)
 
 
-@pytest.mark.parametrize("command", ["info", "compare", "export"])
-def test_every_command_that_reads_a_sweep_says_its_doubts(command: str, tmp_path: Path) -> None:
-    path = written(STREET.points, tmp_path)
-    out = () if command == "info" else ("--out", tmp_path / "result")
-    done = run(command, path, "--height", "50", *out)
-    assert done.returncode == 0
-    [line] = done.stderr.splitlines()
-    assert line.startswith("viewshed: a.npz: warning: the sensor's height is given as 50.00 m, outside of 0.1 to 10")
-
-
 def test_a_low_robot_is_no_axle() -> None:
     robot = cast(lidar_model("vlp16"), junction(), 0.4, rng=np.random.default_rng(0))
     assert doubts(level(Sweep(robot.points), BevGrid(64, 32.0))) == ()

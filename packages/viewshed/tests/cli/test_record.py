@@ -7,24 +7,19 @@ import shutil
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.cli.commands import run
 
-import viewshed.show.plot
 from viewshed import open_recording, read_sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named
 from viewshed.cli._profile import PipelineSettings
 from viewshed.cli._record import Awaited, Listener
 from viewshed.io.samples import junction_path
-from viewshed.monitor import IntegrityReport
-from viewshed.monitor.evidence import EVIDENCE
 from viewshed.pipeline import Answer, ReactionState
 from viewshed.pipeline.reactions import RULES
 from viewshed.recordings.write.bag_writers import Schema, open_bag_writer
@@ -43,17 +38,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for k, place in enumerate(places):
         write_sweep(sweep.select(np.arange(k, len(sweep), 20)), place)
     return places
-
-
-def test_a_replay_as_fast_as_possible_writes_the_same_bytes(files: list[Path], tmp_path: Path) -> None:
-    for name in ("a.mcap", "b.mcap"):
-        code, out, err = run("replay", *files, "--as-fast", "--to", tmp_path / name)
-        assert (code, err) == (0, "")
-        *_, counts, last = out.splitlines()
-        assert counts.startswith("3 answered, 0 dropped; ")
-        assert last.startswith(f"{tmp_path / name}: 0.")
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "b.mcap"]
 
 
 def test_what_cannot_be_read_or_written_is_a_line_each(files: list[Path], tmp_path: Path) -> None:
@@ -78,8 +62,7 @@ main(sys.argv[2:])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of the size of files can be set")
-@pytest.mark.parametrize("most_bytes", [3_000, 60_000])
-@pytest.mark.parametrize("name", ["a.mcap", "a.bag", "a"])
+@pytest.mark.parametrize(("name", "most_bytes"), [("a.mcap", 60_000), ("a.bag", 3_000), ("a", 3_000)])
 def test_a_full_disk_is_a_line_that_names_the_bag(
     name: str, most_bytes: int, files: list[Path], tmp_path: Path
 ) -> None:
@@ -140,8 +123,7 @@ def test_record_writes_what_replay_does(files: list[Path], tmp_path: Path) -> No
     assert (tmp_path / "a.bag").read_bytes() == (tmp_path / "b.bag").read_bytes()
 
 
-@pytest.mark.parametrize("command", [["replay", "--as-fast"], ["record"]], ids=["replay", "record"])
-def test_one_topic_of_several_is_taken_with_poses_of_a_file(command: list[str], tmp_path: Path) -> None:
+def test_one_topic_of_several_is_taken_with_poses_of_a_file(tmp_path: Path) -> None:
     sweep, ros, source = read_sweep(junction_path()), RosMessages(ros1=False), tmp_path / "two.mcap"
     schema = Schema(CLOUD, "ros2msg", "cdr", ros.definition(CLOUD).encode())
     sizes = {"/front": 1000, "/rear": 1500}
@@ -152,7 +134,7 @@ def test_one_topic_of_several_is_taken_with_poses_of_a_file(command: list[str], 
     poses = tmp_path / "poses.txt"
     poses.write_text("".join(f"1 0 0 {x} 0 1 0 2 0 0 1 3\n" for x in range(3)))
     made = tmp_path / "made.mcap"
-    assert run(*command, source, "--topic", "/rear", "--poses", poses, "--to", made)[0] == 0
+    assert run("record", source, "--topic", "/rear", "--poses", poses, "--to", made)[0] == 0
     sweeps = list(open_recording(made))
     assert [len(each) for each in sweeps] == [1500] * 3
     assert [each.world_from_sensor and each.world_from_sensor.translation.tolist() for each in sweeps] == [
@@ -177,11 +159,10 @@ def test_a_profile_sets_what_no_option_beside_it_does(files: list[Path], tmp_pat
     assert "profile must be one of robot, infrastructure, mapping, contested, got 'car'" in err
 
 
-@pytest.mark.parametrize("command", ["record", "replay"])
-def test_earlier_sweeps_that_only_a_profile_wishes_for_are_no_demand(command: str, tmp_path: Path) -> None:
+def test_earlier_sweeps_that_only_a_profile_wishes_for_are_no_demand(tmp_path: Path) -> None:
     """A sweep without a pose is answered by itself; it is refused where --history was given."""
     write_sweep(read_sweep(junction_path()).replace(world_from_sensor=None), tmp_path / "a.npz")
-    words = (command, tmp_path / "a.npz", "--profile", "mapping", "--to", tmp_path / "a.mcap")
+    words = ("record", tmp_path / "a.npz", "--profile", "mapping", "--to", tmp_path / "a.mcap")
     code, out, err = run(*words)
     assert (code, err) == (0, "")
     assert "1 answered" in out
@@ -231,16 +212,6 @@ def test_a_bad_file_costs_a_line_and_the_bag_stays(files: list[Path], tmp_path: 
     assert (code, "no sweep could be read" in err, (tmp_path / "none.mcap").exists()) == (2, True, False)
 
 
-def test_an_input_is_not_replaced(tmp_path: Path) -> None:
-    place = tmp_path / "a.mcap"
-    place.write_bytes(recordings.mcap())
-    content = place.read_bytes()
-    code, _, err = run("replay", place, "--as-fast", "--to", place)
-    assert code == 2
-    assert "is an input and would be replaced" in err
-    assert place.read_bytes() == content
-
-
 def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.CaptureFixture[str]) -> None:
     """Of three sweeps a newer one of the first agent takes the place of its older one, before the second agent's."""
     sweep = read_sweep(junction_path()).select(np.arange(10))
@@ -252,33 +223,6 @@ def test_a_sweep_that_another_agent_overtook_still_has_its_line(capsys: pytest.C
         listener(Answer(agent, number, None, None, None, ReactionState(), 0.0, (), "nothing was usable", 0.01))
     assert failures.count == 2
     assert [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()] == ["0.200 s", "0.100 s"]
-
-
-def test_sweeps_are_sent_while_answers_are_taken() -> None:
-    """Two threads, as of a pipeline; no answer waits for its sweep here, and none is lost."""
-    sweep = read_sweep(junction_path()).select(np.arange(10))
-    failures, count = Failures(), 3000
-    listener = Listener([], failures, is_live=True)
-    sent: SimpleQueue[int] = SimpleQueue()
-
-    def send() -> None:
-        for number in range(count):
-            listener.expect(number, Awaited(str(number), 0.1 * number, sweep, None))
-            sent.put(number)
-
-    old = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        with ThreadPoolExecutor(1) as sender:
-            sending = sender.submit(send)
-            for _ in range(count):
-                number = sent.get(timeout=30)
-                state = ReactionState()
-                listener(Answer(str(number), number, None, None, None, state, 0.0, (), "nothing was usable", 0.01))
-            sending.result()
-    finally:
-        sys.setswitchinterval(old)
-    assert failures.count == count
 
 
 def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tmp_path: Path) -> None:
@@ -300,25 +244,3 @@ def test_all_commands_say_what_the_monitor_in_the_box_finds_in_the_same_words(tm
     assert len(said[0]) == 12
     assert [line.count("one sweep cannot tell") for line in said[0]] == [1] * 10 + [0] * 2
     assert all(each == said[0] for each in said[1:])
-
-
-def test_a_picture_shows_the_evidence_as_it_was_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is measured of a sweep alone, without its past, is another picture."""
-    drive = tmp_path / "drive.mcap"
-    assert run("record", "sim", "--preset", "ugv", "--agents", 1, "--seconds", 0.8, "--seed", 4, "--to", drive)[0] == 0
-    shown: list[IntegrityReport] = []
-    drawn = viewshed.show.plot.monitor_picture
-
-    def draw(panel: Any, report: IntegrityReport, names: Any, surprises: Any) -> bytes:
-        assert tuple(names) == tuple(EVIDENCE)
-        np.testing.assert_array_equal(surprises, report.evidence)
-        shown.append(report)
-        return drawn(panel, report, names, surprises)
-
-    monkeypatch.setattr(viewshed.show.plot, "monitor_picture", draw)
-    assert run("monitor", "check", drive, "--out", tmp_path / "found")[0] == 0
-    code, out, _ = run("monitor", "explain", drive, "--number", 7, "--out", tmp_path / "explained.png")
-    assert code == 0
-    assert out.splitlines()[0].startswith("drive.mcap 00007: ")
-    assert len(shown) == 9
-    assert (tmp_path / "explained.png").read_bytes() == (tmp_path / "found" / "drive.mcap 00007.png").read_bytes()

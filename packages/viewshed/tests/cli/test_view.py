@@ -77,17 +77,6 @@ def test_a_bad_file_costs_a_line(drive: list[Path], tmp_path: Path) -> None:
     assert _names(page) == ["sweep <0>"]
 
 
-def test_the_monitor_of_streams_is_shown(drive: list[Path], tmp_path: Path) -> None:
-    page = tmp_path / "run.html"
-    code, _, err = run("view", *drive[:2], "--html", page, "--monitor")
-    assert code == 0, err
-    for text in re.findall(r'class="about">(.*?)</script>', page.read_text(encoding="utf-8")):
-        about = json.loads(text)
-        assert about["method"] == "shadow_map"
-        assert (about["score"] > about["limit"]) == any("inconsistent" in each["verdict"] for each in about["alarms"])
-        assert any("one sweep cannot tell" in note for note in about["notes"])
-
-
 def test_a_file_for_rerun(drive: list[Path], tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is not installed: its files are not written")
     place = tmp_path / "run.rrd"
@@ -120,15 +109,6 @@ def test_nothing_readable_leaves_no_page(tmp_path: Path) -> None:
         assert "run.html was written" in err
     assert "--history needs a pose and a time of each sweep" in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_replay_prints_a_line_for_each_sweep(drive: list[Path]) -> None:
-    code, out, err = run("replay", *drive, "--as-fast")
-    assert (code, err) == (0, "")
-    *lines, last = out.splitlines()
-    assert [line.split()[0] for line in lines] == ["0.000", "0.100", "0.200", "0.300", "0.400"]
-    assert all(re.search(r"visible \d+ m²  \d+\.\d ms$", line) for line in lines)
-    assert last.startswith("5 answered, 0 dropped; ")
 
 
 def test_sweeps_are_handed_on_when_they_are_due(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,29 +107,6 @@ def test_a_network_is_run_once_for_a_batch_and_for_no_sweep_without_returns() ->
     assert list(estimate_all(UnetEstimator(nothing), [])) == []
 
 
-def test_on_a_processor_each_thread_does_whole_sweeps_by_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shape = SHAPES["folded"]
-    export_onnx(tmp_path / "net.onnx", card(shape, GRID), drawn(shape))
-    estimator, inside, run = UnetEstimator(OnnxRunner(tmp_path / "net.onnx"), abstain_below=0.7), [], OnnxRunner.run
-    meeting = threading.Barrier(2, timeout=30)
-
-    def ran(runner: OnnxRunner, inputs: NDArray[Any], masks: F32 | None = None) -> F32:
-        inside.append((threading.current_thread().name, runner is estimator.runner, len(inputs)))
-        meeting.wait()  # two sweeps are under way at once, or this fails
-        return run(runner, inputs, masks)
-
-    monkeypatch.setattr(OnnxRunner, "run", ran)
-    found = list(estimate_all(estimator, SWEEPS[:2] * 4, 4, threads=2))
-    monkeypatch.undo()
-    assert {own for _, own, _ in inside} == {False}
-    assert len({name for name, _, _ in inside}) == 2
-    assert {inputs for *_, inputs in inside} == {1}
-    for each, sweep in zip(found, SWEEPS[:2] * 4, strict=True):
-        same(each, estimator.estimate(sweep), atol=1e-6)
-
-
 def test_sweeps_are_taken_as_they_are_needed() -> None:
     taken = 0
 

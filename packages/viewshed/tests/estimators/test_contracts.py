@@ -180,10 +180,10 @@ def test_rows_that_are_not_finite_change_nothing(make: EstimatorFactory, street:
     assert same(make(GRID).estimate(bare), make(GRID).estimate(bare.replace(points=holes)))
 
 
-def test_a_million_points_are_no_trouble(make: EstimatorFactory) -> None:
+def test_half_a_million_points_are_no_trouble(make: EstimatorFactory) -> None:
     rng = np.random.default_rng(1)
-    azimuth, range_m = rng.uniform(-np.pi, np.pi, 1_000_000), 20 * np.sqrt(rng.random(1_000_000))
-    points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.full(1_000_000, -1.8)], axis=1)
+    azimuth, range_m = rng.uniform(-np.pi, np.pi, 500_000), 20 * np.sqrt(rng.random(500_000))
+    points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.full(500_000, -1.8)], axis=1)
     estimate = make(GRID).estimate(Sweep(points.astype(np.float32), sensor_height_m=1.8))
     assert estimate.visible()[24:40, 24:40].mean() > 0.5
 
@@ -214,20 +214,6 @@ def test_a_million_points_are_no_trouble(make: EstimatorFactory) -> None:
 def test_parameters_outside_their_range_are_refused(name: str, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         CLASSICAL[name](GRID, **changes)
-
-
-@pytest.mark.parametrize(
-    ("range_m", "height_m", "message"),
-    [
-        (0.0, (-3.0, 3.0), r"max_range_m must be positive, got 0.0"),
-        (9.0, (3.0, -3.0), r"height_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),
-    ],
-)
-def test_a_crop_must_leave_something(range_m: float, height_m: tuple[float, float], message: str) -> None:
-    from viewshed.preprocess.azimuth_bins import Crop
-
-    with pytest.raises(ValueError, match=message):
-        Crop(range_m, height_m)
 
 
 def test_the_paper_crop_drops_what_is_far_or_high(street: Sweep) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from viewshed.estimators import ESTIMATORS, PAPER_ESTIMATORS
 from viewshed.estimators.first_blocker import FirstBlocker
-from viewshed.estimators.ray_trace import ContinuousRayTrace, QuantizedRayTrace, TrimmedRayTrace
+from viewshed.estimators.ray_trace import QuantizedRayTrace
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import BevGrid
 from viewshed.preprocess.azimuth_bins import measured_azimuth_bins
@@ -114,29 +114,6 @@ def test_one_spoofed_near_point_blocks_first_blocker_but_not_rank_two_nor_the_me
     assert seen == [0.0, 1.0, 1.0]
 
 
-def test_hull_and_polygon_fit_follow_the_returns(cast: CastScene) -> None:
-    sweep = cast([WALL], reach_m=14.0)
-    for name in ("concave_hull", "delaunay"):
-        estimate = ESTIMATORS[name](GRID).estimate(sweep)
-        assert _at(estimate, -9.0, -6.0) == CellState.FREE, name
-        assert _at(estimate, 16.0, 2.0) == CellState.HIDDEN, name
-        assert _at(estimate, -17.0, -6.0) == CellState.UNKNOWN, name
-        assert _at(estimate, 9.0, 3.0) in (CellState.FREE, CellState.SURFACE), name
-    assert (
-        ESTIMATORS["delaunay"](GRID).estimate(sweep).area_m2()
-        < ESTIMATORS["concave_hull"](GRID).estimate(sweep).area_m2()
-    )
-
-
-def test_polygon_fit_breaks_up_where_rings_lie_apart(make_level: MakeLevel) -> None:
-    azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
-    rings = [np.stack([r * np.cos(azimuth), r * np.sin(azimuth), 0 * azimuth], axis=1) for r in (4, 6, 8, 15)]
-    leveled = make_level(np.concatenate(rings))
-    fit = ESTIMATORS["delaunay"](GRID).estimate(leveled)
-    seen = {r: float(fit.at(np.array([0.3, r]))) for r in (5.0, 7.0, 11.0)}
-    assert seen == {5.0: 1.0, 7.0: 1.0, 11.0: 0.0}
-
-
 def test_range_bins_round_up_to_the_end_of_the_bin(make_level: MakeLevel) -> None:
     # 20 m in 10 bins: a return at 9.1 m is in the bin from 8 to 10 m; centers before 10 m are visible, 10.25 is not.
     leveled = make_level(np.array([[0.2, 9.1, 0.0]]))
@@ -145,33 +122,6 @@ def test_range_bins_round_up_to_the_end_of_the_bin(make_level: MakeLevel) -> Non
     far = make_level(np.array([[0.2, 90.0, 0.0]]))
     estimate = QuantizedRayTrace(GRID, azimuth_bins=36, range_bins=10, max_range_m=12.0).estimate(far)
     assert [float(estimate.at(np.array([0.3, y]))) for y in (11.8, 12.2)] == [1.0, 0.0]
-
-
-def test_trimmed_drops_exactly_the_farthest(make_level: MakeLevel) -> None:
-    y = np.arange(2.0, 12.0)
-    leveled = make_level(np.stack([0 * y - 0.05, y, 0 * y], axis=1))
-    grid = BevGrid(65, 16.25)
-    assert grid.cell_m == 0.5
-    for trim, last in ((0, 11.5), (3, 8.5), (9, 2.5), (10, None)):
-        estimate = TrimmedRayTrace(grid, trim=trim, azimuth_bins=36).estimate(leveled)
-        seen = [float(r) for r in np.arange(0.5, 14.0, 0.5) if estimate.at(np.array([0.0, r])) == 1.0]
-        assert (max(seen) if seen else None) == last
-
-
-def test_first_blocker_without_farthest_limit_sees_to_the_reach(make_level: MakeLevel) -> None:
-    # Without a table, and with returns as near as here, the reach is 85 m, and a cell's center may lie one cell of
-    # 0.5 m beyond it.
-    grid = BevGrid(360, 90.0)
-    leveled = make_level(np.array([[0.1, 5.0, 0.0], [9.0, 0.1, 0.0], [-12.0, -0.1, 0.0]]))
-    limited, open_ = (
-        FirstBlocker(grid, azimuth_bins=36, limit_farthest=limit).estimate(leveled) for limit in (True, False)
-    )
-    assert [float(e.at(np.array([0.3, 9.0]))) for e in (limited, open_)] == [0.0, 1.0]
-    assert [float(open_.at(np.array([0.3, y]))) for y in (85.3, 85.8)] == [1.0, 0.0]
-    assert not open_.visible()[:, : grid.cells // 2 - 30].any()
-    # One beam is too few to support what either says.
-    assert (limited.state == CellState.UNKNOWN).all()
-    assert (open_.state == CellState.UNKNOWN).all()
 
 
 def _arc(range_m: float, height_m: float, azimuth_deg: float = 90.0) -> NDArray[np.float64]:
@@ -199,41 +149,9 @@ def test_low_and_high_returns_do_not_block(make_level: MakeLevel) -> None:
     ]  # fmt: skip
 
 
-def test_beyond_the_farthest_return_is_hidden_by_an_obstacle_and_unknown_on_ground(make_level: MakeLevel) -> None:
-    # A beam that ends at 6 m, 1 m up, is .23 m up at 11.8 m; one that meets the ground there would be far below it.
-    points = np.concatenate([_arc(6.0, 1.0), _arc(6.0, 0.0, 0.0), _arc(15.0, 0.0, 180.0)])
-    for estimator in (QuantizedRayTrace(GRID, azimuth_bins=36), ESTIMATORS["continuous"](GRID)):
-        estimate = estimator.estimate(make_level(points))
-        assert _at(estimate, 0.2, 11.8) == CellState.HIDDEN
-        assert _at(estimate, 11.8, 0.2) == CellState.UNKNOWN
-        assert _at(estimate, -17.9, 0.2) == CellState.UNKNOWN
-        assert _at(estimate, 0.2, -11.8) == CellState.UNKNOWN
-
-
 @pytest.mark.parametrize(
     ("columns", "bins"), [(2000, 1080), (1080, 1080), (700, 540), (330, 216), (180, 180), (7, 360)]
 )
 def test_bins_follow_the_measured_step(columns: int, bins: int) -> None:
     azimuth = ((np.arange(columns) + 0.4) * 2 * np.pi / columns - np.pi).astype(np.float32)
     assert measured_azimuth_bins(np.tile(azimuth, 3)) == bins
-
-
-def test_the_window_reaches_across_the_back(make_level: MakeLevel) -> None:
-    # The cell's center is at (-9.75, 0.25), 0.02564 rad before half a turn; returns stand on the other side of it.
-    cell = np.array([-9.75, 0.25])
-    for turn, seen in ((0.049, 1.0), (0.051, 0.0)):
-        azimuth = np.arctan2(cell[1], cell[0]) + turn
-        leveled = make_level(np.array([[12 * np.cos(azimuth), 12 * np.sin(azimuth), 0.0]]))
-        assert leveled.azimuth[0] < -3
-        assert float(ContinuousRayTrace(GRID, window=0.05).estimate(leveled).at(cell)) == seen
-
-
-def test_the_median_leaves_out_azimuths_without_returns(make_level: MakeLevel) -> None:
-    leveled = make_level(np.array([[0.2, 5.0, 1.0], [0.2, 12.0, 0.0]]))
-    estimate = FirstBlocker(GRID, azimuth_bins=36, median_bins=5).estimate(leveled)
-    assert [float(estimate.at(np.array([0.2, y]))) for y in (4.0, 9.0)] == [1.0, 0.0]
-
-
-def test_bins_of_a_cropped_sweep_follow_its_step() -> None:
-    azimuth = (np.arange(330)[:80] * 2 * np.pi / 330).astype(np.float32)
-    assert measured_azimuth_bins(azimuth) == 216

@@ -1,10 +1,9 @@
 """A 2-D laser in a simulated warehouse: the field of view in its plane against the exact truth."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.io.messages.test_laserscan import Scan
 
 from viewshed import CAR, GRIDS, PEDESTRIAN, LidarModel, Rigid, Target
 from viewshed.estimators import CLASSICAL
@@ -23,27 +22,14 @@ LASER = LidarModel("2-D laser", np.zeros(1), 1440, min_range_m=0.1, max_range_m=
 STEP = 2 * np.pi / LASER.azimuth_columns
 
 
-@dataclass
-class Scan:
-    """A LaserScan message."""
-
-    angle_min: float
-    angle_max: float
-    ranges: NDArray[np.float32]
-    angle_increment: float = STEP
-    time_increment: float = 0.0
-    range_min: float = LASER.min_range_m
-    range_max: float = LASER.max_range_m
-    intensities: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
-
-
 def message_of(scan: ExactScan, noise_m: float) -> Scan:
     """Return the message that the laser would send."""
     x, y, _ = (scan.direction[:, 0].astype(np.float64) @ scan.world_from_sensor.rotation).T
     azimuth = np.arctan2(y, x)
     order = np.argsort(azimuth)
     noise = np.random.default_rng(0).normal(0.0, noise_m, len(order))
-    return Scan(azimuth[order[0]], azimuth[order[-1]], (scan.depth_m[order, 0] + noise[order]).astype(np.float32))
+    ranges = (scan.depth_m[order, 0] + noise[order]).astype(np.float32)
+    return Scan(ranges, azimuth[order[0]], azimuth[order[-1]], STEP, 0.0, LASER.min_range_m, LASER.max_range_m)
 
 
 @pytest.fixture(scope="module")

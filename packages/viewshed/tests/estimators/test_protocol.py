@@ -51,18 +51,6 @@ def test_a_sweep_and_the_leveled_sweep_give_one_estimate(estimator: Estimator, s
     assert np.array_equal(estimate.visible(), estimate.visible_prob >= np.float32(estimator.threshold))
 
 
-def test_a_leveled_sweep_is_not_leveled_again(
-    estimator: Estimator, street: Sweep, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    leveled = level(street, ROAD)
-
-    def refuse(sweep: Sweep, grid: BevGrid) -> None:
-        raise AssertionError("leveled a second time")
-
-    monkeypatch.setattr("viewshed.preprocess.leveling.level", refuse)
-    estimator.estimate(leveled)
-
-
 def test_a_sweep_leveled_for_a_smaller_grid_is_refused(estimator: Estimator, street: Sweep) -> None:
     with pytest.raises(ValueError, match=r"must have ground out to 64 m for this grid, got 16 m; level it on"):
         estimator.estimate(level(street, BevGrid(64, 16.0)))
@@ -90,10 +78,6 @@ def test_history_changes_estimates_where_it_is_used_and_is_refused_elsewhere(
             estimator.stream([now], history=2)
 
 
-def test_the_table_knows_who_uses_history() -> None:
-    assert [name for name in CLASSICAL if CLASSICAL[name](ROAD).uses_history] == ["shadow_map"]
-
-
 def test_a_network_abstains_and_a_classical_mask_cannot(estimator: Estimator, street: Sweep) -> None:
     if estimator.name in LEARNED:
         sure = estimator.with_abstention(0.9)
@@ -104,15 +88,6 @@ def test_a_network_abstains_and_a_classical_mask_cannot(estimator: Estimator, st
     else:
         with pytest.raises(ValueError, match=f"must be asked of a network, got 0.9 for {estimator.name}"):
             estimator.with_abstention(0.9)
-
-
-def test_the_steps_of_a_batch_give_the_estimates(estimator: Estimator, street: Sweep) -> None:
-    steps = estimator.batch_steps()
-    prepared = [steps.prepare(street), steps.prepare(street)]
-    results = steps.infer(prepared)
-    first, second = (steps.finish(*pair) for pair in zip(prepared, results, strict=True))
-    assert same(first, second)
-    assert np.allclose(first.visible_prob, estimator.estimate(street).visible_prob, atol=1e-6)
 
 
 def test_a_stream_gives_an_estimate_for_each_sweep_as_it_is_read(estimator: Estimator, street: Sweep) -> None:

@@ -8,9 +8,6 @@ from numpy.typing import NDArray
 
 from viewshed import CAR, PEDESTRIAN, BevGrid, CellState, Sweep, Target
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
-from viewshed.fov.visibility import probability_of_visible
-from viewshed.preprocess.evidence import beam_evidence
-from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame
@@ -76,15 +73,6 @@ def test_states_before_on_and_behind_a_wall() -> None:
     assert look == {"before": "FREE", "on": "SURFACE", "behind": "HIDDEN", "open": "FREE"}
 
 
-def test_a_dropped_sector_is_unknown_and_not_free() -> None:
-    sweep = cast(MODEL, SCENE, HEIGHT_M)
-    azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0])
-    estimate = ShadowMap(GRID).estimate(sweep.select(~((azimuth > 0.9) & (azimuth < 1.6))))
-    cell = tuple(GRID.index(np.array([2.5, 7.5]))[0])
-    assert estimate.visible_prob[cell] == 0.0
-    assert estimate.state[cell] == CellState.UNKNOWN
-
-
 def _absorber() -> Sweep:
     """A sweep in which the wall at x = 12 gives no return."""
     sweep = cast(MODEL, SCENE, HEIGHT_M)
@@ -116,17 +104,6 @@ def test_a_front_of_glass_opens_no_corridor(glass: float) -> None:
     assert claimed["inferred"] <= claimed["unknown"] + 0.01 < 0.02
 
 
-def test_a_dead_ring_adds_nothing_to_what_returned() -> None:
-    sweep = cast(MODEL, SCENE, HEIGHT_M)
-    assert sweep.ring is not None
-    dead = sweep.select(sweep.ring != 20)
-    leveled = level(dead, GRID)
-    # Counts at the height of the ground: only the inferred rule averages over its doubt.
-    explained = probability_of_visible(beam_evidence(leveled, GRID, CAR).reaching, CAR.min_returns)
-    unknown = ShadowMap(GRID, CAR, "unknown").estimate(leveled)
-    assert np.abs(explained - unknown.visible_prob).max() < 0.05
-
-
 def test_explained_beams_see_far_more_of_simulated_streets_than_returns_alone() -> None:
     preset = replace(preset_named("nuscenes-small"), conditions=("clear",), condition_weights=(1.0,), seed=4)
     tally = {rule: np.zeros(3) for rule in ("inferred", "unknown")}
@@ -140,36 +117,6 @@ def test_explained_beams_see_far_more_of_simulated_streets_than_returns_alone() 
     assert f1["inferred"] > f1["unknown"] + 0.04
     assert f1["inferred"] > 0.88
     assert tally["inferred"][0] / tally["inferred"][:2].sum() > 0.93
-
-
-def test_fill_takes_the_nearer_neighbor() -> None:
-    sweep = cast(MODEL, SCENE, HEIGHT_M)
-    thinned = sweep.select(np.random.default_rng(4).random(len(sweep)) < 0.5)
-    open_road = np.array([[10.0, -20.0]])
-    counts = {}
-    for rule in ("unknown", "fill"):
-        estimate = ShadowMap(GRID, CAR, rule).estimate(thinned)
-        counts[rule] = float(estimate.visible_prob.sum())
-    assert counts["fill"] > counts["unknown"]
-    assert ShadowMap(GRID, no_return="fill").estimate(thinned).at(open_road)[0] > 0.5
-    assert ShadowMap(GRID, no_return="fill").estimate(thinned).at(np.array([[20.0, 3.0]]))[0] < 0.5
-
-
-def test_an_obstacle_on_a_beam_never_adds_visibility() -> None:
-    sweep = cast(MODEL, SCENE, HEIGHT_M)
-    rng = np.random.default_rng(3)
-    factor = np.where(rng.random(len(sweep)) < 0.2, rng.uniform(0.3, 1.0, len(sweep)), 1.0)
-    leveled = level(sweep, GRID)
-    nearer = sweep.replace(points=sweep.points * factor[:, None].astype(np.float32))
-    # Of measured beams; where those without a return ended is guessed from what stands around them.
-    estimator = ShadowMap(GRID, no_return="unknown")
-    before, after = (estimator.estimate(_with_ground(level(s, GRID), leveled)) for s in (sweep, nearer))
-    assert (after.visible_prob <= before.visible_prob + 0.02).all()
-    assert after.visible().sum() < before.visible().sum()
-
-
-def _with_ground(leveled: LeveledSweep, reference: LeveledSweep) -> LeveledSweep:
-    return replace(leveled, ground=reference.ground, level_from_sensor=reference.level_from_sensor)
 
 
 def test_unknown_rules_are_refused() -> None:

@@ -1,6 +1,5 @@
 """The contract of every estimator over the learned ones, on the grid of a network made by hand; then what is theirs."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.estimators.test_contracts import (  # noqa: F401 - they run here with the fixtures of this file
-    test_a_million_points_are_no_trouble,
     test_an_empty_sweep_sees_nothing_and_says_so,
     test_degenerate_points_claim_little,
     test_free_or_surface_is_what_is_visible_and_what_the_beams_support,
@@ -33,11 +31,10 @@ from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.card import NetworkCard
 from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.unet_torch import TorchRunner
 from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
-from viewshed.preprocess.leveling import Held, level
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 
 GRID = BevGrid(64, 16.0)
@@ -115,39 +112,6 @@ def test_the_mean_and_deviation_are_those_of_the_seeds_masks(street: Sweep) -> N
     assert not np.array_equal(found.visible_prob, other.visible_prob)
 
 
-def test_hidden_lies_behind_an_obstacle_and_nothing_is_claimed_beyond_the_reach() -> None:
-    # Ground out to 8 m, and a patch of it at 21 m, where the stream holds a reach of 20 m.
-    ground = np.stack(np.meshgrid(np.arange(-15, 15.5, 0.25), np.arange(-15, 15.5, 0.25)), axis=-1).reshape(-1, 2)
-    ground = ground[((np.abs(ground[:, 1]) > 4) | (ground[:, 0] < 6)) & (np.hypot(*ground.T) < 8)]
-    patch = np.stack(np.meshgrid(np.arange(14.4, 15.9, 0.3), np.arange(14.4, 15.9, 0.3)), axis=-1).reshape(-1, 2)
-    ground = np.concatenate([ground, patch])
-    wall = np.stack(
-        [np.full(240, 6.0), np.tile(np.linspace(-1.0, 1.0, 80), 3), np.repeat([-1.0, -0.5, 0.0], 80)], axis=1
-    )
-    points = np.concatenate([np.column_stack([ground, np.full(len(ground), -1.8)]), wall]).astype(np.float32)
-    runner = TorchRunner(NetworkCard("made", SHAPE, GRID, max_range_m=30.0), nearby(SHAPE))
-    sweep = Sweep(points, sensor_height_m=1.8)
-    estimate = UnetEstimator(runner).estimate(replace(level(sweep, GRID), held=Held((), 20.0)))
-    i, j = (GRID.index(np.array([[12.0, 0.1], [6.1, 0.1], [3.1, 3.1], [15.1, 15.1], [13.6, 13.9]]))[0]).T
-    words = [CellState(state).name for state in estimate.state[i, j]]
-    assert words == ["HIDDEN", "SURFACE", "FREE", "UNKNOWN", "FREE"]
-    # The network claims the patch, and beams reach it.
-    assert runner.run(runner.card.input_of(sweep)[None], SHAPE.no_masks(1))[0][i[3], j[3]] > 0.5
-    assert evidence_of(sweep).reaching[i[3], j[3]] > CAR.min_returns
-    assert not estimate.visible()[i[3], j[3]]
-
-
-def test_hidden_ends_where_no_beam_aims_at_a_target_any_more() -> None:
-    """A post at 4 m, 1 m up: beams from 1.8 m that end there are 0.3 m below the ground at 10.5 m."""
-    post = np.stack([np.full(40, 4.0), np.linspace(-0.4, 0.4, 40), np.full(40, -0.8)], axis=1)
-    ground = np.stack([np.full(40, -9.0), np.linspace(-0.4, 0.4, 40), np.full(40, -1.8)], axis=1)
-    sweep = Sweep(np.concatenate([post, ground]).astype(np.float32), sensor_height_m=1.8)
-    found = UnetEstimator(TorchRunner(card(SHAPE, GRID), nearby(SHAPE))).estimate(sweep)
-    cells = GRID.index(np.array([[7.5, 0.0], [8.5, 0.2], [9.6, 0.0], [11.2, 0.0], [13.0, 0.0]]))[0]
-    states = [CellState(found.state[i, j]).name for i, j in cells]
-    assert states == ["HIDDEN", "HIDDEN", "HIDDEN", "UNKNOWN", "UNKNOWN"]
-
-
 def test_the_cards_threshold_decides_the_states(street: Sweep) -> None:
     runner = TorchRunner(card(SHAPE, GRID, threshold=0.7), drawn(SHAPE))
     found = UnetEstimator(runner).estimate(street)
@@ -172,12 +136,6 @@ def test_states_are_told_where_the_network_is_sure(street: Sweep, threshold: flo
     kept = claimed | (denied & (said < threshold))
     assert np.array_equal(found.state[kept], every.state[kept])
     assert np.array_equal(plain.with_abstention(0.5).estimate(street).state, every.state)
-
-
-@pytest.mark.parametrize("below", [0.49, 1.01, float("nan")])
-def test_abstention_below_one_half_is_refused(below: float) -> None:
-    with pytest.raises(ValueError, match=r"abstain_below must lie in \[0.5, 1\], got"):
-        UnetEstimator(TorchRunner(card(SHAPE), drawn(SHAPE)), abstain_below=below)
 
 
 @pytest.mark.parametrize(

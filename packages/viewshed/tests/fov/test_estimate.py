@@ -35,18 +35,6 @@ def test_at_looks_up_and_is_nan_outside() -> None:
     assert np.isnan(found[2])
 
 
-def test_polygons_of_the_mask() -> None:
-    polygon = _estimate().polygon()
-    assert polygon.is_valid
-    assert polygon.bounds == (1.0, -2.0, 2.0, -1.0)
-    assert polygon.covers(_estimate().inner_polygon(8))
-
-
-def test_std_is_nan_where_there_is_none() -> None:
-    std = _estimate().std
-    assert np.isnan(std).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -60,11 +48,6 @@ def test_std_is_nan_where_there_is_none() -> None:
 def test_bad_values_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         _estimate(**changes)
-
-
-def test_a_threshold_of_zero_is_refused() -> None:
-    with pytest.raises(ValueError, match="threshold must lie in"):
-        _estimate().visible(0.0)
 
 
 @pytest.mark.parametrize(

@@ -55,35 +55,6 @@ def test_expected_returns_agree_with_the_definition_beam_by_beam(seed: int, targ
         assert abs(aimed[cell] - aim) <= 4 + 4 * np.sqrt(aim)
 
 
-def test_beams_without_a_depth_count_nowhere() -> None:
-    depth = np.array([-5.0, np.nan] * 20, np.float32)
-    low = Beams(np.zeros(40, np.float32), np.full(40, -0.1, np.float32), depth)
-    assert not expected_returns(low, 1.8, HeightMap.flat(20.0), GRID, CAR)[0].any()
-
-
-def test_a_beam_above_every_target_counts_nowhere() -> None:
-    up = Beams(np.zeros(50, np.float32), np.full(50, 0.5, np.float32), np.full(50, np.inf, np.float32))
-    straight = Beams(up.azimuth, np.full(50, np.inf, np.float32), up.depth_m)
-    for beams in (up, straight):
-        assert not expected_returns(beams, 1.8, HeightMap.flat(20.0), GRID, CAR)[0][:20].any()
-    low = Beams(up.azimuth, np.full(50, -0.1, np.float32), up.depth_m)
-    assert expected_returns(low, 1.8, HeightMap.flat(20.0), GRID, CAR)[0].any()
-
-
-def test_a_wall_ahead_hides_only_what_is_behind_it() -> None:
-    azimuth = np.deg2rad(np.arange(-180, 180, 0.2)).astype(np.float32)
-    slopes = np.tan(np.deg2rad(np.arange(-10, -1, 0.5))).astype(np.float32)
-    azimuth, slope = (a.ravel().astype(np.float32) for a in np.meshgrid(azimuth, slopes))
-    ahead = np.abs(azimuth) < 0.3
-    depth = np.where(ahead, np.minimum(8.0 / np.cos(azimuth), 1.8 / -slope), 1.8 / -slope).astype(np.float32)
-    grid = BevGrid(64, 16.0)
-    returns, _ = expected_returns(Beams(azimuth, slope, depth), 1.8, HeightMap.flat(16.0), grid, CAR)
-    seen = np.where(returns >= 4.67, 1.0, 0.0)
-    places = {"before": (6.0, 0.2), "behind": (11.0, 0.2), "left": (4.0, 9.0), "right": (4.0, -9.0)}
-    look = {name: seen[tuple(grid.index(np.array(xy))[0])] for name, xy in places.items()}
-    assert look == {"before": 1.0, "behind": 0.0, "left": 1.0, "right": 1.0}
-
-
 def test_windows_wrap_behind_the_sensor() -> None:
     azimuth = np.array([np.pi - 0.01, -np.pi + 0.01, np.pi - 0.02], np.float32)
     beams = Beams(azimuth, np.full(3, -0.15, np.float32), np.full(3, 12.0, np.float32))
@@ -103,17 +74,6 @@ def test_probability_is_poisson_and_crosses_a_half_at_the_definition(needed: int
         assert np.allclose(found, poisson.sf(needed - 1, counts), atol=1e-4)
     assert ((found >= 0.5) == (counts >= needed)).all()
     assert (np.diff(found) >= 0).all()
-
-
-def test_more_depth_never_means_fewer_returns() -> None:
-    rng = np.random.default_rng(5)
-    beams = _random_beams(rng, 3000)
-    deeper = Beams(beams.azimuth, beams.slope, beams.depth_m + rng.uniform(0, 5, 3000).astype(np.float32))
-    ground = HeightMap.flat(20.0)
-    first, _ = expected_returns(beams, 1.8, ground, GRID, CAR)
-    second, _ = expected_returns(deeper, 1.8, ground, GRID, CAR)
-    assert (second >= first - 1e-3).all()
-    assert second.sum() > first.sum()
 
 
 @pytest.mark.parametrize(
@@ -160,18 +120,6 @@ def _evidence(
         cell_windows(GRID, 1.8), measured, lost, heights_m, std_m, half_extent_m=half_m, sensor_height_m=1.8,
         target_height_m=1.5, table=table, reach_m=60.0,
     )  # fmt: skip
-
-
-def test_beams_that_are_no_numbers_count_nowhere_and_all_in_one_column_count_there() -> None:
-    odd = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-42], np.float32)
-    mixed = tuple(array.ravel() for array in np.meshgrid(odd, odd, odd))
-    returns, *_ = _evidence(mixed, (*mixed, mixed[2], mixed[2]))
-    assert np.isfinite(returns).all()
-    no_number = np.full(9, np.nan, np.float32)
-    assert not _evidence((no_number,) * 3, (no_number,) * 5)[0].any()
-    one = np.full(100_000, 0.3, np.float32), np.full(100_000, -0.15, np.float32), np.full(100_000, 12.0, np.float32)
-    inside = tuple(GRID.index(10.5 * np.array([np.cos(0.3), np.sin(0.3)]))[0])
-    assert _evidence(one, (*one, one[2], one[2]))[0][inside] == pytest.approx(100_000, rel=0.01)
 
 
 @settings(max_examples=20)

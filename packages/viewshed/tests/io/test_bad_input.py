@@ -4,7 +4,6 @@ import gzip
 import os
 import re
 import struct
-import sys
 import tracemalloc
 import zipfile
 from dataclasses import replace
@@ -230,16 +229,6 @@ def test_ring_out_of_the_sensors_range_is_refused(tmp_path: Path) -> None:
         read_sweep(path, sensor="VLP-16")
 
 
-@pytest.mark.parametrize("bad", [1.5, np.nan, 70_000.0, -1.0])
-def test_rings_that_are_no_rings_are_left_out_with_a_warning(bad: float, tmp_path: Path) -> None:
-    path = tmp_path / "a.pcd.bin"
-    path.write_bytes(files.rows(P, I, [0, 1, bad, 3, 4, 5]))
-    with pytest.warns(UserWarning, match=r"a\.pcd\.bin: ring is left out: (1 of 6 are no whole|rings must lie in \[0)"):
-        sweep = read_sweep(path)
-    assert sweep.ring is None
-    assert len(sweep) == 6
-
-
 def junk_rings(kind: str, count: int) -> NDArray[np.int64]:
     rng = np.random.default_rng(0)
     return {
@@ -307,11 +296,3 @@ def test_feather_buffers_that_claim_too_much_are_refused_before_they_are_allocat
     (tmp_path / "a.feather").write_bytes(content)
     with pytest.raises(ValueError, match=r"feather buffers claim 10995116\d+ bytes, more than \d+; refused"):
         read_sweep(tmp_path / "a.feather")
-
-
-def test_extra_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "velodyne_decoder", None)
-    capture = SAMPLES["velodyne pcap"]
-    (tmp_path / capture.name).write_bytes(capture.content)
-    with pytest.raises(ImportError, match=r"pip install 'viewshed\[recordings\]'"):
-        read_sweep(tmp_path / capture.name)

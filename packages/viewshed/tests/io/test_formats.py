@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from viewshed import LidarModel, Rigid
-from viewshed.io import FORMATS, read_sweep, read_sweeps
+from viewshed.io import read_sweep
 
 files: Any = import_module("sweep_files")
 P, I = files.POINTS, files.INTENSITY  # noqa: E741
@@ -151,27 +151,6 @@ def test_columns_of_others_that_cannot_be_are_left_out_with_a_warning(
     assert (sweep.ring, sweep.time_s) == (None, None)
 
 
-@pytest.mark.parametrize(("last_s", "kept"), [(1.9, True), (2.1, False)])
-def test_times_longer_than_a_revolution_are_left_out(last_s: float, kept: bool) -> None:
-    from viewshed.io._rings import matched_time_s
-
-    for value in (
-        np.array([0.0, last_s]),
-        np.array([0, round(last_s * 1e9)]),
-        np.array([0, round(last_s * 1e9)], ">u4"),
-    ):
-        assert (matched_time_s(value) is not None) == kept
-
-
-def test_times_whose_difference_leaves_int64_do_not_wrap() -> None:
-    from viewshed.io._rings import matched_time_s
-
-    ends = np.iinfo(np.int64)
-    assert matched_time_s(np.array([ends.min, 0, ends.max])) is None
-    near = matched_time_s(np.array([ends.min, ends.min + 5_000_000]))
-    np.testing.assert_allclose(near, [0, 0.005], rtol=1e-6)
-
-
 def test_text_takes_names_in_any_order_and_any_separator(put: Any) -> None:
     sweep = read_sweep(put("a.csv", b'"intensity","z","y","x"\r\n7,3,2,1.5\r\n\r\n8,6,5,4\r\n'))
     assert sweep.points.tolist() == [[1.5, 2, 3], [4, 5, 6]]
@@ -264,12 +243,3 @@ def test_a_header_that_says_zero_points_is_an_empty_sweep(put: Any) -> None:
         "e.npz": files.npz(points=np.zeros((0, 3), np.int32)),
     }.items():
         assert len(read_sweep(put(name, content))) == 0
-
-
-def test_read_sweeps_yields_one_sweep_of_a_plain_file(put: Any) -> None:
-    assert [len(sweep) for sweep in read_sweeps(put("a.bin", files.rows(P, I)))] == [6]
-
-
-def test_table_of_formats_is_complete() -> None:
-    assert {sample.format for sample in SAMPLES.values()} == set(FORMATS)
-    assert all(how.suffixes for how in FORMATS.values())

@@ -68,29 +68,6 @@ def test_a_cut_off_revolution_is_read_if_there_is_no_other(tmp_path: Path) -> No
     assert 0.4 < len(sweeps[0]) / (16 * 300) < 0.6
 
 
-def test_ouster_revolutions_rings_and_azimuths(tmp_path: Path) -> None:
-    payloads = files.ouster_payloads(frames=2)
-    frames = [frame for number, one in enumerate(payloads) for frame in files.fragments(one, number=number)]
-    (tmp_path / "o.pcap").write_bytes(files.pcap(frames))
-    (tmp_path / "o.json").write_bytes(files.ouster_metadata())
-    first, second = list(read_sweeps(tmp_path / "o.pcap"))
-    assert len(first) == len(second) == 32 * 64
-    x, y, z = first.points.T.astype(np.float64)
-    assert first.ring is not None
-    altitude = np.deg2rad(np.sort(files.OUSTER_BEAMS_DEG))[first.ring]
-    np.testing.assert_allclose(z - 0.03618, (5.0 - 0.0158) * np.sin(altitude), atol=1e-3)
-    offset = -np.deg2rad(np.array(files.OUSTER_OFFSETS_DEG)[::-1])[first.ring]
-    turn = np.mod(first.azimuth + offset - np.arctan2(y, x) + np.pi, 2 * np.pi) - np.pi
-    np.testing.assert_allclose(turn, 0, atol=1e-3)
-    np.testing.assert_allclose(first.model.elevation[first.ring], altitude)
-    np.testing.assert_allclose(first.model.azimuth_offset[first.ring], offset)
-    assert first.t_ns == 1_000_000_000
-    assert second.t_ns == 2_000_000_000
-    np.testing.assert_allclose(np.linalg.norm(second.points, axis=1), 6.0, atol=0.05)
-    start = first.azimuth[np.argmin(np.asarray(first.time_s))]
-    assert start == pytest.approx(np.pi)
-
-
 def test_ouster_without_metadata_and_with_metadata_of_another_sensor(tmp_path: Path) -> None:
     capture = files.pcap([files.ip_packet(files.udp_packet(one)) for one in files.ouster_payloads()])
     (tmp_path / "o.pcap").write_bytes(capture)

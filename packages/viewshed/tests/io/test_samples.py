@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from viewshed.io.samples import junction_truth, junction_truth_path
+from viewshed.io.samples import junction_truth_path
 
 make_sample: Any = import_module("make_sample")
 
@@ -14,9 +14,3 @@ def test_the_stored_truth_is_the_one_of_the_scene() -> None:
         assert set(stored) == set(made)
         for name in stored:
             np.testing.assert_array_equal(stored[name], made[name])
-
-
-def test_the_truth_cannot_be_changed() -> None:
-    truth, known = junction_truth()
-    assert not truth.expected_returns["car"].flags.writeable
-    assert known.shape == truth.grid.shape

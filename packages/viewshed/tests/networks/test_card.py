@@ -11,7 +11,6 @@ from torch.utils.flop_counter import FlopCounterMode
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION, NetworkCard
-from viewshed.networks.runtime import load_runner
 from viewshed.networks.unet_torch import UNet
 from viewshed.sweep import Sweep
 
@@ -45,16 +44,6 @@ def test_masks_drop_their_share_and_keep_the_mean(dropout: float) -> None:
     assert (masks == 0).any(axis=0).all()
 
 
-def test_masks_depend_on_the_seed_alone() -> None:
-    shape = UNetShape(8, 4)
-    first, again, other = (shape.masks(5, np.random.default_rng(seed)) for seed in (7, 7, 8))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-    assert not np.array_equal(first[0], first[1])
-    assert np.array_equal(shape.no_masks(2), np.ones((2, 352), np.float32))
-    assert (UNetShape(8, 4, 0.0).masks(4, np.random.default_rng(0)) == 1).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -68,11 +57,6 @@ def test_masks_depend_on_the_seed_alone() -> None:
 def test_shapes_outside_their_range_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         UNetShape(**changes)
-
-
-def test_no_passes_are_refused() -> None:
-    with pytest.raises(ValueError, match="passes must be at least 1, got 0"):
-        UNetShape().masks(0, np.random.default_rng(0))
 
 
 def test_a_card_comes_back_from_json_as_it_was() -> None:
@@ -118,48 +102,11 @@ def test_a_card_of_version_0_3_has_other_names_for_its_features() -> None:
     assert NetworkCard.from_json(text).uses_history
 
 
-@pytest.mark.parametrize("doubt", [True, False])
-def test_an_older_card_says_whether_there_is_a_second_head(doubt: bool) -> None:
-    content = json.loads(card().to_json())
-    assert NetworkCard.from_json(json.dumps({**content, "shape": {**content["shape"], "doubt": doubt}})) == card()
-
-
-@pytest.mark.parametrize("name", ["viewnet_road", "viewnet_indoor_car_int8"])
-def test_the_shipped_networks_cards_are_read(name: str) -> None:
-    card = load_runner(name, 1).card
-    assert card.inputs[:2] == ("shadow_map", "measured")
-    assert card.uses_history
-
-
-def test_what_is_no_json_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"card must be JSON, got 'x' \(Expecting value\)"):
-        NetworkCard.from_json("x")
-
-
 def test_cells_must_divide_by_the_poolings() -> None:
     with pytest.raises(ValueError, match="cells must divide by 16 for depth 4 and fold 1, got 100"):
         NetworkCard("made", UNetShape(8, 4), BevGrid(100, 16.0))
     with pytest.raises(ValueError, match="cells must divide by 12 for depth 2 and fold 3, got 32"):
         NetworkCard("made", UNetShape(8, 2, fold=3), BevGrid(32, 16.0))
-
-
-def test_folded_cells_are_channels() -> None:
-    plain, folded = UNetShape(8, 3), UNetShape(8, 3, channels=5, fold=2)
-    assert folded.parameters - plain.parameters == 9 * (5 * 4 - 1) * 8 + 3 * (8 + 1)
-    assert folded.flops(64) - plain.flops(32) == 2 * (9 * (5 * 4 - 1) * 8 * 32**2 + 3 * 8 * 32**2)
-
-
-@pytest.mark.parametrize(
-    ("grid", "target", "message"),
-    [
-        (BevGrid(32, 8.0), "car", "grid must be 32x16 for the network made, got 32x8; ask for that grid, or train"),
-        (BevGrid(32, 16.0, (1.0, 0.0)), "car", "grid must be 32x16 for the network made, got 32x16 about 1,0 m"),
-        (BevGrid(32, 16.0), "pedestrian", "target must be car for the network made, got pedestrian; train a network"),
-    ],
-)
-def test_another_grid_or_target_is_refused(grid: BevGrid, target: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        card().require(grid, target)
 
 
 def _points(count: int = 4000) -> NDArray[np.float32]:

@@ -1,6 +1,5 @@
 """With dropout off the masks leave the graph, and nothing else changes."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +8,7 @@ import onnxruntime
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.networks.made import GRID, card, drawn, inputs
-from tests.networks.older import with_second_head
+from tests.networks.made import card, drawn, inputs
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
@@ -25,9 +23,8 @@ SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2, 3,
 SHIPPED = sorted(path.stem for path in WEIGHTS.glob("*.onnx"))
 
 
-def content_of(shape: UNetShape, *, older: bool = False) -> bytes:
-    model = onnx_model(card(shape), drawn(shape))
-    return with_checksum((with_second_head(model) if older else model).SerializeToString())
+def content_of(shape: UNetShape) -> bytes:
+    return with_checksum(onnx_model(card(shape), drawn(shape)).SerializeToString())
 
 
 def in_bytes(shape: UNetShape) -> bytes:
@@ -52,44 +49,18 @@ def evaluated(content: bytes, **given: Any) -> np.ndarray[Any, np.dtype[Any]]:
     return found
 
 
-@pytest.mark.parametrize("older", [False, True], ids=["", "older"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_the_graph_without_masks_says_the_same_to_the_bit(shape: UNetShape, older: bool) -> None:
-    content = content_of(shape, older=older)
+def test_the_graph_without_masks_says_the_same_to_the_bit(shape: UNetShape) -> None:
+    content = content_of(shape)
     x = inputs(2, shape)
     found = evaluated(without_masks(content), inputs=x)
     assert np.array_equal(found, evaluated(content, inputs=x, masks=shape.no_masks(2)))
     assert found.std() > 0.005
 
 
-def test_a_network_in_bytes_without_dropout_says_the_same_to_the_bit() -> None:
-    shape = SHAPES[-1]
-    content = in_bytes(shape)
-    x = drawn_input(replace(card(shape), trained={"precision": "int8"}))
-    found = evaluated(without_masks(content), inputs=x)
-    assert np.array_equal(found, evaluated(content, inputs=x, masks=shape.no_masks(1)))
-    assert found.std() > 0.005
-
-
-@pytest.mark.parametrize("older", [False, True], ids=["", "older"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_only_masks_and_products_with_them_leave(shape: UNetShape, older: bool) -> None:
-    before, after = (
-        onnx.load_from_string(each) for each in (content_of(shape), without_masks(content_of(shape, older=older)))
-    )
-    onnx.checker.check_model(after, full_check=True)
-    left = [node.op_type for node in before.graph.node if node.op_type not in ("Mul", "Split", "Unsqueeze")]
-    assert [node.op_type for node in after.graph.node] == left
-    assert [each.name for each in after.graph.input] == ["inputs"]
-    assert list(after.graph.output) == list(before.graph.output)
-    constants = {each.name: each for each in after.graph.initializer}
-    assert all(constants[each.name] == each for each in before.graph.initializer)
-    assert (after.ir_version, list(after.opset_import)) == (before.ir_version, list(before.opset_import))
-
-
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_a_run_without_masks_is_a_run_with_dropout_off(shape: UNetShape) -> None:
-    for content in (content_of(shape), content_of(shape, older=True), in_bytes(shape)):
+    for content in (content_of(shape), in_bytes(shape)):
         runner = OnnxRunner.of_content(content, "made", 1)
         x = drawn_input(runner.card, 3)
         # Without dropout bytes are equal; with it the products with masks had rounded them once more.
@@ -110,15 +81,6 @@ def test_what_we_ship_says_the_same_with_and_without_masks(name: str) -> None:
     assert np.array_equal(found, masked) or shape.dropout > 0.0
     graph = onnx.load_from_string(without_masks(shipped_content(name))).graph
     assert "Mul" not in {node.op_type for node in graph.node}
-
-
-def test_many_sweeps_in_parts_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    runner = OnnxRunner.of_content(content_of(SHAPES[0]), "made", 1)
-    whole = runner.run(inputs(7))
-    monkeypatch.setattr("viewshed.networks.runtime._CELLS_AT_ONCE", 3 * GRID.cells**2)
-    np.testing.assert_allclose(runner.run(inputs(7)), whole, atol=1e-6)
-    with pytest.raises(ValueError, match="inputs must be at least one, got none"):
-        runner.run(inputs(7)[:0])
 
 
 @given(st.lists(st.tuples(st.integers(1, 1 << 20), st.one_of(st.integers(0, (1 << 64) - 1), st.binary()))))

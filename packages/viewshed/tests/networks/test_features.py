@@ -90,15 +90,6 @@ def test_expected_returns_are_the_shadow_maps(frame: Sample) -> None:
     assert (found["measured"] < found["expected"]).any()
 
 
-def test_every_beam_that_may_meet_a_target_is_of_one_kind(frame: Sample) -> None:
-    """Each kind has returns somewhere, and no less than none."""
-    evidence = shown(level(frame.sweep, GRID)).own_evidence
-    for returns in (evidence.measured, evidence.inferred, evidence.unresolved):
-        assert returns.shape == GRID.shape
-        assert (returns >= 0).all()
-        assert returns.max() > CAR.min_returns
-
-
 def test_unresolved_returns_are_those_that_late_ends_add(frame: Sample) -> None:
     leveled = level(frame.sweep, GRID)
     beams = beams_by_evidence(leveled, CAR.height_m)
@@ -146,26 +137,6 @@ def test_folded_features_are_their_maps_in_blocks(frame: Sample) -> None:
         side = GRID.cells // fold
         plain = found.reshape(len(FEATURES), side, fold, side, fold).transpose(1, 3, 0, 2, 4)
         assert np.array_equal(blocks, plain.reshape(side, side, -1))
-
-
-def test_maps_that_cannot_be_folded_are_refused() -> None:
-    for fold in (3, 128):
-        with pytest.raises(ValueError, match="fold must divide"):
-            fold_maps(np.zeros((1, 64, 64), np.uint8), fold)
-    with pytest.raises(ValueError, match="maps must be square"):
-        fold_maps(np.zeros((1, 64, 32), np.uint8), 2)
-
-
-def test_codes_of_no_numbers_do_not_harm() -> None:
-    wild = np.full(GRID.shape, np.nan, np.float32)
-    wild[:20], wild[20:40] = 1e30, -1e30
-    limit = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30] * 18, np.float32)
-    features: list[tuple[str, tuple[NDArray[Any], ...]]] = [
-        ("returns", (wild,)), ("probability", (wild,)), ("beyond", (limit,)), ("deviation", (wild,)),
-    ]  # fmt: skip
-    x_m = np.full(64, np.nan, np.float32)
-    found = _core.feature_maps(features, wild, bins_of_cells(GRID, 90), x_m, wild[0], 64.0, 4)
-    assert found.shape == (16, 16, 64)
 
 
 def test_limits_are_where_their_code_crosses_the_middle() -> None:

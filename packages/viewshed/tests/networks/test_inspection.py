@@ -1,6 +1,5 @@
 """What a network's file may hold is decided before anything runs it, whoever wrote the file and its checksum."""
 
-import hashlib
 import json
 import time
 from collections.abc import Callable
@@ -39,12 +38,6 @@ def test_what_we_export_passes(shape: UNetShape) -> None:
     maps = np.random.default_rng(1).integers(0, 9, (2, shape.channels, *GRID.shape)).astype(np.uint8)
     small = quantize_network(content, "a.onnx", maps)
     assert inspect_network(small, "a.onnx").precision == "int8"
-
-
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_a_second_head_of_older_files_passes(shape: UNetShape) -> None:
-    content = sealed(with_second_head(onnx_model(card(shape), drawn(shape))))
-    assert inspect_network(content, "a.onnx") == card(shape)
 
 
 @pytest.mark.parametrize("path", sorted(WEIGHTS.glob("*.onnx")), ids=lambda path: path.name)
@@ -207,7 +200,7 @@ def _model() -> bytes:
     return content
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(at=st.floats(0, 1, exclude_max=True), byte=st.integers(1, 255), structure=st.booleans())
 def test_whatever_is_changed_is_refused_or_runs(at: float, byte: int, structure: bool) -> None:
     """Half of the changes hit the graph's structure, which lies before the constants, half any byte."""
@@ -228,18 +221,3 @@ def test_a_checksum_that_differs_in_one_digit_is_another() -> None:
         other = b"0" if sound[at : at + 1] != b"0" else b"1"
         with pytest.raises(ValueError, match="must have the checksum"):
             verify_checksum(sound[:at] + other + sound[at + 1 :], "a.onnx")
-
-
-def test_contents_whose_checksums_begin_alike_are_told_apart() -> None:
-    """As it would be if only some digits were compared: the file of one content with the checksum of the other."""
-    first: dict[str, bytes] = {}
-    for number in range(100_000):
-        content = b"model %d" % number
-        begin = hashlib.sha256(content).hexdigest()[:6]
-        if begin in first:
-            swapped = with_checksum(content)[:-64] + with_checksum(first[begin])[-64:]
-            with pytest.raises(ValueError, match="must have the checksum"):
-                verify_checksum(swapped, "a.onnx")
-            return
-        first[begin] = content
-    pytest.fail("no two checksums begin alike")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as f
-from tests.networks.made import SMALL, card, drawn, inputs, nearby
+from tests.networks.made import SMALL, card, drawn, inputs
 from tests.networks.older import older_card
 from torch import Tensor
 
@@ -69,58 +69,12 @@ def test_passes_of_mcd_differ_and_those_of_mle_do_not() -> None:
     assert np.array_equal(mean, again)
 
 
-def test_evaluating_moves_no_statistics_and_leaves_the_mode() -> None:
-    module = drawn().train()
-    before = {name: value.clone() for name, value in module.state_dict().items()}
-    runner = TorchRunner(card(), module)
-    first = runner.run(inputs(3), SMALL.masks(3, np.random.default_rng(1)))
-    assert module.training
-    assert all(torch.equal(before[name], value) for name, value in module.state_dict().items())
-    assert np.array_equal(first, runner.run(inputs(3), SMALL.masks(3, np.random.default_rng(1))))
-    module(torch.from_numpy(inputs(3)), torch.from_numpy(SMALL.no_masks(3)))
-    assert not torch.equal(before["encoder.0.norm1.running_mean"], module.state_dict()["encoder.0.norm1.running_mean"])
-
-
-def test_one_input_stands_for_as_many_as_there_are_masks() -> None:
-    runner, masks = TorchRunner(card(), drawn()), SMALL.masks(3, np.random.default_rng(1))
-    np.testing.assert_allclose(
-        runner.run(inputs(1), masks), runner.run(np.repeat(inputs(1), 3, axis=0), masks), atol=1e-6
-    )
-
-
-def test_the_mask_keeps_the_mean_of_what_it_multiplies() -> None:
-    """Dropout of the last masked stage alone reaches a linear layer: the mean over masks is the value without."""
-    shape = UNetShape(4, 1, dropout=0.5)
-    module = nearby(shape)
-    x = torch.from_numpy(inputs(1, shape))
-    taken: list[Tensor] = []
-    module.up[0].register_forward_hook(lambda _m, _i, out: taken.append(out))
-    masks = torch.from_numpy(shape.masks(4000, np.random.default_rng(4)))
-    with torch.no_grad():
-        module(x[..., :4, :4], torch.ones(1, 8))
-        module(x[..., :4, :4].expand(4000, -1, -1, -1), masks)
-    bias = module.up[0].bias[:, None, None]  # type: ignore[index]
-    dropped, whole = taken[1].mean(0) - bias, taken[0][0] - bias
-    assert (taken[1] - taken[0]).norm() > 10 * whole.norm()
-    assert (dropped - whole).norm() < 0.03 * whole.norm()
-
-
 def test_moments_are_numpys() -> None:
     values = np.random.default_rng(0).random((20, 70, 65)).astype(np.float32)
     mean, std = mean_and_deviation(values)
     np.testing.assert_allclose(mean, values.astype(np.float64).mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(std, values.astype(np.float64).std(axis=0), atol=1e-6)
     assert not mean_and_deviation(np.full((5, 3, 3), 0.1, np.float32))[1].any()
-
-
-def test_weights_come_back_as_they_were(tmp_path: Path) -> None:
-    module = drawn()
-    save_weights(tmp_path / "a.pt", card(), module)
-    found, again = load_weights(tmp_path / "a.pt")
-    assert found == card()
-    assert not again.training
-    x, masks = inputs(2), SMALL.masks(2, np.random.default_rng(0))
-    assert np.array_equal(TorchRunner(card(), module).run(x, masks), TorchRunner(found, again).run(x, masks))
 
 
 def test_older_checkpoints_with_a_second_head_give_their_probability(tmp_path: Path) -> None:

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.agents.by_hand import CAR, GHOST, cells, tracks
+from tests.agents.by_hand import CAR, cells, tracks
 
 from viewshed.geometry import Rigid
-from viewshed.objects.before import SeenBefore, surface_shares
+from viewshed.objects.before import SeenBefore
 from viewshed.objects.tracks import Tracks
 
 
@@ -35,24 +35,6 @@ def seen() -> SeenBefore:
     return past
 
 
-def test_a_surface_that_appeared_in_the_open_came_from_nowhere(seen: SeenBefore) -> None:
-    """Followed back to before it stood there; one that was there all along still has its surface."""
-    assert _free(seen, _at(1.2, [CAR])) == [1.0]
-    always = SeenBefore()
-    for t_s in np.arange(0.0, 1.0, 0.1):
-        always.add(t_s, cells())
-    assert _free(always, _at(1.2, [CAR])) < 0.5
-
-
-def test_what_comes_out_of_a_shadow_was_hidden() -> None:
-    """A box that was behind the car is followed back into its shadow, where no surface is."""
-    behind = CAR + np.array([6.0, 0.0, 0, 0, 0, 0, 0])
-    past = SeenBefore()
-    for t_s in (0.0, 0.3):
-        past.add(t_s, cells())
-    assert _free(past, _at(0.6, [behind])) < 0.5
-
-
 def test_a_moving_surface_is_followed() -> None:
     """It drives by at 10 m/s: a track with its velocity was there all along, one that stands was not."""
     past = SeenBefore()
@@ -72,12 +54,6 @@ def test_nothing_is_said_without_a_surface_a_velocity_poses_or_a_past(seen: Seen
     assert np.isnan(_free(seen, replace(young, in_world=False)))
     assert np.isnan(_free(SeenBefore(), young))
     assert _free(seen, _at(1.2, [])).shape == (0,)
-
-
-def test_surfaces_of_a_larger_box() -> None:
-    assert surface_shares(cells(), np.stack([CAR, GHOST]))[1] == 0.0
-    assert 0.03 < surface_shares(cells(), CAR[None])[0] < 0.3
-    assert surface_shares(None, CAR[None]).tolist() == [0.0]
 
 
 def test_what_is_kept_is_bounded(seen: SeenBefore) -> None:

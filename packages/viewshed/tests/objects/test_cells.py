@@ -8,7 +8,7 @@ import pytest
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
-from viewshed.objects.cells import SeenCells, footprint_points
+from viewshed.objects.cells import SeenCells
 
 GRID = BevGrid(256, 32.0)
 
@@ -24,15 +24,6 @@ def _cells(pose: Rigid | None = None) -> SeenCells:
     state[side & (x < 10.5)] = CellState.SURFACE
     state[x < -20.0] = CellState.UNKNOWN
     return SeenCells(GRID, state, pose or Rigid.identity())
-
-
-def test_states_are_looked_up_in_the_tracks_frame() -> None:
-    """A view that is turned and moved gives the states of the same places; outside the grid nothing is known."""
-    pose = Rigid.from_yaw(0.7, (100.0, -50.0, 0.0))
-    points = np.array([[10.25, 2.0], [5.0, 0.0], [12.0, 1.0], [90.0, 0.0]])
-    world = (pose @ np.column_stack([points, np.zeros(4)]))[:, :2]
-    expected = [CellState.SURFACE, CellState.FREE, CellState.HIDDEN, CellState.UNKNOWN]
-    assert _cells(pose).states_at(world).tolist() == expected
 
 
 def test_shares_of_a_car_a_ghost_and_a_box_in_the_shadow() -> None:
@@ -52,24 +43,6 @@ def test_shares_of_a_car_a_ghost_and_a_box_in_the_shadow() -> None:
     assert look.first_m[1] == 10.0
     assert look.ring_free[1] == 1.0
     assert look.range_m[1] == pytest.approx(np.hypot(5.0, 9.0))
-
-
-def test_a_box_is_moved_to_its_surface() -> None:
-    """A box a meter short of the surface is moved away from the sensor, one beside it sideways, one in the open not."""
-    short, beside, alone = _cells().shifts(np.array([
-        [9.0, 1.0, 0.75, 1.0, 4.0, 1.5, 0.0], [10.5, 2.5, 0.75, 1.0, 4.0, 1.5, 0.0],
-        [-9.0, 9.0, 0.75, 4.0, 2.0, 1.5, 0.0],
-    ]))  # fmt: skip
-    assert short[0] > 0.4
-    assert abs(short[1]) < 0.3
-    assert beside[1] < -0.2
-    assert alone.tolist() == [0.0, 0.0]
-
-
-def test_footprint_points_lie_in_the_turned_box() -> None:
-    """Corners of the lattice are the corners of the box with its margin."""
-    points = footprint_points(np.array([[1.0, 2.0, 0.0, 4.0, 2.0, 1.5, np.pi / 2]]), (2, 2), margin_m=0.0)[0]
-    assert sorted(points.round(6).tolist()) == [[0.0, 0.0], [0.0, 4.0], [2.0, 0.0], [2.0, 4.0]]
 
 
 def test_cells_of_an_estimate_without_a_pose_are_in_its_own_frame() -> None:

@@ -1,7 +1,6 @@
 """The measured table: laws over what is shipped, counts by hand, and what is blocked in a scene by hand."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -60,15 +59,6 @@ def test_many_counts_are_their_share_and_few_lean_on_the_rest() -> None:
     assert counted.prob(*middle, np.array([ObjectKind.PEDESTRIAN], np.uint8)) == pytest.approx([0.75], abs=0.01)
 
 
-def test_deviations_are_roots_of_mean_squares() -> None:
-    table = empty()
-    errors_m2, matched = table.errors_m2.copy(), table.matched.copy()
-    matched[ObjectKind.CAR] = 100_000
-    errors_m2[ObjectKind.CAR] = 100_000 * np.array([0.25, 0.04])
-    std_m = replace(table, errors_m2=errors_m2, matched=matched).center_std_m(np.array([17.0]), CAR)
-    assert std_m == pytest.approx(np.array([[0.5, 0.2]]), rel=1e-3)
-
-
 def test_odds_of_false_detections_are_their_counts_and_lean_on_their_kind() -> None:
     """Three false for seven right; ranges without counts lean on their kind, kinds without counts on all."""
     table = empty()
@@ -79,15 +69,6 @@ def test_odds_of_false_detections_are_their_counts_and_lean_on_their_kind() -> N
     assert counted.false_odds(middles, cars) == pytest.approx([3 / 7] * 2, rel=1e-3)
     assert counted.false_odds(middles, np.full(2, ObjectKind.TRUCK, np.uint8)) == pytest.approx([3 / 7] * 2, rel=1e-3)
     assert (detection_table().false_odds(np.array([1.0, 30.0, 1e6]), np.full(3, ObjectKind.CAR, np.uint8)) > 0.01).all()
-
-
-def test_it_is_read_as_it_was_written(tmp_path: Path) -> None:
-    table = detection_table()
-    table.save(tmp_path / "table.json")
-    again = DetectionTable.load(tmp_path / "table.json")
-    for name in ("found", "total", "errors_m2", "matched", "false"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(table, name))
-    assert (again.sweeps, dict(again.about)) == (table.sweeps, dict(table.about))
 
 
 def test_tables_that_contradict_themselves_are_refused() -> None:

@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 from viewshed.objects.cells import BoxCells
 from viewshed.objects.evidence import (
     BLIND,
-    BOX_FEATURES,
     CAP,
     EvidenceTable,
     cell_bins,
     cell_ratios,
-    fit_weights,
     jump_bins,
     mean_after,
     ratios_of,
@@ -43,21 +41,6 @@ def test_the_mean_over_time_is_a_weighted_geometric_mean(ratios: list[float], dt
     assert log_mean == pytest.approx(float(weights @ np.log(ratios) / weights.sum()), abs=1e-9)
 
 
-def test_wealth_forgets_and_begins_again() -> None:
-    """A second of ratios counts as one; ratios below 1 take wealth away that ratios above bring back."""
-    wealth = np.array(0.0)
-    for _ in range(10):
-        wealth = wealth_after(wealth, np.array(10.0), 0.1, 1.0)
-    rich = float(wealth)
-    assert 3.0 < rich < 10.0
-    for _ in range(30):
-        wealth = wealth_after(wealth, np.array(0.01), 0.1, 1.0)
-    assert wealth < 0.2
-    for _ in range(10):
-        wealth = wealth_after(wealth, np.array(10.0), 0.1, 1.0)
-    assert wealth > 3.0
-
-
 def test_on_honest_ratios_wealth_grows_by_one_each_block() -> None:
     """The mean of W after t blocks of independent ratios with mean 1 is t at most: no more than its promise."""
     rng = np.random.default_rng(0)
@@ -74,21 +57,3 @@ def test_blind_bins_say_nothing() -> None:
     assert (bins == BLIND).all()
     assert cell_ratios(np.ones(1000), bins).tolist() == [1.0]
     assert ratios_of(EvidenceTable((1.0,) * 12, (9.0,) * 12), jump_bins(np.array([np.nan]))).tolist() == [1.0]
-
-
-def test_weights_find_what_tells_forged_boxes() -> None:
-    """Boxes without a surface in free cells are forged; a fitted ratio says so, and is capped."""
-    rng = np.random.default_rng(1)
-    count = 400
-
-    def boxes(surface: float, free: float) -> np.ndarray:
-        shares = [np.clip(rng.normal(mean, 0.03, count), 0, 0.5) for mean in (surface, free)]
-        rest = [np.full(count, value) for value in (0.4, 0.0, 0.5, 0.5, 1.0, 12.0)]
-        return cell_bins(BoxCells(*shares, *rest), np.full(count, 0.9))
-
-    honest, forged = boxes(0.2, 0.1), boxes(0.0, 0.5)
-    assert honest.shape == (count, len(BOX_FEATURES))
-    weights = fit_weights(honest, forged)
-    assert np.median(cell_ratios(weights, forged)) > 10.0
-    assert np.median(cell_ratios(weights, honest)) < 0.1
-    assert cell_ratios(1000 * weights, forged).max() <= CAP * (1 + 1e-9)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from viewshed.objects.matching import corners_of, match_boxes, overlaps
+from viewshed.objects.matching import match_boxes, overlaps
 
 
 def boxes_at(*middles: tuple[float, float]) -> np.ndarray:
@@ -35,8 +35,3 @@ def test_overlaps_by_hand() -> None:
     other[1, 6] = np.pi / 2  # a cross: 2 × 2 of 12
     assert overlaps(one, other) == pytest.approx([4 / 12, 4 / 12, 0.0])
     assert overlaps(one[:0], other[:0]).tolist() == []
-
-
-def test_corners_go_round_from_the_front_left() -> None:
-    box = np.array([[1.0, 2.0, 0.0, 4.0, 2.0, 1.0, np.pi / 2]])
-    assert corners_of(box)[0] == pytest.approx(np.array([[0.0, 4.0], [0.0, 0.0], [2.0, 0.0], [2.0, 4.0]]))

@@ -1,13 +1,12 @@
 """The small network: against numpy, and what it refuses."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from viewshed.objects.candidates import SHAPES
-from viewshed.objects.shape_classifier import SeenAs, ShapeClassifier, shipped_classifier
+from viewshed.objects.shape_classifier import SeenAs, shipped_classifier
 
 
 def test_probabilities_are_those_of_the_same_network_in_numpy() -> None:
@@ -21,13 +20,6 @@ def test_probabilities_are_those_of_the_same_network_in_numpy() -> None:
     assert prob == pytest.approx(values / values.sum(axis=1, keepdims=True), abs=1e-4)
     assert prob.shape == (300, len(SeenAs))
     assert network.probabilities(shapes[:0]).shape == (0, len(SeenAs))
-
-
-def test_it_is_read_as_it_was_written(tmp_path: Path) -> None:
-    shipped_classifier().save(tmp_path / "shapes.npz")
-    again = ShapeClassifier.load(tmp_path / "shapes.npz")
-    for one, other in zip(again.weights, shipped_classifier().weights, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_arrays_that_do_not_fit_are_refused() -> None:

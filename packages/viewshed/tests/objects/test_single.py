@@ -11,12 +11,11 @@ from tests.agents.by_hand import CAR, GHOST, HandView, cells, model, tracks, vie
 
 from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import IntegrityReport
-from viewshed.objects.calibration import limits_of
 from viewshed.objects.cells import SeenCells
 from viewshed.objects.evidence import EvidenceModel
 from viewshed.objects.explained import FABRICATED, MOVED, REMOVED, Explanation
 from viewshed.objects.jumps import EARLIER, LATEST, Sightings
-from viewshed.objects.single import SingleFusion, shipped_model
+from viewshed.objects.single import SingleFusion
 
 TIMES = np.arange(0.0, 3.0, 0.1)
 
@@ -67,16 +66,6 @@ def test_a_car_that_drives_off_or_is_hidden_is_not_accused(p: float, expected: E
     assert not explained.accused.any()
 
 
-def test_a_given_up_track_in_free_cells_is_forgotten() -> None:
-    """Half a second without a surface where it should be, and fusion no longer holds it."""
-    fusion = SingleFusion(model())
-    for t_s in TIMES[:15]:
-        fusion.explain(*tracks(t_s, [GHOST], [True]), [view(t_s)])
-    counts = [len(fusion.explain(*tracks(t_s, [], []), [view(t_s)])) for t_s in TIMES[15:]]
-    assert counts[0] == 1
-    assert counts[-1] == 0
-
-
 @pytest.mark.parametrize("was_there", [False, True])
 def test_a_ghost_with_a_surface_is_named_by_the_cells_before_it(was_there: bool) -> None:
     """Made in the sweep it has returns and a shadow as a car has; a car that was missed at first had them before."""
@@ -121,16 +110,6 @@ def test_under_alarm_the_verdict_abstains() -> None:
             explained = fusion.explain(*tracks(t_s, [GHOST], [True]), [view(t_s, report=suspected(azimuth))])
         assert explained.explanations.tolist() == [expected]
         assert explained.accused.tolist() == [expected != Explanation.ABSTAINED]
-
-
-def test_two_sensors_that_say_the_same_count_as_one() -> None:
-    """The same cells twice give the same evidence as once, however much they depend on each other."""
-    alone, both = SingleFusion(model()), SingleFusion(model())
-    for t_s in TIMES[:8]:
-        shown = tracks(t_s, [GHOST], [True])
-        one = alone.explain(*shown, [view(t_s)])
-        two = both.explain(*shown, [view(t_s), view(t_s, sensor="left")])
-    assert two.e_values == pytest.approx(one.e_values)
 
 
 def test_a_second_sensor_helps_where_the_first_says_nothing() -> None:
@@ -195,25 +174,6 @@ def test_time_that_goes_back_begins_anew() -> None:
     assert not explained.accused.any()
 
 
-def test_jumps_by_hand() -> None:
-    """A steady drive does not jump, a side step of a meter does, by its vector; a short past says nothing."""
-    times = np.arange(12) * 0.1
-    steady = np.column_stack([10.0 * times, np.zeros(12)])
-    steady += np.random.default_rng(0).normal(0.0, 0.05, steady.shape)
-    beside = steady.copy()
-    beside[-3:, 1] += 1.0
-    sightings = Sightings.none(3)
-    for k, t_s in enumerate(times):
-        rows = np.arange(3 if k >= 6 else 2)
-        sightings = sightings.after(rows, t_s, np.stack([steady[k], beside[k], steady[k]])[rows])
-    deviations, vectors = sightings.jumps()
-    assert deviations[0] < 3.0
-    assert deviations[1] > 4.0
-    assert vectors[1] == pytest.approx([0.0, 1.0], abs=0.25)
-    assert np.isnan(deviations[2])
-    assert vectors[2].tolist() == [0.0, 0.0]
-
-
 def test_the_way_of_earlier_places_is_that_of_least_squares() -> None:
     """Against numpy's polynomial, over uneven times and the whole length of the past."""
     rng = np.random.default_rng(3)
@@ -223,16 +183,6 @@ def test_the_way_of_earlier_places_is_that_of_least_squares() -> None:
     line = np.polynomial.polynomial.polyfit(times[:EARLIER], places[:EARLIER], 1)
     expected = places[-LATEST:].mean(axis=0) - (line[0] + line[1] * times[-LATEST:].mean())
     np.testing.assert_allclose(vectors[0], expected, atol=1e-9)
-
-
-def test_limits_accuse_no_more_than_their_share() -> None:
-    """Of a thousand honest tracks 3 % at most reach one of three limits, and nearly that many do."""
-    highest = np.random.default_rng(0).lognormal(0.0, 2.0, (1000, 3))
-    limits = limits_of(highest, 0.03)
-    share = (highest >= limits).any(axis=1).mean()
-    assert 0.024 < share <= 0.03
-    with pytest.raises(ValueError, match="tracks"):
-        limits_of(highest[:10], 0.03)
 
 
 def test_a_model_is_the_same_after_it_was_written(tmp_path: object) -> None:
@@ -246,10 +196,3 @@ def test_a_model_is_the_same_after_it_was_written(tmp_path: object) -> None:
     (folder / "other.json").write_text("{}")
     with pytest.raises(ValueError, match=r"other\.json must hold an evidence model"):
         EvidenceModel.load(folder / "other.json")
-
-
-def test_the_model_in_the_box_accuses_three_percent() -> None:
-    """It was calibrated on hundreds of honest tracks."""
-    shipped = shipped_model()
-    assert shipped.accused == 0.03
-    assert shipped.tracks >= 200

@@ -5,14 +5,10 @@ import pytest
 from tests.objects.scripted import ScriptedView, cars, everywhere
 
 from viewshed.arrays import F64
-from viewshed.detections import Detections, ObjectKind
+from viewshed.detections import Detections
 from viewshed.objects.existence import (
-    LEVELS,
     after_detection,
     after_miss,
-    found_probability,
-    levels_after,
-    shares_found,
 )
 from viewshed.objects.kalman import Motion
 from viewshed.objects.tracker import ExistenceRules, Tracker
@@ -45,45 +41,6 @@ def test_existence_after_a_miss_is_bayes() -> None:
     np.testing.assert_allclose(np.concatenate(mine), [0.4 * 0.3 / total, 0.2 * 0.65 / total])
 
 
-def test_a_false_detection_that_comes_back_bounds_what_a_hit_says() -> None:
-    """However near it lies: the odds against a lasting false source rise by 1 / recurrence."""
-    r, q = after_detection(np.array([0.5]), np.array([0.5]), np.array([0.9]), np.array([1e9]), 1e-4, recurrence=0.5)
-    assert r[0] == pytest.approx(2 / 3)
-    assert q[0] == pytest.approx(1 / 3)
-
-
-def test_a_long_seen_object_that_left_is_given_up_as_fast_as_none_can_be_found() -> None:
-    """What came back ten times is no longer there after some misses, object or not."""
-    existence, lasting, found = np.array([0.6]), np.array([0.3]), np.array([0.9])
-    for _ in range(10):
-        existence, lasting = after_detection(existence, lasting, found, np.array([0.3]), 1e-4, recurrence=0.8)
-    for _ in range(6):
-        existence, lasting = after_miss(0.999 * existence, 0.999 * lasting, found, recurrence=0.8)
-    assert existence[0] + lasting[0] < 0.1
-
-
-def test_doubt_about_one_object_is_told_once() -> None:
-    """Half visible and missed again and again: existence halves in the first sweep, and hardly falls from there."""
-    existence, levels = np.array([0.5]), np.full((1, LEVELS), 1 / LEVELS)
-    shares = shares_found(np.array([0.5]), most_found=1.0)
-    told = []
-    for _ in range(5):
-        existence, _ = after_miss(existence, np.zeros(1), found_probability(levels, shares), recurrence=0.0)
-        levels = levels_after(levels, 1.0 - shares)
-        told.append(existence[0])
-    assert told == pytest.approx([1 / 3] * 5)
-
-
-def test_velocities_and_places_of_an_asymmetric_drive() -> None:
-    tracker = Tracker()
-    for k in range(30):
-        tracks = tracker.step(0.1 * k, cars((10 + 0.8 * k, -5 + 0.3 * k)), SeesAll(0.1 * k))
-    assert tracks.ids.tolist() == [0]
-    np.testing.assert_allclose(tracks.states[0], [10 + 0.8 * 29, -5 + 0.3 * 29, 8.0, 3.0], atol=0.05)
-    assert tracks.detection.tolist() == [0]
-    assert tracks.confirmed.all()
-
-
 def test_a_miss_in_plain_view_ends_a_track_and_a_hidden_one_does_not() -> None:
     for prob, is_kept in ((1.0, False), (0.0, True)):
         tracker = Tracker()
@@ -94,14 +51,6 @@ def test_a_miss_in_plain_view_ends_a_track_and_a_hidden_one_does_not() -> None:
         if is_kept:
             assert tracks.existence[0] > 0.9
             assert tracks.seen_s[0] == pytest.approx(0.9)
-
-
-def test_a_hidden_track_whose_place_is_lost_ends() -> None:
-    tracker = Tracker()
-    _drive(tracker, 10)
-    for k in range(10, 120):
-        tracks = tracker.step(0.1 * k, Detections.none(), ScriptedView(0.1 * k, everywhere(0.0)))
-    assert len(tracks) == 0
 
 
 def test_a_hidden_track_whose_place_is_vague_is_not_shown_until_it_is_detected_again() -> None:
@@ -134,21 +83,6 @@ def test_what_appears_where_all_was_seen_free_is_doubted() -> None:
     assert (tracks.born_hidden[near], tracks.born_hidden[far]) == (0.0, 1.0)
     assert tracks.existence[near] < 0.15
     assert tracks.existence[far] > 0.5
-
-
-def test_a_detection_that_was_likely_overlooked_before_is_plausible() -> None:
-    """It was in view in the sweep before, but the detector finds one in ten there."""
-    tracker = Tracker()
-    tracker.step(0.0, Detections.none(), ScriptedView(0.0, everywhere(1.0), found=0.1))
-    tracks = tracker.step(0.1, cars((5.0, 0.0)), ScriptedView(0.1, everywhere(1.0), found=0.1))
-    assert tracks.born_hidden[0] == 0.0
-    assert tracks.existence[0] > 0.5
-
-
-def test_the_first_sweep_of_a_recording_doubts_nothing() -> None:
-    tracks = Tracker().step(0.0, cars((5.0, 0.0)), ScriptedView(0.0, everywhere(1.0)))
-    assert tracks.born_hidden.tolist() == [1.0]
-    assert tracks.existence[0] > 0.5
 
 
 def test_a_parked_car_that_is_hidden_stays_and_one_that_drives_goes_on() -> None:
@@ -188,40 +122,6 @@ def test_detections_that_are_mostly_false_take_longer_to_believe() -> None:
         tracker.step(0.3, cars((10.0, 0.0)), SeesAll(0.3), false_odds=np.array([0.0]))
 
 
-def test_heading_flips_by_half_and_quarter_turns_do_not_turn_a_track() -> None:
-    tracker = Tracker()
-    for k in range(30):
-        found = cars((0.8 * k, 0.0), yaw=(0.05, np.pi + 0.05, np.pi / 2 + 0.05, -np.pi / 2 + 0.05)[k % 4])
-        boxes = found.boxes.copy()
-        if k % 4 >= 2:  # the same box, with length and width exchanged
-            boxes[:, [3, 4]] = boxes[:, [4, 3]]
-        tracks = tracker.step(0.1 * k, replace(found, boxes=boxes), SeesAll(0.1 * k))
-        assert abs(tracks.boxes[0, 6] - 0.05) < 1e-6
-    np.testing.assert_allclose(tracks.boxes[0, 3:6], [4.2, 1.8, 1.5], atol=1e-6)
-
-
-def test_a_track_that_began_across_turns_to_where_it_drives() -> None:
-    """Its first detections saw the rear only: 1.8 m wide, and taken for the length."""
-    tracker = Tracker()
-    for k in range(20):
-        boxes = np.array([[0.8 * k, 0.0, 0.75, 1.8, 0.6, 1.5, np.pi / 2]])
-        tracks = tracker.step(0.1 * k, Detections(boxes, np.array([3]), np.array([20])), SeesAll(0.1 * k))
-    assert abs(tracks.boxes[0, 6]) < 1e-6
-    np.testing.assert_allclose(tracks.boxes[0, 3:5], [0.6, 1.8], atol=1e-6)
-
-
-def test_sizes_are_filtered_and_their_variances_shrink() -> None:
-    rng = np.random.default_rng(0)
-    tracker = Tracker()
-    for k in range(40):
-        boxes = np.array([[20.0, 5.0, 0.75, 4.2 + rng.normal(0, 0.5), 1.8 + rng.normal(0, 0.3), 1.5, 0.0]])
-        tracks = tracker.step(0.1 * k, Detections(boxes, np.array([3]), np.array([20])), SeesAll(0.1 * k))
-        if k == 0:
-            first = tracks.box_variances[0].copy()
-    np.testing.assert_allclose(tracks.boxes[0, 3:5], [4.2, 1.8], atol=0.35)
-    assert (tracks.box_variances[0] < first).all()
-
-
 def test_a_part_of_a_track_begins_no_other() -> None:
     """A detector that cuts a car in two gives two boxes in one place."""
     tracker = Tracker()
@@ -229,14 +129,6 @@ def test_a_part_of_a_track_begins_no_other() -> None:
     tracks = tracker.step(0.5, cars((5.0, 0.0), (6.2, 0.4)), SeesAll(0.5))
     assert len(tracks) == 1
     assert len(Tracker().step(0.0, cars((5.0, 0.0), (5.0, 0.0)), SeesAll(0.0))) == 1  # doubled
-
-
-def test_kinds_are_those_of_most_detections() -> None:
-    tracker = Tracker()
-    for k, kind in enumerate([ObjectKind.CAR, ObjectKind.CAR, ObjectKind.TRUCK]):
-        found = cars((20.0, 0.0))
-        tracks = tracker.step(0.1 * k, replace(found, kinds=np.array([kind])), SeesAll(0.1 * k))
-    assert tracks.kinds.tolist() == [ObjectKind.CAR]
 
 
 def test_beyond_the_gate_a_detection_is_of_another_object() -> None:
@@ -247,15 +139,6 @@ def test_beyond_the_gate_a_detection_is_of_another_object() -> None:
         std_m = float(np.sqrt(before.covariances[0, 1, 1] + 0.6**2))
         tracks = tracker.step(2.0, cars((0.0, off * std_m)), SeesAll(2.0))
         assert tracks.ids.tolist() == ids
-
-
-def test_reset_forgets_tracks_and_goes_on_with_ids() -> None:
-    tracker = Tracker()
-    _drive(tracker, 5)
-    tracker.reset()
-    tracks = tracker.step(0.0, cars((0.0, 0.0)), SeesAll(0.0))
-    assert tracks.ids.tolist() == [1]
-    assert tracks.notes == ()
 
 
 def test_time_that_goes_back_begins_anew_and_says_so() -> None:
@@ -300,14 +183,6 @@ def test_too_many_detections_are_refused_and_the_tracks_go_on() -> None:
     assert _drive(tracker, 3, start=6).ids.tolist() == [0]
 
 
-def test_tracks_beyond_the_limit_are_refused_by_count() -> None:
-    tracker = Tracker(ExistenceRules(most_tracks=30))
-    far = cars(*((10.0 * (k % 10), 10.0 * (k // 10)) for k in range(40)))
-    tracks = tracker.step(0.0, far, SeesAll(0.0))
-    assert len(tracks) == 30
-    assert tracks.notes == ("10 new tracks refused: 30 are held",)
-
-
 def test_boxes_that_are_too_long_are_left_out_and_counted() -> None:
     found = cars((5.0, 0.0), (40.0, 0.0), (60.0, 0.0))
     boxes = found.boxes.copy()
@@ -316,13 +191,6 @@ def test_boxes_that_are_too_long_are_left_out_and_counted() -> None:
     tracks = tracker.step(0.0, replace(found, boxes=boxes), SeesAll(0.0))
     assert tracks.notes == ("1 of 3 boxes left out: longer than 30 m",)
     assert sorted(tracks.detection.tolist()) == [1, 2]  # their numbers in what was given
-
-
-def test_boxes_without_a_size_are_no_detections() -> None:
-    boxes = cars((5.0, 0.0)).boxes.copy()
-    boxes[0, 3:6] = 0.0
-    with pytest.raises(ValueError, match="boxes must be finite and have positive sizes; leave out those that are not"):
-        replace(cars((5.0, 0.0)), boxes=boxes)
 
 
 @pytest.mark.parametrize(
@@ -343,17 +211,6 @@ def test_covariances_of_another_shape_a_view_of_another_time_and_no_time_are_ref
         Tracker().step(float("nan"), cars((0.0, 0.0)), SeesAll(0.0))
 
 
-def test_a_precise_detection_moves_a_track_more_than_a_vague_one() -> None:
-    moved = []
-    for variance in (0.01, 4.0):
-        tracker = Tracker()
-        _drive(tracker, 10)
-        tracks = tracker.step(1.0, cars((10.0, 0.5)), SeesAll(1.0), variance * np.eye(2)[None])
-        moved.append(tracks.states[0, 1])
-    assert moved[0] > 0.3
-    assert 0.0 < moved[1] < 0.1
-
-
 def test_a_view_that_fails_leaves_the_tracks_as_they_were() -> None:
     def broken(xy: F64) -> F64:
         raise RuntimeError("no beams")
@@ -366,12 +223,6 @@ def test_a_view_that_fails_leaves_the_tracks_as_they_were() -> None:
     mine, expected = _drive(tracker, 1, start=5), _drive(other, 1, start=5)
     np.testing.assert_array_equal(mine.states, expected.states)
     np.testing.assert_array_equal(mine.existence, expected.existence)
-
-
-def test_what_a_caller_gets_cannot_change_the_tracker() -> None:
-    tracks = _drive(Tracker(), 3)
-    with pytest.raises(ValueError, match="read-only"):
-        tracks.states[0, 0] = 9.0
 
 
 def test_rules_out_of_range_are_refused() -> None:
@@ -400,17 +251,3 @@ def test_a_flood_of_boxes_in_one_place_asks_the_view_of_few() -> None:
         )
         assert len(tracks) < 10
     assert max(asked) < 2000
-
-
-def test_a_flood_of_boxes_everywhere_asks_the_view_a_bounded_number_of_questions() -> None:
-    asked = []
-
-    def seen(xy: F64) -> F64:
-        asked.append(len(xy))
-        return np.ones(len(xy))
-
-    tracker = Tracker()
-    for k in range(3):
-        grid = np.stack(np.meshgrid(np.arange(40) * 5.0, np.arange(25) * 5.0 + 2.5 * k), axis=-1).reshape(-1, 2)
-        tracker.step(k, cars(*grid), ScriptedView(k, seen))
-    assert max(asked) <= 10_000

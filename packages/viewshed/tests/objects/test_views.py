@@ -12,7 +12,7 @@ from viewshed.arrays import F64
 from viewshed.detections import ObjectKind, moved_boxes
 from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
-from viewshed.objects.association import inside, volume_overlaps
+from viewshed.objects.association import inside
 from viewshed.objects.detection_table import detection_table
 from viewshed.objects.matching import corners_of
 from viewshed.objects.views import (
@@ -89,32 +89,12 @@ def test_every_view_answers_for_no_boxes() -> None:
         assert view.hides_near(none, np.zeros(0)).shape == (0,)
 
 
-def test_no_view_sees_everything_and_doubts_no_birth() -> None:
-    view = SeesAll(1.0, detectable=0.7)
-    assert (view.visible(CAR)[0], view.detectable(CAR, KINDS)[0], view.hides_near(CAR, np.ones(1))[0]) == (
-        1.0,
-        0.7,
-        1.0,
-    )
-
-
 def test_a_polygon_is_asked_at_the_center() -> None:
     view = PolygonView(Polygon([(0, 0), (12.1, 0), (12.1, 10), (0, 10)]), None, 0.0)
     boxes = np.concatenate([CAR, CAR + np.array([0.2, 0, 0, 0, 0, 0, 0])])
     assert view.visible(boxes).tolist() == [1.0, 0.0]
     assert view.hides_near(boxes[:1], np.array([0.05])).tolist() == [0.0]
     assert view.hides_near(boxes[:1], np.array([0.5])).tolist() == [1.0]
-
-
-def test_a_grid_is_asked_before_the_object_never_inside_it() -> None:
-    """All cells that the car covers, and those behind it, are hidden by itself; those before it are seen."""
-    x, y = GRID.centers[..., 0], GRID.centers[..., 1]
-    grown = CAR + np.array([0, 0, 0, 0.2, 0.2, 0, 0])
-    covered = inside(GRID.centers.reshape(-1, 2), grown)[0].reshape(GRID.shape)
-    behind = np.hypot(x, y) > 12.5
-    prob = np.where(covered | behind, 0.0, 1.0)
-    assert GridView(_estimate(prob), 0.0).visible(CAR).tolist() == [1.0]
-    assert _estimate(prob).at(CAR[:, :2]).tolist() == [0.0]
 
 
 def test_a_grid_gives_the_mean_of_five_lines_of_sight() -> None:
@@ -126,16 +106,6 @@ def test_a_grid_gives_the_mean_of_five_lines_of_sight() -> None:
     assert visible == pytest.approx(0.6)
     assert GridView(_estimate(0.6 * prob), 0.0).visible(CAR)[0] == pytest.approx(0.36)
     assert GridView(_estimate(0.6 * prob), 0.0, hard=True).visible(CAR)[0] == pytest.approx(0.6)
-
-
-def test_outside_the_grid_nothing_is_seen() -> None:
-    view = GridView(_estimate(np.ones(GRID.shape)), 0.0)
-    boxes = CAR + np.array([[0.0], [30.0]]) * [1, 0, 0, 0, 0, 0, 0]
-    assert view.visible(boxes).tolist() == [1.0, 0.0]
-    assert view.hides_near(CAR + np.array([17.0, 0, 0, 0, 0, 0, 0]), np.array([7.0])).tolist() == [
-        1.0
-    ]  # the border is near
-    assert view.hides_near(CAR, np.array([4.0])).tolist() == [0.0]
 
 
 @given(st.floats(-8, 8), st.floats(-8, 8), st.floats(-3, 3), st.floats(0.5, 6), st.floats(0.5, 3))
@@ -203,18 +173,3 @@ def test_hidden_within_finds_a_narrow_shadow_and_no_farther_one() -> None:
         view, np.repeat(CAR + np.array([0, -5.0, 0, 0, 0, 0, 0]), 2, axis=0), np.array([3.0, 12.0])
     )
     assert (near, far) == (0.0, 1.0)
-
-
-def test_overlap_by_hand() -> None:
-    box = np.array([[0.0, 0.0, 1.0, 4.0, 2.0, 2.0, 0.0]])
-    turned = box.copy()
-    turned[0, 6] = np.pi / 2
-    higher = box + np.array([0, 0, 1.0, 0, 0, 0, 0])
-    far = box + np.array([10.0, 0, 0, 0, 0, 0, 0])
-    found = volume_overlaps(box, np.concatenate([box, turned, higher, far]))[0]
-    np.testing.assert_allclose(found, [1.0, 8 / 24, 1 / 3, 0.0])
-
-
-def test_inside_a_turned_box() -> None:
-    box = np.array([[1.0, 2.0, 0.0, 4.0, 2.0, 1.0, np.pi / 2]])
-    assert inside(np.array([[1.0, 3.9], [2.9, 2.0]]), box).tolist() == [[True, False]]

@@ -177,11 +177,6 @@ def test_the_speed_is_that_from_which_a_car_stops_in_what_is_free() -> None:
     assert speed_for_view(unknown) == 0.0
 
 
-def test_rules_are_checked() -> None:
-    with pytest.raises(ValueError, match="recover_sweeps must be 1 or more"):
-        ReactionRules(recover_sweeps=0)
-
-
 def test_a_short_and_narrow_vehicle_uses_what_is_free_to_it_and_one_that_cannot_stop_is_refused() -> None:
     ahead = np.abs(GRID.centers[..., 1]) < 0.75
     state = np.where(ahead & (GRID.centers[..., 0] < 14.0), np.uint8(CellState.FREE), np.uint8(CellState.HIDDEN))

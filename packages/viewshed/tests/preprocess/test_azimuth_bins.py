@@ -1,18 +1,10 @@
-"""What the estimators share in azimuth bins, beside the plainest way to compute it."""
+"""Which returns count: whether one of them lies on a grid, beside the plainest way to compute it."""
 
 import numpy as np
 import pytest
-from tests.test_core_arrays import BIG, azimuth_answers
 
-from viewshed.grid import BevGrid, polar_of_cells
-from viewshed.preprocess.azimuth_bins import (
-    Crop,
-    azimuth_bins_of,
-    bins_of_cells,
-    farthest_in_bins,
-    measured_azimuth_bins,
-    within_limits,
-)
+from viewshed.grid import BevGrid
+from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 
@@ -33,35 +25,3 @@ def test_a_crop_knows_whether_a_return_that_counts_lies_on_the_grid(crop: Crop) 
         found.append(crop.any_on(leveled, GRID))
         assert found[-1] == GRID.index(crop.apply(leveled).points)[1].any()
     assert {True, False} == set(found)
-
-
-def test_the_farthest_return_of_a_bin_is_the_first_of_the_ordered_ones() -> None:
-    leveled = _level(3000)
-    bins = azimuth_bins_of(leveled.azimuth, 90)
-    plain = [max(leveled.range_m[bins == b], default=-1.0) for b in range(90)]
-    assert np.array_equal(farthest_in_bins(leveled, 90), np.array(plain, np.float32))
-    second = [np.sort(np.append(leveled.range_m[bins == b], [-1.0, -1.0]))[-2] for b in range(90)]
-    assert np.array_equal(farthest_in_bins(leveled, 90, drop=1), np.array(second, np.float32))
-
-
-def test_without_a_number_of_bins_they_are_those_that_the_returns_fill() -> None:
-    for count in (0, 3, 400, 3000):
-        leveled = _level(count)
-        bins = measured_azimuth_bins(leveled.azimuth)
-        assert np.array_equal(farthest_in_bins(leveled, None), farthest_in_bins(leveled, bins))
-
-
-def test_cells_within_a_limit_are_those_no_farther() -> None:
-    limit_m = np.random.default_rng(3).uniform(-1.0, 25.0, 90).astype(np.float32)
-    plain = polar_of_cells(GRID)[0] <= limit_m[bins_of_cells(GRID, 90)]
-    assert np.array_equal(within_limits(GRID, limit_m), plain)
-    assert plain.any()
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 1e-40, 0.0])
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_azimuths_and_ranges_of_any_value_have_an_answer(value: float, count: int) -> None:
-    wild, tame = np.full(count, value, np.float32), np.ones(count, np.float32)
-    for azimuth, range_m in ((wild, tame), (tame, wild), (wild, wild)):
-        answers = azimuth_answers(azimuth, range_m)
-        assert len(answers[-1]) == BIG.cells

@@ -42,27 +42,6 @@ def level_heights(leveled: LeveledSweep, xy: NDArray[np.float64]) -> NDArray[np.
     return leveled.ground.at(xy).astype(np.float64) + 1.8 - leveled.sensor_height_m
 
 
-def test_ground_follows_a_hill_and_does_not_climb_a_wall() -> None:
-    rng = np.random.default_rng(2)
-    xy = rng.uniform(-60, 60, (60_000, 2))
-    hill = 0.002 * np.maximum(xy[:, 0] - 10, 0) ** 2
-    wall = np.column_stack([np.full(4000, 15.0), rng.uniform(5, 25, 4000), rng.uniform(-1.0, 5, 4000)])
-    points = np.concatenate([np.column_stack([xy, hill - 1.8 + rng.normal(0, 0.02, len(xy))]), wall])
-    leveled = _level(points.astype(np.float32))
-    assert level_heights(leveled, np.array([[40.0, 0.0]]))[0] == pytest.approx(1.8, abs=0.2)
-    assert level_heights(leveled, np.array([[15.0, 15.0]]))[0] == pytest.approx(0.05, abs=0.2)
-
-
-def test_a_street_that_begins_to_climb_is_followed() -> None:
-    rng = np.random.default_rng(6)
-    xy = rng.uniform(-50, 50, (60_000, 2))
-    climb = 0.16 * np.maximum(xy[:, 0] - 12.0, 0.0)
-    points = np.column_stack([xy, climb - 1.8 + rng.normal(0, 0.02, len(xy))]).astype(np.float32)
-    leveled = _level(points)
-    found = level_heights(leveled, np.array([[20.0, 4.0], [35.0, -10.0], [-20.0, 0.0]]))
-    assert np.allclose(found, [1.28, 3.68, 0.0], atol=0.15)
-
-
 def test_parked_vans_are_no_ground() -> None:
     vans = tuple(Box(x, 5.0, 5.5, 2.2, 2.3, bottom_m=0.25) for x in (6.0, 12.0, 18.0, 24.0))
     leveled = _level(_cast(Scene(vans)))
@@ -99,14 +78,6 @@ def test_a_level_up_to_one_and_a_half_meters_higher_is_climbed(up_m: float, is_g
     assert np.allclose(found, up_m if is_ground else 0.0, atol=0.1)
 
 
-def test_returns_below_the_ground_do_not_pull_it_down() -> None:
-    points = _cast(Scene(WALLS))
-    rng = np.random.default_rng(3)
-    ghosts = np.column_stack([rng.uniform(-40, 40, (60, 2)), rng.uniform(-12, -4, 60)])
-    leveled = _level(np.concatenate([points, ghosts.astype(np.float32)]))
-    assert np.abs(level_heights(leveled, rng.uniform(-20, 20, (50, 2)))).max() < 0.15
-
-
 @pytest.mark.parametrize("pitch_deg", [15.0, 28.0])
 def test_a_tilted_roadside_sensor_is_leveled_without_an_attitude(pitch_deg: float) -> None:
     level_from_sensor = Rigid(_pitch(np.deg2rad(pitch_deg)), np.zeros(3))
@@ -119,21 +90,6 @@ def test_a_tilted_roadside_sensor_is_leveled_without_an_attitude(pitch_deg: floa
     assert np.rad2deg(np.arccos(up @ level_from_sensor.rotation[2])) < 1.5
     known = level(sweep, ROAD)
     assert np.allclose(known.level_from_sensor.rotation, level_from_sensor.rotation, atol=1e-6)
-
-
-def test_a_sensor_that_looks_down_beside_far_walls_finds_its_tilt() -> None:
-    """Most of its returns are from the ground at its feet, most of the area that it sees from a wall."""
-    rng = np.random.default_rng(0)
-    azimuth, range_m = rng.uniform(-1, 1, 6000), rng.uniform(1.5, 9, 6000)
-    low = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), rng.normal(-1.7, 0.02, 6000)], axis=1)
-    wall = np.stack([np.full(1500, 35.0), rng.uniform(-35, 30, 1500), rng.uniform(-1.7, 8, 1500)], axis=1)
-    tilt = _pitch(np.deg2rad(45.0))
-    leveled = _level((np.concatenate([low, wall]) @ tilt).astype(np.float32))
-    assert leveled.sensor_height_m == pytest.approx(1.7, abs=0.1)
-    assert np.rad2deg(np.arccos(leveled.level_from_sensor.rotation[2] @ tilt[2])) < 1.5
-    # A room of which most returns are walls says nothing of a tilt.
-    room = np.concatenate([low[:300], wall * [0.1, 0.1, 0.4]])
-    assert _level(room.astype(np.float32)).level_from_sensor.rotation[2, 2] == 1.0
 
 
 def _pitch(angle: float) -> NDArray[np.float64]:
@@ -169,15 +125,6 @@ def test_a_few_points_give_flat_ground(count: int) -> None:
     assert leveled.sensor_height_m == 1.5
     assert not leveled.ground.seen.any()
     assert np.allclose(leveled.ground.heights_m, 0.0)
-
-
-def test_a_desk_level_with_the_sensor_is_not_the_ground() -> None:
-    rng = np.random.default_rng(4)
-    desk = np.column_stack([rng.uniform(-6, 6, (6000, 2)), rng.normal(-0.06, 0.01, 6000)])
-    wall = np.column_stack([np.full(3000, 6.0), rng.uniform(-6, 6, 3000), rng.uniform(-0.7, 1.5, 3000)])
-    leveled = level(Sweep(np.concatenate([desk, wall]).astype(np.float32)), GRIDS["indoor"])
-    assert leveled.sensor_height_m >= 0.25
-    assert not leveled.ground.seen.any()
 
 
 def relief_errors(leveled: LeveledSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -227,47 +174,12 @@ def _met(relief: Relief, model: LidarModel) -> NDArray[np.float32]:
     return np.concatenate(found).astype(np.float32)
 
 
-def test_the_floor_of_a_pit_is_ground_where_beams_meet_it() -> None:
-    """A quarry 6 m deep from 6 m to the left on: beams over its edge meet the floor from 26 m on."""
-
-    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.where((y > 6.0) & (np.abs(x) < 30.0), -6.0, 0.0)
-
-    leveled = _level(_met(relief, DENSE))
-    assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
-    floor = np.array([[x, y] for x in (-4.0, 0.0, 6.0) for y in (29.0, 32.0, 36.0)])
-    assert np.abs(relief_errors(leveled, relief, floor)).max() < 0.3
-    before = np.array([[x, y] for x in (-4.0, 0.0, 6.0) for y in (-20.0, -6.0, 3.0)])
-    assert np.abs(relief_errors(leveled, relief, before)).max() < 0.1
-    # Between the edge and there it may lie anywhere below the beams.
-    gap = leveled.ground.std_m[60:68, 64 + 8 : 64 + 18]
-    assert gap.min() > 0.8
-
-
-def test_a_wall_seen_over_an_edge_shows_that_the_ground_before_it_lies_lower() -> None:
-    """A deck that ends 8 m to the left above land 6 m lower, and there a wall 20 m away: beams meet the wall alone."""
-
-    def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.where(y < 8.0, 0.0, np.where(y < 20.0, -6.0, 3.0)) + 0.0 * x
-
-    points = _met(relief, DENSE)
-    on_wall = (points[:, 1] > 19.9) & (np.abs(points[:, 0]) < 5.0)
-    foot_m = points[on_wall, 2].min() + 1.8
-    assert -3.0 < foot_m < -2.0
-    leveled = _level(points)
-    before = np.array([[x, 19.5] for x in (-3.0, 0.0, 3.0)])
-    assert level_heights(leveled, before).max() < foot_m + 0.6
-    assert np.abs(level_heights(leveled, np.array([[0.0, 4.0], [-6.0, -8.0]]))).max() < 0.1
-
-
 @pytest.mark.parametrize(
     ("preset", "scene", "azimuth", "raised_m"),
     [
-        ("nuscenes", 0, 0.8, -1.5), ("nuscenes", 0, -2.0, -1.5), ("nuscenes", 3, -2.0, -1.5),
-        ("nuscenes", 3, 2.4, -1.5), ("nuscenes", 3, -0.9, -1.5),
+        ("nuscenes", 0, 0.8, -1.5), ("nuscenes", 3, -2.0, -1.5),
         # The road ahead is the farthest ground that is seen: what lies beside it must not follow.
-        ("nuscenes", 0, 0.0, -1.5), ("nuscenes", 3, 0.0, -1.5), ("nuscenes", 1, 0.0, -0.8), ("carla", 1, 0.0, -1.5),
-        ("carla", 5, np.pi, -0.8), ("nuscenes", 0, 0.0, 1.5), ("nuscenes", 1, 0.0, 1.5),
+        ("nuscenes", 1, 0.0, -0.8), ("carla", 5, np.pi, -0.8), ("nuscenes", 0, 0.0, 1.5),
     ],
 )  # fmt: skip
 def test_a_wedge_of_moved_returns_leaves_the_ground_and_the_view_of_the_rest(

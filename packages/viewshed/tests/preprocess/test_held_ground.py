@@ -121,7 +121,7 @@ def test_held_ground_says_how_unsure_it_is() -> None:
     assert (late[both] > soon[both] + 0.05).mean() > 0.95
 
 
-@pytest.mark.parametrize("by_m", [0.6, 1.5, 3.0])
+@pytest.mark.parametrize("by_m", [0.6, 3.0])
 def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
     """The left side is moved as if it lay lower: alone, the sensor then seems to stand above that."""
     ground, places_m = ACROSS_THE_CREST
@@ -137,37 +137,6 @@ def test_what_a_poisoned_sweep_costs_is_less_with_a_stream(by_m: float) -> None:
     assert streamed[1] > alone[1] + 0.08
 
 
-def test_a_poisoned_sweep_between_does_not_spoil_the_next() -> None:
-    ground, places_m = ACROSS_THE_CREST
-    sweeps, truth, known = drive(world_of(ground), places_m)
-    sweeps[-2] = level(lowered(sweeps[-2].sweep, 90.0), GRID)
-    alone, after = precision_recall(sweeps[-1], truth, known), precision_recall(hold_over(sweeps)[-1], truth, known)
-    assert after[0] > alone[0] - 0.005
-    assert after[1] > alone[1]
-
-
-def test_a_ramp_that_moved_is_believed_at_once() -> None:
-    """It stood ahead at the left in six sweeps; in the seventh it stands at the right."""
-
-    def ramp(side: float) -> Ground:
-        def ground(x: F64, y: F64) -> F64:
-            along, across = np.clip((x - 8.0) / 10.0, 0.0, 1.0), np.clip((side * y - 3.0) / 2.0, 0.0, 1.0)
-            return np.asarray(1.2 * along * across)
-
-        return ground
-
-    sweeps, _, _ = drive(world_of(ramp(1.0)), [-6.0, -5.0, -4.0, -3.0, -2.0, -1.0])
-    [after], _, _ = drive(world_of(ramp(-1.0)), [0.0])
-    after = replace(after, sweep=after.sweep.replace(t_ns=int(6e9)))
-    still = hold_over(sweeps)[-1]
-    held = hold(after, still)
-    x, y = GRID.centers[..., 0], GRID.centers[..., 1]
-    ahead = (x > 14) & (x < 24) & (np.abs(y) > 6) & (np.abs(y) < 20)  # where rings lie
-    error_m = np.abs(ground_error_m(held, ramp(-1.0), 0.0))[ahead]
-    assert np.abs(ground_error_m(still, ramp(1.0), -1.0))[ahead].mean() < 0.2
-    assert error_m.mean() <= np.abs(ground_error_m(after, ramp(-1.0), 0.0))[ahead].mean() + 0.01
-
-
 def test_nothing_is_held_where_a_pose_is_off() -> None:
     sweeps, _, _ = drive(world_of(crest), [-6.0, 0.0])
     pose = sweeps[0].sweep.world_from_sensor
@@ -177,12 +146,6 @@ def test_nothing_is_held_where_a_pose_is_off() -> None:
     far = Rigid(pose.rotation, pose.translation + np.array([500.0, 0.0, 0.0]))
     away = replace(sweeps[0], sweep=sweeps[0].sweep.replace(world_from_sensor=far))
     assert np.array_equal(hold(sweeps[1], away).ground.seen, sweeps[1].ground.seen)
-
-
-def test_heights_of_returns_are_those_above_the_held_ground() -> None:
-    ground, places_m = ACROSS_THE_CREST
-    held = hold_over(drive(world_of(ground), places_m)[0])[-1]
-    np.testing.assert_allclose(held.height_m, held.points[:, 2] - held.ground.at(held.points), atol=2e-4)
 
 
 def test_a_carrier_that_rises_is_believed_at_once() -> None:
@@ -301,13 +264,6 @@ def test_who_moves_or_whose_time_jumps_begins_anew_without_poses(x_m: float, t_s
     rest.hold(without_pose(observed(world, -12.0)[0], 1.0))
     assert rest.hold(without_pose(observed(world, x_m, number=1)[0], t_s)).held is None
     assert rest.hold(without_pose(observed(world, x_m, number=2)[0], t_s + 0.1)).held is not None
-
-
-def test_poses_say_more_than_rest() -> None:
-    rest, world = Rest(), world_of(crest)
-    for number in range(2):
-        leveled = level(observed(world, -12.0, number=number)[0], GRID)
-        assert rest.hold(leveled) is leveled
 
 
 def test_a_real_sensor_at_rest_that_sees_little_ground_keeps_its_height(real_data: Path) -> None:

@@ -92,19 +92,6 @@ def test_what_moved_was_seen_there_once_and_hides_nothing() -> None:
     assert claimed(now, moving[1:2])[behind_wall()].mean() < 0.5  # a single earlier sweep is believed
 
 
-def test_depths_are_those_from_where_the_sensor_is_now() -> None:
-    now = level_of(seen([FAR], at(0, 0)))
-    past = history_of(now, [seen([WALL, FAR], pose) for pose in POSES], GRID)
-    beams = now.beams()
-    ahead = (np.abs(beams.azimuth - np.arctan2(2, 11.5)) < 0.05) & (np.abs(beams.slope) < 0.05)
-    assert ahead.sum() > 20
-    within = past.within(beams).depth_m[ahead]
-    assert np.abs(within / np.hypot(11.5, 2) - 1).max() < 0.1
-    assert (beams.depth_m[ahead] > 20).all()
-    left = np.abs(beams.azimuth - np.pi / 2) < 0.3
-    assert np.array_equal(past.within(beams).depth_m[left], beams.depth_m[left])
-
-
 def test_confirmations_count_the_earlier_sweeps_that_see_a_cell_past_what_they_saw_on_the_way() -> None:
     now = seen([FAR], at(0, 0))
     poses = (at(0, 0), at(20, -10, 2.5), at(22, 10, -2.5))
@@ -147,23 +134,6 @@ def remembered(earlier: Sequence[LeveledSweep], x: float, y: float, z: float) ->
     past = History.of(returns_at(), earlier)
     direction = np.array([np.arctan2(y, x)], np.float32), np.array([(z - HEIGHT_M) / np.hypot(x, y)], np.float32)
     return float(past.within(Beams(*direction, np.full(1, np.inf, np.float32))).depth_m[0])
-
-
-@pytest.mark.parametrize("sweeps", [33, 65, 300])
-def test_an_obstacle_of_the_first_and_the_last_of_many_sweeps_is_remembered(sweeps: int) -> None:
-    obstacle, nothing = returns_at((10, 2, 1)), returns_at()
-    ends = [obstacle, *[nothing] * (sweeps - 2), obstacle]
-    assert remembered(ends, 10, 2, 1) == pytest.approx(np.hypot(10, 2))
-    assert remembered(ends[:-1], 10, 2, 1) == np.inf
-
-
-@pytest.mark.parametrize("sweeps", [255, 256, 700])
-def test_each_of_many_equal_sweeps_counts(sweeps: int) -> None:
-    one = level_of(seen([WALL], at(0, 0)))
-    past = History.of(one, [one] * sweeps)
-    alone = History.of(one, [one])
-    assert alone.confirmations(GRID, CAR).any()
-    assert np.array_equal(past.confirmations(GRID, CAR), sweeps * alone.confirmations(GRID, CAR).astype(int))
 
 
 @pytest.mark.parametrize(("range_m", "known"), [(0.8, False), (1.2, True), (3.0, True), (4.9, True)])
@@ -218,13 +188,6 @@ def test_of_too_many_agents_at_once_the_ones_seen_last_are_kept() -> None:
     assert set(buffer._kept) == {"agent 0", "agent 3", "agent 4"}
     with pytest.raises(ValueError, match="agents must be at least 1, got 0"):
         SweepBuffer(agents=0)
-
-
-def test_a_slow_memory_keeps_no_more_than_every_s_of_an_agent() -> None:
-    buffer = SweepBuffer(every_s=20.0, forget_s=5.0)
-    for t_s in (0.0, 12.0, 21.0):
-        buffer.add(returns_at(t_s=t_s))
-    assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == [0, int(21e9)]
 
 
 def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
@@ -283,12 +246,6 @@ def test_what_lies_long_before_is_forgotten() -> None:
         assert np.array_equal(estimator.estimate(lie).visible(), claimed(lie)) != known
 
 
-@pytest.mark.parametrize(("sweeps", "every_s"), [(0, 1.0), (5, -1.0), (5, float("nan"))])
-def test_a_memory_of_nothing_is_refused(sweeps: int, every_s: float) -> None:
-    with pytest.raises(ValueError, match="sweeps must be at least 1, every_s at least 0 and forget_s"):
-        SweepBuffer(sweeps, every_s)
-
-
 def test_sweeps_without_pose_or_time_are_estimated_by_themselves() -> None:
     estimator = TemporalEstimator(ShadowMap(GRID))
     sweep = seen([WALL], at(0, 0))
@@ -304,13 +261,6 @@ def image_of(*pixels: tuple[int, int, float]) -> NDArray[np.float32]:
     points = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), HEIGHT_M + slope * range_m])
     cloud = points.astype(np.float32), np.ones(len(points), np.float32), np.eye(3, 4, dtype=np.float32)
     return _core.obstacle_image([cloud], 0.3, HEIGHT_M)
-
-
-def test_the_rings_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
-    image = image_of((40, 7, 10.0), (45, 7, 11.0), (100, 7, 11.0), (40, 107, 10.0), (45, 107, 30.0))
-    assert image[[40, 45, 100], 7] == pytest.approx([10.0, 11.0, 11.0])
-    assert image[41:45, 7] == pytest.approx(11.0)
-    assert np.isfinite(image).sum() == 9
 
 
 def test_the_columns_gaps_of_an_obstacle_are_closed_and_others_are_not() -> None:
@@ -330,14 +280,3 @@ def test_a_narrow_gap_is_closed_where_something_farther_was_seen_in_it() -> None
     assert image[[40, 42, 48], 107] == pytest.approx([20.0, 60.0, 20.0])
     assert image[[40, 42, 45], 207] == pytest.approx([10.0, 5.0, 11.0])
     assert np.isfinite(image).sum() == 6 + 3 + 3
-
-
-def test_without_sweeps_nothing_is_confirmed() -> None:
-    assert History(returns_at(), (), ()).confirmations(GRID, CAR).sum() == 0
-
-
-def test_obstacles_that_are_no_numbers_or_far_away_leave_no_image() -> None:
-    odd = np.array([[np.nan, 1, 1], [np.inf, 0, 1], [1e30, 1, 1], [5, 5, np.nan], [0, 0, 1]], np.float32)
-    image = _core.obstacle_image([(odd, np.ones(5, np.float32), np.eye(3, 4, dtype=np.float32))], 0.3, HEIGHT_M)
-    assert np.isinf(image).all()
-    assert np.isinf(_core.obstacle_image([], 0.3, HEIGHT_M)).all()

@@ -47,15 +47,6 @@ def test_fill_gives_the_depth_of_the_nearer_neighbor() -> None:
     assert np.allclose(filled.depth_m, ground_m, rtol=0.02)
 
 
-def test_a_gap_wider_than_the_neighbors_reach_stays_open() -> None:
-    azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
-    cropped = _without(np.abs(azimuth) < 1.0)
-    filled = no_return_beams(level(cropped, GRID), fill=True)
-    unfilled = no_return_beams(level(cropped, GRID), fill=False)
-    assert 0 < len(filled.azimuth) < 0.25 * len(unfilled.azimuth)
-    assert (np.abs(filled.azimuth) < 1.0 + np.deg2rad(18)).all()
-
-
 @pytest.mark.parametrize("phase", [0.05, 0.45, 0.55, 0.95])
 def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> None:
     jitter = np.zeros(360)
@@ -65,12 +56,6 @@ def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> No
     column, counts, *_ = _core.range_image(points, np.zeros(360, np.int16), 360, 1, 0.5, 250.0)
     assert np.array_equal(column, np.arange(360))
     assert (counts == 1).all()
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_almost_nothing_is_no_failure(count: int) -> None:
-    leveled = level(SWEEP.select(np.arange(count)), GRID)
-    assert no_return_beams(leveled, fill=True).azimuth.dtype == np.float32
 
 
 STREET = Scene((Box(15, 4, 1, 8, 3), Box(-25, -3, 1, 70, 9), Box(9, -12, 3, 2, 1.5), Box(58, 9, 1, 90, 9)))
@@ -178,27 +163,12 @@ def test_a_dropped_sector_says_nothing() -> None:
     assert not (np.abs(beams.azimuth + 1.2) < 0.18).any()
 
 
-def test_a_narrow_sector_without_any_return_says_nothing_either() -> None:
-    """Between returns of the same wall, but lost in every ring at once: a packet, not a hole."""
-    beams = _explained(_without(~(np.abs(_azimuth(FULL) - 0.2) < 0.026), FULL))
-    assert not (np.abs(beams.azimuth - 0.2) < 0.024).any()
-
-
 def test_a_hole_in_a_wall_is_wall() -> None:
     hole = (np.abs(_azimuth(FULL) - 0.2) < 0.026) & (FULL.ring >= 11) & (FULL.ring <= 13)
     beams = _explained(_without(~hole, FULL))
     at_wall = np.abs(beams.azimuth - 0.2) < 0.04
     assert at_wall.sum() == hole.sum() >= 8
     assert np.allclose(beams.depth_m[at_wall] * np.cos(beams.azimuth[at_wall]), 14.5, atol=0.5)
-
-
-def test_a_wide_patch_between_obstacles_above_and_below_is_obstacle() -> None:
-    assert FULL.ring is not None
-    patch = (np.abs(_azimuth(FULL) - 0.2) < 0.09) & ((FULL.ring == 13) | (FULL.ring == 14))
-    beams = _explained(_without(~patch, FULL))
-    at_wall = np.abs(beams.azimuth - 0.2) < 0.1
-    assert at_wall.sum() == patch.sum() >= 20
-    assert (beams.depth_m[at_wall] < 15.5).all()
 
 
 def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing() -> None:
@@ -210,24 +180,6 @@ def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing
     assert abs(len(table.depth_m) - len(known.depth_m)) < 0.05 * len(known.depth_m)
     assert 0 < len(elevations.depth_m) <= len(known.depth_m)
     assert len(none.depth_m) == 0
-
-
-def test_targets_that_beams_pass_above_need_no_beams() -> None:
-    leveled = level(_without(_grazing(), FULL), GRID)
-    low, tall = (beams_by_evidence(leveled, top_m).inferred for top_m in (0.1, 1.5))
-    assert len(low.slope) <= len(tall.slope)
-    assert tall.slope.max() < 0
-
-
-def test_a_model_with_other_columns_than_the_sweep_is_not_taken_at_its_word() -> None:
-    sweep = _without(_grazing(), FULL)
-    double = LidarModel("double", MODEL.elevation, azimuth_columns=720, max_range_m=200.0)
-    assert len(_explained(sweep.replace(model=double)).depth_m) < 1.1 * len(_explained(sweep).depth_m)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_almost_nothing_explains_nothing(count: int) -> None:
-    assert len(_explained(SWEEP.select(np.arange(count))).depth_m) == 0
 
 
 @pytest.mark.parametrize("middle", np.deg2rad([0.5, 168.5, 179.5, -173.5]))

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from viewshed import BevGrid, Sweep, _core
+from viewshed import BevGrid, _core
 from viewshed.arrays import F32
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.grid import polar_of_cells
 from viewshed.preprocess.leveling import level
 from viewshed.preprocess.reach import returns_beyond, sensing_reach
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
@@ -37,47 +35,13 @@ def test_a_table_tells_its_reach_and_who_says_so(name: str) -> None:
     assert sensing_reach(np.full(10, 300.0), np.zeros(10, np.bool_), model) == model.reach_m
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("at_m", [60.0, 100.0, 200.0])
 def test_150_returns_more_move_it_by_no_more_than_5_percent(seed: int, at_m: float) -> None:
     range_m, isolated = open_street(seed)
     reach_m = sensing_reach(range_m, isolated)
     more = np.append(range_m, np.full(150, at_m, np.float32))
     assert sensing_reach(more, np.append(isolated, np.zeros(150, np.bool_))) == pytest.approx(reach_m, rel=0.05)
-
-
-@pytest.mark.parametrize("start_deg", range(0, 360, 45))
-def test_a_wedge_of_a_simulated_sweep_does_not_decide_on_its_reach(start_deg: float) -> None:
-    model = LidarModel("nobody's", np.deg2rad(np.linspace(-24.0, 8.0, 36)), azimuth_columns=1080, max_range_m=80.0)
-    points = cast(model, junction(), 1.8).points
-    range_m = np.linalg.norm(points, axis=1)
-    isolated = np.zeros(len(range_m) + 150, np.bool_)
-    assert len(range_m) > 35_000
-    reach_m = sensing_reach(range_m, isolated[150:])
-    more = np.append(range_m, np.linspace(150.0, 200.0, 150))
-    assert sensing_reach(more, isolated) == pytest.approx(reach_m, rel=0.05)
-    azimuth_deg = np.rad2deg(np.arctan2(points[:, 1], points[:, 0])) % 360
-    inside = np.flatnonzero((azimuth_deg - start_deg) % 360 < 30)
-    fewer = np.delete(range_m, inside[np.argsort(-range_m[inside])][:150])
-    assert sensing_reach(fewer, isolated[: len(fewer)]) == pytest.approx(reach_m, rel=0.05)
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("wedge_deg", [3, 10, 30])
-def test_the_150_farthest_returns_of_a_wedge_removed_move_it_by_no_more_than_5_percent(
-    seed: int, wedge_deg: int
-) -> None:
-    range_m, isolated = open_street(seed)
-    inside = np.flatnonzero(np.random.default_rng(seed).uniform(0, 360, len(range_m)) < wedge_deg)
-    kept = np.delete(range_m, inside[np.argsort(-range_m[inside])][:150])
-    reach_m = sensing_reach(range_m, isolated)
-    assert sensing_reach(kept, isolated[: len(kept)]) == pytest.approx(reach_m, rel=0.05)
-
-
-def test_the_150_farthest_returns_of_all_directions_removed_move_it_by_no_more_than_5_percent() -> None:
-    range_m, isolated = open_street(0)
-    reach_m = sensing_reach(range_m, isolated)
-    assert sensing_reach(np.sort(range_m)[:-150], isolated[150:]) == pytest.approx(reach_m, rel=0.05)
 
 
 def test_isolated_returns_do_not_count() -> None:
@@ -105,8 +69,7 @@ def reach_of(range_m: F32) -> float:
 
 
 @pytest.mark.parametrize(("field_deg", "most"), [(360.0, 0.02), (120.0, 0.05), (60.0, 0.05), (30.0, 0.1)])
-@pytest.mark.parametrize("wedge_deg", [2.0, 30.0, 360.0])
-@pytest.mark.parametrize("at_m", [60.0, 200.0])
+@pytest.mark.parametrize(("wedge_deg", "at_m"), [(2.0, 200.0), (30.0, 60.0), (360.0, 200.0)])
 def test_a_far_wall_of_150_returns_in_a_narrow_field_does_not_decide_on_its_reach(
     field_deg: float, most: float, wedge_deg: float, at_m: float
 ) -> None:
@@ -123,33 +86,8 @@ def test_a_far_wall_of_150_returns_in_a_narrow_field_does_not_decide_on_its_reac
     assert reach_of(kept) == pytest.approx(reach_of(before_m), rel=most)
 
 
-@given(arrays(np.float32, st.integers(4000, 5000), elements=st.floats(2.0, 80.0, width=32)), st.floats(1.5, 8.0))
-def test_twice_the_distances_give_no_more_than_twice_the_reach(range_m: F32, times: float) -> None:
-    reach_m, farther_m = reach_of(range_m), reach_of(range_m * np.float32(times))
-    assert USUAL_REACH_M <= reach_m <= farther_m <= reach_m * np.cbrt(times) * (1 + 1e-6)
-
-
 def test_what_is_usual_is_the_median_of_the_tables() -> None:
     assert np.median([lidar_model(name).reach_m for name in sensor_names()]) == USUAL_REACH_M
-
-
-@pytest.mark.parametrize(("bulk_m", "reach_m"), [(0.0, 85.0), (4.25, 85.0), (34.0, 85.0), (34.0 * 8, 170.0)])
-def test_returns_raise_what_is_usual_and_do_not_lower_it(bulk_m: float, reach_m: float) -> None:
-    # 2.5 × 34 m are the usual 85 m; eight times as much gives the double.
-    assert reach_of(np.full(20_000, bulk_m, np.float32)) == pytest.approx(reach_m)
-    assert reach_of(np.append(np.full(20_000, bulk_m), np.full(1000, 0.0))) == pytest.approx(reach_m)
-
-
-def test_a_sensor_without_a_table_that_returns_to_110_m_claims_the_corners_of_the_grid() -> None:
-    model = LidarModel("nobody's", np.deg2rad(np.linspace(-20.0, 2.0, 128)), azimuth_columns=1800, max_range_m=110.0)
-    cars = Scene((Box(20.0, 4.0, 4.2, 1.8, 1.5), Box(-15.0, -6.0, 4.2, 1.8, 1.5)))
-    points = cast(model, cars, 1.8, rng=np.random.default_rng(0)).points
-    assert 105.0 < np.linalg.norm(points, axis=1).max() < 110.5
-    sweep, grid = Sweep(points), BevGrid(128, 64.0)
-    assert level(sweep, grid).sensor_id.model is None
-    claimed, range_m = ShadowMap(grid).estimate(sweep).visible(), polar_of_cells(grid)[0]
-    assert claimed[(range_m > 70.0) & (range_m < 84.0)].mean() > 0.9
-    assert claimed[range_m > 87.0].sum() == 0
 
 
 def test_a_table_without_a_reach_bounds_the_measured_one() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from viewshed.io import read_index, read_indexed
-from viewshed.preprocess.ring_recovery import DEFAULT_COLUMNS, RingAssignment, recover_rings
+from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.sensors import LidarModel, inferable_sensors, lidar_model, sensor_names
 from viewshed.sweep import Sweep
@@ -83,14 +83,6 @@ def test_file_order_tells_rings_without_a_model(turn: int, upward: bool) -> None
     assert beams.columns == 500
 
 
-def test_file_order_joins_a_stray_first_point() -> None:
-    cloud = cast(lidar_model("vlp16"))
-    first = np.array([[30.0, -0.01, 30.0 * math.tan(cloud.ring[0])]], np.float32)
-    beams = recover_rings(Sweep(np.concatenate([first, cloud.points]).astype(np.float32)))
-    assert (beams.source, beams.rings) == ("file order", 16)
-    assert beams.ring.tolist()[1:] == cloud.ring.tolist()
-
-
 def test_firing_order_is_not_taken_for_ring_order() -> None:
     model = lidar_model("vlp16")
     cloud = cast(model)
@@ -152,13 +144,6 @@ def test_stray_returns_are_not_placed() -> None:
     assert beams.placed_share == pytest.approx(1 - 3 / len(beams.ring))
 
 
-def test_alone_share_counts_pixels_with_one_return() -> None:
-    points = np.array([[10, 0.05, 0], [20, 0.1, 0], [30, 9, 0], [10, 0.05, 1]])
-    beams = recover_rings(Sweep(points, ring=np.array([0, 0, 0, 1]), model=model_of([0.0, 5.7])))
-    assert beams.alone_share == 0.5
-    assert beams.placed_share == 1.0
-
-
 def test_elevation_is_the_median_and_gaps_are_filled() -> None:
     rng = np.random.default_rng(5)
     degrees = rng.uniform([-20, -3], [-10, 8], (501, 2)).T.ravel()
@@ -174,27 +159,12 @@ def test_elevation_is_the_median_and_gaps_are_filled() -> None:
     assert np.rad2deg(with_model.elevation) == pytest.approx([low, -7, 1, high, 9], abs=2e-3)
 
 
-def test_irregular_firing_gets_columns_without_gaps() -> None:
-    start = np.deg2rad(np.arange(0, 360, 1.6))
-    azimuth = np.sort(np.concatenate([start, start + 0.0006, start + 0.0012]))  # three firings together, then 1.53°
-    points = 20 * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
-    beams = recover_rings(Sweep(points, ring=np.zeros(len(points), int)))
-    assert beams.columns == pytest.approx(360 / 1.53, abs=3)
-    assert len(np.unique(beams.column)) > 0.9 * beams.columns
-
-
 def test_a_model_that_knows_the_step_outweighs_gaps_in_every_ring() -> None:
     azimuth = np.deg2rad(np.arange(0, 360, 0.2)[np.arange(1800) % 10 < 6])  # 1.0° of every 2° is dark
     points = 20 * np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1)
     sweep = Sweep(points, ring=np.zeros(len(points), int))
     assert recover_rings(sweep, model_of([0.0], 1750)).columns == pytest.approx(1800, abs=2)
     assert recover_rings(sweep).columns == pytest.approx(360, abs=2)
-
-
-def test_columns_come_from_the_model_where_they_cannot_be_measured() -> None:
-    points = np.array([[10.0, 1.0, 0.0], [10.0, -4.0, 0.0]])
-    assert recover_rings(Sweep(points, ring=np.array([0, 0]), model=model_of([0.0], 500))).columns == 500
-    assert recover_rings(Sweep(points, ring=np.array([0, 0]))).columns == DEFAULT_COLUMNS
 
 
 DEGENERATE = {
@@ -237,28 +207,6 @@ def _is_sound(beams: RingAssignment, count: int) -> None:
         assert beams.placed_share == pytest.approx((beams.ring >= 0).mean())
 
 
-@settings(max_examples=40)
-@given(
-    count=st.integers(0, 60),
-    seed=st.integers(0, 2**32 - 1),
-    scale=st.sampled_from([1e-6, 0.1, 10.0, 1e5]),
-    bare=st.booleans(),
-)
-def test_any_cloud_gets_a_sound_answer_in_any_order(count: int, seed: int, scale: float, bare: bool) -> None:
-    rng = np.random.default_rng(seed)
-    points = rng.normal(0, scale, (count, 3)).astype(np.float32)
-    ring = None if bare else rng.integers(0, 16, count).astype(np.int16)
-    order = rng.permutation(count)
-    model = lidar_model("vlp16")
-    first = recover_rings(Sweep(points, ring=ring), model)
-    second = recover_rings(Sweep(points[order], ring=None if ring is None else ring[order]), model)
-    _is_sound(first, count)
-    if first.source != "file order" and second.source != "file order":
-        assert first.ring[order].tolist() == second.ring.tolist()
-        assert first.column[order].tolist() == second.column.tolist()
-        assert first.elevation.tolist() == second.elevation.tolist()
-
-
 @settings(max_examples=15)
 @given(yaw=st.floats(-math.pi, math.pi), seed=st.integers(0, 1000))
 def test_rings_do_not_change_when_the_scene_turns(yaw: float, seed: int) -> None:
@@ -272,28 +220,12 @@ def test_rings_do_not_change_when_the_scene_turns(yaw: float, seed: int) -> None
     assert np.abs(away).max() <= 1
 
 
-def test_input_is_untouched_and_output_is_read_only() -> None:
-    cloud = cast(lidar_model("vlp16"))
-    before = cloud.points.copy()
-    beams = recover_rings(Sweep(cloud.points, ring=cloud.ring))
-    assert (cloud.points == before).all()
-    assert cloud.points.flags.writeable
-    assert not any(array.flags.writeable for array in (beams.ring, beams.column, beams.elevation))
-
-
 @pytest.mark.parametrize("name", inferable_sensors())
 def test_each_sensor_is_inferred_from_its_own_bare_points(name: str) -> None:
     model = lidar_model(name)
     inferred, score = infer_sensor(shuffled(cast(model, jitter_deg=small_jitter_deg(model))).points)
     assert inferred is model
     assert 0.9 < score <= 1.0
-
-
-def test_half_of_the_beams_are_enough() -> None:
-    model = lidar_model("vlp32c")
-    cloud = cast(model)
-    inferred, _ = infer_sensor(cloud.points[cloud.ring >= 12][::-1])
-    assert inferred is model
 
 
 def test_rings_name_a_sensor_that_its_elevations_hide() -> None:

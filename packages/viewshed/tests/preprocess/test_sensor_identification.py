@@ -21,12 +21,6 @@ def bare(sweep: Sweep, seed: int = 1) -> Sweep:
     return sweep.select(np.random.default_rng(seed).permutation(len(sweep))).replace(ring=None, model=None)
 
 
-def test_a_sweep_that_knows_its_beams_is_taken_at_its_word() -> None:
-    sensor_id = identify_sensor(KNOWN)
-    assert sensor_id.ring is KNOWN.ring
-    assert sensor_id.model is KNOWN.model
-
-
 def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
     assert len(KNOWN) > 16_384  # more than are looked at
     order = np.random.default_rng(1).permutation(len(KNOWN))
@@ -61,16 +55,6 @@ def test_two_sensors_in_one_frame_are_none() -> None:
     assert infer_sensor(both[np.random.default_rng(2).permutation(len(both))])[0] is None
 
 
-def test_points_of_a_driving_sensor_lie_beside_its_beams_and_still_tell_it() -> None:
-    points = bare(KNOWN).points
-    range_m = np.linalg.norm(points[:, :2], axis=1)
-    shifted = points + np.array([0.5, 0.0, 0.0], np.float32) * np.sin(np.arctan2(points[:, 1], points[:, 0]))[:, None]
-    model, score = infer_sensor(shifted)
-    assert (range_m < 10).mean() > 0.3
-    assert model is KNOWN.model
-    assert 0.3 < score < 0.9
-
-
 def test_a_bare_cloud_is_seen_as_well_as_one_with_rings() -> None:
     """Some beams return nothing: only rings tell which, and the bare cloud's are told by its sensor's table."""
     gone = (np.arctan2(KNOWN.points[:, 1], KNOWN.points[:, 0]) > 2.0) & (KNOWN.points[:, 2] < -1.7)
@@ -94,21 +78,6 @@ def test_no_sensor_is_inferred_where_there_is_said_to_be_none(with_rings: bool) 
     assert leveled.range_image is not None
 
 
-def test_the_order_of_the_points_tells_rings_where_there_is_no_sensor() -> None:
-    assert KNOWN.ring is not None
-    ordered = KNOWN.select(np.lexsort((np.arctan2(KNOWN.points[:, 1], KNOWN.points[:, 0]), KNOWN.ring)))
-    ordered = ordered.replace(ring=None, model=None)
-    inferred, none = identify_sensor(ordered), identify_sensor(ordered.replace(infer_sensor=False))
-    assert inferred.model is not None
-    assert none.model is None
-    assert len(np.unique(none.ring)) > 16
-
-
-def test_a_sensor_that_is_given_counts_whatever_may_be_inferred() -> None:
-    assert identify_sensor(KNOWN.replace(infer_sensor=False)).model is KNOWN.model
-    assert identify_sensor(KNOWN.replace(ring=None, infer_sensor=False)).model is KNOWN.model
-
-
 @pytest.mark.parametrize("with_rings", [True, False])
 def test_every_second_beam_of_a_table_is_another_sensor(with_rings: bool) -> None:
     """A VLP-16 whose beams stand at the even degrees gathers at beams of an XT32."""
@@ -121,11 +90,10 @@ def test_every_second_beam_of_a_table_is_another_sensor(with_rings: bool) -> Non
 
 @pytest.mark.parametrize("with_rings", [True, False])
 @pytest.mark.parametrize("name", ["vlp16", "vlp32c", "hdl32e", "hdl64e"])
-@pytest.mark.parametrize("share", [0.18, 0.3])
-def test_a_calibration_of_its_own_is_not_the_stock_table(share: float, name: str, with_rings: bool) -> None:
+def test_a_calibration_of_its_own_is_not_the_stock_table(name: str, with_rings: bool) -> None:
     stock = lidar_model(name)
     gap = np.diff(stock.elevation, prepend=-np.pi, append=np.pi)
-    away = np.minimum(share * np.minimum(gap[:-1], gap[1:]), np.deg2rad(0.24))
+    away = np.minimum(0.18 * np.minimum(gap[:-1], gap[1:]), np.deg2rad(0.24))
     away *= np.random.default_rng(5).choice([-1.0, 1.0], stock.rings)
     own = LidarModel("own", stock.elevation + away, stock.azimuth_columns, origin_m=stock.origin_m)
     sweep = cast(own, SCENE, 1.8).replace(model=None)

@@ -1,6 +1,5 @@
 """Rings of sensors that moved while they measured: points in one frame, each measured from another place."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +9,8 @@ from tests.preprocess.random_sensors import random_sensor, right_share, rosette
 
 from viewshed import Sweep, _core
 from viewshed.arrays import F32
-from viewshed.preprocess.beam_matching import polar
-from viewshed.preprocess.ring_recovery import recover_rings
 from viewshed.preprocess.sensor_identification import identify_sensor
-from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sensors import LidarModel
 
 SEAMS = (-np.pi, -np.pi / 2, 0.0, np.pi / 2)
 
@@ -52,8 +49,7 @@ def uneven(rings: int = 24) -> LidarModel:
     return LidarModel("nobody's", np.deg2rad(elevation_deg), 900)
 
 
-@pytest.mark.parametrize("seam", SEAMS)
-@pytest.mark.parametrize("reference", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize(("seam", "reference"), list(zip(SEAMS, (0.0, 0.5, 1.0, 0.5), strict=True)))
 @pytest.mark.parametrize("way_m", [(1.4, 0.1, 0.02), (-0.3, 2.1, -0.06), (1.8, 0.0, 0.2)])
 def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tuple[float, ...]) -> None:
     true = SensorMotion(np.array(way_m), seam, reference)
@@ -64,15 +60,6 @@ def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tupl
     assert found[:3] == pytest.approx(way_m, abs=0.12)
     inferred = identify_sensor(Sweep(points)).ring
     assert right_share(inferred, ring) > 0.96  # near the seam a point may be of either end of the revolution
-
-
-def test_undoing_a_motion_gives_the_points_as_they_were_measured() -> None:
-    model, motion = uneven(), SensorMotion(np.array([1.5, -0.4, 0.1]), -np.pi, 0.5)
-    points, ring = measured(model, motion, np.random.default_rng(2))
-    x_m, y_m, z_m = motion.way_m.tolist()
-    _, slope, _ = polar(_core.undo_motion(points, x_m, y_m, z_m, motion.seam, motion.reference))
-    off = np.abs(np.arctan(slope) - model.elevation[ring])
-    assert np.quantile(off, 0.97) < np.deg2rad(0.02)  # near the seam a point may be of either end of the revolution
 
 
 def test_random_sensors_that_move_show_their_rings_or_none_and_are_given_no_name() -> None:
@@ -89,52 +76,6 @@ def test_random_sensors_that_move_show_their_rings_or_none_and_are_given_no_name
     assert shown >= 5
 
 
-@pytest.mark.parametrize("name", ["hdl32e", "vlp16", "os1_64"])
-def test_a_table_is_named_by_the_rings_of_a_moving_sensor(name: str) -> None:
-    model = lidar_model(name)
-    motion = SensorMotion(np.array([-2.2, 0.0, -0.02]), np.pi / 2, 0.0)
-    points, ring = measured(model, motion, np.random.default_rng(3))
-    sensor_id = identify_sensor(Sweep(points))
-    assert sensor_id.model is model
-    assert sensor_id.ring is not None
-    assert (sensor_id.ring == ring).mean() > 0.97
-
-
-@pytest.mark.parametrize("off_deg", [0.0, 0.3])
-def test_a_moving_sensor_that_is_known_is_given_its_beams(off_deg: float) -> None:
-    table, rng = uneven(), np.random.default_rng(5)
-    built = replace(table, elevation=table.elevation + np.deg2rad(rng.uniform(-off_deg, off_deg, table.rings)))
-    motion = SensorMotion(np.array([1.6, 0.3, 0.01]), -np.pi, 0.5)
-    points, ring = measured(built, motion, rng)
-    beams = identify_sensor(Sweep(points, model=table)).ring
-    assert beams is not None
-    assert (beams == ring).mean() > 0.97
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_no_motion_makes_rings_of_a_pattern_that_has_none(seed: int) -> None:
     assert _core.find_motion(rosette(np.random.default_rng(seed))) is None
-
-
-@pytest.mark.parametrize("count", [0, 1, 255])
-def test_too_few_returns_show_no_motion(count: int) -> None:
-    assert _core.find_motion(np.tile(np.array([[8.0, 1.0, -1.0]], np.float32), (count, 1))) is None
-
-
-def test_rings_that_are_known_are_not_inferred_again() -> None:
-    points, ring = measured(uneven(), SensorMotion(np.array([1.0, 0.0, 0.0]), -np.pi, 0.5), np.random.default_rng(4))
-    known = np.where(np.arange(len(ring)) % 50 == 0, -1, ring).astype(np.int16)
-    found = recover_rings(Sweep(points), known=known)
-    assert found.source == "file"
-    assert np.array_equal(found.ring, known)
-    assert found.columns == 900
-
-
-def test_rings_that_an_order_runs_together_are_told_by_their_elevations() -> None:
-    points, ring = measured(uneven(12), SensorMotion(np.array([0.6, 0.1, 0.0]), -np.pi, 0.5), np.random.default_rng(6))
-    azimuth = np.arctan2(points[:, 1], points[:, 0])
-    # Of the lowest rings only a sector returns, so that their azimuth never passes the seam; stored ring after ring.
-    kept = np.flatnonzero((np.abs(azimuth - 1.6) < 0.6) | (ring > 4))
-    kept = kept[np.lexsort((azimuth[kept], ring[kept]))]
-    inferred = identify_sensor(Sweep(points[kept])).ring
-    assert right_share(inferred, ring[kept]) > 0.97

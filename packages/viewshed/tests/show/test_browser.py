@@ -206,23 +206,6 @@ def test_the_pointer_tells_the_cell_and_the_wheel_zooms_around_it(opened: Browse
     assert opened.value("camera.scale") == pytest.approx(scale)
 
 
-def test_grids_may_differ(tab: Browser, tmp_path: Path) -> None:
-    small, large = BevGrid(1, 4.0), BevGrid(8, 40.0, (10.0, -5.0))
-    frames = [
-        pack_frame(Frame("", FovEstimate(grid, np.ones(grid.shape, np.float32), np.ones(grid.shape, np.uint8))))
-        for grid in (small, large)
-    ]
-    write_page(tmp_path / "run.html", frames, "drive")
-    tab.open((tmp_path / "run.html").as_uri())
-    tab.wait_for(SHOWN.format(0))
-    for k, grid in enumerate((small, large)):
-        tab.value(f"show({k})")
-        side = min(tab.value("map.clientWidth"), tab.value("map.clientHeight"))
-        assert tab.value("camera.scale") == pytest.approx(0.97 * side / (2 * grid.half_extent_m))
-        assert tab.value("[camera.x, camera.y]") == list(grid.offset_m)
-    assert tab.problems == []
-
-
 def test_a_narrow_window_shows_map_and_controls(opened: Browser) -> None:
     opened.window(380, 800)
     opened.wait_for("map.clientWidth < 400")
@@ -244,10 +227,3 @@ def test_a_damaged_frame_is_said_and_the_others_are_shown(tab: Browser, page: Pa
     tab.press("ArrowRight")
     tab.wait_for(SHOWN.format(2))
     assert tab.value("element('problem').textContent") == ""
-
-
-def test_a_browser_that_cannot_unpack_is_told_so(tab: Browser, page: Path) -> None:
-    added = tab.send("Page.addScriptToEvaluateOnNewDocument", source="delete window.DecompressionStream")
-    tab.open(page.as_uri())
-    assert not tab.value("element('too_old').hidden")
-    tab.send("Page.removeScriptToEvaluateOnNewDocument", identifier=added["identifier"])

@@ -5,8 +5,8 @@ import pytest
 from matplotlib import colormaps
 from PIL import Image
 
-from viewshed.show._canvas import BLACK, WHITE, Canvas, text_width
-from viewshed.show.plot import _ticks, _value_pixels, color_map
+from viewshed.show._canvas import BLACK, WHITE, Canvas
+from viewshed.show.plot import _value_pixels, color_map
 
 
 def _ink(canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
@@ -20,25 +20,6 @@ def test_a_png_holds_what_is_drawn() -> None:
     np.testing.assert_array_equal(pixels, page.pixels())
     assert (pixels[20:25, 10:30] == (1, 2, 3)).all()
     assert (pixels == 255).all(axis=-1).sum() == 60 * 40 - 20 * 5
-
-
-def test_a_pasted_page_has_a_frame_outside_of_itself() -> None:
-    page, other = Canvas.blank(20, 20), Canvas.blank(4, 6)
-    page.paste(other, 5, 7)
-    ink = _ink(page)
-    assert not ink[7:13, 5:9].any()
-    assert ink.sum() == 6 * 8 - 4 * 6
-
-
-@pytest.mark.parametrize("points", [6.5, 10.0])
-@pytest.mark.parametrize("bold", [False, True])
-def test_text_takes_the_width_that_is_told(points: float, bold: bool) -> None:
-    page = Canvas.blank(400, 40)
-    page.text((20, 30), "visible 6940 m², hidden", points, bold=bold)
-    columns = np.flatnonzero(_ink(page).any(axis=0))
-    assert columns[0] >= 20
-    assert columns[-1] + 1 - 20 == pytest.approx(text_width("visible 6940 m², hidden", points, bold), abs=2.5)
-    assert not _ink(page)[34:].any()
 
 
 @pytest.mark.parametrize("letter", list("²°↑→…–±éüßøłžαβπЖя×≥"))
@@ -62,14 +43,6 @@ def test_a_polygon_has_its_area_and_smooth_edges_and_may_lie_outside() -> None:
     np.testing.assert_array_equal(page.pixels(), before)
 
 
-def test_a_veil_lets_shine_through() -> None:
-    page = Canvas(np.zeros((20, 20, 3), np.uint8))
-    page.veil((5, 5, 15, 15), radius=3.0, opacity=0.8)
-    assert page.pixels()[10, 10, 0] == 204
-    assert page.pixels()[5, 5, 0] < 100
-    assert not page.pixels()[:5].any()
-
-
 @pytest.mark.parametrize("name", ["viridis", "cividis", "magma"])
 def test_colors_are_those_of_matplotlib(name: str) -> None:
     expected = colormaps[name](np.arange(256))[:, :3] * 255
@@ -84,12 +57,3 @@ def test_values_are_drawn_from_ahead_and_left_and_unknown_ones_white() -> None:
     assert (pixels[:2, 2:] == 255).all()
     assert (pixels[2:, :2] == color_map("cividis")[128]).all()
     assert (pixels[2:, 2:] == color_map("cividis")[0]).all()
-
-
-@pytest.mark.parametrize("top", [1.0, 0.25, 0.5, 0.001, 0.173, 3.0, 17.0])
-def test_ticks_are_round_and_reach_from_zero_near_the_top(top: float) -> None:
-    values = [value for value, _ in _ticks(top)]
-    assert values[0] == 0.0
-    assert top * 0.75 < values[-1] <= top * (1 + 1e-9)
-    assert 5 <= len(values) <= 11
-    assert [float(words) for _, words in _ticks(top)] == pytest.approx(values)

@@ -160,13 +160,6 @@ def test_what_a_monitor_says_is_told() -> None:
     assert about["notes"] == ["no rings"]
 
 
-def test_a_monitor_that_is_content_gives_no_alarm() -> None:
-    report = IntegrityReport("by hand", -np.inf, np.inf, reasons=("nothing much",))
-    about = pack_frame(Frame("a", _nothing(), None, report)).about
-    assert (about["score"], about["limit"], about["alarms"]) == (None, None, [])
-    assert not {"score", "limit", "sectors", "alarms"} & set(pack_frame(Frame("a", _nothing())).about)
-
-
 def test_times_are_exact() -> None:
     estimate = _nothing()
     t_ns = 1_700_000_000_123_456_789

@@ -19,7 +19,6 @@ from viewshed.io.samples import junction_path
 from viewshed.monitor import IntegrityReport
 from viewshed.preprocess.leveling import level
 from viewshed.show.view import Frame, PackedFrame, pack_frame, write_page
-from viewshed.show.view.html import json_in_html
 
 GRID = BevGrid(16, 8.0)
 
@@ -61,13 +60,6 @@ def test_frames_are_in_the_page(tmp_path: Path) -> None:
     assert [json.loads(each) for each in about] == [dict(frame.about) for frame in frames]
 
 
-def test_the_same_frames_make_the_same_bytes(tmp_path: Path) -> None:
-    pages = [tmp_path / name for name in ("a.html", "b.html")]
-    for page in pages:
-        write_page(page, [_frame()], "drive")
-    assert pages[0].read_bytes() == pages[1].read_bytes()
-
-
 def test_names_cannot_add_elements(tmp_path: Path) -> None:
     plain, hostile = tmp_path / "plain.html", tmp_path / "hostile.html"
     zeros = np.zeros(GRID.shape, np.uint8)
@@ -83,11 +75,6 @@ def test_names_cannot_add_elements(tmp_path: Path) -> None:
 def test_a_name_that_is_no_text_is_written(tmp_path: Path) -> None:
     write_page(tmp_path / "run.html", [_frame("\udcff.bin")], "\udcff.bin")
     assert "?.bin" in (tmp_path / "run.html").read_text(encoding="utf-8")
-
-
-def test_json_survives() -> None:
-    assert json.loads(json_in_html({"name": HOSTILE, "x": [0.5, None]})) == {"name": HOSTILE, "x": [0.5, None]}
-    assert not set("<>&") & set(json_in_html(HOSTILE))
 
 
 def test_the_page_names_no_address(tmp_path: Path) -> None:

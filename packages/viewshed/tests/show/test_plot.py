@@ -7,14 +7,11 @@ from matplotlib.image import imread
 from numpy.typing import NDArray
 
 from viewshed import BevGrid, CellState, FovEstimate, Sweep
-from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import Basis
 from viewshed.preprocess.leveling import level
-from viewshed.sensors import LidarModel
 from viewshed.show.plot import (
     COLORS,
     Panel,
-    _fit,
     _raster,
     _title_lines,
     color_map,
@@ -23,7 +20,6 @@ from viewshed.show.plot import (
     draw,
     picture,
 )
-from viewshed_lab.sim import Box, Scene, cast
 
 GRID = BevGrid(16, 8.0)
 
@@ -39,12 +35,6 @@ def _estimate() -> FovEstimate:
 
 def _image(png: bytes) -> NDArray[np.float32]:
     return np.asarray(imread(io.BytesIO(png)), dtype=np.float32)[..., :3]
-
-
-def test_forward_is_up_and_left_is_left() -> None:
-    raster = _raster(Panel(_estimate(), ""), 16) / 255
-    assert np.allclose(raster[0, 0], COLORS[CellState.SURFACE], atol=0.01)
-    assert np.allclose(raster[-1, -1], COLORS[CellState.HIDDEN], atol=0.01)
 
 
 def test_points_are_painted_where_they_are_and_surfaces_above_them() -> None:
@@ -85,15 +75,6 @@ def test_a_dark_page_has_the_same_maps() -> None:
         np.testing.assert_array_equal(light[50:650, 20:620], dark[50:650, 20:620])
 
 
-def test_points_have_a_legend_of_their_colors() -> None:
-    leveled = level(Sweep(np.array([[7.5, 7.5, 1.0]], np.float32), sensor_height_m=1.5), GRID)
-    estimate = replace(_estimate(), visible_prob=np.full(GRID.shape, 0.7, np.float32))
-    low = color_map("viridis")[0] / 255
-    with_points, without = (_image(draw(Panel(estimate, "x", points))) for points in (leveled, None))
-    assert _count(with_points[-100:], low) > 0
-    assert _count(without[-100:], low) == 0
-
-
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_pictures_open_and_are_not_blank(count: int) -> None:
     panels = [Panel(_estimate(), f"panel {k}") for k in range(count)]
@@ -121,38 +102,12 @@ def test_a_block_ahead_at_the_left_is_drawn_at_the_upper_left() -> None:
     assert column < 0.4
 
 
-def test_a_wall_at_the_left_only_hides_the_left_side_of_the_picture() -> None:
-    model = LidarModel("fan", np.deg2rad(np.arange(-25.0, 4.0)), 720)
-    sweep = cast(model, Scene(boxes=(Box(2.0, 6.0, 9.0, 0.5, 4.0),)), 1.8)
-    grid = BevGrid(64, 16.0)
-    found = ShadowMap(grid).estimate(sweep)
-    row, column = _places(_image(picture(Panel(found, "wall", level(sweep, grid))))[:-100], CellState.HIDDEN)
-    assert column < 0.35
-    assert 0.3 < row < 0.6
-
-
-def test_points_take_the_color_of_their_height() -> None:
-    heights = np.array([0.0, 3.0, 9.0])
-    points = np.column_stack([[-4.5, 0.5, 4.5], [3.5, 3.5, 3.5], heights - 1.5]).astype(np.float32)
-    leveled = level(Sweep(points, sensor_height_m=1.5), GRID)
-    raster = _raster(Panel(_estimate(), "", leveled), 16)
-    low, high, higher = raster[12, 4], raster[7, 4], raster[3, 4]
-    assert low[0] > 60 > low[1]  # the dark violet end of viridis
-    assert (high == higher).all()
-    assert high[0] > 240  # its yellow end
-    assert high[2] < 60
-
-
 @pytest.mark.parametrize("cells", [1, 7, 512, 1000])
 def test_grids_of_any_size_make_a_picture(cells: int) -> None:
     grid = BevGrid(cells, 5.0, (3.0, -2.0))
     state = np.full(grid.shape, CellState.FREE, np.uint8)
     image = _image(picture(Panel(FovEstimate(grid, np.ones(grid.shape, np.float32), state), "x" * 300)))
     assert (np.abs(image - np.array(COLORS[CellState.FREE])).max(axis=-1) < 0.02).mean() > 0.5
-
-
-def test_pictures_are_the_same_each_time() -> None:
-    assert picture(Panel(_estimate(), "a")) == picture(Panel(_estimate(), "a"))
 
 
 def test_a_picture_says_what_the_estimate_rests_on() -> None:
@@ -168,11 +123,3 @@ def test_a_picture_says_what_the_estimate_rests_on() -> None:
     bare, told = (_image(picture(Panel(one, "name"))) for one in (_estimate(), found))
     assert told.shape[0] - bare.shape[0] == 2 * 18
     np.testing.assert_array_equal(told[-820:], bare[-820:])
-
-
-def test_a_long_title_goes_on_in_a_second_line_and_no_further() -> None:
-    lines = _fit("word " * 30)
-    assert [len(line) <= 100 for line in lines] == [True, True]
-    assert " ".join(lines) == "word " * 29 + "word"
-    assert _fit("word " * 60)[1].endswith("word …")
-    assert _fit("short.bin") == ["short.bin"]

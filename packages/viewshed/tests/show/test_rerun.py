@@ -4,7 +4,6 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ import pytest
 from viewshed import load_estimator, read_sweep
 from viewshed.agents.legend import ShownTracks
 from viewshed.detections import Detections
-from viewshed.fov.estimate import FovEstimate
-from viewshed.grid import BevGrid
 from viewshed.io.samples import junction_path
 from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import IntegrityReport
@@ -25,20 +22,6 @@ from viewshed.show.view.rerun import write_rerun
 needs_rerun = pytest.mark.skipif(
     find_spec("rerun") is None, reason="rerun-sdk is not installed: its files are not written"
 )
-
-
-def test_images_are_seen_from_above_with_ahead_at_the_top(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the viewer is given, without the viewer."""
-    state = np.arange(16).reshape(4, 4).astype(np.uint8) % 3
-    prob = np.linspace(0.0, 1.0, 16, dtype=np.float32).reshape(4, 4)
-    given = MagicMock()
-    monkeypatch.setitem(sys.modules, "rerun", given)
-    write_rerun(tmp_path / "run.rrd", [Frame("a", FovEstimate(BevGrid(4, 2.0), prob, state))], "by hand")
-    for image, cells in (
-        (given.SegmentationImage.call_args.args[0], state), (given.DepthImage.call_args.args[0], prob),
-    ):  # fmt: skip
-        assert image[0].tolist() == cells[3, ::-1].tolist()  # the row farthest ahead, its leftmost cell first
-        assert image[3, 0] == cells[0, 3]
 
 
 @needs_rerun

@@ -51,9 +51,7 @@ def robustness(
     workers: Workers = None,
     engine: EngineName = "local",
     run: Run = True,
-    page: Annotated[
-        Path | None, typer.Option(help="Markdown page to write; figures and NAME_tables.md go beside it.")
-    ] = None,
+    page: Annotated[Path | None, typer.Option(help="Markdown page to write; figures go beside it.")] = None,
 ) -> None:
     """Estimators under attacks, corruptions and defenses. Stopped runs go on; the same figures for any --workers.
 
@@ -70,10 +68,7 @@ def robustness(
     store, runner = ResultStore.open(folder, plan), engine_named(engine, workers)
     failed = _with_bars(lambda progress: run_study(store, runner, progress)) if run else []
     main_page = page or folder / "robustness.md"
-    files = files_of(store, failed, main_page.stem)
-    _write(folder, {"index.html": files.pop("index.html")})
-    _write(main_page.parent, files)
-    typer.echo(f"Look at {(folder / 'index.html').resolve()}; Markdown in {main_page}")
+    _show(main_page.parent, files_of(store, failed, main_page.stem))
     _require_all_done(failed)
 
 
@@ -401,7 +396,8 @@ def _require_all_done(failed: list[str]) -> None:
         raise ValueError(f"{len(failed)} jobs are not done; what is finished is kept, the same command goes on")
 
 
-def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+def _show(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write the pages of a study and say where the main one is, the last."""
     from viewshed._files import write_atomic
     from viewshed_lab._results import write_page
 
@@ -411,31 +407,17 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> None:
             write_page(folder / name, content.decode())
         else:
             write_atomic(folder / name, content)
-
-
-def _show(folder: Path, files: dict[str, bytes]) -> None:
-    """Write the pages of a study and say where the main one is, the last."""
-    _write(folder, files)
-    typer.echo(f"Look at {folder / next(reversed(files))}")
+    typer.echo(f"Look at {folder / [*files][-1]}")
 
 
 def _with_bars(run: Callable[[Progress], Iterator[str]]) -> list[str]:
     """Return one line for each job that is not done; it is printed as it happens, and a bar shows each step."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TaskID,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import TaskID, TimeElapsedColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-               TimeRemainingColumn())  # fmt: skip
+    from viewshed.cli._outputs import progress_bar
+
     tasks: dict[str, TaskID] = {}
-    bars = Progress(*columns, console=Console(stderr=True))
+    bars = progress_bar(TimeElapsedColumn(), TimeRemainingColumn())
 
     def on_progress(step: str, done: int, total: int) -> None:
         if not bars.console.is_terminal:

@@ -1,77 +1,19 @@
-"""Counts what a detector does in simulated sweeps: its detection table, and its recall and precision."""
+"""Counts what a detector does in simulated sweeps: its detection table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.detections import Detections, ObjectKind
+from viewshed.detections import ObjectKind
 from viewshed.objects.detection_table import BLOCKED, RANGE_M, RETURNS, DetectionTable, blocked_share
 from viewshed.objects.detector import Detector
-from viewshed.objects.matching import WITHIN_M, match_boxes, overlaps
+from viewshed.objects.matching import WITHIN_M, match_boxes
 from viewshed.preprocess.evidence import expected_returns
 from viewshed_lab.data.object_truth import ObjectSweep, SweepObjects
-
-FEWEST_RETURNS, FARTHEST_M = 20, 40.0
-"""A detector is to find objects with at least this number of returns, up to this distance."""
-
-LEAST_OVERLAP = 0.3
-"""Intersection over union, seen from above, from which a box counts as right."""
-
-
-@dataclass(frozen=True, slots=True)
-class Score:
-    """Detections of one kind against truth."""
-
-    wanted: int = 0  # objects with at least 20 returns within 40 m
-    found: int = 0  # those of them with a detection of their kind within 2 m
-    overlapping: int = 0  # those of them whose detection overlaps them by .3
-    called: int = 0  # detections of the kind within 40 m
-    right: int = 0  # those of them that are matched with an object of the kind, however few returns it gave
-
-    def __add__(self, other: Score) -> Score:
-        """Return the counts of both."""
-        pairs = zip(self.counts, other.counts, strict=True)
-        return Score(*(one + another for one, another in pairs))
-
-    @property
-    def counts(self) -> tuple[int, int, int, int, int]:
-        """All counts, in their order."""
-        return self.wanted, self.found, self.overlapping, self.called, self.right
-
-    @property
-    def recall(self) -> float:
-        """Share of the wanted objects that were found."""
-        return self.found / max(self.wanted, 1)
-
-    @property
-    def overlap_recall(self) -> float:
-        """Share of the wanted objects whose box was found."""
-        return self.overlapping / max(self.wanted, 1)
-
-    @property
-    def precision(self) -> float:
-        """Share of the detections that are an object of the kind."""
-        return self.right / max(self.called, 1)
-
-
-def score(found: Detections, objects: SweepObjects, kind: ObjectKind = ObjectKind.CAR) -> Score:
-    """Return how the detections of one kind in a sweep agree with its objects."""
-    boxes, true = found.boxes[found.kinds == kind], objects.take(objects.kinds == kind)
-    match = match_boxes(boxes, true.boxes)
-    is_right = match >= 0
-    wanted = (true.returns >= FEWEST_RETURNS) & (true.range_m <= FARTHEST_M)
-    hit = wanted[match[is_right]]
-    overlap = overlaps(boxes[is_right][hit], true.boxes[match[is_right]][hit])
-    near = np.hypot(boxes[:, 0], boxes[:, 1]) <= FARTHEST_M
-    return Score(
-        int(wanted.sum()), int(hit.sum()), int((overlap >= LEAST_OVERLAP).sum()), int(near.sum()),
-        int((near & is_right).sum()),
-    )  # fmt: skip
 
 
 def measure_table(detector: Detector, sweeps: Iterable[ObjectSweep], about: Mapping[str, Any]) -> DetectionTable:

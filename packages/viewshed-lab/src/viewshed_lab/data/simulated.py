@@ -16,7 +16,6 @@ import numpy as np
 
 from viewshed.fov.truth import OTHER_DEFINITIONS
 from viewshed.fov.visibility import TARGETS
-from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.archive.archive import Archive
 from viewshed_lab.data.archive.build import FRAMES_PER_SHARD, ShardJob, ShardResult, build_archive
@@ -138,26 +137,13 @@ def observe_frame(scene: ScenePlan, frame: int) -> Observation:
     return observe(*_place_of(scene, frame), scene.seed(_SeedPurpose.OBSERVATION, frame))
 
 
-def measure_frame(scene: ScenePlan, frame: int, again: int = 0) -> Sweep:
-    """Return the sweep of one frame of a scene alone, without its truth.
-
-    Args:
-        scene: that it is of.
-        frame: its number.
-        again: 0 is the sweep of :func:`simulate_frame`; others are the same instant once more, with other noise.
-    """
-    return scan_frame(scene, frame, again)[1].sweep()
-
-
-def scan_frame(
-    scene: ScenePlan, frame: int, again: int = 0, world: World | None = None
-) -> tuple[ExactScan, StoredSweep]:
-    """Return what every beam meets in one frame of a scene and what the sensor stores, see :func:`measure_frame`.
+def scan_frame(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[ExactScan, StoredSweep]:
+    """Return what every beam meets in one frame of a scene, and what the sensor stores, without the frame's truth.
 
     A ``world`` with the same agents takes the place of the scene's own.
     """
-    for_paths, *for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2 + again)
-    return measure_sweep(*_place_of(scene, frame, world), for_paths, for_noise[again])
+    for_paths, for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2)
+    return measure_sweep(*_place_of(scene, frame, world), for_paths, for_noise)
 
 
 def _place_of(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[World, Agent, float, Setting]:

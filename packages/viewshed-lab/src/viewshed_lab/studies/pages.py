@@ -6,8 +6,6 @@ neither table nor picture. A template need not ask whether there is something to
 
 from __future__ import annotations
 
-import base64
-import html
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +14,7 @@ from typing import Any
 import jinja2
 
 from viewshed_lab._page import page, table
-from viewshed_lab._results import cells_of, depth_of
+from viewshed_lab._results import depth_of
 
 _NONE = "<!-- none -->"
 
@@ -59,14 +57,6 @@ class Page:
     def files(self, name: str, provenance: Mapping[str, str]) -> dict[str, bytes]:
         """Return the files of the page: its pictures, then the Markdown as ``name``."""
         return {**self.pictures, name: self.markdown(provenance).encode()}
-
-    def html(self, provenance: Mapping[str, str]) -> str:
-        """Return the page as one HTML file: pictures are in it, and nothing is fetched."""
-        made = "\n".join(f"- {name}: {value}" for name, value in provenance.items())
-        blocks = [f"# {self.title}", *_blocks(self.body), "## How it was made", made]
-        body = "\n".join(_html(block, self.pictures) for block in blocks)
-        head = f"<!DOCTYPE html>\n<html lang=en><meta charset=utf-8><title>{html.escape(self.title)}</title>"
-        return f"{head}{_STYLE}\n{body}\n"
 
 
 def fill_template(path: str, **values: Any) -> Page:
@@ -121,41 +111,3 @@ def _section(blocks: Sequence[str]) -> Sequence[str]:
 
 def _shows_nothing(section: Sequence[str]) -> bool:
     return _NONE in section and not any(block.startswith(("|", "![")) for block in section)
-
-
-def _html(block: str, pictures: Mapping[str, bytes]) -> str:
-    """Return one block of Markdown as HTML: a heading, a table, a picture, a list or a text."""
-    if level := depth_of(block):
-        return f"<h{level}>{_inline(block.lstrip('# '))}</h{level}>"
-    if block.startswith("|"):
-        head, _, *rows = [[_inline(cell) for cell in cells_of(line)] for line in block.splitlines()]
-        body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>\n" for row in rows)
-        return f"<div class=wide><table><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>\n{body}</table></div>"
-    if picture := re.fullmatch(r"!\[(.*)\]\((.*)\)", block):
-        data = base64.b64encode(pictures[picture[2]]).decode()
-        return f'<figure><img alt="{html.escape(picture[1])}" src="data:image/png;base64,{data}"></figure>'
-    if block.startswith("- "):
-        items = (f"<li>{_inline(' '.join(item.split()))}</li>\n" for item in re.split(r"(?:^|\n)- ", block)[1:])
-        return f"<ul>\n{''.join(items)}</ul>"
-    return f"<p>{_inline(' '.join(block.split()))}</p>"
-
-
-def _inline(text: str) -> str:
-    """Return Markdown's code and stress as HTML.
-
-    >>> _inline("**a** < `b_c`")
-    '<b>a</b> &lt; <code>b_c</code>'
-    """
-    safe = html.escape(text)
-    for pattern, tag in ((r"`([^`]+)`", "code"), (r"\*\*([^*]+)\*\*", "b"), (r"\*([^*]+)\*", "i")):
-        safe = re.sub(pattern, rf"<{tag}>\1</{tag}>", safe)
-    return re.sub(r"\[([^\]]+)\]\([^)]+\)", r"\1", safe)
-
-
-_STYLE = """<style>
-body{font:15px/1.45 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#222}
-table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}
-th,td{padding:.15rem .55rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}
-th:first-child,td:first-child{text-align:left}.wide{overflow-x:auto}
-img{max-width:100%}figure{margin:1rem 0}code{background:#f2f2f2;padding:0 .2em}h2{margin-top:2.5rem}
-</style>"""

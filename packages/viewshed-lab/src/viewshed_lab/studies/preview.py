@@ -27,14 +27,14 @@ from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame, world_of
 from viewshed_lab.sim.assets.shapes import BOX, MATERIALS
-from viewshed_lab.sim.camera import Image, Lens, Photo, photograph, surface_colors, to_bytes, viewpoint, without_ceiling
+from viewshed_lab.sim.colors import Image, surface_colors, to_bytes, without_ceiling
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import GROUND, Snapshot, World
 
 SIDE = 256
 """Pixels along each side of a view from above."""
 
-_DPI, _GAP, _TOP, _HEAD, _LEGEND = 100, 7, 44, 24, 66
+_DPI, _GAP, _TOP, _HEAD, _LEGEND = 100, 7, 44, 24, 108
 
 DIFFERENCES = {
     "nobody": (0.42, 0.42, 0.47),
@@ -51,7 +51,7 @@ NOT_KNOWN = (1.0, 0.94, 0.78)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviewRow:
-    """One sweep on the sheet: its heading, what moves, and six pictures (rows, columns, 3) from left to right."""
+    """One sweep on the sheet: its heading, what moves, and its pictures (rows, columns, 3) from left to right."""
 
     title: str
     marks: Marks
@@ -74,7 +74,7 @@ def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: B
     fine = BevGrid(SIDE, grid.half_extent_m, grid.offset_m)
     xy = (world_from_level @ np.dstack([fine.centers, np.zeros(fine.shape)]))[..., :2]
     image = _ground_colors(world.terrain, xy, fine.cell_m, world_from_level.yaw)
-    snapshot, _ = without_ceiling(world, snapshot)
+    snapshot = without_ceiling(world, snapshot)
     height_m = snapshot.center_m[:, 2] - world.terrain.at(snapshot.center_m[:, :2])
     half_height = (np.abs(snapshot.rotation[:, 2]) * snapshot.half_m).sum(axis=1)
     colors = surface_colors(world, snapshot.thing, snapshot.material)
@@ -232,9 +232,9 @@ def _legend(axes: Axes, top: int) -> None:
     axes.text(_GAP, top + 33, words, fontsize=8, va="center")
     states = [(text, COLORS[state]) for state, text in WORDS.items()]
     for k, (text, color) in enumerate([*states, ("no truth: own vehicle, outside the world", NOT_KNOWN)]):
-        _swatch(axes, (760 + 300 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
+        _swatch(axes, (480 + 290 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
     for k, (text, color) in enumerate(DIFFERENCES.items()):
-        _swatch(axes, (1350 + 215 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
+        _swatch(axes, (1080, top + 10 + 18 * k), color, text)
 
 
 def _swatch(axes: Axes, corner: tuple[float, float], color: tuple[float, float, float], words: str) -> None:
@@ -243,21 +243,10 @@ def _swatch(axes: Axes, corner: tuple[float, float], color: tuple[float, float, 
 
 
 HEADINGS = (
-    "world from above", "camera, with the sweep's returns", "sweep: height above ground", "truth: car",
-    "truth: pedestrian", "who says visible, for a car",
+    "world from above", "sweep: height above ground", "truth: car", "truth: pedestrian", "who says visible, for a car",
 )  # fmt: skip
 
-_VEHICLE_LENS, _MAST_LENS, _ROBOT_LENS = Lens(-14.0), Lens(-26.0), Lens(-44.0)
-
-_RINGS = 40
-
 _SCENES = 500
-
-_BEHIND_M = np.array([[-9.0, 0.0, 3.2], [-6.0, 0.0, 2.8], [-4.0, 1.0, 2.2], [-2.0, 0.0, 1.6]])
-
-_BEHIND_MAST_M = np.array([[-3.0, 0.0, 1.5], [-1.0, 0.0, 0.5]])
-
-_ABOVE_ROBOT_M = np.array([[-5.0, 0.0, 6.5]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,7 +299,7 @@ def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
 
 
 def row_of(sample: PreviewSample) -> PreviewRow:
-    """Return a sample as a line of pictures: above, camera, sweep, truth of both targets, other definitions."""
+    """Return a sample as a line of pictures: above, sweep, truth of both targets, other definitions."""
     world, grid = sample.world, sample.truth.grid
     snapshot = world.snapshot(sample.t_s)
     sensor = world.world_from_sensor(world.agents[sample.agent], sample.t_s)
@@ -321,7 +310,6 @@ def row_of(sample: PreviewSample) -> PreviewRow:
     height_m = returns[:, 2] - ground.at(returns)
     pictures = (
         plan_view(world, snapshot, world_from_level, grid),
-        _camera(sample, snapshot, sensor, returns),
         points_view((world_from_level.inverse() @ returns)[:, :2], height_m, grid),
         *(state_view(sample.truth, sample.known, target) for target in ("car", "pedestrian")),
         differences_view(sample.truth, sample.known),
@@ -329,35 +317,3 @@ def row_of(sample: PreviewSample) -> PreviewRow:
     return PreviewRow(
         sample.title, marks(world, snapshot, sample.agent, (world_from_level, sample.t_s), grid), pictures
     )
-
-
-def _camera(sample: PreviewSample, snapshot: Snapshot, sensor: Rigid, returns: NDArray[np.float64]) -> Image:
-    """Return the picture of a camera behind the sensor, with the returns that it would see."""
-    mast = sample.world.agents[sample.agent].carrier is None
-    ways, lens = (_BEHIND_MAST_M, _MAST_LENS) if mast else (_BEHIND_M, _VEHICLE_LENS)
-    if sample.world.indoor:
-        ways, lens = _ABOVE_ROBOT_M, _ROBOT_LENS
-    snapshot, top_m = without_ceiling(sample.world, snapshot)
-    shown = returns[_few_rings(sample.sweep)]
-    ground = sample.world.ground_of(sample.world.agents[sample.agent])
-    shown = shown[shown[:, 2] - ground.at(shown) < top_m - 0.1]
-    pose = viewpoint(snapshot, sensor.translation + np.array([0.0, 0.0, 0.3]), sensor.yaw, ways)
-    photo = photograph(sample.world, snapshot, pose, lens)
-    return _with_returns(photo, lens, pose.inverse() @ shown, shown[:, 2] - ground.at(shown))
-
-
-def _few_rings(sweep: Sweep) -> NDArray[np.bool_]:
-    """Return which returns are drawn: at most 40 rings, evenly, so that a dense sensor does not cover the picture."""
-    if sweep.ring is None or len(sweep) == 0:
-        return np.ones(len(sweep), np.bool_)
-    return np.asarray(sweep.ring % -(-(int(sweep.ring.max()) + 1) // _RINGS) == 0)
-
-
-def _with_returns(photo: Photo, lens: Lens, points: NDArray[np.float64], height_m: NDArray[np.float64]) -> Image:
-    """Return the picture with a pixel for each return that nothing hides, colored by height."""
-    pixels, inside = lens.project(points)
-    down, across = pixels.T
-    seen = inside & (np.linalg.norm(points, axis=1) < 1.02 * photo.depth_m[down, across] + 0.15)
-    image = photo.image.copy()
-    image[down[seen], across[seen]] = to_bytes(height_colors(height_m[seen]))
-    return image

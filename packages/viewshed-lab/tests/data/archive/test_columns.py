@@ -42,8 +42,7 @@ def _size(archive: Archive) -> int:
 
 
 @pytest.mark.parametrize(("attack", "budget", "times"), [
-    ("far_wall", 150, 1.1), ("far_wall", FULL_WEDGE, 1.5), ("ghost_car", 100, 1.1), ("removal", None, 1.1),
-    ("uniform", 150, 1.1), ("frustum", 200, 1.1), ("pose_spoof", None, 1.1), ("removal_and_far_wall", FULL_WEDGE, 1.5),
+    ("far_wall", 150, 1.1), ("uniform", 150, 1.1), ("pose_spoof", None, 1.1), ("removal_and_far_wall", FULL_WEDGE, 1.5),
 ])  # fmt: skip
 def test_every_attack_is_read_as_it_was_made_and_takes_little_room(
     attack: str, budget: int | None, times: float, clean: Archive, tmp_path: Path
@@ -59,24 +58,6 @@ def test_every_attack_is_read_as_it_was_made_and_takes_little_room(
         assert found.world_from_sensor.as_matrix().tobytes() == wanted.world_from_sensor.as_matrix().tobytes()
         assert (found.t_ns, found.agent, found.sensor_height_m) == (wanted.t_ns, wanted.agent, wanted.sensor_height_m)
     assert _size(made) < times * _size(clean)
-
-
-def test_where_an_attacker_made_most_returns_points_are_stored(make_sample: Callable[..., Sample]) -> None:
-    sample = make_sample(4)
-    before = sample.sweep
-    layout = Layout.of(sample.truth)
-    for share, points_alone in ((0.3, False), (0.7, True)):
-        added = np.arange(len(before)) < share * len(before)
-        points = np.where(added[:, None], np.float32(3.25), before.points)
-        sensors = Sensors()
-        attacked = sample.attacked(Tampered(before.replace(points=points), added, added))
-        row = row_of_sample(attacked, layout, sensors)
-        assert (row[1] is None) == points_alone
-        again = sample_of_row(row, Footer("", "", layout, sensors))
-        assert again.sweep.points.tobytes() == points.tobytes()
-        assert (again.clean is None) == points_alone
-        if again.clean is not None:
-            assert bits(again.clean.sweep()) == bits(before)
 
 
 def test_an_attacked_archive_can_be_attacked_again(clean: Archive, tmp_path: Path) -> None:
@@ -141,15 +122,3 @@ def test_a_bit_that_changed_in_another_row_is_not_lost(make_sample: Callable[...
     row = row_of_sample(sample.attacked(Tampered(after, none, none)), Layout.of(sample.truth), sensors)
     assert row[1] is None  # no ranges
     assert bits(sample_of_row(row, Footer("", "", Layout.of(sample.truth), sensors)).sweep) == bits(after)
-
-
-def test_a_record_that_does_not_fit_the_image_is_damage() -> None:
-    rng = np.random.default_rng(0)
-    before = _sweep(rng, 9, 7)
-    none = np.zeros(9, np.bool_)
-    with pytest.raises(ValueError, match=r"touched must leave rows of 9 and add 2, got 9 of 9 and 0 in 9"):
-        merge_rows(before, _sweep(rng, 2, 7), none, none)
-    with pytest.raises(ValueError, match=r"touched must leave rows of 8 and add 0, got 9 of 9 and 0 in 9"):
-        merge_rows(before.select(np.arange(8)), _sweep(rng, 0, 7), none, none)
-    with pytest.raises(ValueError, match=r"what an attacker made must have intensity where the sweep has it"):
-        merge_rows(before, _sweep(rng, 0, 6), none, none)

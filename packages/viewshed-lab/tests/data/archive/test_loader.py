@@ -1,9 +1,5 @@
 """Frames for training: the arrays are the sample's, in the level frame, in any process."""
 
-import multiprocessing
-import pickle
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +11,7 @@ from viewshed.fov.visibility import PEDESTRIAN
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
-from viewshed_lab.data import Archive, Sample, write_archive
+from viewshed_lab.data import Sample, write_archive
 from viewshed_lab.data.archive.archive import ArchiveFrames
 
 MakeSample = Callable[..., Sample]
@@ -52,35 +48,3 @@ def test_a_tilted_sensor_is_leveled(tmp_path: Path) -> None:
     sample = Sample(sweep, truth, zeros == 0, "s", "train")
     counts = ArchiveFrames(write_archive(tmp_path / "a", [sample], {}))[0]["counts"]
     assert {(int(i), int(j)) for i, j in np.argwhere(counts)} == {(16 + 8, 16), (16, 16 + 6)}
-
-
-def _counted(frames: ArchiveFrames) -> int:
-    return int(frames[3]["counts"].sum())
-
-
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # fork with threads, from Python 3.12 on
-def test_workers_read_it(frames: ArchiveFrames, method: str) -> None:
-    expected = _counted(frames)
-    with multiprocessing.get_context(method).Pool(2) as pool:
-        assert pool.map(_counted, [frames] * 4) == [expected] * 4
-    assert _counted(pickle.loads(pickle.dumps(frames))) == expected  # noqa: S301 - our own
-
-
-def test_it_needs_no_torch(frames: ArchiveFrames) -> None:
-    code = (
-        "import sys; from viewshed_lab.data.archive.archive import Archive, ArchiveFrames;"
-        "frame = ArchiveFrames(Archive.open(sys.argv[1]))[0]; sys.exit(len(frame) != 3 or 'torch' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code, frames.archive.store.uri], check=False).returncode == 0
-
-
-def test_a_frame_that_is_not_there(frames: ArchiveFrames) -> None:
-    with pytest.raises(IndexError, match="index must lie in"):
-        frames[6]
-
-
-def test_an_opened_archive_has_the_same_frames(frames: ArchiveFrames, tmp_path: Path) -> None:
-    opened = ArchiveFrames(Archive.open(tmp_path / "a"))
-    for name, array in opened[4].items():
-        assert (array == frames[4][name]).all()

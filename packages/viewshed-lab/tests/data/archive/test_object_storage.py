@@ -34,19 +34,6 @@ def test_simulate_into_a_bucket_and_read_back(s3: str, tmp_path: Path) -> None:
         assert (there[index].known == here[index].known).all()
 
 
-def test_a_missing_shard_is_made_again(s3: str, tmp_path: Path) -> None:
-    uri = f"s3://data/{tmp_path.name}/set?{s3}"
-    assert _run("simulate", *SMALL, "--out", uri).returncode == 0
-    store = Storage.of(uri)
-    before = {name: store.read(name) for name in store.names()}
-    shards = [name for name in before if name.endswith(".parquet")]
-    store.delete(shards[1])
-    store.write(shards[0], b"damaged")
-    assert _run("dataset", "verify", uri).returncode == 2
-    assert _run("simulate", *SMALL, "--out", uri).returncode == 0
-    assert {name: store.read(name) for name in store.names()} == before
-
-
 def test_a_bucket_that_is_not_there_is_one_line(s3: str) -> None:
     ended = _run("simulate", *SMALL, "--out", f"s3://nobody/x?{s3}")
     (line,) = [line for line in ended.stderr.splitlines() if line.startswith("viewshed: ")]

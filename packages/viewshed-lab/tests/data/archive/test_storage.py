@@ -3,34 +3,26 @@
 import errno
 import http.server
 import os
-import pickle
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-import pyarrow as pa
 import pyarrow.fs as pafs
-import pyarrow.parquet as pq
 import pytest
 
 from viewshed_lab.data.archive.storage import Storage
 
 
-@pytest.fixture(
-    params=["folder", "file", pytest.param("s3", marks=pytest.mark.slow), pytest.param("gs", marks=pytest.mark.slow)]
-)
+@pytest.fixture(params=["folder", "file", pytest.param("s3", marks=pytest.mark.slow)])
 def store(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
     if request.param == "folder":
         return Storage.of(tmp_path / "new folder é" / "deep")
     if request.param == "file":
         return Storage.of(f"file://{tmp_path}/of/uri")
-    bucket = {"s3": "s3://data", "gs": "gs://anonymous@data"}[request.param]
-    return Storage.of(f"{bucket}/{tmp_path.name}/deep?{request.getfixturevalue(request.param)}")
+    return Storage.of(f"s3://data/{tmp_path.name}/deep?{request.getfixturevalue('s3')}")
 
 
 def test_write_read_list_delete(store: Storage) -> None:
@@ -48,37 +40,6 @@ def test_write_read_list_delete(store: Storage) -> None:
     assert store.names() == ["a.json", "a/é 2", "b.parquet"]
 
 
-def test_many_are_deleted_together(store: Storage) -> None:
-    for number in range(40):
-        store.write(f"{number}.json", b"{}")
-    store.delete(*(f"{number}.json" for number in range(40) if number != 7))
-    assert store.names() == ["7.json"]
-    store.delete()
-    with pytest.raises(FileNotFoundError, match=r"8\.json: no such file"):
-        store.delete("8.json", "7.json")
-
-
-def test_a_store_elsewhere_is_another(store: Storage) -> None:
-    store.write("x", b"1")
-    assert Storage.of(f"{store.uri.partition('?')[0]}er?{store.uri.partition('?')[2]}".rstrip("?")).names() == []
-
-
-def test_it_travels(store: Storage) -> None:
-    store.write("x", b"1")
-    copy = pickle.loads(pickle.dumps(store))  # noqa: S301 - our own
-    assert copy == store
-    assert copy.read("x") == b"1"
-
-
-def test_parquet_reads_a_part(store: Storage) -> None:
-    table = pa.table({"row": np.arange(100_000)})
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, row_group_size=1000)
-    store.write("rows.parquet", sink.getvalue().to_pybytes())
-    with store.open("rows.parquet") as file:
-        assert pq.ParquetFile(file).read_row_group(42)["row"].to_numpy().tolist() == list(range(42_000, 43_000))
-
-
 def test_a_missing_file_is_named(store: Storage) -> None:
     store.write("there", b"1")
     for act in (store.read, store.size, store.delete, store.open):
@@ -88,22 +49,9 @@ def test_a_missing_file_is_named(store: Storage) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "/etc/passwd", "../up", "a/../../up", "a\\b", "."])
-def test_names_stay_inside(store: Storage, name: str) -> None:
+def test_names_stay_inside(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="name must be relative and stay inside"):
-        store.write(name, b"1")
-
-
-@pytest.mark.slow
-def test_another_library_sees_the_same_objects(s3: str, tmp_path: Path) -> None:
-    boto3 = pytest.importorskip("boto3", reason="boto3 is not installed: S3 is not compared with it")
-    store = Storage.of(f"s3://data/{tmp_path.name}?{s3}")
-    store.write("a/b", b"ours" * 3_000_000)
-    endpoint = "http://" + s3.partition("endpoint_override=")[2].partition("&")[0]
-    client = boto3.client("s3", endpoint_url=endpoint, region_name="us-east-1")
-    assert client.get_object(Bucket="data", Key=f"{tmp_path.name}/a/b")["Body"].read() == b"ours" * 3_000_000
-    client.put_object(Bucket="data", Key=f"{tmp_path.name}/theirs", Body=b"123")
-    assert store.names() == ["a/b", "theirs"]
-    assert store.read("theirs") == b"123"
+        Storage.of(tmp_path).write(name, b"1")
 
 
 KILLED = """
@@ -134,13 +82,6 @@ def test_a_killed_writer_leaves_the_old_file(store: Storage) -> None:
     assert store.folder is None or [path.name for path in store.folder.iterdir()] == ["shard"]
 
 
-def test_hidden_files_of_others_are_left_alone(tmp_path: Path) -> None:
-    (tmp_path / ".notes.part").write_text("mine")
-    store = Storage.of(tmp_path)
-    store.clear_drafts()
-    assert store.names() == [".notes.part"]
-
-
 @pytest.mark.parametrize(
     ("number", "words"),
     [(errno.ENOSPC, "the disk is full; free some space"), (errno.EROFS, "read-only; choose another place"),
@@ -165,14 +106,6 @@ def test_a_file_where_the_folder_must_be(tmp_path: Path) -> None:
         store.write("x", b"1")
     with pytest.raises(OSError, match=r"file: a file is where a folder must be; choose another place"):
         store.names()
-
-
-@pytest.mark.slow
-def test_a_bucket_that_does_not_exist(s3: str, gs: str) -> None:
-    for bucket, options in (("s3://nobody", s3), ("gs://nobody", gs)):
-        store = Storage.of(f"{bucket.replace('gs://', 'gs://anonymous@')}/has/this?{options}")
-        with pytest.raises(OSError, match=rf"^{bucket}/has/this/x: .*; create the bucket first$"):
-            store.write("x", b"1")
 
 
 @pytest.fixture
@@ -208,15 +141,6 @@ def test_no_credentials_and_no_secret_in_the_message(refusing: str) -> None:
         assert "\n" not in str(raised.value)
 
 
-@pytest.mark.slow
-def test_a_server_that_is_not_there() -> None:
-    store = Storage.of("s3://k:s@data/x?endpoint_override=127.0.0.1:1&scheme=http&region=us-east-1")
-    start_s = time.monotonic()
-    with pytest.raises(OSError, match=r"^s3://data/x/y: .*; check the network, region and endpoint_override$"):
-        store.read("y")
-    assert time.monotonic() - start_s < 30
-
-
 @pytest.mark.parametrize(
     ("place", "words"),
     [("", "place must be a folder or a URI"), ("hdfs://a/b", "begin with file, s3, gs, gcs, abfs, abfss, got hdfs://"),
@@ -235,15 +159,7 @@ def test_places_that_are_refused(place: str, words: str) -> None:
      ("abfs://box@account.dfs.core.windows.net/a", pafs.AzureFileSystem, "abfs://box@account.dfs.core.windows.net/a")],
 )  # fmt: skip
 def test_other_places_are_understood(place: str, kind: type, shown: str) -> None:
-    """Azure has no server here that a URI could lead to: nothing is read or written."""
+    """Neither has a server here that a URI could lead to: nothing is read or written."""
     store = Storage.of(place)
     assert isinstance(store._files, kind)
     assert store.place == shown
-
-
-def test_a_folder_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    store = Storage.of("here")
-    monkeypatch.chdir("/")
-    store.write("x", b"1")
-    assert (tmp_path / "here" / "x").read_bytes() == b"1"

@@ -1,7 +1,6 @@
 """The firing pattern of a moving sensor, against the simulator's own beams."""
 
 import numpy as np
-import pytest
 from tests.data.labeling.scene import MODEL, Shot
 
 from viewshed.geometry import Rigid
@@ -27,23 +26,10 @@ def test_every_beam_begins_and_points_as_it_did(drive: list[Shot]) -> None:
     assert np.abs(image.direction - scan.direction @ to_level)[missing].max() < 2e-4
 
 
-def test_depths_are_those_of_the_beams(drive: list[Shot]) -> None:
-    scan, image = drive[4].scan, _image(drive)
-    assert np.quantile(np.abs(image.depth_m - scan.depth_m)[image.returned], 0.98) < 0.1
-    assert (image.depth_m[~image.returned] == 0).all()
-
-
 def test_rings_are_found_where_they_are_not_told(drive: list[Shot]) -> None:
     known, found = _image(drive), _image(drive, ring=None)
     assert found.pixels.shape == known.pixels.shape
     assert (found.pixels == known.pixels).mean() > 0.97
-
-
-def test_without_a_model_the_pattern_is_that_of_the_returns(drive: list[Shot]) -> None:
-    bare = beam_image(drive[4].sweep.replace(model=None, time_s=None), np.eye(3), AT_REST)
-    assert bare.model is None
-    assert bare.max_range_m == pytest.approx(float(np.linalg.norm(drive[4].sweep.points, axis=1).max()), rel=1e-4)
-    assert abs(bare.pixels.shape[0] - 720) <= 2
 
 
 def test_a_return_that_jittered_into_the_next_pixel_goes_back_to_the_empty_one() -> None:
@@ -55,9 +41,3 @@ def test_a_return_that_jittered_into_the_next_pixel_goes_back_to_the_empty_one()
     assert image.pixels.shape == (720, 13)
     assert sorted(image.pixels[:, 12].tolist()) == list(range(720))
     assert image.pixels[299, 12] == 299
-
-
-def test_an_empty_sweep_has_a_pattern_and_no_return(drive: list[Shot]) -> None:
-    image = beam_image(Sweep(np.zeros((0, 3), np.float32), model=drive[0].sweep.model), np.eye(3), AT_REST)
-    assert image.returned.sum() == 0
-    assert np.linalg.norm(image.direction, axis=-1) == pytest.approx(1.0, abs=1e-5)

@@ -23,10 +23,6 @@ def test_the_two_lowest_and_the_highest_of_a_node_are_kept_in_the_world() -> Non
     assert np.isnan(lows.top_m[0])
 
 
-def test_no_points_leave_no_lows() -> None:
-    assert lows_of(np.zeros((0, 3), np.float32), Rigid.identity(), 1.0, 9.0).node.shape == (0, 2)
-
-
 def _errors(patch: Patch, one: Shot) -> np.ndarray:
     """Return how far the ground is wrong in the outer half of the grid (cells,)."""
     pose, xy = one.scan.world_from_sensor, GRID.centers.reshape(-1, 2)
@@ -43,10 +39,3 @@ def test_neighbors_in_time_show_the_far_ground(drive: list[Shot]) -> None:
     together = _errors(patch_of(leveled, lows, GRID.half_extent_m, RULES.node_m), drive[4])
     assert together.mean() < 0.7 * alone.mean()
     assert np.quantile(together, 0.9) < 0.25
-
-
-def test_the_order_of_the_sweeps_does_not_matter(drive: list[Shot]) -> None:
-    lows = [lows_of_sweep(one.sweep, RULES) for one in drive[2:7]]
-    leveled = level(drive[4].sweep, GRID)
-    one, other = (patch_of(leveled, some, GRID.half_extent_m, RULES.node_m) for some in (lows, lows[::-1]))
-    assert (one.ground.heights_m == other.ground.heights_m).all()

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from tests.data.labeling.scene import GRID, Shot
 
-from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.grid import polar_of_cells
 from viewshed.metrics import ConfusionCounts
@@ -41,16 +40,6 @@ def test_neighbors_in_time_help(drive: list[Shot]) -> None:
     every = np.ones_like(known)
     assert _f1(truth, drive[4], every) > _f1(alone, drive[4], every)
     assert known.mean() > alone_known.mean()
-
-
-def test_states_agree_with_the_truth(drive: list[Shot]) -> None:
-    truth, known = _label(drive)
-    among = known & drive[4].known
-    found, true = truth.state["car"][among], drive[4].truth.state["car"][among]
-    assert (found == true).mean() > 0.95
-    assert (found == CellState.SURFACE).sum() > 0.7 * (true == CellState.SURFACE).sum()
-    visible = truth.visible("car")
-    assert (visible == np.isin(truth.state["car"], (CellState.FREE, CellState.SURFACE))).all()
 
 
 def test_farthest_holds_every_return_and_the_ground_that_was_too_far_to_answer(drive: list[Shot]) -> None:
@@ -106,23 +95,10 @@ def test_a_lost_sector_is_not_known(drive: list[Shot]) -> None:
     assert not farthest_known[inside].any()
 
 
-def test_the_vehicle_below_is_not_known(drive: list[Shot]) -> None:
-    _, known = label_sweep(drive[4].sweep.replace(sensor_height_m=1.8), AT_REST, [], RULES)
-    assert not known[(np.abs(GRID.centers) < (2.7, 1.1)).all(axis=-1)].any()
-
-
 def test_an_empty_sweep_knows_nothing_visible() -> None:
     truth, known = label_sweep(Sweep(np.zeros((0, 3), np.float32)), AT_REST, [], RULES)
     assert not truth.visible("car").any()
     assert known.shape == GRID.shape
-
-
-def test_inputs_stay_and_the_answer_is_the_same_twice(drive: list[Shot]) -> None:
-    before = drive[4].sweep.points.copy()
-    (one, known), (other, again) = _label(drive), _label(drive)
-    assert (drive[4].sweep.points == before).all()
-    assert (one.expected_returns["car"] == other.expected_returns["car"]).all()
-    assert (known == again).all()
 
 
 def test_a_neighbor_without_pose_or_damaged_is_left_out(drive: list[Shot]) -> None:
@@ -137,17 +113,6 @@ def test_a_neighbor_without_pose_or_damaged_is_left_out(drive: list[Shot]) -> No
     assert _f1(truth, drive[4], known) > 0.97
     with pytest.raises(ValueError, match="sweep 3 is damaged"):
         track.label(3)
-
-
-def test_only_so_many_neighbors_are_looked_at(drive: list[Shot]) -> None:
-    asked: list[int] = []
-
-    def read(place: int) -> Sweep:
-        asked.append(place)
-        return drive[place].sweep
-
-    LabeledDrive.of(read, range(9), LabelRules(GRID, neighbors=1), (4, 5))
-    assert asked == [1, 2, 3, 4, 5, 6, 7]
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,6 @@ def test_velocity_is_in_the_axes_of_the_sensor_and_turns_are_counter_clockwise()
     assert drift.yaw_rate == pytest.approx(2.0)
 
 
-def test_one_neighbor_is_enough() -> None:
-    drift = drift_of(None, _at(0, 0, 0, 5.0), _at(3, 0, 0, 5.5))
-    assert drift.velocity_mps == pytest.approx([6.0, 0.0, 0.0])
-
-
 @pytest.mark.parametrize(
     "other",
     [None, StampedPose(None, 100), _at(1, 0, 0, None), _at(50, 0, 0, 0.1), _at(1, 0, 0, 9.0), _at(0, 0, 0, 0.0)],

@@ -67,13 +67,6 @@ def test_noise_of_strong_returns_is_that_of_the_sensor() -> None:
     assert tail == pytest.approx(0.0574, abs=0.01)  # normal: 5.74 % beyond 1.9 standard deviations
 
 
-def test_noise_of_weak_returns_doubles_at_the_threshold() -> None:
-    model = lidar_model("hdl32e")
-    threshold_m = OPTICS["HDL-32E"].reach_m * 1.2**0.5  # asphalt reflects 12 %, the reach is for 10 %
-    found = range_m(measured(scan_of(model, threshold_m)))
-    assert found.std() == pytest.approx(2 * OPTICS["HDL-32E"].sigma_m, rel=0.05)
-
-
 @pytest.mark.parametrize(("signal", "probability"), [(0.5, 1 / 17), (1.0, 0.5), (2.0, 16 / 17)])
 def test_weak_returns_are_detected_as_the_curve_says(signal: float, probability: float) -> None:
     model = replace(lidar_model("hdl64e"), max_range_m=250.0)
@@ -170,16 +163,6 @@ def _first_particles(per_m: float, reach_m: float, beams: int) -> NDArray[np.flo
     return first
 
 
-def test_a_bright_near_surface_outshines_particles() -> None:
-    model = lidar_model("hdl32e")
-    fog = replace(CONDITIONS["dense_fog"], noise=0.0)
-    near, far = (measured(scan_of(model, depth, "plaster"), fog) for depth in (4.0, 45.0))
-    assert np.mean(np.abs(range_m(near) - 4.0) < 0.01) > 0.95
-    early = range_m(far)[range_m(far) < 44.0]
-    assert len(early) > 0.3 * near.steps.size
-    assert range_m(far).max() < 45.01
-
-
 def test_faults_are_whole_rings_sectors_and_packets() -> None:
     model = lidar_model("vlp16")
     scan = scan_of(PERFECT, 5.0)
@@ -238,3 +221,20 @@ def test_bad_numbers_are_refused(make: object, words: str) -> None:
     assert callable(make)
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_noise_of_weak_returns_doubles_at_the_threshold() -> None:
+    model = lidar_model("hdl32e")
+    threshold_m = OPTICS["HDL-32E"].reach_m * 1.2**0.5  # asphalt reflects 12 %, the reach is for 10 %
+    found = range_m(measured(scan_of(model, threshold_m)))
+    assert found.std() == pytest.approx(2 * OPTICS["HDL-32E"].sigma_m, rel=0.05)
+
+
+def test_a_bright_near_surface_outshines_particles() -> None:
+    model = lidar_model("hdl32e")
+    fog = replace(CONDITIONS["dense_fog"], noise=0.0)
+    near, far = (measured(scan_of(model, depth, "plaster"), fog) for depth in (4.0, 45.0))
+    assert np.mean(np.abs(range_m(near) - 4.0) < 0.01) > 0.95
+    early = range_m(far)[range_m(far) < 44.0]
+    assert len(early) > 0.3 * near.steps.size
+    assert range_m(far).max() < 45.01

@@ -113,29 +113,6 @@ def test_ranges_of_a_ring_are_off_by_its_offset() -> None:
     assert off == pytest.approx(sensor.range_offset_m[sweep.ring], abs=2e-5)
 
 
-def test_the_same_generator_gives_the_same_sensor_and_another_another() -> None:
-    family = FAMILIES["sealed_table_10_56"]
-    one, same, other = drawn(family), drawn(family), drawn(family, 4)
-    assert one.model.elevation.tobytes() == same.model.elevation.tobytes()
-    assert (one.range_offset_m == same.range_offset_m).all()
-    assert one.model.elevation.tobytes() != other.model.elevation.tobytes()
-
-
-def test_the_table_that_is_handed_out_is_not_quite_the_sensor() -> None:
-    sensor = drawn(FAMILIES["sealed_calibrated_32_64"])
-    off = np.abs(sensor.model.elevation - sensor.table.elevation)
-    assert 0 < np.rad2deg(off).mean() < 0.5
-
-
-def test_a_pattern_goes_on_where_the_sweep_before_ended() -> None:
-    """Non-repeating: another sweep of the same sensor fires elsewhere; the motors turn on without a jump."""
-    family = FAMILIES["sealed_rosette"]
-    first, second = drawn(family, sweep=0).model.shots, drawn(family, sweep=1).model.shots
-    step = np.abs(np.diff(first.reshape(-1, 2), axis=0)).max()
-    assert np.abs(second[0, 0] - first[-1, -1]).max() < 1.5 * step
-    assert np.abs(second - first).mean() > 0.02
-
-
 def test_shots_at_the_angles_of_the_rings_meet_what_the_rings_meet() -> None:
     model = lidar_model("vlp16")
     columns = -np.pi + (np.arange(model.azimuth_columns) + 0.5) * model.azimuth_step
@@ -177,32 +154,3 @@ def test_nothing_is_seen_outside_of_the_field() -> None:
     assert (truth.state["car"][outside] == CellState.UNKNOWN).all()
     assert (truth.expected_returns["car"][outside] == 0).all()
     assert truth.visible()[~outside].sum() > 500
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"pattern": "spiral"}, "pattern must be one of rings, rosette, weave"),
-    ({"order": "sorted"}, "order must be one of"),
-    ({"leaves_out": ("color",)}, "leaves_out must be among"),
-    ({"pattern": "rosette"}, "must leave out ring"),
-    ({"rings": (20, 10)}, "rings must ascend"),
-    ({"lowest_deg": (-10.0, 30.0)}, "lowest_deg must lie below"),
-])  # fmt: skip
-def test_a_wrong_family_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(FAMILIES["train_spin_16_40"], **change)  # type: ignore[arg-type]
-
-
-def test_shots_must_fit_their_model() -> None:
-    with pytest.raises(ValueError, match="shots must be"):
-        LidarModel("x", np.array([0.0]), 4, shots=np.zeros((4, 2, 2)))
-    with pytest.raises(ValueError, match="NaN in pairs"):
-        LidarModel("x", np.array([0.0]), 4, shots=np.array([[[0.0, np.nan]]] * 4))
-    with pytest.raises(ValueError, match="one or more"):
-        LidarModel("x", np.array([0.0]), 4, shots=np.full((4, 1, 2), np.nan))
-
-
-def test_a_sweep_is_delivered_once() -> None:
-    sensor = drawn(FAMILIES["train_unordered"])
-    given = sensor.deliver(swept(sensor.model), np.random.default_rng(0))
-    with pytest.raises(ValueError, match="deliver it once"):
-        sensor.deliver(given, np.random.default_rng(0))

@@ -23,21 +23,6 @@ def image(motion: Motion = STILL) -> StoredSweep:
     return StoredSweep(MODEL, steps.astype(np.uint16), level.astype(np.uint8), 0.002, POSE, motion, 1.8, 12, "robot")
 
 
-def test_points_lie_on_their_beams() -> None:
-    one = image()
-    sweep = one.sweep()
-    column, ring = np.nonzero(one.steps)
-    assert sweep.ring.tolist() == ring.tolist()
-    azimuth = np.deg2rad(-180 + column + 0.5) + MODEL.azimuth_offset[ring]
-    along = one.steps[column, ring] * 0.002
-    flat = along * np.cos(MODEL.elevation[ring])
-    up = along * np.sin(MODEL.elevation[ring]) + MODEL.origin_m[ring]
-    expected = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up])
-    assert np.abs(sweep.points - expected).max() < 1e-4
-    assert sweep.intensity.tolist() == one.intensity[column, ring].tolist()
-    assert (sweep.t_ns, sweep.sensor_height_m, sweep.agent) == (12, 1.8, "robot")
-
-
 def test_motion_is_undone_in_world_axes() -> None:
     """A wall point seen by a moving sensor, computed in the world, comes back in the reference frame."""
     one = image(MOTION)
@@ -68,16 +53,3 @@ def test_firing_starts_and_points_where_the_returns_are(motion: Motion) -> None:
     assert sweep.time_s == pytest.approx(time_s[column] + motion.period_s / 2, abs=1e-7)
     assert not start.flags.writeable
     assert not direction.flags.writeable
-
-
-def test_an_empty_image_is_an_empty_sweep() -> None:
-    empty = np.zeros((360, 32), np.uint16)
-    assert len(StoredSweep(MODEL, empty, empty.astype(np.uint8), 0.002, POSE).sweep()) == 0
-
-
-def test_wrong_arrays_are_refused() -> None:
-    empty = np.zeros((360, 32), np.uint16)
-    with pytest.raises(ValueError, match="steps must be uint16"):
-        StoredSweep(MODEL, empty.T, empty.astype(np.uint8), 0.002, POSE)
-    with pytest.raises(ValueError, match="step_m must lie in"):
-        StoredSweep(MODEL, empty, empty.astype(np.uint8), 2.0, POSE)

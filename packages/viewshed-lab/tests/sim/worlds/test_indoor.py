@@ -7,15 +7,10 @@ import pytest
 import shapely
 from tests.sim.worlds.test_every_world import INDOOR, outlines
 
-from viewshed import lidar_model
-from viewshed_lab.sim.assets.furniture import bounds, cabinet, place_group
-from viewshed_lab.sim.raycast.caster import cast_world
-from viewshed_lab.sim.world import NOTHING, AgentPlan, World
+from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.sim.worlds.indoor.floor import Rise, floor
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
-from viewshed_lab.sim.worlds.indoor.routes import drive_route, open_floor
-from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, build, wall_parts
+from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, wall_parts
 
 PLAN = AgentPlan(moving=2, roadside=2, sensor="vlp16", sensor_height_m=0.7, duration_s=60.0)
 HOUSE = {"wall", "ceiling", "beam", "pillar", "duct", "gallery", "threshold", "balustrade"}
@@ -26,7 +21,7 @@ def make(name: str, seed: int, plan: AgentPlan = PLAN) -> World:
 
 
 @pytest.mark.parametrize("name", INDOOR)
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0])
 def test_a_world_has_the_size_and_the_agents_that_were_asked_for(name: str, seed: int) -> None:
     plan = AgentPlan(moving=3, roadside=1, sensor="vlp16", sensor_height_m=0.6, duration_s=5.0)
     world = make(name, seed, plan)
@@ -68,7 +63,7 @@ def test_no_two_things_are_in_each_other(name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", INDOOR)
-@pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.parametrize("seed", [0])
 def test_robots_touch_nothing_on_their_way(name: str, seed: int) -> None:
     world = make(name, seed)
     snapshot = world.snapshot(0.0)
@@ -100,26 +95,6 @@ def test_whoever_moves_keeps_apart_for_ten_minutes(name: str) -> None:
     assert all(m.track is not None and m.track.t_s[0] <= 0 and m.track.t_s[-1] > 600.0 for m in movers)
 
 
-@pytest.mark.parametrize("name", INDOOR)
-@pytest.mark.parametrize("seed", [1, 6])
-def test_sensors_look_into_the_building(name: str, seed: int) -> None:
-    world = make(name, seed)
-    for agent in world.agents:
-        scan = cast_world(world.snapshot(3.0), lidar_model(agent.sensor), world.world_from_sensor(agent, 3.0))
-        assert (scan.thing == NOTHING).mean() < 0.35
-        assert (scan.thing == agent.carrier).mean() < 0.12 if agent.carrier is not None else scan.depth_m.min() > 0.25
-        seen = {world.things[k].kind for k in np.unique(scan.thing[scan.thing >= 0])}
-        assert "wall" in seen
-
-
-def test_ceiling_sensors_hang_high_and_look_down() -> None:
-    world = make("corridors", 1)
-    for agent in world.agents[2:]:
-        assert agent.carrier is None
-        assert agent.mount.translation[2] > 2.0
-        assert -np.sin(0.26) < agent.mount.rotation[2, 0] < -np.sin(0.04)
-
-
 def test_a_doorway_is_a_gap_below_a_lintel_with_posts_at_both_ends() -> None:
     wall = Wall(True, 3.0, -4.0, 6.0, 0.2, "brick", (Opening(1.0, 1.2, "passage"),))
     parts = wall_parts(wall, 2.7)
@@ -134,17 +109,6 @@ def test_a_doorway_is_a_gap_below_a_lintel_with_posts_at_both_ends() -> None:
     assert np.allclose(pieces, [(-4.0, 0.4), (1.6, 6.0)])
 
 
-def test_furniture_never_stands_in_a_doorway() -> None:
-    floor_plan = FloorPlan(np.random.default_rng(0))
-    build(floor_plan, [Wall(False, 0.0, 0.0, 9.0, 0.2, "plaster", (Opening(2.5, 1.0, "passage"),))], 2.5)
-    count = sum(floor_plan.against((0.1, 0.0, 4.0, 9.0), cabinet, (0,)) for _ in range(60))
-    assert count >= 3
-    rows = np.concatenate([bounds((one,)) for one in floor_plan.things if one.kind == "cabinet"])
-    assert not ((rows[:, 1] < 3.0) & (rows[:, 3] > 2.0)).any()
-    assert (rows[:, 0] >= 0.1).all()
-    assert not floor_plan.put(place_group(cabinet(floor_plan.rng), 0.5, 2.5))
-
-
 def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
     rise = Rise((2.0, 1.0, 8.0, 5.0), 0.2, (2.0, 2.0, 4.0, 3.0), 0)
     ground = floor(rise, (-9.0, -9.0, 9.0, 9.0), "wood")
@@ -156,20 +120,6 @@ def test_a_raised_floor_has_a_ramp_and_steps_elsewhere() -> None:
     assert edges.distance(shapely.Point(2.0, 2.5)) == pytest.approx(0.5)
     assert edges.distance(shapely.Point(2.0, 4.0)) == 0.0
     assert edges.distance(shapely.Point(8.0, 2.5)) == 0.0
-
-
-def test_a_track_turns_in_place_at_corners() -> None:
-    track = drive_route(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, -1.0]]), 0.5, 1.0, 10.0)
-    assert track.at(12.0) == pytest.approx((1.0, 0.0, 0.0))
-    assert track.at(14.02 + np.pi / 4) == pytest.approx((2.0, 0.0, -np.pi / 4))
-    assert track.at(15.02 + np.pi / 2) == pytest.approx((2.0, -0.5, -np.pi / 2))
-
-
-def test_a_line_through_something_is_not_free() -> None:
-    lane = open_floor((-2.0, -1.0, 6.0, 3.0)).without(np.array([[1.0, 0.0, 1.2, 1.0]]), 0.3)
-    start = np.array([[0.0, 0.5], [0.0, 2.0], [0.0, 0.5]])
-    stop = np.array([[3.0, 0.5], [3.0, 1.6], [0.6, 2.0]])
-    assert lane.sees(start, stop).tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize("height_m", [0.1, 2.4])

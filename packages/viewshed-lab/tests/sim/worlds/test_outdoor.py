@@ -7,7 +7,6 @@ import pytest
 from tests.sim.worlds.test_every_world import TOWN, made
 
 from viewshed_lab.sim.assets.shapes import Box
-from viewshed_lab.sim.assets.street import extent
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Thing
 from viewshed_lab.sim.worlds.layout import with_masts_of
@@ -71,12 +70,6 @@ def test_curbs_rise_within_centimeters_beside_the_street() -> None:
     for way in (-1, 1):
         z = terrain.at(np.column_stack([np.full_like(y, 5.0), way * y]))
         assert 0.09 < max(z[k + 4] - z[k] for k in range(len(z) - 4)) < 0.17
-
-
-def test_extent_leaves_out_what_is_overhead() -> None:
-    lamp = Thing("lamp", (Box(0.0, 0.0, 0.2, 0.2, 6.0), Box(1.0, 0.0, 2.0, 0.1, 6.0, 5.9)))
-    assert extent(lamp) == pytest.approx((-0.1, 0.1, -0.1, 0.1))
-    assert extent(lamp, 10.0)[1] == pytest.approx(2.0)
 
 
 def test_masts_are_made_taller_where_they_stand() -> None:

@@ -13,30 +13,20 @@ from viewshed_lab.sim.raycast.scan import ExactScan
 from viewshed_lab.sim.world import World
 
 STANDING = {
-    "car",
-    "van",
-    "truck",
-    "bus",
-    "container",
-    "cabin",
-    "excavator",
-    "stack",
-    "barrels",
-    "pedestrian",
-    "scaffold",
-}
+    "car", "van", "truck", "bus", "container", "cabin", "excavator", "stack", "barrels", "pedestrian", "scaffold",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", WILD)
 def test_the_way_of_a_vehicle_is_free(name: str) -> None:
-    for seed in range(4):
+    for seed in range(2):
         assert list(in_the_way(made(name, seed, (4, 3, 10.0)), np.linspace(0.0, 10.0, 21))) == [], seed
 
 
 @pytest.mark.parametrize("name", WILD)
 def test_vehicles_stand_on_what_carries_them(name: str) -> None:
     """Each corner of a car's wheelbase is within 0.3 m of the ground of its level; none is tilted by over 20°."""
-    for seed in range(4):
+    for seed in range(2):
         world = made(name, seed, (2, 0, 10.0))
         for k, one in enumerate(world.things):
             if one.kind not in ("car", "van"):
@@ -55,9 +45,9 @@ def test_vehicles_stand_on_what_carries_them(name: str) -> None:
 
 @pytest.mark.parametrize("name", WILD)
 def test_sweeps_have_a_sane_number_of_stops(name: str) -> None:
-    """Over 20 seeds: the beams below the horizon mostly meet something, and those that meet the carrier are few."""
+    """The beams below the horizon mostly meet something, and those that meet the carrier are few."""
     model = lidar_model("vlp16")
-    for seed in range(20):
+    for seed in range(5):
         world = made(name, seed)
         agent = world.agents[0]
         scan = cast_world(world.snapshot(5.0), model, world.world_from_sensor(agent, 5.0), seed=seed)
@@ -81,15 +71,6 @@ def beside(world: World, forward_m: float, left_m: NDArray[np.float64]) -> NDArr
 def scan_of(world: World, sensor: str = "hdl32e") -> ExactScan:
     agent = world.agents[0]
     return cast_world(world.snapshot(5.0), lidar_model(sensor), world.world_from_sensor(agent, 5.0), seed=1)
-
-
-def test_an_embankment_falls_and_a_cutting_rises_beside_the_road() -> None:
-    out = np.arange(0.0, 40.0, 0.5)
-    for seed in range(8):
-        low = [beside(made("embankment", seed), 0.0, way * out).min() for way in (-1, 1)]
-        assert -12.0 < min(low) < -1.4
-        high = [beside(made("cutting", seed), 0.0, way * out).max() for way in (-1, 1)]
-        assert 1.2 < max(high) < 13.0
 
 
 @pytest.mark.parametrize("name", ["pit", "quay"])
@@ -172,19 +153,10 @@ def test_beams_pass_glass_fronts_and_some_stop_in_the_panes() -> None:
         ).all()
 
 
-def test_a_town_on_a_hill_climbs_and_an_old_town_has_walls_at_every_angle() -> None:
-    for seed in range(6):
-        z = beside(made("slope_town", seed), 0.0, np.zeros(1)), beside(made("slope_town", seed), 30.0, np.zeros(1))
-        assert 0.02 < abs(float(z[1][0] - z[0][0])) / 30.0 < 0.2
-        world = made("oblique", seed)
-        turns = [thing.yaw % (np.pi / 2) for thing in world.things if thing.kind in ("building", "house")]
-        assert np.histogram(turns, bins=6, range=(0, np.pi / 2))[0].min() > 0
-
-
 @pytest.mark.parametrize("name", ["pit", "quay", "site", "bridge", "embankment"])
 def test_nothing_that_stands_reaches_over_an_edge(name: str) -> None:
     """Below vehicles, goods and people the ground is within 0.9 m of the plane that goes on from below their middle."""
-    for seed in range(12):
+    for seed in range(6):
         world = made(name, seed)
         for thing in world.things:
             if thing.track is None and not thing.upper and thing.kind in STANDING:

@@ -1,7 +1,6 @@
 """Cross-view truth in a scene whose answer is known."""
 
 import numpy as np
-import pytest
 
 from viewshed import BevGrid, FovEstimate, FovEstimator, Rigid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
@@ -49,16 +48,6 @@ def test_the_van_behind_the_wall_is_unseen_and_the_open_one_is_seen() -> None:
     assert not columns.through.any()
 
 
-def test_what_another_sensor_sees_at_the_same_time_needs_no_third_sweep() -> None:
-    first, second = SWEEPS[:2]
-    known = []
-    for seconds in (0, 1):
-        a, b = (level(sweep, GRID) for sweep in (first, second.replace(t_ns=seconds * 10**9)))
-        known.append(len(columns_of(a, [b], CrossViewRules()).xy))
-    assert known[0] > 10
-    assert known[1] == 0, "a second later it may have moved"
-
-
 class _Constant:
     def __init__(self, value: float) -> None:
         self.value = value
@@ -94,10 +83,3 @@ def test_estimators_are_shown_what_the_attacker_left_and_the_truth_is_of_the_swe
     shown = rows_of(crossview_truth([SWEEPS]), estimators, rng=np.random.default_rng(0), shown=halved)[0]
     assert (shown.over.columns, shown.under.columns) == (clean.over.columns, clean.under.columns)
     assert shown.under.value > clean.under.value + 0.2
-
-
-def test_poses_and_times_are_needed() -> None:
-    with pytest.raises(ValueError, match="pose of every sweep"):
-        evaluate_crossview([[s.replace(world_from_sensor=None) for s in SWEEPS]], {}, rng=np.random.default_rng(0))
-    with pytest.raises(ValueError, match="time of every sweep"):
-        evaluate_crossview([[s.replace(t_ns=None) for s in SWEEPS]], {}, rng=np.random.default_rng(0))

@@ -19,13 +19,6 @@ def test_a_view_lies_in_the_world_where_the_scene_is() -> None:
     assert on_wall[:, 1].max() == pytest.approx(7.0, abs=0.15)
 
 
-def test_exact_beams_are_those_of_the_sweep_without_noise() -> None:
-    sweep, beams = view(SCENE, MODEL, (3.0, -2.0, 0.7), 1.8, np.random.default_rng(0))
-    returned = beams.depth_m < MODEL.max_range_m * np.cos(np.arctan(beams.slope))
-    assert returned.sum() == pytest.approx(len(sweep), rel=0.01)
-    assert np.median(beams.depth_m[returned]) == pytest.approx(np.median(np.hypot(*sweep.points[:, :2].T)), abs=0.05)
-
-
 def test_the_exact_mask_hides_what_the_wall_hides() -> None:
     views = drive(SCENE, MODEL, [(0.0, 0.0, 0.0), (0.0, 0.0, np.pi)], np.random.default_rng(0))
     grid = BevGrid(128, 32.0)
@@ -35,8 +28,3 @@ def test_the_exact_mask_hides_what_the_wall_hides() -> None:
     for estimate, sign in ((ahead, 1.0), (turned, -1.0)):
         assert float(estimate.at(sign * behind_wall)) == 0.0
         assert float(estimate.at(sign * before_wall)) > 0.99
-
-
-def test_sloping_scenes_are_refused() -> None:
-    with pytest.raises(ValueError, match="level ground"):
-        view(Scene(slope=(0.1, 0.0)), MODEL, (0.0, 0.0, 0.0), 1.8, np.random.default_rng(0))

@@ -125,20 +125,6 @@ def _cells(row: SimpleNamespace) -> list[float]:
     return [vars(row)[f"{region} cells"] for region in REGIONS]
 
 
-def test_the_order_of_rows_changes_nothing() -> None:
-    trials, estimator = Trials(("uniform", "cluster"), ("fog",)), _Outside()
-    rows = _records(estimator, _sets((0, 7, 30)), trials)
-    assert {name: repr(row) for name, row in _rows(rows[::-1]).items()} == {
-        name: repr(row) for name, row in _rows(rows).items()
-    }
-    assert _rows([]) == {}
-
-
-def test_too_few_sweeps_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"rate of 0\.01 needs at least 99 benign sweeps, got 19"):
-        _records(_Counter(), _sets((0,)), Trials(false_alarm_rate=0.01))
-
-
 def test_the_command_runs_goes_on_and_writes_its_page(tmp_path: Path) -> None:
     words = ("study", "deviation", "--preset", "tiny", "--out", tmp_path, "--workers", 1)
     assert run(*words)[0] == 0

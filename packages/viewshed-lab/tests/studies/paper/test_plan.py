@@ -1,14 +1,8 @@
 """What the study runs: plans, models, settings, and the names of its jobs."""
 
-from pathlib import Path
-
-import pytest
-
 from viewshed_lab.studies.paper.jobs import needed
-from viewshed_lab.studies.paper.models import config_of, trade_config
-from viewshed_lab.studies.paper.plan import PROTOCOLS, Model, PaperPlan
+from viewshed_lab.studies.paper.plan import PROTOCOLS, PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
-from viewshed_lab.threats.attacks import ATTACKS, FAMILY
 
 TINY = PaperPlan.load("tiny")
 
@@ -49,21 +43,3 @@ def test_settings_of_the_paper_are_its_own() -> None:
     assert "paper_label" not in road.classical()
     assert {"paper_quantized", "majority_vote"} <= set(road.classical())
     assert "paper_quantized" not in strict.classical()
-
-
-def test_models_differ_in_what_their_names_say(tmp_path: Path) -> None:
-    configs = {model: config_of(TINY, tmp_path, model) for model in TINY.models()}
-    for model, config in configs.items():
-        assert config.variant == model.variant
-        assert config.data[0].endswith(f"{model.domain}-train")
-        assert (config.attacks == ()) == (model.mixture == "benign")
-    assert configs[Model("paper", "mle", "adversarial", "ugv")].attacks == ("paper",)
-    assert configs[Model("strict", "mle", "adversarial", "ugv")].attacks == TINY.trained_attacks
-    assert len({config.seed for config in configs.values()}) == 1
-    assert trade_config(TINY, tmp_path, (8, 2, 32)).width == 8
-
-
-@pytest.mark.parametrize("name", ["small", "medium", "paper"])
-def test_most_families_are_never_trained_on(name: str) -> None:
-    trained = {FAMILY[attack] for attack in PaperPlan.load(name).trained_attacks}
-    assert len({FAMILY[attack] for attack in ATTACKS} - trained) == 11

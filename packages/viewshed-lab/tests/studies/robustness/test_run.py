@@ -1,30 +1,24 @@
 """What one job finds, against the same steps taken one by one; a study that is stopped and goes on."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.studies.by_hand import stored
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators import CLASSICAL
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.metrics import ConfusionCounts
 from viewshed_lab._jobs import engine_named
-from viewshed_lab.studies.cases import apply, attack_of, case_generator, visible_with
-from viewshed_lab.studies.records import VIEW, WEDGE, Case, Domain, Results, Series
+from viewshed_lab.studies.cases import apply, attack_of, case_generator
+from viewshed_lab.studies.records import WEDGE, Case, Domain, Results, Series
 from viewshed_lab.studies.robustness.jobs import do_job, evaluation_of, run_study
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
 from viewshed_lab.studies.runner import Job
 from viewshed_lab.studies.samples import StudySample, sample_of
-from viewshed_lab.studies.store import JOBS, JobResult, ResultStore
+from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.threats.attacks import Wedge
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 from viewshed_lab.threats.attacks.replay import Replay
@@ -77,16 +71,6 @@ def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySamp
     assert results.numbers(judged, "alarm").size == 0
     assert by_hand["caught"] != by_hand["lost"]
     assert results.counts(Series("ugv", "quantized", case)) == _counted(sample, "quantized", defended.sweep)
-
-
-def test_an_attack_with_nothing_to_spend_scores_as_none() -> None:
-    results = _results("attacks")
-    assert Domain(results, "ugv").methods[7:] == ["shadow_map", "shadow_map_unknown", "majority_vote"]
-    assert set(Domain(results, "ugv").methods) == {*CLASSICAL, "shadow_map_unknown"}
-    for name in Domain(results, "ugv").methods:
-        clean = results.counts(Series("ugv", name))
-        assert results.counts(Series("ugv", name, replace(UNIFORM, level="0"))) == clean
-    assert results.counts(Series("ugv", "quantized", UNIFORM)) != results.counts(Series("ugv", "quantized"))
 
 
 def test_the_attacker_replays_two_seconds_and_the_defense_recalls_half_a_second(sample: StudySample) -> None:
@@ -158,48 +142,11 @@ def test_who_knows_the_defense_queries_behind_it(
     assert adaptive_results.counts(calm) == _counted(sample, "quantized", radius.apply(sample.sweep).sweep, wedge)
 
 
-def test_a_truth_for_fewer_beams_counts_in_every_part(sample: StudySample) -> None:
-    plan = replace(PLAN, corruptions=("fewer_beams",), defenses=("radius",), defended_severity=3)
-    case = Case("corruption", "fewer_beams", "3")
-    visible = visible_with(case, sample, rng_of(case))
-    assert visible is not None
-    for part, defense in (("corruptions", ""), ("defenses", "radius")):
-        counts = _results(part, plan).counts(Series("ugv", "quantized", replace(case, defense=defense)))
-        assert counts.both + counts.under == (visible & sample.known).sum()
-
-
-def test_every_estimator_is_counted_on_the_same_cells() -> None:
-    results = _results("corruptions")
-    counts = [results.counts(series) for series in results.series() if series.region == VIEW]
-    assert {one.cells for one in counts} == {counts[0].cells}
-    assert counts[0].area_m2 / counts[0].cells == pytest.approx((32 / 256) ** 2)
-    assert Domain(results, "ugv").cases == [Case("corruption", "fog", "3")]
-
-
 SMALLEST = replace(
     RobustnessPlan.load("tiny"), attacks=("uniform", "far_wall"), budgets=("0", "150"), corruptions=("fog",),
     severities=(2,), defenses=("radius",), defended=("quantized",), adaptive=("adaptive_over_claim",),
     adaptive_queries=4,
 )  # fmt: skip
-
-
-def test_two_workers_and_one_find_the_same(tmp_path: Path) -> None:
-    one, two = (ResultStore.open(tmp_path / str(workers), SMALLEST) for workers in (1, 2))
-    for workers, store in ((1, one), (2, two)):
-        assert list(run_study(store, engine_named("local", workers))) == []
-    assert len(stored(one)) == 9
-    assert stored(one) == stored(two)
-
-
-def test_what_is_there_is_not_done_again(tmp_path: Path) -> None:
-    store = ResultStore.open(tmp_path, SMALLEST)
-    for key in SMALLEST.job_keys():
-        store.append(key, JobResult())
-    before = stored(store)
-    seen: list[tuple[str, int, int]] = []
-    assert list(run_study(store, engine_named("local", 1), lambda *step: seen.append(step))) == []
-    assert stored(store) == before
-    assert seen == [("tiny", 9, 9)]
 
 
 def test_a_job_that_fails_is_named_and_the_rest_goes_on(tmp_path: Path) -> None:
@@ -208,25 +155,3 @@ def test_a_job_that_fails_is_named_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert len(failed) == 4
     assert all("nothing 0: " in line for line in failed)
     assert len(ResultStore.open(tmp_path, plan).keys()) == 5
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
-def test_a_run_that_is_killed_goes_on_to_the_same_results(tmp_path: Path) -> None:
-    code = (
-        "import sys; from tests.studies.robustness.test_run import *\n"
-        "list(run_study(ResultStore.open(sys.argv[1], SMALLEST), engine_named('local', 1)))"
-    )
-    root = Path(__file__).resolve().parents[3]
-    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "a")], cwd=root)
-    jobs = tmp_path / "a" / JOBS
-    end_s = time.monotonic() + 120
-    while time.monotonic() < end_s and len(list(jobs.glob("*.parquet"))) < 2:
-        time.sleep(0.02)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    store = ResultStore.open(tmp_path / "a", SMALLEST)
-    assert 2 <= len(store.keys()) < 9
-    other = ResultStore.open(tmp_path / "b", SMALLEST)
-    for one in (store, other):
-        assert list(run_study(one, engine_named("local", 1))) == []
-    assert stored(store) == stored(other)

@@ -12,10 +12,10 @@ from viewshed import ESTIMATORS, BevGrid
 from viewshed.arrays import F64
 from viewshed.detections import Detections, ObjectKind
 from viewshed.geometry import Rigid
-from viewshed.objects.metrics import IdSwitches, MatchedObjects, gospa, match_objects
+from viewshed.objects.metrics import IdSwitches, MatchedObjects, match_objects
 from viewshed.objects.tracker import Rules, Tracker
 from viewshed.objects.tracks import Tracks
-from viewshed.objects.views import BeamView, GridView, PolygonView, SeesAll, View
+from viewshed.objects.views import BeamView, GridView, PolygonView, View
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
@@ -69,18 +69,9 @@ def published_view(moment: Moment, t_s: float) -> View:
     return PolygonView.of(ESTIMATORS["concave_hull"](GRID).estimate(moment.leveled.sweep), t_s)
 
 
-def no_view(moment: Moment, t_s: float) -> View:
-    return SeesAll(t_s)
-
-
 VIEWS: dict[str, Callable[[Moment, float], View]] = {
     "beams": lambda moment, t_s: BeamView(moment.leveled, t_s),
-    "shadow map, probability": lambda moment, t_s: GridView(
-        ESTIMATORS["shadow_map"](GRID).estimate(moment.leveled.sweep), t_s
-    ),
-    "shadow map, hard": lambda moment, t_s: GridView(
-        ESTIMATORS["shadow_map"](GRID).estimate(moment.leveled.sweep), t_s, hard=True
-    ),
+    "shadow map": lambda moment, t_s: GridView(ESTIMATORS["shadow_map"](GRID).estimate(moment.leveled.sweep), t_s),
 }
 
 
@@ -100,13 +91,6 @@ def hidden_sweeps() -> NDArray[np.bool_]:
     return np.array([moment.returns[0] < 5 for moment in drive()])
 
 
-def test_the_car_is_hidden_for_seconds_and_comes_out_again() -> None:
-    hidden = hidden_sweeps()
-    assert 2.9 < DT_S * hidden.sum() < 3.3
-    assert not hidden[0]
-    assert not hidden[-5:].any()
-
-
 @pytest.mark.parametrize("name", sorted(VIEWS))
 def test_a_tracker_that_asks_the_view_keeps_the_car(name: str) -> None:
     drove, matched = follow(None, VIEWS[name])
@@ -118,41 +102,9 @@ def test_a_tracker_that_asks_the_view_keeps_the_car(name: str) -> None:
     assert drove[-1].confirmed.all()
 
 
-@pytest.mark.parametrize("coast_s", [1.0, 3.0])
-def test_the_published_rule_deletes_the_car_and_makes_it_anew(coast_s: float) -> None:
-    drove, matched = follow(PublishedRules(cost="center", coast_s=coast_s), published_view)
+def test_the_published_rule_deletes_the_car_and_makes_it_anew() -> None:
+    drove, matched = follow(PublishedRules(cost="center", coast_s=3.0), published_view)
     assert IdSwitches().add(*matched) == 1
     ids = [set(tracks.ids.tolist()) for tracks in drove]
     assert min(map(len, ids)) == 1
     assert len(set.union(*ids)) == 3
-
-
-def test_without_a_view_the_car_is_lost_as_well() -> None:
-    _, matched = follow(None, no_view)
-    assert IdSwitches().add(*matched) == 1
-
-
-def test_while_hidden_and_after_gospa_is_less_than_without_the_view() -> None:
-    """The published rule that coasts for 3 s is as good here until it drops the car: nothing turns or brakes."""
-    totals = []
-    for rules, view in (
-        (None, VIEWS["beams"]),
-        (None, no_view),
-        (PublishedRules(cost="center", coast_s=1.0), published_view),
-    ):
-        drove, _ = follow(rules, view)
-        costs = [
-            gospa(tracks.states[tracks.confirmed], moment.truths, cutoff_m=4.0, order=1.0).distance_m
-            for tracks, moment in zip(drove, drive(), strict=True)
-        ]
-        totals.append(sum(costs[int(hidden_sweeps().argmax()) :]))
-    assert totals[0] < 0.75 * min(totals[1:])
-
-
-def test_a_car_that_vanishes_in_plain_view_loses_its_track() -> None:
-    """The detector is silenced while the car drives in view: its track ends within a second or two."""
-    tracker = Tracker()
-    for k, moment in enumerate(drive()[:12]):
-        found = moment.detections if k < 4 else moment.detections.take(np.array([False, True]))
-        tracks = tracker.step(DT_S * k, found, BeamView(moment.leveled, DT_S * k))
-    assert len(tracks) == 1

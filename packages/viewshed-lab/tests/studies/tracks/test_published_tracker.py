@@ -7,16 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from shapely import Polygon
-from tests.objects.scripted import ScriptedView, cars, everywhere
+from tests.objects.scripted import ScriptedView, cars
 
 from viewshed.arrays import F64
 from viewshed.detections import Detections
 from viewshed.geometry import Rigid
-from viewshed.objects.metrics import ospa_m
 from viewshed.objects.tracker import ExistenceRules, Rules, Tracker
 from viewshed.objects.tracks import Tracks
 from viewshed.objects.views import PolygonView, SeesAll
-from viewshed_lab.studies.tracks.published import PUBLISHED_MOTION, PublishedRules, published_ospa
+from viewshed_lab.studies.tracks.published import PUBLISHED_MOTION, PublishedRules
 
 LEFT = Polygon([(-50, 0), (50, 0), (50, 50), (-50, 50)])
 """Covers what lies on the left of the x axis: y > 0."""
@@ -59,15 +58,7 @@ def test_a_polygon_that_covers_no_track_makes_all_of_them_observable() -> None:
         assert (-20.0 in tracks.states[:, 1].round().tolist()) == is_kept
 
 
-def test_the_repaired_rule_keeps_it() -> None:
-    tracker = Tracker(PublishedRules(repairs_empty_view=True))
-    start = _seen_from(tracker, 5, (10.0, -20.0))
-    for k in range(start, start + 8):
-        tracks = tracker.step(0.1 * k, Detections.none(), PolygonView(LEFT, Rigid.identity(), 0.1 * k))
-    assert len(tracks) == 1
-
-
-@pytest.mark.parametrize("coast_s", [0.5, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("coast_s", [0.5, 3.0])
 def test_hidden_or_not_a_track_coasts_no_longer_than_this(coast_s: float) -> None:
     tracker = Tracker(PublishedRules(coast_s=coast_s, repairs_empty_view=True))
     k = _seen_from(tracker, 5, (10.0, -20.0))
@@ -82,13 +73,6 @@ def test_overlap_or_distance_decides() -> None:
         tracker = Tracker(rules)
         tracker.step(0.0, cars((10.0, 0.0)), SeesAll(0.0))
         assert tracker.step(0.1, cars((13.9, 0.0)), SeesAll(0.1)).ids.tolist() == ids
-
-
-def test_of_tracks_within_a_meter_the_most_updated_is_kept() -> None:
-    tracker = Tracker(PublishedRules())
-    start = _seen_from(tracker, 5, (10.0, 0.0))
-    tracks = tracker.step(0.1 * start, cars((10.0, 0.0), (10.4, 0.4)), SeesAll(0.1 * start))
-    assert tracks.ids.tolist() == [0]
 
 
 def test_too_fast_a_track_ends() -> None:
@@ -166,26 +150,3 @@ def test_where_a_view_says_yes_or_no_existence_counts_misses_as_the_published_ru
     # After a track ended, both begin another at the next detection, of which the existence filter is not yet sure.
     ended = next((k for k, (a, b) in enumerate(pairwise(published)) if len(b) < len(a)), len(published))
     assert existence[: ended + 2] == published[: ended + 2]
-
-
-def test_a_view_of_doubt_lies_between() -> None:
-    """Half in view: existence falls more slowly than in view, and faster than hidden."""
-    left = []
-    for prob in (1.0, 0.5, 0.0):
-        tracker = Tracker(AS_PUBLISHED["existence"])
-        start = _seen_from(tracker, 4, (10.0, 20.0))
-        tracks = tracker.step(0.1 * start, Detections.none(), ScriptedView(0.1 * start, everywhere(prob)))
-        left.append(float(tracks.existence[0]))
-    assert left == sorted(left)
-    assert len(set(left)) == 3
-
-
-@pytest.mark.parametrize(
-    ("false", "published", "ospa"), [(0, 0.18, 0.18), (1, 1.26, 0.26), (2, 2.32, 0.32), (5, 5.45, 0.45)]
-)
-def test_what_the_published_evaluation_calls_ospa_is_not(false: int, published: float, ospa: float) -> None:
-    truths = np.stack([10.0 * np.arange(10), np.zeros(10), np.zeros(10)], axis=1)
-    ghosts = np.stack([10.0 * np.arange(false), np.full(false, 50.0), np.zeros(false)], axis=1)
-    tracks = np.concatenate([truths + np.array([0.0, 0.18, 0.0]), ghosts])
-    assert published_ospa(tracks, truths) == pytest.approx(published, abs=0.01)
-    assert ospa_m(tracks, truths) == pytest.approx(ospa, abs=0.01)

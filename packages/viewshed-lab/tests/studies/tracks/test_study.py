@@ -15,7 +15,7 @@ from viewshed.objects.views import SeesAll
 from viewshed_lab._config import preset_names
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.tracks.drives import FOVS, Moment, ObjectsTruth, SimulatedDetector, simulate_drive
+from viewshed_lab.studies.tracks.drives import FOVS, Moment, ObjectsTruth, simulate_drive
 from viewshed_lab.studies.tracks.evaluate import compare, evaluate, is_at_object, track_drive
 from viewshed_lab.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_study, save_models
 from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
@@ -44,20 +44,6 @@ def test_every_plan_is_sound_and_no_drive_is_in_two_steps() -> None:
         assert not tested & (steps["count"] | steps["limit"])
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"fovs": ("best",)}, "fovs must be among"), ({"accused": 0.0}, r"accused must lie in \(0, 1\)"),
-        ({"seconds": 0.5}, "seconds must lie in"), ({"test": 0}, "test must be at least 1"),
-        ({"detectors": ("simulated",)}, "detectors must hold perception where sweeps are attacked"),
-    ],
-)  # fmt: skip
-def test_bad_plans_are_refused(changed: dict[str, object], message: str) -> None:
-    """A value out of range is named."""
-    with pytest.raises(ValueError, match=message):
-        replace(TINY, **changed)  # type: ignore[arg-type]
-
-
 def test_moments_hold_what_their_world_tells(moments: list[Moment]) -> None:
     """A tenth of a second apart; detections lie at the objects that they are of; exact views agree with returns."""
     assert np.diff([moment.t_s for moment in moments]) == pytest.approx(0.1)
@@ -74,31 +60,6 @@ def test_moments_hold_what_their_world_tells(moments: list[Moment]) -> None:
         assert (last.views[fov].view.visible(last.truth.boxes[many]) > 0.9).all()
     assert last.views["polygon"].cells is None
     assert last.views["none"].view.visible(last.truth.boxes).min() == 1.0
-
-
-def test_the_detector_of_the_package_can_be_asked() -> None:
-    """On returns of one sweep it finds objects with many of them, and each detection lies at its object."""
-    scene = replace(TINY, seconds=1.0).scene(("count", "simulated", "hdl32e", "clear", "0"))
-    moment = next(simulate_drive(scene, ("default",), "perception"))
-    numbers = moment.truth.numbers.tolist()
-    is_object = moment.of_object >= 0
-    rows = [numbers.index(number) for number in moment.of_object[is_object]]
-    away = moment.detections.boxes[is_object, :2] - moment.truth.boxes[rows, :2]
-    assert len(rows) >= 3
-    assert (np.hypot(*away.T) <= 2.0).all()
-
-
-def test_the_simulated_detector_finds_by_returns() -> None:
-    """Many returns are found nearly always, few rarely, none never."""
-    counts = np.repeat([0, 3, 100], 200)
-    boxes = np.tile([0.0, 0.0, 0.75, 4.0, 2.0, 1.5, 0.0], (600, 1))
-    boxes[:, 0] = 10.0 * np.arange(600)
-    truth = ObjectsTruth(np.arange(600, dtype=np.int32), boxes, np.full(600, 3, np.uint8), counts.astype(np.int32))
-    _, of_object = SimulatedDetector(np.random.default_rng(0)).detect(truth, np.zeros((0, 3)), 0.0)
-    shares = np.bincount(counts[of_object], minlength=101)[[0, 3, 100]] / 200
-    assert shares[0] == 0.0
-    assert 0.1 < shares[1] < 0.5
-    assert shares[2] > 0.95
 
 
 def test_tracks_at_objects_that_do_not_count_are_neither_right_nor_false(moments: list[Moment]) -> None:
@@ -181,8 +142,3 @@ def test_a_forged_sweep_has_a_ghost_or_lacks_an_object(name: str) -> None:
         # What is gone is not detected.
         for moment in forged[20:]:
             assert not moment.gone & set(moment.of_object.tolist())
-
-
-def test_attacks_on_the_sweep_are_named() -> None:
-    with pytest.raises(ValueError, match="name must be among ghost_car"):
-        SweepForger("magic", np.random.default_rng(0))

@@ -11,9 +11,9 @@ from tests.studies.by_hand import stored
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.height_map import HeightMap
-from viewshed.fov.visibility import CAR, expected_returns
+from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
-from viewshed.metrics import ConfusionCounts, Scores
+from viewshed.metrics import ConfusionCounts
 from viewshed.networks.weights import shipped_content
 from viewshed.preprocess.leveling import level
 from viewshed_lab._jobs import LocalEngine
@@ -21,8 +21,8 @@ from viewshed_lab.data.wild import WildObservation, wild_scenes
 from viewshed_lab.sim.lidar.optics import optics_of
 from viewshed_lab.studies.records import Row
 from viewshed_lab.studies.store import ResultStore
-from viewshed_lab.studies.wild.evaluate import LADDER, exact_beams, ground_error_m, row_of, rows_of
-from viewshed_lab.studies.wild.jobs import do_job, run_study, scene_of
+from viewshed_lab.studies.wild.evaluate import LADDER, ground_error_m, row_of
+from viewshed_lab.studies.wild.jobs import run_study
 from viewshed_lab.studies.wild.openings import SetOpening
 from viewshed_lab.studies.wild.page import files_of
 from viewshed_lab.studies.wild.plan import WildPlan
@@ -107,16 +107,6 @@ def test_doubt_that_knows_its_errors_has_an_auroc_of_one(seen: WildObservation) 
     assert worse["auroc_std"] == 0.0
 
 
-def test_exact_ground_and_beams_give_the_truth_but_for_the_kernel(seen: WildObservation) -> None:
-    sample, grid = seen.sample("table"), seen.truth.grid
-    leveled = replace(level(sample.sweep, grid), ground=sample.exact_ground)
-    returns, _ = expected_returns(exact_beams(seen), leveled.sensor_height_m, leveled.ground, grid, CAR)
-    counts = ConfusionCounts.of(returns >= CAR.min_returns, seen.truth.visible(CAR), seen.known, grid.cell_area_m2)
-    assert counts.f1 > 0.95
-    middle = (np.hypot(*np.moveaxis(grid.centers, -1, 0)) < 55) & seen.known
-    assert np.percentile(np.abs(ground_error_m(leveled, sample))[middle], 95) < 0.3
-
-
 def test_ground_that_follows_the_returns_is_right_whatever_the_attitude(seen: WildObservation) -> None:
     """By hand: a plane tilted by 4° with the frame is the level plane; raised by 2 m it is 2 m too high."""
     grid, half = seen.truth.grid, np.deg2rad(2.0)
@@ -132,26 +122,6 @@ def test_ground_that_follows_the_returns_is_right_whatever_the_attitude(seen: Wi
         assert error[4:-4, 4:-4] == pytest.approx(raised * np.cos(np.deg2rad(4.0)), abs=0.01)
 
 
-def test_every_method_and_each_step_of_the_ladder_is_a_row(seen: WildObservation) -> None:
-    rows = list(rows_of(seen, FAST))
-    assert [one["method"] for one in rows] == ["first_blocker", "shadow_map", *LADDER]
-    assert {one["style"] for one in rows} == {seen.scene.style}
-
-
-def test_pooled_calibration_is_that_of_all_cells_together() -> None:
-    """Against Scores, which counts cells itself."""
-    rng = np.random.default_rng(1)
-    prob, true = rng.random(500).astype(np.float32), rng.random(500) < 0.5
-    records = []
-    for part in (slice(0, 100), slice(100, 500)):
-        bins = np.minimum((prob[part] * FINE_BINS).astype(int), FINE_BINS - 1)
-        sums = [np.bincount(bins, weights, FINE_BINS) for weights in (np.ones(len(bins)), true[part], prob[part])]
-        records.append(_blank() | {"bins": np.stack(sums, axis=1).ravel()})
-    scores = Scores()
-    scores.add(prob, true)
-    assert pool_of(*records).ece() == pytest.approx(scores.ece(), abs=1e-6)
-
-
 def _blank() -> Row:
     keys = ("set_name", "domain", "scene", "style", "sensor", "mounting", "told", "target", "method")
     bins = np.zeros(3 * FINE_BINS)
@@ -165,11 +135,12 @@ def _blank() -> Row:
 def test_recall_at_a_precision_and_clear_cells_by_hand() -> None:
     """Of 10 sure cells 9 are visible, of 10 doubtful ones 5: precision .9 allows the sure ones alone, .7 all."""
     bins = np.zeros((FINE_BINS, 3))
-    bins[140], bins[90] = (10, 9, 9.4), (10, 5, 6.0)
+    bins[140], bins[90] = (10, 9, 8.0), (10, 5, 6.0)
     numbers = {"clear_both": 3.0, "clear_over": 1.0, "clear_under": 1.0}
     pool = pool_of(_blank() | {"bins": bins.ravel()} | numbers)
     assert (pool.recall_at(0.9), pool.recall_at(0.7), pool.recall_at(0.95)) == (9 / 14, 1.0, 0.0)
     assert pool.clear_f1() == 0.75
+    assert pool.ece() == pytest.approx(0.1)  # one of ten too few, one of ten too many
     assert np.isnan(pool_of().recall_at(0.5))
 
 
@@ -210,16 +181,6 @@ def test_a_network_of_ones_own_stands_in_the_tables_by_its_files_name(tmp_path: 
         replace(plan, networks=(str(file), "elsewhere/mine.onnx"))
 
 
-def test_worst_scenes_are_pictures(tmp_path: Path) -> None:
-    plan = replace(FAST, worst=1, ladder=False)
-    store = ResultStore.open(tmp_path, plan)
-    assert list(run_study(store, LocalEngine(1))) == []
-    files = files_of(store)
-    pictures = [name for name in files if name.endswith(".png")]
-    assert len(pictures) == 1
-    assert files[pictures[0]].startswith(b"\x89PNG")
-
-
 def test_the_sealed_set_is_run_with_a_logged_reason_only(tmp_path: Path) -> None:
     sealed = WildPlan.load("sealed")
     assert sealed.opens_sealed
@@ -238,23 +199,3 @@ def test_the_sealed_set_is_run_with_a_logged_reason_only(tmp_path: Path) -> None
         SetOpening("a", ()).log(tmp_path / "none" / "log.md")
     with pytest.raises(ValueError, match="one line of words"):
         SetOpening(" ", ())
-
-
-def test_jobs_are_the_sweeps_of_the_sets() -> None:
-    keys = TINY.job_keys()
-    assert keys == [("own", "road", "0", "0"), ("own", "road", "1", "0"),
-                    ("development", "road", "0", "0"), ("development", "road", "1", "0")]  # fmt: skip
-    assert scene_of(keys[3]).name.startswith("development-road-001-")
-    assert len(WildPlan.load("small").job_keys()) > 100
-    assert callable(do_job)
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"sets": ("test",)}, "sets must be among"),
-    ({"methods": ("best",)}, "methods must be among"),
-    ({"told": ("all",)}, "told must be among"),
-    ({"scenes": -1}, "scenes must be at least 0"),
-])  # fmt: skip
-def test_a_wrong_plan_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(TINY, **change)  # type: ignore[arg-type]

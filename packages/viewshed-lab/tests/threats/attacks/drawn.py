@@ -9,7 +9,6 @@ import numpy as np
 from tests.threats.attacks.oracle import COLUMNS, Scene, broken_by_any, broken_on_beams
 
 from viewshed_lab.threats.attacks import ATTACKS, FREE_FORM, FULL_WEDGE, INFORMED, Attack, Knowledge, Spoofer, Tampered
-from viewshed_lab.threats.attacks.null import null_of
 
 BUDGETS = (None, 0, 1, 7, 50, 150, 1000, FULL_WEDGE)
 MOVE_RETURNS = {
@@ -57,22 +56,6 @@ def broken(name: str, scene: Scene, attack: Attack, budget: int | None, seed: in
     else:
         found += broken_on_beams(scene, tampered, budget)
     return found, tampered
-
-
-def broken_by_null(name: str, scene: Scene, attack: Attack, seed: int) -> list[str]:
-    """Return what an attack at zero strength broke: rows stay in number, order, rings and times, and on their beams."""
-    if name == "pose_spoof":
-        return []
-    tampered = null_of(attack, scene.remeasured).apply(scene.sweep, generator(seed))
-    found = broken_on_beams(scene, tampered, None)
-    if len(tampered.sweep) != len(scene.sweep):
-        return [*found, "another number of rows"]
-    if not (tampered.added == tampered.removed).all():
-        found.append("rows in another order")
-    for column in ("ring", "time_s"):
-        if getattr(tampered.sweep, column).tobytes() != getattr(scene.sweep, column).tobytes():
-            found.append(f"{column} changed")
-    return found
 
 
 def same(one: Tampered, other: Tampered) -> bool:

@@ -42,8 +42,6 @@ class Scene:
     image: StoredSweep  # the range image
     sweep: Sweep  # made from it
     earlier: Sweep  # the sweep of the same agent half a second before
-    remeasured: Sweep  # the same instant measured once more, with other noise
-    exact_m: NDArray[np.float32]  # (C, R) what each beam met, without noise
     half_extent_m: float  # of the grid that suits it
 
     def again(self) -> Sweep:
@@ -71,9 +69,8 @@ def _scenes(number: int, world_name: str, sensor: str, columns: int, period_s: f
             images.append(measure(scan, CONDITIONS["clear"], rng, t_ns=round(time_s * 1e9), agent=agent.name))
         earlier, image = images
         half_m = GRIDS["indoor" if world.indoor else "road"].half_extent_m
-        remeasured = measure(scan, CONDITIONS["clear"], np.random.Generator(np.random.PCG64(200 + number))).sweep()
         name = f"{world_name} {agent.name} {model.name}"
-        yield Scene(name, image, image.sweep(), earlier.sweep(), remeasured, scan.depth_m, half_m)
+        yield Scene(name, image, image.sweep(), earlier.sweep(), half_m)
 
 
 def broken_by_any(clean: Sweep, tampered: Tampered, budget: int | None) -> list[str]:

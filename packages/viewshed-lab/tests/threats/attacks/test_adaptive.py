@@ -8,13 +8,12 @@ import pytest
 from tests.threats.attacks.drawn import generator, same
 from tests.threats.attacks.oracle import Scene, broken_by_any, broken_on_beams
 
-from viewshed import GRIDS, BevGrid, FovEstimate, Sweep
+from viewshed import BevGrid, FovEstimate, Sweep
 from viewshed.arrays import F64
 from viewshed.estimators import ESTIMATORS
 from viewshed_lab.threats.attacks import Spoofer, Wedge
-from viewshed_lab.threats.attacks._gradient import Expectation, WhiteBox
-from viewshed_lab.threats.attacks._search import BeamSearchSpace, evolution
-from viewshed_lab.threats.attacks.adaptive import BlackBox, Evade, OverClaim, SearchResult, Trip, UnderClaim
+from viewshed_lab.threats.attacks._search import evolution
+from viewshed_lab.threats.attacks.adaptive import BlackBox, Evade, OverClaim, UnderClaim
 from viewshed_lab.threats.attacks.ghosts import FarWall
 
 pytestmark = pytest.mark.slow
@@ -53,25 +52,10 @@ class Bowl:
         return -float(((candidate - np.array(self.best)) ** 2).sum())
 
 
-def test_evolution_finds_the_top_of_a_bowl_and_random_draws_come_less_near() -> None:
+def test_evolution_finds_the_top_of_a_bowl() -> None:
     found = evolution(Bowl(), Bowl().value, 400, generator(1))
     assert np.abs(found.candidate - Bowl().best).max() < 0.05
     assert len(found.history) == 400
-    drawn = evolution(Bowl(), Bowl().value, 400, generator(1), drawn_share=1.0)
-    assert drawn.value < found.value
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_evolution_is_never_worse_than_the_best_of_its_draws(seed: int) -> None:
-    found = evolution(Bowl(), Bowl().value, 30, generator(seed))
-    draws = [Bowl().value(candidate) for candidate in _draws(9, seed)]
-    assert found.history[:9] == draws
-    assert found.value == max(found.history) >= max(draws)
-
-
-def _draws(count: int, seed: int) -> list[F64]:
-    rng = generator(seed)
-    return [rng.normal(0.0, 2.0, 3) for _ in range(count)]
 
 
 def test_the_farthest_claim_is_the_whole_wedge(flat_scene: Any) -> None:
@@ -90,23 +74,14 @@ def test_the_farthest_claim_is_the_whole_wedge(flat_scene: Any) -> None:
     assert found.history[0] == 0.0
 
 
-def test_hiding_what_reaches_far_needs_its_removal(flat_scene: Any) -> None:
-    sweep, victim = flat_scene(), Reach([])
-    none = BlackBox(UnderClaim(victim), 5, 30, sector_deg=360.0, azimuth=0.0, spoofer=EXACT).search(sweep, generator(2))
-    assert none.value == 0.0
-    assert not none.tampered.added.any()
-    assert not none.tampered.removed.any()
-
-
 @pytest.mark.parametrize("mode", ["beam_constrained", "free_form"])
-@pytest.mark.parametrize("method", ["evolution", "random"])
-def test_black_boxes_keep_the_rules(simulated: list[Scene], mode: Any, method: Any) -> None:
+def test_black_boxes_keep_the_rules(simulated: list[Scene], mode: Any) -> None:
     effective = 0
     for number, scene in enumerate(simulated):
         budget, half = (1, 20, 150, 700)[number % 4], scene.half_extent_m
         victim = ESTIMATORS["continuous"](BevGrid(48, half))
         aim = OverClaim(victim) if number % 2 else UnderClaim(victim)
-        attack = BlackBox(aim, budget, 25, azimuth=0.7 * number, mode=mode, method=method)
+        attack = BlackBox(aim, budget, 25, azimuth=0.7 * number, mode=mode)
         before = scene.sweep.points.tobytes()
         found = attack.search(scene.sweep, generator(number))
         assert before == scene.sweep.points.tobytes()
@@ -119,14 +94,6 @@ def test_black_boxes_keep_the_rules(simulated: list[Scene], mode: Any, method: A
         assert wedge.holds(np.arctan2(new[:, 1], new[:, 0])).all()
         effective += bool(found.tampered.added.any() or found.tampered.removed.any())
     assert effective >= 5
-
-
-def test_what_was_planned_is_met_where_nothing_is_uncertain(simulated: list[Scene]) -> None:
-    scene = simulated[0]
-    aim = OverClaim(ESTIMATORS["first_blocker"](GRIDS["road"]))
-    found = BlackBox(aim, 150, 40, azimuth=0.4, spoofer=EXACT).search(scene.sweep, generator(8))
-    assert found.value > 0.0
-    assert aim.on(scene.sweep, Wedge(0.4, np.deg2rad(30.0)))(found.tampered.sweep) == found.value
 
 
 @pytest.mark.parametrize(("name", "times"), [("continuous", 4.0), ("first_blocker", 1.0), ("shadow_map", 2.0)])
@@ -142,7 +109,7 @@ def test_who_adapts_over_claims_more_than_a_far_wall(simulated: list[Scene], nam
     assert adaptive > times * fixed
 
 
-def test_evading_keeps_the_monitor_quiet_and_tripping_does_not(flat_scene: Any) -> None:
+def test_evading_keeps_the_monitor_quiet(flat_scene: Any) -> None:
     sweep, victim = flat_scene(12.0), Reach([])
     clean_m = float(np.hypot(*sweep.points[:, :2].T).max())
 
@@ -154,121 +121,3 @@ def test_evading_keeps_the_monitor_quiet_and_tripping_does_not(flat_scene: Any) 
     )
     assert 0.0 < score(evade.tampered.sweep) <= 9.0
     assert evade.value > 0.0
-    trip = BlackBox(Trip(score), 20, 60, azimuth=0.0, spoofer=EXACT).search(sweep, generator(1))
-    assert score(trip.tampered.sweep) == trip.value > 9.0
-
-
-def test_samples_are_questions_too(flat_scene: Any) -> None:
-    victim = Reach([])
-    found = BlackBox(OverClaim(victim), 5, 30, azimuth=0.0, samples=4).search(flat_scene(12.0), generator(1))
-    assert found.queries == len(victim.asked) == 30
-    assert len(found.history) == 8
-
-
-def test_a_cloud_without_beams_can_only_have_its_returns_moved() -> None:
-    rng = np.random.default_rng(4)
-    sweep = Sweep(rng.normal(0, 12, (500, 3)).astype(np.float32), sensor_height_m=1.8)
-    plans = BeamSearchSpace.of(sweep, Wedge(0.3, 1.0), 30, EXACT)
-    assert (plans.rays.row >= 0).all()
-    tampered = plans.tampered(plans.draw(0, rng), rng)
-    assert tampered.added.sum() <= 30
-    assert tampered.removed.sum() >= tampered.added.sum() > 0
-
-
-@dataclass(frozen=True)
-class Wells:
-    """-Σ wᵢ (rᵢ - tᵢ)² over the returns: the best range of each is known."""
-
-    weight: np.ndarray
-    target_m: np.ndarray
-
-    def __call__(self, points: np.ndarray) -> tuple[float, np.ndarray]:
-        range_m = np.linalg.norm(points, axis=1)
-        off_m = range_m - self.target_m
-        return -float((self.weight * off_m**2).sum()), (-2 * self.weight * off_m / range_m)[:, None] * points
-
-
-def _wells(sweep: Sweep) -> Wells:
-    rng = np.random.default_rng(6)
-    range_m = np.linalg.norm(sweep.points, axis=1)
-    return Wells(rng.uniform(0.1, 3.0, len(sweep)), np.clip(range_m + rng.uniform(-12, 25, len(sweep)), 3.0, 75.0))
-
-
-def test_the_gradient_finds_the_best_beams_and_their_best_ranges(flat_scene: Any) -> None:
-    sweep = flat_scene(14.0)
-    wells, range_m = _wells(sweep), np.linalg.norm(sweep.points, axis=1)
-    attack = WhiteBox(wells, 40, 160, azimuth=0.1, spoofer=EXACT)
-    found = attack.search(sweep, generator(1))
-    inside = Wedge(0.1, np.deg2rad(29.999)).holds(np.arctan2(sweep.points[:, 1], sweep.points[:, 0]))
-    gain = np.where(inside, wells.weight * (range_m - wells.target_m) ** 2, 0.0)
-    best = np.argsort(-gain)[:40]
-    assert set(np.flatnonzero(found.tampered.removed)) == set(best)
-    assert found.value - found.history[0] == pytest.approx(gain[best].sum(), rel=1e-3)
-    new_m = np.linalg.norm(found.tampered.sweep.points[found.tampered.added], axis=1)
-    assert np.abs(np.sort(new_m) - np.sort(wells.target_m[best])).max() < 0.1
-    assert len(found.history) == 162 == found.queries
-
-
-def test_ranges_stay_where_the_sensor_reports_them(flat_scene: Any) -> None:
-    sweep = flat_scene(14.0)
-    wells = Wells(np.ones(len(sweep)), np.full(len(sweep), 500.0))
-    found = WhiteBox(wells, None, 400, azimuth=0.1, sector_deg=6.0, spoofer=EXACT).search(sweep, generator(1))
-    new_m = np.linalg.norm(found.tampered.sweep.points[found.tampered.added], axis=1)
-    assert len(new_m) > 100
-    assert np.abs(new_m - 79.5).max() < 0.1
-
-
-def test_expectation_over_noise_is_unbiased_and_costs_its_samples(flat_scene: Any) -> None:
-    sweep = flat_scene(14.0)
-    wells = _wells(sweep)
-    noisy = WhiteBox(wells, 40, 80, azimuth=0.1, expectation=Expectation(6, 0.3, 0.1, 0.02, 0.1), spoofer=EXACT)
-    found = noisy.search(sweep, generator(1))
-    plain = WhiteBox(wells, 40, 80, azimuth=0.1, spoofer=EXACT).search(sweep, generator(1))
-    assert found.queries == 6 * plain.queries == 6 * 82
-    value = wells(sweep.points.astype(np.float64))[0]
-    assert found.value > value
-    gained = [wells(_met(sweep, one))[0] - value for one in (plain, found)]
-    assert 0.8 * gained[0] < gained[1] < gained[0]
-
-
-def _met(sweep: Sweep, found: SearchResult) -> np.ndarray:
-    """Return the points after an attack in the rows that they had: each return replaced keeps its place."""
-    assert found.tampered.added.sum() == found.tampered.removed.sum()
-    return found.tampered.sweep.points.astype(np.float64)
-
-
-def test_white_boxes_keep_the_rules(simulated: list[Scene]) -> None:
-    for number, scene in enumerate(simulated):
-        target_m = np.random.default_rng(number).uniform(0.0, 150.0, len(scene.sweep))
-        attack = WhiteBox(Wells(np.ones(len(scene.sweep)), target_m), (5, 150, None)[number % 3], 20, azimuth=number)
-        found = attack.search(scene.sweep, generator(number))
-        assert broken_on_beams(scene, found.tampered, attack.budget) == [], scene.name
-        assert same(found.tampered, attack.apply(scene.again(), generator(number)))
-        assert found.value >= found.history[0]
-
-
-def test_a_slope_that_leads_down_is_not_followed(flat_scene: Any) -> None:
-    sweep = flat_scene(14.0)
-    range_m = np.linalg.norm(sweep.points, axis=1)
-    found = WhiteBox(Wells(np.ones(len(sweep)), range_m), 40, 20, azimuth=0.1).search(sweep, generator(1))
-    assert found.tampered.sweep.points.tobytes() == sweep.points.tobytes()
-
-
-@pytest.mark.parametrize(("make", "message"), [
-    (lambda: BlackBox(Trip(len), queries=0), r"queries must lie in \[1, 1e\+07\], got 0"),
-    (lambda: BlackBox(Trip(len), method="cma"), "method must be one of evolution, random, got 'cma'"),  # type: ignore
-    (lambda: BlackBox(Trip(len), None, mode="free_form"), "budget must lie in .* for free points, got None"),
-    (lambda: BlackBox(Trip(len), -1), "budget must be a whole number"),
-    (lambda: WhiteBox(Wells(np.ones(1), np.ones(1)), steps=1), "steps must lie in"),
-    (lambda: Expectation(lost_share=2.0), r"lost_share must lie in \[0, 1\], got 2"),
-    (lambda: Evade(Trip(len), len, 0.0, -1.0), "penalty must lie in"),
-])  # fmt: skip
-def test_attackers_that_cannot_be(make: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
-def test_a_gradient_of_another_shape_is_refused(flat_scene: Any) -> None:
-    attack = WhiteBox(lambda points: (0.0, points[:-1]), 10, 4, azimuth=0.1)
-    with pytest.raises(ValueError, match=r"the gradient must be finite with shape \(\d+, 3\), got"):
-        attack.apply(flat_scene(14.0), generator(1))

@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.threats.attacks.conftest import FlatScene
-from tests.threats.attacks.drawn import broken, generator, same
+from tests.threats.attacks.drawn import broken, generator
 from tests.threats.attacks.oracle import Scene
 
-from viewshed import ESTIMATORS
-from viewshed.grid import BevGrid
-from viewshed_lab.threats.attacks import ATTACKS, BlackBox, Knowledge, OverClaim, Spoofer, Trip, Wedge, WhiteBox
+from viewshed import ESTIMATORS, BevGrid
+from viewshed_lab.threats.attacks import ATTACKS, BlackBox, Knowledge, OverClaim, Spoofer
 from viewshed_lab.threats.attacks.ghosts import FarWall
 from viewshed_lab.threats.attacks.placement import BINS, HiddenGround, azimuth_of_bin, hidden_ground_of, placed_azimuth
 
@@ -46,17 +45,6 @@ def test_an_aimed_attack_keeps_the_rules_of_the_beams(name: str, placement: str,
         scene = simulated[number]
         attack = _attack(name, scene, placement=placement, budget=200)
         assert broken(name, scene, attack, 200, number)[0] == []
-
-
-@pytest.mark.parametrize("placement", AIMED)
-@pytest.mark.parametrize("name", WEDGES)
-def test_where_a_wedge_is_aimed_is_no_matter_of_chance(name: str, placement: str, simulated: list[Scene]) -> None:
-    attack = _attack(name, simulated[0], placement=placement)
-    one, other = (attack.apply(simulated[0].sweep, generator(seed)) for seed in (1, 2))
-    assert one.wedge == other.wedge
-    assert not same(one, other)  # the noise of the ranges, and which beams are won, still are
-    given = replace(attack, azimuth=0.5).apply(simulated[0].sweep, generator(1))
-    assert given.wedge == Wedge.of_sector(0.5, attack.sector_deg)
 
 
 def test_one_van_by_hand(flat_scene: FlatScene) -> None:
@@ -100,24 +88,6 @@ def test_of_two_obstacles_the_nearest_and_the_one_that_hides_most() -> None:
 def test_attackers_who_adapt_are_aimed_as_a_far_wall(placement: Any, flat_scene: FlatScene) -> None:
     van = flat_scene(8.0, wall_y_m=(1.0, 3.0))
     expected = FarWall(150, placement=placement).aim(van, generator(0))
-    assert BlackBox(Trip(len), queries=3, placement=placement).apply(van, generator(1)).wedge == expected
-    white = WhiteBox(lambda points: (0.0, np.zeros_like(points)), steps=2, placement=placement)
-    assert white.apply(van, generator(2)).wedge == expected
-
-
-@pytest.mark.slow
-def test_an_aimed_wedge_opens_more_than_one_at_random(simulated: list[Scene]) -> None:
-    """What the shadow map newly claims, on average over scenes; the random wedges are averaged over three draws."""
-    gained: dict[str, list[float]] = {placement: [] for placement in ("random", *AIMED)}
-    for scene in simulated:
-        victim = ESTIMATORS["shadow_map"](BevGrid(64, scene.half_extent_m))
-        for placement, values in gained.items():
-            attack = _attack("far_wall", scene, placement=placement, spoofer=SURE)
-            found = []
-            for seed in range(3 if placement == "random" else 1):
-                tampered = attack.apply(scene.sweep, generator(seed))
-                found.append(OverClaim(victim).on(scene.sweep, tampered.wedge)(tampered.sweep))
-            values.append(float(np.mean(found)))
-    mean = {placement: np.mean(values) for placement, values in gained.items()}
-    assert mean["largest_hidden_area"] > 1.2 * mean["random"], mean
-    assert mean["largest_hidden_area"] >= mean["behind_nearest_obstacle"], mean
+    victim = ESTIMATORS["first_blocker"](BevGrid(32, 32.0))
+    attack = BlackBox(OverClaim(victim), queries=3, placement=placement)
+    assert attack.apply(van, generator(1)).wedge == expected

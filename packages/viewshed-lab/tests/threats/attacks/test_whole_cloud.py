@@ -87,13 +87,6 @@ def test_a_mirror_at_right_angles_shows_what_stands_beside_it() -> None:
     assert not ((x > 11.9) & (np.abs(y) < 0.5) & (z < -0.6)).any()
 
 
-def test_a_mirror_that_is_tilted_up_shows_the_sky() -> None:
-    scene = _wall(12.0)
-    tampered = Mirror(5.0, 0.0, 2.0, 1.8, turn_deg=0.0, tilt_deg=45.0).apply(Sweep(scene), np.random.default_rng(0))
-    assert not tampered.added.any()
-    assert tampered.removed.any()
-
-
 def test_trojans_write_a_car_without_a_shadow_and_take_one_out(simulated: list[Scene]) -> None:
     scene = _wall(16.0)
     injected = TrojanInjects(10.0, 0.0, 300).apply(Sweep(scene), np.random.default_rng(0))
@@ -108,3 +101,10 @@ def test_trojans_write_a_car_without_a_shadow_and_take_one_out(simulated: list[S
     assert not taken.added.any()
     assert taken.removed[-len(box) :].mean() > 0.9
     assert not taken.removed[: len(scene)][np.abs(_wall(40.0)[: len(scene), 2] + 1.8) < 0.01].any()
+
+
+def test_a_mirror_that_is_tilted_up_shows_the_sky() -> None:
+    scene = _wall(12.0)
+    tampered = Mirror(5.0, 0.0, 2.0, 1.8, turn_deg=0.0, tilt_deg=45.0).apply(Sweep(scene), np.random.default_rng(0))
+    assert not tampered.added.any()
+    assert tampered.removed.any()

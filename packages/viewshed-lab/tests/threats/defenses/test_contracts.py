@@ -53,10 +53,6 @@ def _told(defended: Defended) -> tuple[bytes, bool | None, float]:
     return defended.dropped.tobytes(), defended.alarm, defended.score
 
 
-def test_the_table_holds_what_the_documents_name() -> None:
-    assert set(DEFENSES) == NAMES
-
-
 def test_kept_rows_are_those_of_the_sweep_with_all_their_columns(defense: Defense, attacked: Sweep) -> None:
     found = defense.apply(attacked)
     assert found.dropped.shape == (len(attacked),)
@@ -92,14 +88,6 @@ def test_an_empty_sweep_stays_empty(defense: Defense, street: Sweep) -> None:
         assert (len(found.sweep), found.dropped.shape) == (0, (0,))
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 40])
-def test_few_and_identical_returns_do_no_harm(defense: Defense, count: int) -> None:
-    same = Sweep(
-        np.full((count, 3), 4.0, np.float32), ring=np.zeros(count, np.int16), world_from_sensor=Rigid.identity()
-    )
-    assert len(defense.apply(same).sweep) + defense.apply(same).dropped.sum() == count
-
-
 @pytest.mark.parametrize("name", sorted(NAMES))
 def test_without_rings_it_works_or_says_what_it_needs(name: str, attacked: Sweep) -> None:
     bare = Sweep(attacked.points)
@@ -109,24 +97,3 @@ def test_without_rings_it_works_or_says_what_it_needs(name: str, attacked: Sweep
     aside = Sweep(attacked.points + np.array([0.4, 0.2, 0.0], np.float32))  # from elsewhere, elevations tell nothing
     with pytest.raises(ValueError, match=r"^the sweep must have rings, [^\n]+$"):
         DEFENSES[name]().apply(aside)
-
-
-@pytest.mark.parametrize("name", ["radius", "clustering", "range", "one_return", "empty_sector", "temporal"])
-def test_a_second_pass_drops_nothing_more(name: str, attacked: Sweep) -> None:
-    # The statistical one is left out: its limit is that of the sweep it is given. Radius and clustering may lose more
-    # in a chain of lonely returns that held one another up; there is none here.
-    once = DEFENSES[name]().apply(attacked)
-    again = DEFENSES[name]().apply(once.sweep)
-    if name == "radius":
-        assert again.dropped.mean() < once.dropped.mean() / 5
-    else:
-        assert not again.dropped.any()
-
-
-@pytest.mark.parametrize("name", ["statistical", "radius", "clustering", "one_return", "temporal with a past"])
-def test_spoofed_points_go_sooner_than_good_ones(name: str, street: Sweep, attacked: Sweep) -> None:
-    good = {row.tobytes() for row in street.points}
-    spoofed = np.array([row.tobytes() not in good for row in attacked.points])
-    dropped = EVERY[name]().apply(attacked).dropped
-    assert spoofed.sum() == 150
-    assert dropped[spoofed].mean() > 2 * dropped[~spoofed].mean()

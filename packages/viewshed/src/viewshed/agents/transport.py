@@ -1,19 +1,16 @@
-"""How messages get from agent to agent: within a process with the faults of a radio, or by zenoh over a network.
+"""How messages get from agent to agent: by zenoh over a network.
 
 A transport carries bytes and believes nothing. What arrives goes to a :class:`viewshed.agents.receiver.Receiver`.
 """
 
 from __future__ import annotations
 
-import heapq
 import json
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from viewshed._extras import needed_for
 from viewshed.agents.signing import require_private
@@ -30,126 +27,8 @@ class Delivery:
     """Bytes that arrived."""
 
     data: bytes  # as they were sent, if nobody changed them
-    at_ns: int  # when they arrived, nanoseconds of the clock that :meth:`Transport.take` was given
+    at_ns: int  # when they arrived, nanoseconds of the clock that :meth:`ZenohTransport.take` was given
     link: str = ""  # who brought them, empty where the transport does not know for sure
-
-
-class Transport(Protocol):
-    """Sends to all others, and gives what has arrived."""
-
-    def send(self, data: bytes, now_ns: int) -> None:
-        """Send bytes to all others."""
-        ...
-
-    def take(self, now_ns: int) -> list[Delivery]:
-        """Return what has arrived until now, in the order of arrival, each once."""
-        ...
-
-    def close(self) -> None:
-        """Send and receive no more."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class RadioFaults:
-    """What a radio does to messages, to each copy on its own."""
-
-    loss: float = 0.0  # probability in [0, 1] that a copy does not arrive
-    delay_s: float = 0.0  # least time on the way
-    jitter_s: float = 0.0  # mean of the exponential time that comes on top; copies overtake each other
-    doubled: float = 0.0  # probability that a copy arrives twice, each at its own time
-    reordered: float = 0.0  # probability that a copy is held up by ``reordered_s`` more
-    reordered_s: float = 0.1  # by how much
-
-    def __post_init__(self) -> None:
-        for name in ("loss", "doubled", "reordered"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
-        for name in ("delay_s", "jitter_s", "reordered_s"):
-            if not 0.0 <= getattr(self, name) < float("inf"):
-                raise ValueError(f"{name} must be finite and not negative, got {getattr(self, name)}")
-
-
-class Radio:
-    """A medium within the process that several agents share; time is what they say it is.
-
-    >>> radio = Radio(np.random.default_rng(0), RadioFaults(delay_s=0.1))
-    >>> car, mast = radio.join("car"), radio.join("mast")
-    >>> car.send(b"hello", now_ns=0)
-    >>> mast.take(now_ns=50_000_000), mast.take(now_ns=100_000_000)[0].data
-    ([], b'hello')
-    """
-
-    def __init__(self, rng: np.random.Generator, faults: RadioFaults | None = None) -> None:
-        self.faults = RadioFaults() if faults is None else faults
-        self._rng = rng
-        self._ends: dict[str, RadioEnd] = {}
-        self._sent = 0
-
-    def join(self, name: str) -> RadioEnd:
-        """Return a new end of the medium.
-
-        Raises:
-            ValueError: the name is taken.
-        """
-        require_name("an end of a radio", name)
-        if name in self._ends:
-            raise ValueError(f"an end of a radio must have a name of its own, got {name!r} again")
-        self._ends[name] = RadioEnd(self, name)
-        return self._ends[name]
-
-    def _spread(self, sender: str, data: bytes, now_ns: int) -> None:
-        for name, end in self._ends.items():
-            if name != sender:
-                for _ in range(1 + int(self._rng.random() < self.faults.doubled)):
-                    self._carry(end, data, now_ns, sender)
-
-    def _carry(self, end: RadioEnd, data: bytes, now_ns: int, sender: str) -> None:
-        # The same draws whatever the faults are, so that one fault does not change what others hit.
-        lost, held, wait = self._rng.random(), self._rng.random(), self._rng.exponential()
-        if lost < self.faults.loss:
-            return
-        late_s = self.faults.delay_s + self.faults.jitter_s * wait
-        late_s += self.faults.reordered_s * (held < self.faults.reordered)
-        self._sent += 1
-        end.push(now_ns + round(late_s * _NS), self._sent, data, sender)
-
-    def _leave(self, name: str) -> None:
-        self._ends.pop(name, None)
-
-
-@dataclass(slots=True, eq=False)
-class RadioEnd:
-    """One agent's end of a :class:`Radio`."""
-
-    radio: Radio
-    name: str
-    dropped: int = 0
-    _waiting: list[tuple[int, int, bytes, str]] = field(default_factory=list)
-
-    def send(self, data: bytes, now_ns: int) -> None:
-        """Send bytes to all other ends."""
-        self.radio._spread(self.name, data, now_ns)
-
-    def push(self, at_ns: int, number: int, data: bytes, sender: str) -> None:
-        """Let bytes arrive at a time."""
-        heapq.heappush(self._waiting, (at_ns, number, data, sender))
-        if len(self._waiting) > QUEUE:
-            heapq.heappop(self._waiting)
-            self.dropped += 1
-
-    def take(self, now_ns: int) -> list[Delivery]:
-        """Return what has arrived until now, in the order of arrival."""
-        found = []
-        while self._waiting and self._waiting[0][0] <= now_ns:
-            at_ns, _, data, sender = heapq.heappop(self._waiting)
-            found.append(Delivery(data, at_ns, sender))
-        return found
-
-    def close(self) -> None:
-        """Leave the medium."""
-        self.radio._leave(self.name)
-        self._waiting.clear()
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from viewshed import PEDESTRIAN, BevGrid, CellState, Rigid, Sweep, load_estimator
+from viewshed import PEDESTRIAN, BevGrid, CellState, Sweep, load_estimator
 from viewshed.cli import main
-from viewshed.estimators import CLASSICAL
 from viewshed.estimators.shadow_map import NO_RETURN_RULES, ShadowMap
 from viewshed.io import read_sweep, write_sweep
 from viewshed.io.messages.laserscan import scan_of_sweep, sweep_of_scan
-from viewshed.preprocess.leveling import level
-from viewshed.preprocess.plausibility import doubts
 from viewshed.sweep import PlanarScan
 
 GRID = BevGrid(128, 16.0)
@@ -123,14 +120,6 @@ def test_the_field_of_view_in_the_plane(rule: Any) -> None:
     assert found.basis.reach_m <= 30.0
 
 
-@pytest.mark.parametrize("name", ["continuous", "quantized", "first_blocker"])
-def test_classical_estimators_see_as_far_as_the_returns(name: str) -> None:
-    found = CLASSICAL[name](GRID).estimate(sweep_of_scan(walls()))
-    assert states_at(found, (3.0, 0.1), (6.7, 0.1), (-8.0, 0.0)) == [
-        CellState.FREE, CellState.HIDDEN, CellState.UNKNOWN,
-    ]  # fmt: skip
-
-
 def test_a_target_is_seen_where_enough_beams_meet_it() -> None:
     """At one beam a degree a pedestrian, 0.6 m wide, has three returns up to 11.5 m."""
     angle = np.deg2rad(np.arange(360) - 180.0)
@@ -147,15 +136,6 @@ def test_a_plane_above_a_target_sees_none() -> None:
     assert not ShadowMap(GRID).estimate(sweep.replace(sensor_height_m=1.6)).visible().any()
 
 
-def test_a_low_plane_meets_obstacles() -> None:
-    sweep = sweep_of_scan(walls()).replace(sensor_height_m=0.12)
-    leveled = level(sweep, GRID)
-    assert leveled.sensor_height_m == pytest.approx(0.12)
-    assert len(leveled.points) == len(sweep)
-    assert (CLASSICAL["first_blocker"](GRID).estimate(sweep).state == CellState.SURFACE).any()
-    assert doubts(leveled) == ()
-
-
 def test_a_laser_that_hangs_upside_down() -> None:
     """Half a turn about x: left is right."""
     scan = walls()
@@ -163,19 +143,6 @@ def test_a_laser_that_hangs_upside_down() -> None:
     turned = sweep_of_scan(scan).replace(attitude=np.array([0.0, 1.0, 0.0, 0.0]))
     found = ShadowMap(GRID).estimate(turned)
     assert states_at(found, (0.2, -8.0), (0.2, 8.0)) == [CellState.FREE, CellState.HIDDEN]
-
-
-def test_earlier_scans_are_remembered() -> None:
-    earlier, now = walls(), walls()
-    now.ranges[:] = np.inf  # the wall is gone
-    sweeps = [
-        sweep_of_scan(scan).replace(world_from_sensor=Rigid.identity(), t_ns=k * 10**8)
-        for k, scan in enumerate((earlier, earlier, now))
-    ]
-    alone = ShadowMap(GRID).estimate(sweeps[-1])
-    remembered = ShadowMap(GRID).estimate(sweeps[-1], sweeps[:-1])
-    assert states_at(alone, (9.0, 0.1)) == [CellState.FREE]
-    assert states_at(remembered, (9.0, 0.1), (3.0, 0.1)) == [CellState.HIDDEN, CellState.FREE]
 
 
 def test_a_scan_without_returns_and_one_without_beams() -> None:

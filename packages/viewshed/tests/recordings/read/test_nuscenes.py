@@ -1,7 +1,6 @@
 """nuScenes' tables, written here with sweeps whose poses are known, come back as what was written."""
 
 import json
-import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -9,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.recordings.read.test_kitti import gap_m, lines_of
+from tests.recordings.read.test_kitti import lines_of
 
 from viewshed.geometry import Rigid, quaternion_from_rotation
-from viewshed.io import read_index, read_sweep
+from viewshed.io import read_sweep
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.source import SweepRef, SweepSource, each_sweep
+from viewshed.recordings.read.source import each_sweep
 
 NuscenesTables = dict[str, list[dict[str, Any]]]
 
@@ -181,15 +180,6 @@ def test_the_test_version_has_no_boxes(tree: tuple[Path, NuscenesTables]) -> Non
     assert [source.boxes(ref) for ref in source.refs("scene-0103")] == [None] * 4
 
 
-def test_a_source_may_be_sent_to_another_process(tree: tuple[Path, NuscenesTables]) -> None:
-    source = open_source(tree[0])
-    ref = source.refs("scene-0103")[3]
-    again: SweepSource = pickle.loads(pickle.dumps(source))  # noqa: S301
-    sent: SweepRef = pickle.loads(pickle.dumps(ref))  # noqa: S301
-    assert sent == ref
-    assert np.array_equal(again.read(sent).points, source.read(ref).points)
-
-
 def test_the_version_is_named_where_there_are_several(tree: tuple[Path, NuscenesTables]) -> None:
     root, tables = tree
     put(root / "v1.0-test", tables)
@@ -224,10 +214,6 @@ def _shift_a_number(tables: NuscenesTables) -> None:
     [
         (_change("sample_data", 2, "ego_pose_token", "nowhere"), r"103\|.*597590.*ego_pose.json has no row 'nowhere'"),
         (
-            _change("sample_data", 2, "calibrated_sensor_token", "x"),
-            r"597590.pcd.bin: has no pose: .*calibrated_sensor",
-        ),
-        (
             _change("sample_data", 2, "sample_token", "x"),
             r"^\|.*sample_data.json: .*597590.* no sample of a scene, 'x'",
         ),
@@ -235,19 +221,12 @@ def _shift_a_number(tables: NuscenesTables) -> None:
             _change("sample_data", 2, "timestamp", "soon"),
             r"^\|.*sample_data.json: row 2 must have a whole number as 't",
         ),
-        (
-            _change("sample_data", 2, "ego_pose_token", None),
-            r"^\|.*sample_data.json: row 2 must have text as 'ego_pose",
-        ),
         (_change("sample_data", 2, "filename", "../LIDAR_TOP"), r"103\|.* leads out of .*; refused"),
         (_change("sample_data", 2, "filename", "sweeps/LIDAR_TOP/gone.pcd.bin"), r"103\|.*gone.pcd.bin: No such file"),
         (_change("sample", 1, "scene_token", "x"), r"^\|.*sample.json: row 'sa1' names no row of scene.json, 'x'"),
         (_change("ego_pose", 1, "rotation", [0.0, 0.0, 0.0, 0.0]), r"597590.*ego_pose.json, row 'sd1': .*norm 1"),
-        (_change("ego_pose", 1, "rotation", [1.0, 0.0]), r"597590.*ego_pose.json, row 'sd1': .* finite"),
         (_shift_a_number, r"597590.*ego_pose.json, row 'sd1': .* finite"),
-        (_change("ego_pose", 1, "translation", ["a", 0, 0]), r"597590.*ego_pose.json, row 'sd1': .* finite"),
         (_change("ego_pose", 1, "translation", 5), r"^\|.*ego_pose.json: row 1 must have a list as 'translation'"),
-        (_change("ego_pose", 1, "token", ["list"]), r"597590.*ego_pose.json has no row 'sd1'"),
     ],
 )
 def test_a_damaged_row_costs_one_sweep_and_is_told(
@@ -295,44 +274,3 @@ def test_a_damaged_box_is_told_where_it_is_asked_for(
     with pytest.raises(ValueError, match=line):
         source.boxes(first)
     assert len(source.boxes(last) or ()) == 1
-
-
-def test_a_folder_without_the_tables_is_told(tmp_path: Path) -> None:
-    (tmp_path / "v1.0-mini").mkdir()
-    with pytest.raises(OSError, match=r"v1.0-mini/sensor.json: No such file"):
-        open_source(tmp_path)
-
-
-def test_a_ref_of_another_recording_is_refused(tree: tuple[Path, NuscenesTables]) -> None:
-    source = open_source(tree[0])
-    with pytest.raises(ValueError, match=r"ref must be one of .*, got x.bin"):
-        source.read(SweepRef("scene-0103", 1, "x.bin", key="sd0"))
-    with pytest.raises(ValueError, match=r"scene must be one of scene-0000, scene-0103, got 'scene-9'"):
-        source.refs("scene-9")
-
-
-def test_real_sweeps_come_back_bit_for_bit_and_lie_upon_each_other_in_the_world(
-    real_data: Path, tmp_path: Path
-) -> None:
-    entries = [e for e in read_index(real_data / "index.json") if "v1.0-mini" in str(e.seq) and e.world_from_sensor]
-    assert len(entries) == 4
-    sweeps = [(e.file.read_bytes(), round((e.t or 0) * 1e6), e.world_from_sensor) for e in entries]
-    write_tree(tmp_path, [(content, t_us, pose) for content, t_us, pose in sweeps if pose is not None])
-    found = list(each_sweep(open_source(tmp_path)))
-    solid = []
-    for entry, (ref, sweep) in zip(entries, found, strict=True):
-        theirs = read_sweep(entry.file)
-        assert sweep.points.tobytes() == theirs.points.tobytes()
-        assert sweep.intensity.tobytes() == theirs.intensity.tobytes()
-        assert np.array_equal(sweep.ring, theirs.ring)
-        assert ref.t_ns == theirs.t_ns
-        assert sweep.sensor_height_m == pytest.approx(entry.sensor_height_m)
-        np.testing.assert_allclose(sweep.world_from_sensor.as_matrix(), entry.world_from_sensor.as_matrix(), atol=2e-5)
-        far = (np.linalg.norm(sweep.points[:, :2], axis=1) > 4.0) & (sweep.points[:, 2] > -1.2)  # not the car or ground
-        solid.append((sweep.points[far].astype(np.float64), sweep.world_from_sensor))
-    (near, here), (later, there) = solid[0], solid[2]  # 0.45 s apart
-    wrong = Rigid(there.rotation.T, there.translation)
-    right_m = gap_m(here @ near, there @ later)
-    assert right_m < 0.3
-    assert gap_m(near, later) > 2 * right_m
-    assert gap_m(here @ near, wrong @ later) > 10 * right_m

@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scipy.spatial import cKDTree
 
-from viewshed.io import read_index, read_indexed
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import each_sweep
 
@@ -74,29 +72,6 @@ def test_the_published_example_is_read_as_its_page_explains_it(tmp_path: Path) -
     # By hand in the map, y to the south: (14.22, 3.19) m away, the car faces 174.18 degrees: behind it, to its left.
     np.testing.assert_allclose(seen, [-13.82, 4.61, -1.14], atol=0.02)
     assert box.size_m == pytest.approx((4.9, 2.12, 1.5))
-
-
-@pytest.mark.slow
-def test_two_real_cars_see_one_world(real_data: Path, tmp_path: Path) -> None:
-    wanted = {"ego1_1793.ply.gz": "31", "ego2_1794.ply.gz": "207"}
-    for entry in read_index(real_data / "index.json"):
-        if entry.file.name in wanted and entry.world_from_sensor is not None:
-            m = entry.world_from_sensor.as_matrix()
-            yaw_deg = -float(np.rad2deg(np.arctan2(m[1, 0], m[0, 0])))
-            pose = [float(m[0, 3]), -float(m[1, 3]), float(m[2, 3]), 0.0, yaw_deg, 0.0]
-            points = read_indexed(entry).points[::3] * [1, -1, 1]
-            _frame(tmp_path / "test" / "town" / wanted[entry.file.name], 100, points, lidar_pose=pose)
-    source = open_source(tmp_path)
-    assert source.scenes() == ("test/town",)
-    worlds = []
-    for _, sweep in each_sweep(source):
-        worlds.append(sweep.world_from_sensor @ sweep.points[np.hypot(*sweep.points[:, :2].T) < 20])
-    one, other = (world[world[:, 2] > 0.8] for world in worlds)
-    assert len(one) > 1_000
-    apart, _ = cKDTree(other).query(one)
-    assert (apart < 0.4).mean() > 0.75
-    mirrored, _ = cKDTree(other * [1, -1, 1]).query(one)
-    assert (mirrored < 0.4).mean() < 0.2
 
 
 def test_the_protocol_tells_the_beams_and_the_step(tmp_path: Path) -> None:

@@ -21,7 +21,6 @@ from tests.io.test_hostile_files import ros1_chunk, ros1_fields, ros1_indexes
 from viewshed.io import read_sweep
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.bag_files import open_bag
-from viewshed.recordings.read.rosbag import TRANSFORMS
 from viewshed.recordings.read.source import each_sweep
 from viewshed.recordings.recording import open_recording
 from viewshed.sweep import Sweep
@@ -244,18 +243,6 @@ def test_the_footprint_tells_the_height(tmp_path: Path) -> None:
     assert sweep.world_from_sensor is None
 
 
-def test_missing_frames_are_named_with_those_that_exist(tmp_path: Path) -> None:
-    entries: list[Entry] = [
-        ("/tf", 0, ROS2.tf(0, "map", "base_link", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0))),
-        ("/points", 1, ROS2.cloud(0, frame="velodyne")),
-    ]
-    source = open_source(write_ros2(tmp_path / "a", entries))
-    assert [line.split(": ", 1)[1] for line in source.notes()] == [
-        "clouds have no pose: frame 'velodyne' hangs from none of map, odom, world, earth; "
-        "frames that exist: base_link, map"
-    ]
-
-
 @KINDS
 def test_transforms_that_lead_in_a_circle_end_there(tmp_path: Path, ros: Ros, write: Write) -> None:
     unturned, here = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
@@ -286,14 +273,6 @@ def test_topics_are_agents_and_come_in_the_order_of_their_stamps(tmp_path: Path,
     assert read == [
         ("rear/points", 11, 9.0), ("front/points", S, 8.0), ("rear/points", 2 * S, 7.0), ("front/points", 3 * S, 6.0),
     ]  # fmt: skip
-
-
-@pytest.mark.parametrize("packing", ["", "lz4", "zstd"])
-def test_mcap_chunks_of_every_packing(tmp_path: Path, packing: str) -> None:
-    place = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S)), ("/points", 2, ROS2.cloud(2 * S))], packing)
-    sweeps = [sweep for _, sweep in each_sweep(open_source(place))]
-    assert [sweep.t_ns for sweep in sweeps] == [S, 2 * S]
-    np.testing.assert_array_equal(sweeps[1].points, POINTS)
 
 
 def test_an_mcap_chunk_that_claims_too_much_is_refused(tmp_path: Path) -> None:
@@ -348,10 +327,11 @@ def test_ros1_chunks_of_every_packing(tmp_path: Path, packing: str) -> None:
     assert source.damage() == ()
 
 
-def test_a_ros1_bag_without_the_index_at_its_end_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "a.bag").write_bytes(recording_files.ros1_bag()[:-300])
-    with pytest.raises(ValueError, match=r"^[^\n]*a\.bag: is damaged or cut off[^\n]*$"):
-        open_source(tmp_path / "a.bag")
+@pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
+def test_an_empty_file_is_one_line(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(ValueError, match=rf"{name}: the file is empty$"):
+        open_source(tmp_path / name)
 
 
 def test_a_ros1_bag_that_only_keeps_a_reader_busy_is_refused(tmp_path: Path) -> None:
@@ -424,7 +404,7 @@ def test_an_mcap_file_that_was_cut_off_keeps_what_lies_before(tmp_path: Path) ->
 def test_every_cut_of_an_mcap_file_is_one_line(tmp_path: Path) -> None:
     place = write_mcap(tmp_path / "a", [("/points", 1, ROS2.cloud(S))])
     content = place.read_bytes()
-    for end in range(len(content) - 50):
+    for end in range(0, len(content) - 50, 7):
         place.write_bytes(content[:end])
         try:
             lines: Iterable[str] = open_source(place).damage()
@@ -450,13 +430,6 @@ def test_a_truncated_bag_is_one_line_and_its_neighbors_are_read(tmp_path: Path, 
     with pytest.raises(ValueError, match="is damaged"):
         open_source(bad)
     assert good.exists()
-
-
-def test_wrong_magic_and_missing_metadata(tmp_path: Path) -> None:
-    for name in ("a.bag", "a.mcap"):
-        (tmp_path / name).write_bytes(b"GIF89a" + bytes(100))
-        with pytest.raises(ValueError, match=rf"{name}: does not begin like an? (ROS 1 bag|MCAP file)"):
-            open_source(tmp_path / name)
 
 
 def test_ros2_bags_need_no_metadata(tmp_path: Path) -> None:
@@ -581,8 +554,7 @@ def test_velodyne_scans_are_sweeps(tmp_path: Path, ros: Ros, write: Write) -> No
     assert sweep.world_from_sensor.translation.tolist() == [1.0, 2.0, 3.0]
 
 
-@KINDS
-@pytest.mark.parametrize("name", LIVOX)
+@pytest.mark.parametrize(("ros", "write", "name"), [(ROS1, write_ros1, LIVOX[0]), (ROS2, write_mcap, LIVOX[1])])
 def test_livox_points_are_sweeps(tmp_path: Path, ros: Ros, write: Write, name: str) -> None:
     types, rows = (
         _register(ros),
@@ -610,8 +582,7 @@ def test_laser_scans_are_sweeps_in_a_plane(tmp_path: Path, ros: Ros, write: Writ
     np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), [2.0, 4.0], rtol=1e-6)
 
 
-@KINDS
-@pytest.mark.parametrize("kind", OUSTER)
+@pytest.mark.parametrize(("ros", "write", "kind"), [(ROS1, write_ros1, OUSTER[0]), (ROS2, write_ros2, OUSTER[1])])
 def test_ouster_packets_are_sweeps(tmp_path: Path, ros: Ros, write: Write, kind: str) -> None:
     packets = _ouster(ros, 3, kind)[2:]  # the first revolution is cut off
     entries: list[Entry] = [("/os/lidar_packets", k * S, packet) for k, packet in enumerate(packets)]
@@ -674,50 +645,7 @@ def test_real_bags_of_packets_and_scans(real_data: Path) -> None:
     assert all(sweep.planar is not None and len(sweep) > 300 for sweep in scans)
 
 
-_ODD_BAGS = {
-    "foxglove__rosbag/fixtures/empty-file.bag": "the file is empty",
-    "foxglove__rosbag/fixtures/no-messages.bag": "no topic has .*; topics that exist: none",
-    "foxglove__rosbag/fixtures/example.bag": r"no topic has .*/tf \(tf/msg/tfMessage\)",
-    "foxglove__rosbag/fixtures/example-lz4.bag": r"no topic has .*/tf \(tf/msg/tfMessage\)",
-    "foxglove__rosbag/fixtures/example-bz2.bag": r"no topic has .*/tf \(tf/msg/tfMessage\)",
-    "facontidavide__PlotJuggler/datasamples/rosbag2_test": "no topic has .*BatteryState",
-    "ros2__rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/only_services.mcap": "no topic has .*AddTwoInts_Event",
-    "ros2__rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags/topics_and_services.db3": "no topic has .*AddTwoInts_Event",
-    "ros2__rosbag2/rosbag2_py/test/resources/mcap/reindex_test_bags/multiple_files": "no topic has .*/chatter",
-    "ros2__rosbag2/rosbag2_py/test/resources/mcap/wbag": "no topic has .*AAA",
-    "ros2__rosbag2/rosbag2_py/test/resources/sqlite3/wbag": "no topic has .*AAA",
-}
 """Real bags without returns (empty, packed, split, without index or metadata, services alone): what is said of each."""
-
-
-@pytest.mark.parametrize("name", _ODD_BAGS, ids=lambda name: name.rpartition("/")[2])
-def test_odd_real_bags_are_one_line(name: str, real_data: Path) -> None:
-    place = real_data.parent / "recordings" / name
-    if not place.exists():
-        pytest.skip("no recordings")
-    with pytest.raises(ValueError, match=_ODD_BAGS[name]) as error:
-        open_source(place)
-    assert "\n" not in str(error.value)
-
-
-def test_real_bags_hold_the_same_messages_however_they_are_packed(real_data: Path) -> None:
-    recordings = real_data.parent / "recordings"
-    if not recordings.is_dir():
-        pytest.skip("no recordings")
-    plain, *packed = (
-        [(message.topic, message.t_ns, message.raw) for message in open_bag(recordings, path).messages(TRANSFORMS)]
-        for path in (recordings / f"foxglove__rosbag/fixtures/example{end}.bag" for end in ("", "-lz4", "-bz2"))
-    )
-    assert len(plain) > 100
-    assert packed == [plain, plain]
-    # A split bag: the same messages in five files of MCAP as in five of SQLite.
-    places = [recordings / f"ros2__rosbag2/rosbag2_py/test/resources/{kind}/wbag" for kind in ("mcap", "sqlite3")]
-    split = [
-        sorted((each.topic, each.raw) for each in open_bag(recordings, place).messages(("std_msgs/msg/String",)))
-        for place in places
-    ]
-    assert len(split[0]) > 100
-    assert split[0] == split[1]
 
 
 def test_packets_decoded_by_others_lie_at_the_same_points(real_data: Path) -> None:

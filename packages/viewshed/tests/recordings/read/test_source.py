@@ -59,12 +59,6 @@ def test_walking_raises_where_nobody_is_told() -> None:
         next(walk)
 
 
-def test_a_box_knows_its_center_and_heading() -> None:
-    box = ObjectBox(Rigid.from_yaw(0.3, (5.0, -2.0, 0.9)), (4.0, 1.8, 1.5), "car")
-    assert box.center.tolist() == [5.0, -2.0, 0.9]
-    assert box.yaw == pytest.approx(0.3)
-
-
 @pytest.mark.parametrize(
     "size", [(4.0, 0.0, 1.5), (4.0, -1.0, 1.5), (np.nan, 1.0, 1.0), (np.inf, 1.0, 1.0), (4.0, 1.0)]
 )

@@ -79,25 +79,24 @@ def test_alarms_are_logged_and_suspect_sectors_drawn(drive: list[Moment], tmp_pa
     assert len(scenes[0].entities[1].triangles[0].points) == 6
 
 
-def test_equal_runs_give_equal_bytes(drive: list[Moment], tmp_path: Path) -> None:
-    first, second = (write(tmp_path / name, drive, "foxglove").read_bytes() for name in ("a.mcap", "b.mcap"))
-    assert first == second
-
-
-def test_a_triangle_for_each_suspect_sector() -> None:
-    from viewshed.monitor.evidence.base import SECTORS
-    from viewshed.monitor.report import sector_corners
-
-    suspect = np.zeros(SECTORS, np.bool_)
-    suspect[54] = True  # the first one left of the left: 90° to 95°
-    np.testing.assert_allclose(
-        sector_corners(suspect, 10.0),
-        [(0, 0), (0, 10), (10 * np.cos(np.deg2rad(95)), 10 * np.sin(np.deg2rad(95)))],
-        atol=1e-9,
-    )
-    assert sector_corners(np.zeros(SECTORS, np.bool_), 10.0).shape == (0, 2)
-
-
-def test_the_layout_is_the_one_of_its_tool() -> None:
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_layout_names_topics_fields_and_frames_that_exist(drive: list[Moment], tmp_path: Path) -> None:
     tool: Any = import_module("foxglove_layout")
     assert json.loads(tool.PLACE.read_text(encoding="utf-8")) == tool.layout()
+    moment = drive[0]
+    found = _decoded(write(tmp_path / "run.mcap", [moment], "foxglove"))
+    view, log = (item["content"] for item in tool.layout(moment.agent)["content"]["items"])
+    assert (view["panelType"], log["panelType"], log["config"]["topicToRender"]) == ("ThreeDee", "Log", "/log")
+    of_tracks = {f"/{moment.agent}/lidar/objects", "/command_center/objects"}
+    for topic, settings in view["config"]["topics"].items():
+        assert topic in found or topic in of_tracks
+        if "colorField" in settings:
+            assert settings["colorField"] in {field.name for field in found[topic][0][1].fields}
+    frames = {
+        name
+        for _, each in found["/tf"]
+        for one in each.transforms
+        for name in (one.parent_frame_id, one.child_frame_id)
+    }
+    assert view["config"]["followTf"] in frames
+    assert {found[f"/{moment.agent}/lidar/{part}"][0][1].frame_id for part in ("data", "fov")} <= frames

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from viewshed.recordings.read.bag_files import open_bag
@@ -34,6 +34,7 @@ def written(messages: list[tuple[str, int, bytes]]) -> bytes:
         return path.read_bytes()
 
 
+@settings(max_examples=25)
 @given(MESSAGES)
 def test_others_read_what_was_written(drawn: list[tuple[str, int, bytes, int]]) -> None:
     # Data of up to 1.6 MB, so that chunks end between messages.

@@ -19,7 +19,6 @@ from viewshed.sweep import Sweep
 from viewshed_lab._page import facts
 from viewshed_lab.studies.crossview.faults import BLOB_M, SmallestDifference, with_known_faults
 from viewshed_lab.studies.crossview.rates import (
-    FIRST_RULES,
     ColumnRate,
     CrossViewRow,
     CrossViewRules,
@@ -37,15 +36,6 @@ from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 POINTS = 150
 """Of an attacker."""
 
-RULES = {"Whole targets": CrossViewRules(), "As first defined": FIRST_RULES}
-"""How columns are chosen, by the chapters of the page."""
-
-FLOOR_RULES = {
-    "As first defined": FIRST_RULES,
-    "and as wide as the target": CrossViewRules(foot_m=None),
-    "and standing on the ground": CrossViewRules(),
-}
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorScenes:
@@ -53,21 +43,20 @@ class SensorScenes:
 
     name: str  # of the sensor
     scenes: list[list[Sweep]]  # sweeps of each
-    truths: Mapping[str, CrossViewTruth]  # by the names of ``RULES``
-    # by the same names the smallest differences that their columns show; empty if the metric's own error was
-    # not measured
-    differences: Mapping[str, SmallestDifference]
+    truth: CrossViewTruth
+    difference: SmallestDifference | None  # that its columns show; None if the metric's own error is unknown
 
     @property
     def title(self) -> str:
         """The sensor, how many scenes and sweeps."""
         return f"{self.name}, {len(self.scenes)} scene(s), {sum(map(len, self.scenes))} sweeps"
 
-    def seen(self, rules: str) -> str | None:
-        """Return in words what the columns of some rules would show; None where that was not measured."""
-        if rules not in self.differences:
+    @property
+    def seen(self) -> str | None:
+        """What the columns would show, in words; None where that was not measured."""
+        if self.difference is None:
             return None
-        found = self.differences[rules]
+        found = self.difference
         over, under = (
             f"no {kind} at all" if isnan(share) else f"{kind} of {share:g} or more of the {ground} ground"
             for kind, share, ground in (("over-claim", found.over, "hidden"), ("under-claim", found.under, "visible"))
@@ -96,40 +85,34 @@ def page_of(
         floor: whether the metric's own error is measured in a simulation as well.
     """
     check_names("attacks", attacks, ATTACKS)
-    found, floors = posed_scenes(index), dict[str, list[CrossViewRow]]()
+    found, own = posed_scenes(index), list[CrossViewRow]()
     if floor:
         few = {one: estimators[one] for one in estimators if one in ("shadow_map", "majority_vote", "first_blocker")}
-        for name, rules in FLOOR_RULES.items():
-            on_step(f"floor: {name}")
-            floors[name] = evaluate_floor(few, rng=np.random.default_rng(seed), rules=rules)
-    sensors = [_looked_at(sensor, scenes, floors, seed, on_step) for sensor, scenes in found.items()]
+        on_step("floor")
+        own = evaluate_floor(few, rng=np.random.default_rng(seed))
+    sensors = [_looked_at(sensor, scenes, own, seed, on_step) for sensor, scenes in found.items()]
 
-    def rates(of: SensorScenes, name: str, tried: Mapping[str, FovEstimator]) -> Table:
-        return _table(rows_of(of.truths[name], tried, rng=np.random.default_rng(seed), on_step=on_step))
+    def rates(of: SensorScenes, tried: Mapping[str, FovEstimator]) -> Table:
+        return _table(rows_of(of.truth, tried, rng=np.random.default_rng(seed), on_step=on_step))
 
-    whole, first = RULES
     page = fill_template(
-        "crossview/page.md", sensors=sensors, attacked=sensors if attacks else (), floors=floors, points=POINTS,
-        blob_m=BLOB_M, whole=whole, first=first, estimators=estimators, rates=rates, table=_table,
+        "crossview/page.md", sensors=sensors, attacked=sensors if attacks else (), points=POINTS, blob_m=BLOB_M,
+        floor=_table(own) if floor else None, estimators=estimators, rates=rates,
         faulty=_with_known_faults(estimators) if floor else None,
-        attacked_rates=lambda of: _under_attack(of.truths[whole], estimators, attacks, seed, on_step),
+        attacked_rates=lambda of: _under_attack(of.truth, estimators, attacks, seed, on_step),
     )  # fmt: skip
     about = facts(seed=str(seed), grid="road (256 cells of 0.5 m)", target="car")
     return page.markdown(about)
 
 
 def _looked_at(
-    sensor: str, scenes: list[list[Sweep]], floors: Mapping[str, list[CrossViewRow]], seed: int, on_step: OnStep
+    sensor: str, scenes: list[list[Sweep]], own: Sequence[CrossViewRow], seed: int, on_step: OnStep
 ) -> SensorScenes:
-    """Return the scenes of a sensor with what its sweeps know; ``floors`` begin with the rates of the exact mask."""
-    rng, truths, differences = np.random.default_rng(seed), {}, {}
-    for name, rules in RULES.items():
-        truths[name] = crossview_truth(scenes, rules, on_step)
-        for floor_rules, rows in floors.items():
-            if FLOOR_RULES[floor_rules] == rules:
-                own = rows[0].over.high, rows[0].under.high
-                differences[name] = SmallestDifference.of(truths[name], own, rng)
-    return SensorScenes(sensor, scenes, truths, differences)
+    """Return the scenes of a sensor with what its sweeps know; ``own`` begins with the rates of the exact mask."""
+    truth, difference = crossview_truth(scenes, on_step), None
+    if own:
+        difference = SmallestDifference.of(truth, (own[0].over.high, own[0].under.high), np.random.default_rng(seed))
+    return SensorScenes(sensor, scenes, truth, difference)
 
 
 def _with_known_faults(estimators: Mapping[str, FovEstimator]) -> dict[str, FovEstimator]:

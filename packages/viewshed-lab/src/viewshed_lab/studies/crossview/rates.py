@@ -33,8 +33,8 @@ class CrossViewRules:
     body_returns: int = 3  # how many
     top_m: tuple[float, float] = (1.1, 2.2)  # and one return between these, so that it is about as tall as a car
     # a column counts as not seen only if another sweep has a return near it between these heights, so that
-    # A's beams cannot pass below it as they do below a bus; None demands nothing
-    foot_m: tuple[float, float] | None = (0.1, 0.3)
+    # A's beams cannot pass below it as they do below a bus
+    foot_m: tuple[float, float] = (0.1, 0.3)
     range_a_m: tuple[float, float] = (4.0, 45.0)  # distance of the column from A
     range_b_m: tuple[float, float] = (3.0, 50.0)  # and from B
     static_s: float = 0.7  # another sweep, this many seconds from B or more, must see it too, or it may have moved
@@ -49,12 +49,8 @@ class CrossViewRules:
     through_share: float = 0.3
     through_m: float = 1.0  # see there
     # a column counts as not seen only if the scene is as tall this far to its left and right as A looks at
-    # it, so that it hides a target and not a post in front of a gap; 0 demands nothing
+    # it, so that it hides a target and not a post in front of a gap
     across_m: float = 0.9
-
-
-FIRST_RULES = CrossViewRules(foot_m=None, across_m=0.0)
-"""The metric as first defined: it takes any column for a target, so that even an exact mask over-claims."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,8 +138,6 @@ def _standing(
     a: LeveledSweep, others: Sequence[LeveledSweep], xy: NDArray[np.float64], rules: CrossViewRules
 ) -> NDArray[np.bool_]:
     """Return which columns (M,) at ``xy`` stand on the ground: a foot of them that any other sweep saw is enough."""
-    if rules.foot_m is None:
-        return np.ones(len(xy), bool)
     standing = np.zeros(len(xy), bool)
     for b in others:
         foot = (b.height_m > rules.foot_m[0]) & (b.height_m < rules.foot_m[1])
@@ -153,8 +147,6 @@ def _standing(
 
 
 def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArray[np.bool_]:
-    if rules.across_m == 0:
-        return np.ones(len(xy), bool)
     tree = cKDTree(xy)
     left = np.column_stack([-xy[:, 1], xy[:, 0]]) / np.hypot(xy[:, 0], xy[:, 1])[:, None] * rules.across_m
     return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
@@ -220,15 +212,14 @@ def evaluate_crossview(
     estimators: Mapping[str, FovEstimator],
     *,
     rng: np.random.Generator,
-    rules: CrossViewRules | None = None,
     on_step: OnStep = lambda _: None,
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene)."""
-    return rows_of(crossview_truth(sequences, rules, on_step), estimators, rng=rng, on_step=on_step)
+    return rows_of(crossview_truth(sequences, on_step), estimators, rng=rng, on_step=on_step)
 
 
 def crossview_truth(
-    sequences: Sequence[Sequence[Sweep]], rules: CrossViewRules | None = None, on_step: OnStep = lambda _: None
+    sequences: Sequence[Sequence[Sweep]], on_step: OnStep = lambda _: None
 ) -> list[tuple[Sweep, SeenColumns]]:
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, SeenColumns]] = []
@@ -236,7 +227,7 @@ def crossview_truth(
         levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
         for k, a in enumerate(levels):
             on_step(f"truth of sweep {len(truth) + 1}")
-            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], rules or CrossViewRules())))
+            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], CrossViewRules())))
     return truth
 
 

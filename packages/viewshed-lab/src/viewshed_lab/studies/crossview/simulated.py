@@ -18,7 +18,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab.sim.assets.shapes import Box, Cylinder
 from viewshed_lab.sim.scene import Scene, cast, depth_image, junction
 from viewshed_lab.studies.crossview.faults import with_known_faults
-from viewshed_lab.studies.crossview.rates import CrossViewRow, CrossViewRules, evaluate_crossview
+from viewshed_lab.studies.crossview.rates import CrossViewRow, evaluate_crossview
 
 
 def view(
@@ -90,9 +90,7 @@ class ExactMask:
         return FovEstimate(self.grid, prob, (prob >= 0.5).astype(np.uint8), method="exact mask")
 
 
-def evaluate_floor(
-    estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator, rules: CrossViewRules | None = None
-) -> list[CrossViewRow]:
+def evaluate_floor(estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator) -> list[CrossViewRow]:
     """Return rates in a simulated junction seen from ten places.
 
     First of the exact mask, then of the exact mask with each known fault, then of ``estimators``.
@@ -100,4 +98,4 @@ def evaluate_floor(
     views = drive(junction(), lidar_model("hdl64e"), POSES, rng)
     exact = ExactMask(BevGrid(256, 64.0), {sweep.t_ns or 0: beams for sweep, beams in views})
     tried = with_known_faults("exact mask", exact) | dict(estimators)
-    return evaluate_crossview([[sweep for sweep, _ in views]], tried, rng=rng, rules=rules)
+    return evaluate_crossview([[sweep for sweep, _ in views]], tried, rng=rng)

@@ -1,4 +1,4 @@
-"""The pages of the study: their tables and pictures; what they say stands in ``page.md`` and ``tables.md``."""
+"""The page of the study: its tables and pictures; what it says stands in ``page.md``."""
 
 from __future__ import annotations
 
@@ -136,19 +136,16 @@ def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.PictureRow
 def files_of(
     store: ResultStore[RobustnessPlan], failed: Sequence[str] = (), stem: str = "robustness"
 ) -> dict[str, bytes]:
-    """Return the files of the study by name: one HTML file, pictures, the long tables, and the main page last.
+    """Return the files of the study by name: pictures, and the Markdown page last.
 
     Args:
         store: of the study.
         failed: jobs that failed, one line each.
-        stem: of the names of the pages.
+        stem: of the name of the page.
     """
     results = store.results()
     store.require(results)
-    about, page, details = facts(**provenance(results)), main_page(store, results, failed), long_page(results)
-    both = Page(page.title, f"{page.body}\n\n{details.body}", page.pictures)
-    files = {"index.html": both.html(about).encode(), f"{stem}_tables.md": details.markdown(about).encode()}
-    return files | page.files(f"{stem}.md", about)
+    return main_page(store, results, failed).files(f"{stem}.md", facts(**provenance(results)))
 
 
 def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPlan], failed: Sequence[str] = ()) -> Page:
@@ -167,12 +164,6 @@ def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPla
         violin_picture=violin_picture, scene_picture=scene_picture, budget_picture=budget_picture,
         wedge_picture=wedge_picture, corruption_picture=corruption_picture, refused=refused_table(results),
     )  # fmt: skip
-
-
-def long_page(results: Results[RobustnessPlan]) -> Page:
-    """Return the page of the long tables, domain by domain."""
-    return fill_template("robustness/tables.md", domains=domains_of(results), budgets=BUDGETS, tables=tables,
-                         defended=results.plan.defended)  # fmt: skip
 
 
 def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:

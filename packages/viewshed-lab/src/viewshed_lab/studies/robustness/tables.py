@@ -15,7 +15,6 @@ from viewshed_lab.studies.formatting import (
     format_interval,
     format_rate,
     format_rates,
-    format_spread,
     lines,
     mean,
     pivot,
@@ -24,7 +23,6 @@ from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.records import BENIGN, VIEW, WEDGE, Case
 from viewshed_lab.studies.robustness.verdicts import MODEST, AttackedDomain
 from viewshed_lab.studies.statistics import f1
-from viewshed_lab.threats.attacks import FAMILY
 
 
 def _pair(counts: ConfusionCounts) -> str:
@@ -49,84 +47,10 @@ def benign_table(domain: AttackedDomain) -> Table:
     })  # fmt: skip
 
 
-def budget_table(domain: AttackedDomain) -> Table:
-    """Return the mean F1 over the budgets of each attack, with half of the 95 % interval."""
-
-    def rate(cases: Sequence[Case], method: str) -> str:
-        rates = [domain.counts(method, case).f1 for case in cases]
-        return format_spread(float(np.mean(rates)), domain.interval(method, cases, f1))
-
-    rows = {"*benign*": [BENIGN]} | {f"{name} ({FAMILY[name]})": domain.cases_of(name) for name in domain.attacks}
-    return pivot("attack (family)", rows, by_name(domain.methods), rate, "row")
-
-
-def wedge_table(domain: AttackedDomain) -> Table:
-    """Return precision / recall in the wedge at the largest budget, above the same with no return touched."""
-    rows = []
-    for attack, case in domain.strongest.items():
-        if domain.has_wedge(case):
-            rows.append([attack, *(_pair(domain.counts(name, case, WEDGE)) for name in domain.methods)])
-            untouched = (domain.counts(name, domain.before(name, case)[0], WEDGE) for name in domain.methods)
-            rows.append(["*untouched*", *map(_pair, untouched)])
-    return Table(["", *domain.methods], rows)
-
-
-def area_table(domain: AttackedDomain) -> Table:
-    """Return how many m² more than on clean sweeps are over-claimed / under-claimed at the largest budget."""
-
-    def more(case: Case, method: str) -> str:
-        counts, was = domain.counts(method, case), domain.counts(method)
-        if case == BENIGN:
-            return f"{counts.over_m2:.0f} / {counts.under_m2:.0f}"
-        return f"{counts.over_m2 - was.over_m2:+.0f} / {counts.under_m2 - was.under_m2:+.0f}"
-
-    return pivot("", {"*benign, in all*": BENIGN} | domain.strongest, by_name(domain.methods), more)
-
-
-def strength_table(domain: AttackedDomain) -> Table | None:
-    """Return precision / recall in the wedge (of the view where there is none) for sectors, shares and offsets."""
-
-    def rates(case: Case, method: str) -> str:
-        return _pair(domain.counts(method, case, WEDGE if domain.has_wedge(case) else VIEW))
-
-    cases = [case for case in domain.cases if case.kind == "strength" and not case.defense]
-    rows = {f"{case.name}, {case.level}": case for case in cases}
-    return pivot("", rows, by_name(domain.methods), rates) if domain.plan.strengths else None
-
-
-def verdict_table(domain: AttackedDomain, most: int | None = None) -> Table:
-    """Return who withstands which attack at every budget (up to ``most`` returns), and what the others lose."""
-    names, methods = by_name(domain.attacks), by_name(domain.methods)
-    return pivot("", names, methods, lambda attack, method: domain.verdict(method, attack, most).words())
-
-
-def corruption_table(domain: AttackedDomain) -> Table:
-    """Return F1 at each severity of each corruption."""
-    cases = {("*benign*", ""): BENIGN} | {
-        (name if severity == 1 else "", str(severity)): Case("corruption", name, str(severity))
-        for name in domain.plan.corruptions
-        for severity in domain.plan.severities
-    }
-    rows = [
-        [*names, *(format_rate(domain.counts(m, case).f1) for m in domain.methods)] for names, case in cases.items()
-    ]
-    return Table(["corruption", "severity", *domain.methods], rows)
-
-
 def _faced(domain: AttackedDomain) -> dict[str, Case]:
     """Return what the defenses face by name: nothing, every attack at its largest budget, every corruption."""
     corrupted = {f"{name}, {case.level}": case for name, case in domain.corrupted.items()}
     return {"*benign*": BENIGN} | domain.strongest | corrupted
-
-
-def defense_table(domain: AttackedDomain, method: str) -> Table:
-    """Return F1 of an estimator behind each defense, at the largest budget; in brackets in the wedge."""
-
-    def rates(case: Case, defense: str) -> str:
-        view, inside = (domain.counts(method, replace(case, defense=defense), region).f1 for region in (VIEW, WEDGE))
-        return format_rate(view) + ("" if isnan(inside) else f" ({format_rate(inside)})")
-
-    return pivot("", _faced(domain), {"none": ""} | by_name(domain.plan.defenses), rates)
 
 
 def gain_table(domain: AttackedDomain) -> Table:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isnan
 
-from viewshed_lab.studies.formatting import format_rate
 from viewshed_lab.studies.records import BENIGN, PAPER, VIEW, WEDGE, Case, Domain, Results
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
 from viewshed_lab.studies.suite import TESTED
@@ -34,18 +33,6 @@ class Verdict:
     def withstands(self) -> bool:
         """Whether all losses are within the limits."""
         return self.f1 <= MAX_F1_LOSS and max(self.precision, self.recall) <= MAX_WEDGE_LOSS
-
-    def words(self) -> str:
-        """Return ``yes``, or what is lost by how much.
-
-        >>> Verdict(0.01, 0.0, 0.04).words(), Verdict(0.03, 0.31, 0.0).words(), Verdict(0.1, 0.2, 0.3).words()
-        ('yes', 'over .31', 'over .20, under .30')
-        """
-        if self.withstands:
-            return "yes"
-        losses = {"over": self.precision, "under": self.recall}
-        words = [f"{word} {format_rate(loss, 2)}" for word, loss in losses.items() if loss > MAX_WEDGE_LOSS]
-        return ", ".join(words) or f"F1 {format_rate(self.f1, 2)}"
 
 
 @dataclass(frozen=True, eq=False)

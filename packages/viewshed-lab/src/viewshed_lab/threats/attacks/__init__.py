@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
-from viewshed_lab.threats.attacks._gradient import Expectation, WhiteBox
 from viewshed_lab.threats.attacks.adaptive import (
     ADAPTIVE,
     BlackBox,
@@ -22,14 +21,11 @@ from viewshed_lab.threats.attacks.adaptive import (
     Objective,
     OverClaim,
     SearchResult,
-    Trip,
     UnderClaim,
 )
 from viewshed_lab.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
 from viewshed_lab.threats.attacks.informed import CopiedObject, VanishedObject
-from viewshed_lab.threats.attacks.monitored import BITS, MonitorScore, smallest_budget, tripped_shares
-from viewshed_lab.threats.attacks.null import null_of
 from viewshed_lab.threats.attacks.placement import Placement
 from viewshed_lab.threats.attacks.points import (
     PAPER_ATTACK,
@@ -52,11 +48,10 @@ from viewshed_lab.threats.attacks.whole_cloud import (
 )
 
 __all__ = [
-    "ADAPTIVE", "ATTACKS", "BITS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FREE_FORM", "FULL_WEDGE",
-    "INFORMED", "NULL", "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES",
-    "WHOLE_CLOUD", "Attack", "AttackFactory", "BlackBox", "CopiedObject", "Evade", "Expectation", "Knowledge",
-    "MonitorScore", "Objective", "OverClaim", "Placement", "SearchResult", "Spoofer", "Tampered", "Trip", "UnderClaim",
-    "VanishedObject", "Wedge", "WhiteBox", "at_severity", "smallest_budget", "tripped_shares",
+    "ADAPTIVE", "ATTACKS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FREE_FORM", "FULL_WEDGE", "INFORMED",
+    "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "WHOLE_CLOUD", "Attack",
+    "AttackFactory", "BlackBox", "CopiedObject", "Evade", "Knowledge", "Objective", "OverClaim", "Placement",
+    "SearchResult", "Spoofer", "Tampered", "UnderClaim", "VanishedObject", "Wedge", "at_severity",
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000
@@ -165,20 +160,6 @@ def _make_whole(name: str, budget: int | None = None, knowledge: Knowledge = NOT
 WHOLE_CLOUD: dict[str, AttackFactory] = {name: partial(_make_whole, name) for name in _WHOLE}
 """Attacks on the whole cloud, mirrors, and trojans in the driver: no beam model binds them, and no budget."""
 
-
-def _make_null(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:
-    if knowledge.again is None:
-        raise ValueError(
-            "a null attack needs the same instant measured once more, got none; give Knowledge(again=sweep)"
-        )
-    if name == "pose_spoof":
-        return _make(name, 0, knowledge)
-    return null_of(_make(name, budget, knowledge), knowledge.again)
-
-
-NULL: dict[str, AttackFactory] = {name: partial(_make_null, name) for name in _MAKERS}
-"""``ATTACKS`` and ``INFORMED`` at zero strength: each chooses its beams and changes nothing but their noise. They need
-``Knowledge(again=…)``, a second measurement of the instant: ``measure(scan, conditions, rng).sweep()``."""
 
 FAMILY: dict[str, int] = {
     "uniform": 1, "uniform_on_beams": 1, "cluster": 2, "cluster_on_beams": 2, "wedge_cluster": 3,

@@ -1,4 +1,4 @@
-"""Search without gradients: random draws, and an evolution strategy that starts from the best of them.
+"""Search: random draws, and an evolution strategy that starts from the best of them.
 
 Search spaces: which beams to take and which ranges to give them, or where to put free points.
 """
@@ -108,20 +108,13 @@ class Attempts:
         return better
 
 
-def evolution(
-    space: SearchSpace,
-    value_of: Callable[[F64], float],
-    limit: int,
-    rng: np.random.Generator,
-    drawn_share: float = DRAWN_SHARE,
-) -> Attempts:
+def evolution(space: SearchSpace, value_of: Callable[[F64], float], limit: int, rng: np.random.Generator) -> Attempts:
     """Try ``limit`` plans: a share drawn at random, then a (1 + λ) evolution strategy with λ = 6 from the best.
 
-    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws; with
-    a share of 1 it is a random search.
+    The step grows after a success and shrinks otherwise (Rechenberg 1973). Never worse than the best of its draws.
     """
     tried, step = Attempts(value_of), 0.6
-    for number in range(int(np.ceil(drawn_share * limit))):
+    for number in range(int(np.ceil(DRAWN_SHARE * limit))):
         tried.attempt(space.draw(number, rng))
     while (left := limit - len(tried.history)) > 0 and tried.candidate is not None:
         parent = tried.candidate

@@ -1,4 +1,4 @@
-"""Attackers who adapt to what the victim runs, by asking it (family 16) or by its gradient (family 15).
+"""Attackers who adapt to what the victim runs, by asking it (family 16).
 
 What an attacker who adapts wants, as a number for each sweep that the victim might read.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from viewshed.arrays import F64
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
-from viewshed_lab.threats.attacks._search import DRAWN_SHARE, BeamSearchSpace, PointSearchSpace, evolution
+from viewshed_lab.threats.attacks._search import BeamSearchSpace, PointSearchSpace, evolution
 from viewshed_lab.threats.attacks.assembly import untouched
 from viewshed_lab.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed_lab.threats.attacks.ghosts import FarWall
@@ -77,17 +77,6 @@ def _changed_area(aim: OverClaim, clean: Sweep, wedge: Wedge, claimed: bool) -> 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trip:
-    """A monitor's or a defense's score: the attacker wants a false alarm."""
-
-    score: Value  # from a sweep to the doubt of a monitor, or 1 for an alarm and 0 for none
-
-    def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return the score itself."""
-        return self.score
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Evade(Checked):
     """Another objective, worth nothing like as much where a monitor's score is above a limit."""
 
@@ -108,9 +97,6 @@ def cells_in(grid: BevGrid, sweep: Sweep, wedge: Wedge) -> NDArray[np.bool_]:
     rotation = scene_of(sweep).level_from_sensor.rotation
     x, y = np.moveaxis(grid.centers @ rotation[:2, :2], -1, 0)
     return wedge.holds(np.arctan2(y, x))
-
-
-Method = Literal["evolution", "random"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,9 +126,6 @@ class BlackBox(Checked):
     aim_m: Range = 25.0  # obstacles nearer than this are aimed at
     placement: Placement = "random"  # how that is aimed, see :class:`WedgeAttack`
     mode: Mode = "beam_constrained"  # ``beam_constrained`` or ``free_form``
-    method: Method = "evolution"  # ``evolution`` or ``random``
-    # draws of the noise over which a plan's worth is averaged; each is a question
-    samples: Annotated[int, Between(1, 1000)] = 1
     spoofer: Spoofer = MEASURED_SPOOFER  # how well the beams are won
 
     def __post_init__(self) -> None:
@@ -160,12 +143,15 @@ class BlackBox(Checked):
         value_of = self.objective.on(sweep, wedge)
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
         space = self._space(sweep, wedge)
-        limit = max(0, (self.queries - 2) // self.samples)
-        drawn_share = DRAWN_SHARE if self.method == "evolution" else 1.0
-        worth = partial(self._expected_value, space, value_of=value_of, seed=seed)
-        best = evolution(space, worth, limit, rng, drawn_share)
+
+        def worth(candidate: F64) -> float:
+            """Return what a plan is worth under noise that is the same for every plan."""
+            noise = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 0])))
+            return float(value_of(space.tampered(candidate, noise).sweep))
+
+        best = evolution(space, worth, max(0, self.queries - 2), rng)
         history = np.append(nothing, best.history)
-        queries = 2 + len(best.history) * self.samples
+        queries = 2 + len(best.history)
         if best.candidate is None or best.value <= nothing:
             return SearchResult(untouched(sweep, wedge), nothing, history, queries)
         return SearchResult(space.tampered(best.candidate, rng), best.value, history, queries)
@@ -174,16 +160,6 @@ class BlackBox(Checked):
         if self.mode == "free_form":
             return PointSearchSpace(sweep, wedge, self.budget or 0)
         return BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
-
-    def _expected_value(
-        self, space: BeamSearchSpace | PointSearchSpace, candidate: F64, value_of: Value, seed: int
-    ) -> float:
-        """Return what a plan is worth over draws of the noise that are the same for every plan."""
-        values = []
-        for sample in range(self.samples):
-            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, sample])))
-            values.append(value_of(space.tampered(candidate, rng).sweep))
-        return float(np.mean(values))
 
 
 def _black_box(

@@ -88,7 +88,6 @@ class Knowledge:
     estimator: FovEstimator | None = None  # what the victim runs, for attackers that adapt to it
     # half the side of the victim's grid; ranges are in proportion to it, 64 m on roads
     half_extent_m: float = ROAD_EXTENT_M
-    again: Sweep | None = None  # the same instant measured once more, with other noise; null attacks need it
 
     @property
     def scale(self) -> float:
