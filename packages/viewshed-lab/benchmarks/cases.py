@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from viewshed.fov.polygons import polygon_of_mask
 from viewshed.geometry import Rigid
 from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.conformal import calibration_for
-from viewshed.guarantees.envelope import Threat
+from viewshed.guarantees.envelope import Given, Threat
 from viewshed.preprocess.leveling import level
 
 GRID: BevGrid = GRIDS["road"]
@@ -116,6 +117,15 @@ def _guaranteeing(size: str, sweep: Sweep) -> Iterator[Case]:
         words = f"certificate against {threat.words}"
         job = partial(certify, leveled, estimate, threat, trust_inferred=True)
         yield Case(words, size, job, POINT_BYTES * len(sweep) + CELL_BYTES * GRID.cells**2, CERTIFICATE_MS[size])
+    # Every beam goes elsewhere where the sensor sways.
+    given = Given.of(leveled)
+    tilts = (Rigid.from_quaternion((1.0, 0.001 * step, 0.0, 0.0)).rotation for step in cycle(range(8)))
+    swaying = (replace(given, rotation=tilt @ given.rotation) for tilt in tilts)
+    yield Case(
+        "certificate against any number of added points, another attitude each sweep", size,
+        lambda: certify(leveled, estimate, Threat(), next(swaying), trust_inferred=True),
+        POINT_BYTES * len(sweep) + 3 * CELL_BYTES * GRID.cells**2, CERTIFICATE_MS[size],
+    )  # fmt: skip
     mask = partial(calibration.mask, estimate, leveled.ground)
     yield Case("mask of a promised error", size, mask, CELL_BYTES * GRID.cells**2, 0.5)
 

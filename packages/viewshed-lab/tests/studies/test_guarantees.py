@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 from tests.cli.commands import run
 
+from viewshed.fov.visibility import TARGETS
+from viewshed.geometry import Rigid
 from viewshed.guarantees.envelope import Envelope, Threat
+from viewshed.io import read_sweep
+from viewshed.io.samples import junction_path
+from viewshed.preprocess.leveling import level
+from viewshed.recordings.read.source import ObjectBox
 from viewshed.sweep import Sweep
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.lidar.weather import Conditions
 from viewshed_lab.sim.world import Thing
-from viewshed_lab.studies.guarantees import attacks, driving, jobs
+from viewshed_lab.studies.guarantees import attacks, driving, jobs, scenes
 from viewshed_lab.studies.guarantees.attacks import Tally, Victim
 
 
@@ -79,6 +85,59 @@ def test_who_walks_fills_a_part_of_a_box_and_a_box_all_of_it(monkeypatch: pytest
     assert 0.15 < driving.filled_share(0) < 0.6
     monkeypatch.setattr(driving, "person", lambda *_, **__: Thing("box", (Box(0.0, 0.0, 0.6, 0.6, 1.7),)))
     assert 0.8 < driving.filled_share(0) < 1.2
+
+
+def test_without_an_alarm_three_monitors_drive_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driving, "LAST_S", 2.0)
+    seen: list[list[tuple[float, float, bytes]]] = []
+    for monitor in ("ours", "no monitor", "ours + certificate"):
+        steps: list[tuple[float, float, bytes]] = []
+        driving.drive_through(
+            0, "none", monitor, lambda t_s, mps, _, view, to=steps: to.append((t_s, mps, view.state.tobytes()))
+        )
+        seen.append(steps)
+    assert len(seen[0]) == 10
+    assert seen[0] == seen[1] == seen[2]
+
+
+@pytest.mark.parametrize(("alarm_s", "driven"), [(0.0, {"ours", "published detector", "certified only"}), (0.2, None)])
+def test_what_is_known_is_not_driven_again(
+    monkeypatch: pytest.MonkeyPatch, alarm_s: float, driven: set[str] | None
+) -> None:
+    called: list[str] = []
+
+    def drive(number: int, case: str, monitor: str) -> driving.Drive:
+        called.append(monitor)
+        return driving.Drive(False, 20.0 if monitor == "ours" else 21.0, 0.0, alarm_s)
+
+    monkeypatch.setattr(driving, "drive_through", drive)
+    found = dict(driving.drives_left(0, "none", {}))
+    assert set(found) == set(driving.MONITORS)
+    assert sorted(called) == sorted(driven or driving.MONITORS)
+    assert found["ours + certificate"].time_s == (20.0 if driven else 21.0)
+    called.clear()
+    left = dict(driving.drives_left(0, "none", {"ours": found["ours"], "certified only": found["certified only"]}))
+    assert set(left) == {"no monitor", "published detector", "ours + certificate"}
+    assert "ours" not in called
+    assert not dict(driving.drives_left(0, "none", found))
+
+
+def test_behind_a_box_is_what_it_hides_whole() -> None:
+    sweep = read_sweep(junction_path(), sensor="hdl32e", sensor_height_m=1.84, attitude=[1, 0, 0, 0])
+    leveled, flat = level(sweep, scenes.GRID), np.zeros(scenes.GRID.shape, np.float32)
+
+    def hides(height_m: float, *xy: tuple[float, float]) -> list[bool]:
+        # Without a pose a box is in the sensor's frame; this one stands on the ground, 6 m wide, 10 to 12 m ahead.
+        box = ObjectBox(Rigid.from_yaw(0.0, (11.0, 0.0, height_m / 2 - 1.84)), (2.0, 6.0, height_m), "truck")
+        behind = scenes.behind_boxes(leveled, [box], flat, TARGETS["car"])
+        return [bool(behind[tuple(scenes.GRID.index(np.array(one))[0])]) for one in xy]
+
+    # Right behind it, far behind, half beside it, before it, at its side, and behind the sensor.
+    places = (14.0, 0.0), (40.0, 8.0), (20.0, 5.5), (8.0, 0.0), (11.0, 5.0), (-20.0, 0.0)
+    assert hides(3.0, *places) == [True, True, False, False, False, False]
+    # Over 1.7 m the sensor looks down: the line that touches the top's end at 12 m is 1.5 m high at 29 m.
+    assert hides(1.7, (16.0, 0.0), (27.0, 0.0), (32.0, 0.0)) == [True, True, False]
+    assert hides(1.0, *places) == [False] * 6
 
 
 @pytest.mark.slow

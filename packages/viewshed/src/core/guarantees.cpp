@@ -96,8 +96,9 @@ MULTIVERSION void find_rings(SentBeams& sent, const float* low_m, const float* h
             while (ring_end > 0 && z_m(ring_end - 1) > high) --ring_end;
             while (ring_end < rings && z_m(ring_end) <= high) ++ring_end;
             if (ring >= ring_end) continue;
-            for (std::size_t k = ring; k < ring_end; ++k) {
-                sent.bits[cell * sent.words + k / 64] |= std::uint64_t(1) << (k % 64);
+            for (std::size_t word = ring / 64; word * 64 < ring_end; ++word) {
+                const std::size_t from = std::max(ring, word * 64), end = std::min(ring_end, word * 64 + 64);
+                sent.bits[cell * sent.words + word] = ~std::uint64_t(0) >> (64 - (end - from)) << (from % 64);
             }
             sent.ring[cell] = std::uint16_t(ring);
             sent.ring_end[cell] = std::uint16_t(ring_end);

@@ -14,7 +14,7 @@ from viewshed.arrays import F32
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import rotation_from_quaternion
-from viewshed.grid import polar_of_cells
+from viewshed.grid import GRIDS, polar_of_cells
 from viewshed.guarantees.envelope import FOOT_M, SECTORS, Envelope, Given, Kind, Threat
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
@@ -233,6 +233,15 @@ def test_the_ground_that_is_given_counts() -> None:
     firings = int(2 * np.arctan2(0.9, np.hypot(6.5, 0.5)) / (2 * np.pi) * 90)
     # Ground 1 m up: of -6, -4, -2 and +1 degrees the beams pass between 1 m and 2.5 m.
     assert high[i, j] == 4 * firings
+
+
+def test_the_plane_of_the_sensor_carries_twenty_meters() -> None:
+    half = np.deg2rad(4.0) / 2
+    tilted = Given(toy.TOY, rotation_from_quaternion([np.cos(half), 0.0, np.sin(half), 0.0]), toy.HEIGHT_M)
+    heights, grid = tilted.heights(GRIDS["road"]), GRIDS["road"]
+    for x_m, y_m, along_m in ((10.25, 0.25, 10.25), (40.25, 0.25, 20.0), (-30.25, 40.25, -30.25 * 20.0 / 50.35)):
+        i, j = grid.index(np.array([x_m, y_m]))[0]
+        assert heights[i, j] == pytest.approx(-np.tan(2 * half) * along_m, abs=1e-3)
 
 
 @pytest.mark.parametrize(

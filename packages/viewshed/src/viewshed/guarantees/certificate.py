@@ -54,7 +54,8 @@ class Certificate:
         if self.inferred:
             named = ", ".join(self.inferred)
             return (
-                f"nothing certified: {named} inferred from the sweep itself, which an attacker may own; say what it is"
+                f"nothing certified: {named} inferred from the sweep itself, which an attacker may own; give what you"
+                " know of these with the sweep"
             )
         return f"nothing certified {against}: no cell of the claim has so many beams to spare"
 

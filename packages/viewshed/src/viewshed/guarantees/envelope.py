@@ -53,16 +53,19 @@ PLANE_M = 20.0
 """Up to here the ground that carries the sensor is its plane; beyond, its height stays."""
 
 
+MOST_BEAMS = 10_000_000
+"""More beams than any sensor fires in a sweep."""
+
 _ROUNDING = 1e-6
 
 Kind = Literal["added", "replaced", "window", "wedge", "dropped"]
 
 _WORDS: dict[str, str] = {
     "added": "any number of added points",
-    "replaced": "{:g} replaced beams anywhere, and any added points",
-    "window": "{:g} replaced beams in the window of any target, and any added points",
+    "replaced": "{:.10g} replaced beams anywhere, and any added points",
+    "window": "{:.10g} replaced beams in the window of any target, and any added points",
     "wedge": "one wedge of {:g}° wholly controlled, and any added points",
-    "dropped": "{:g} dropped beams anywhere",
+    "dropped": "{:.10g} dropped beams anywhere",
 }
 
 
@@ -85,13 +88,13 @@ class Threat:
     def __post_init__(self) -> None:
         if self.kind not in _WORDS:
             raise ValueError(f"threat must be one of {', '.join(_WORDS)}, got {self.kind!r}")
-        whole = float(self.amount).is_integer() and 1 <= self.amount <= 10_000_000
+        whole = float(self.amount).is_integer() and 1 <= self.amount <= MOST_BEAMS
         if self.kind == "added" and self.amount != 0:
             raise ValueError(f"added counts no beams, got {self.amount:g}; leave the number out")
         if self.kind == "wedge" and not 0.0 < self.amount <= 179.0:
             raise ValueError(f"a wedge must be wider than 0° and at most 179° wide, got {self.amount:g}")
         if self.kind in ("replaced", "window", "dropped") and not whole:
-            raise ValueError(f"{self.kind} beams must be a whole number from 1 on, got {self.amount:g}")
+            raise ValueError(f"{self.kind} beams must be a whole number from 1 to {MOST_BEAMS}, got {self.amount:.10g}")
 
     @classmethod
     def parse(cls, words: str) -> Threat:
@@ -202,9 +205,8 @@ class Given:
             return self.ground.at(grid.centers)
         if self.tilt > LEVEL_TILT:
             return np.zeros(grid.shape, np.float32)
-        normal, range_m = self.rotation[:, 2], np.maximum(polar_of_cells(grid)[0], np.float32(PLANE_M))
-        x, y = np.moveaxis(grid.centers, -1, 0)
-        height: F32 = (-(normal[0] * x + normal[1] * y) / normal[2] * (PLANE_M / range_m)).astype(np.float32)
+        (x, y), normal = _on_plane(grid), self.rotation[:, 2]
+        height: F32 = (x * (-normal[0] / normal[2]) + y * (-normal[1] / normal[2])).astype(np.float32)
         return height
 
     def sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
@@ -216,8 +218,7 @@ class Given:
         )
 
     def _sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
-        height, range_m = self.heights(grid), polar_of_cells(grid)[0]
-        spread = np.float32(self.grade) * np.maximum(range_m - np.float32(LEVEL_M), np.float32(0.0))
+        height, spread = self.heights(grid), _spread(grid, self.grade)
         start_m = self.height_m + self.rotation[2, 2] * self.model.origin_m
         return _core.SentBeams(
             _columns(grid, target.width_m, self.model), height - spread + np.float32(FOOT_M),
@@ -246,6 +247,20 @@ def _sent(
     """Return the beams that are sent over the plane on which a sensor stands; ``rotation`` are its float64 bytes."""
     given = Given(model, np.frombuffer(rotation, np.float64).reshape(3, 3), height_m, None, grade)
     return given._sent(grid, target)
+
+
+@lru_cache(maxsize=4)
+def _on_plane(grid: BevGrid) -> tuple[F64, F64]:
+    """Return x and y (cells, cells) of the place on the plane whose height a cell has: itself, or PLANE_M away."""
+    share = PLANE_M / np.maximum(polar_of_cells(grid)[0], np.float32(PLANE_M))
+    return grid.centers[..., 0] * share, grid.centers[..., 1] * share
+
+
+@lru_cache(maxsize=4)
+def _spread(grid: BevGrid, grade: float) -> F32:
+    """Return how far (cells, cells) the ground may leave the height that is given."""
+    beyond_m: F32 = np.maximum(polar_of_cells(grid)[0] - np.float32(LEVEL_M), np.float32(0.0))
+    return np.float32(grade) * beyond_m
 
 
 @lru_cache(maxsize=4)

@@ -8,7 +8,7 @@ the speed follows from what that leaves FREE.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from queue import SimpleQueue
@@ -190,7 +190,7 @@ def drive_through(
         on_step: is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
             believes.
     """
-    place = Junction(number, WEATHER if case == "weather" else Conditions())
+    place = _junction(number, case)
     answers: SimpleQueue[Answer] = SimpleQueue()
     pipeline = Pipeline(
         load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]), answers.put, monitor=_monitor_named(monitor),
@@ -205,11 +205,7 @@ def drive_through(
             in_lane_s = (place.lane_m - place.start_m[1]) / place.walk_mps
             walks = walks or to_go_m < PAST_MPS * (in_lane_s + place.early_s)
             # 2. The car looks, and an attacker changes what it sees.
-            sweep = place.sweep(step, x_m, speed_mps, walker_m, walks=walks)
-            if case in ATTACKS and ATTACKED_S[0] <= step * STEP_S < ATTACKED_S[1]:
-                azimuth = float(np.arctan2(walker_m - place.lane_m, place.start_m[0] - x_m))
-                sweep = ATTACKS[case](azimuth).apply(sweep, np.random.Generator(np.random.PCG64([number, step]))).sweep
-            pipeline.put(sweep)
+            pipeline.put(_sweep(number, case, step, x_m, speed_mps, walker_m, walks))
             answer = answers.get()
             wanted_mps = 0.0 if answer.estimate is None else speed_in_view(answer.estimate)
             if answer.estimate is not None:
@@ -232,6 +228,42 @@ def drive_through(
             if x_m > place.start_m[0] + 5.0:
                 return Drive(False, (step + 1) * STEP_S, needless_s, alarm_s)
     return Drive(False, LAST_S, needless_s, alarm_s)
+
+
+def drives_left(number: int, case: str, done: Mapping[str, Drive]) -> Iterator[tuple[str, Drive]]:
+    """Return how each monitor drives through a junction of which it is not known.
+
+    Below WIDEN caution takes nothing back: a drive of ours without an alarm is, step by step, that of no monitor and
+    that of ours + certificate, which are not driven again then.
+
+    Args:
+        number: of the junction.
+        case: of ``CASES``.
+        done: the drives that are known, by monitor.
+    """
+    if len(done) == len(MONITORS):
+        return
+    ours = done["ours"] if "ours" in done else drive_through(number, case, "ours")
+    for monitor in MONITORS:
+        is_same = monitor == "ours" or (ours.alarm_s == 0.0 and monitor in ("no monitor", "ours + certificate"))
+        if monitor not in done:
+            yield monitor, ours if is_same else drive_through(number, case, monitor)
+
+
+@lru_cache(maxsize=1)
+def _junction(number: int, case: str) -> Junction:
+    return Junction(number, WEATHER if case == "weather" else Conditions())
+
+
+@lru_cache(maxsize=round(LAST_S / STEP_S))
+def _sweep(number: int, case: str, step: int, x_m: float, speed_mps: float, walker_m: float, walks: bool) -> Sweep:
+    """Return what the car measures in a step, attacked or not; kept for the other monitors, which begin alike."""
+    place = _junction(number, case)
+    sweep = place.sweep(step, x_m, speed_mps, walker_m, walks=walks)
+    if case not in ATTACKS or not ATTACKED_S[0] <= step * STEP_S < ATTACKED_S[1]:
+        return sweep
+    azimuth = float(np.arctan2(walker_m - place.lane_m, place.start_m[0] - x_m))
+    return ATTACKS[case](azimuth).apply(sweep, np.random.Generator(np.random.PCG64([number, step]))).sweep
 
 
 def certified_speeds(number: int, words: tuple[str, ...] = SPEED_THREATS, x_m: float = -20.0) -> dict[str, float]:

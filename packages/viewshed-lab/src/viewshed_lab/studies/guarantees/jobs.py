@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from itertools import product
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from viewshed.guarantees.conformal import (
 )
 from viewshed_lab.data.wild import wild_scenes
 from viewshed_lab.studies.guarantees import attacks
-from viewshed_lab.studies.guarantees.driving import CASES, MONITORS, certified_speeds, drive_through, filled_share
+from viewshed_lab.studies.guarantees.driving import CASES, Drive, certified_speeds, drives_left, filled_share
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
     adapted_of,
@@ -99,12 +98,10 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "attacks", number, attack_scene(number, sizes))
     for number in _left(folder, "speeds", sizes.drives, on_line):
         _add(folder, "speeds", number, {**certified_speeds(number), "filled": filled_share(number)})
-    done = {(line["number"], line["case"], line["monitor"]) for line in lines_of(folder, "driving")}
     for number in range(sizes.drives):
-        for case, monitor in product(CASES, MONITORS):
-            if (number, case, monitor) not in done:
-                drive = asdict(drive_through(number, case, monitor))
-                _add(folder, "driving", number, {"case": case, "monitor": monitor, **drive})
+        for case in CASES:
+            for monitor, drive in drives_left(number, case, drives_of(folder, number, case)):
+                _add(folder, "driving", number, {"case": case, "monitor": monitor, **asdict(drive)})
         on_line(f"driving: {number + 1} of {sizes.drives} each")
 
 
@@ -127,6 +124,12 @@ def lines_of(folder: Path, part: str) -> list[Line]:
         return []
     lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     return sorted(lines, key=lambda line: int(line["number"]))
+
+
+def drives_of(folder: Path, number: int, case: str) -> dict[str, Drive]:
+    """Return the drives through a junction that are done, by monitor."""
+    lines = [line for line in lines_of(folder, "driving") if (line["number"], line["case"]) == (number, case)]
+    return {line["monitor"]: Drive(**{one.name: line[one.name] for one in fields(Drive)}) for line in lines}
 
 
 def calibration_of(folder: Path, target: str) -> Calibration:

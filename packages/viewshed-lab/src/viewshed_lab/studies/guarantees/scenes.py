@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,14 @@ from viewshed.estimators import DEFAULT_ESTIMATOR, Estimator, load_estimator
 from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
-from viewshed.geometry import rotation_from_quaternion
-from viewshed.grid import GRIDS, BevGrid
+from viewshed.geometry import Rigid, rotation_from_quaternion
+from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.guarantees.certificate import ADDED, certify, without
 from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.recordings.read import open_source
+from viewshed.recordings.read.source import ObjectBox
 from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
@@ -209,14 +210,16 @@ def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> li
 
 
 def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
-    """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on ground that lies elsewhere.
+    """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on surveyed ground, and badly.
+
+    Of a mask, cells on surveyed ground; of these, those whose ground lies elsewhere; and those behind a drawn box.
 
     Args:
         log: folder of the log, with its map.
         masks: calibrations by name, and the confidence that is asked of them.
     """
     survey, found = SurveyedGround.read(log), []
-    for sweep, _ in annotated(open_source(log, "argoverse2"), None):
+    for sweep, boxes in annotated(open_source(log, "argoverse2"), None):
         leveled = level(sweep, GRID)
         if leveled.world_from_level is None:
             raise ValueError(f"{log}: every sweep must have a pose, got one without")
@@ -227,8 +230,40 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
             name: one.mask(estimate, leveled.ground, confidence=confidence) for name, (one, confidence) in masks.items()
         }
         surveyed, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
-        found.append({name: [int((m & surveyed).sum()), int((m & off).sum())] for name, m in claims.items()})
+        behind = behind_boxes(leveled, boxes, ground_m, TARGETS["car"])
+        found.append({
+            name: [int((mask & of).sum()) for of in (surveyed, off, surveyed & behind)] for name, mask in claims.items()
+        })  # fmt: skip
     return found
+
+
+def behind_boxes(leveled: LeveledSweep, boxes: Sequence[ObjectBox], ground_m: F32, target: Target) -> Mask:
+    """Return the cells (cells, cells) in which a target stands wholly behind one box that people drew.
+
+    The lines from the sensor to the middle and both ends of the target's top all pass through the box, which stands on
+    the ground, and leave it before they end. Through windows and over a bonnet a sensor may see more.
+
+    Args:
+        leveled: the sweep, with a pose.
+        boxes: in the world.
+        ground_m: (cells, cells) height of the ground below the target.
+        target: as wide and as high as this.
+    """
+    azimuth = polar_of_cells(GRID)[1]
+    aside = np.stack([-np.sin(azimuth), np.cos(azimuth)], axis=-1) * (target.width_m / 2)
+    top_m = ground_m[..., None].astype(np.float64) + target.height_m
+    tops = np.stack([np.concatenate([GRID.centers + side * aside, top_m], axis=-1) for side in (-1, 0, 1)])
+    level_from_world = leveled.level_from_sensor @ (leveled.sweep.world_from_sensor or Rigid.identity()).inverse()
+    behind: Mask = np.zeros(GRID.shape, np.bool_)
+    for box in boxes:
+        box_from_level = (level_from_world @ box.world_from_box).inverse()
+        sensor, half = box_from_level @ leveled.level_from_sensor.translation, np.array(box.size_m) / 2
+        way, low = box_from_level @ tops - sensor, np.array([-half[0], -half[1], -np.inf])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            one, other = (low - sensor) / way, (half - sensor) / way
+        enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+        behind |= ((enters > 0.0) & (enters < leaves) & (leaves < 1.0)).all(axis=0)
+    return behind
 
 
 def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
