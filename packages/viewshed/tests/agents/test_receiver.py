@@ -488,6 +488,24 @@ def test_the_greatest_epoch_shuts_an_agent_out_for_half_a_second_at_most() -> No
     assert give(here, signed(6, epoch=ahead_ns // MS + 1), 6).reason is None
 
 
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview, lambda data: memoryview(bytes(2 * len(data)))[::2]])
+def test_any_bytes_are_taken(kind: Callable[[bytes], Any]) -> None:
+    here, data = receiver(), kind(signed(1))
+    if isinstance(data, memoryview) and not data.contiguous:
+        spread = bytearray(2 * len(data))
+        spread[::2] = signed(1)
+        data = memoryview(spread)[::2]
+    assert give(here, data).reason is None
+    assert give(here, data).reason is Reason.DOUBLED
+    assert give(here, kind(bytes(MAX_BYTES + 1))).reason is Reason.TOO_LARGE
+
+
+def test_an_older_version_is_refused_with_both_versions() -> None:
+    receipt = give(receiver(), edited(_0=1))
+    assert receipt.reason is Reason.OTHER_VERSION
+    assert receipt.detail == "the version of a payload must be 3, got 1; bring agent and receiver to one release"
+
+
 def test_what_an_honest_key_signs_is_checked_all_the_same() -> None:
     """A compromised agent has a good key: its content is bounded, and its number counts as used."""
     here = receiver()

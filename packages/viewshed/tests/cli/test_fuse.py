@@ -12,6 +12,8 @@ from PIL import Image
 from tests.cli.commands import run
 
 from viewshed import read_sweep, write_sweep
+from viewshed.agents.registration import UNSTATED
+from viewshed.cli.fuse import stated_pose_std
 from viewshed.io.samples import junction_path
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
@@ -53,6 +55,16 @@ def test_poses_are_as_certain_as_is_said_or_refused(drive: Path, tmp_path: Path)
         code, _, err = run(*words, "--pose-std", wrong)
         assert code == 2
         assert f"--pose-std must be METERS,DEGREES, both 0 or more, got '{wrong}'; as 0.2,0.5" in err
+
+
+def test_a_pose_is_as_certain_as_its_sweep_states_and_its_turn_as_usual_where_only_a_place_is_stated() -> None:
+    sweep = read_sweep(junction_path())
+    assert stated_pose_std(sweep) == UNSTATED
+    place = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.0])
+    stated = stated_pose_std(sweep.replace(pose_covariance=place))
+    assert (stated.place_m, stated.yaw) == (pytest.approx(0.3), UNSTATED.yaw)
+    both = stated_pose_std(sweep.replace(pose_covariance=place + np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0025])))
+    assert both.yaw == pytest.approx(0.05)
 
 
 def test_a_replay_puts_agents_together_and_names_who_was_forged(drive: Path, tmp_path: Path) -> None:

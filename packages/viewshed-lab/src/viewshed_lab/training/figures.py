@@ -48,6 +48,25 @@ def fold_figure(name: str, values: Mapping[str, Sequence[float]], chosen: str) -
     return _png(figure)
 
 
+def convergence_figure(curves: Mapping[str, Sequence[Sequence[float]]]) -> bytes:
+    """Return a PNG of one panel for each setting: the validation loss of each of its folds, epoch by epoch."""
+    across = min(len(curves), 3)
+    down = -(-len(curves) // across)
+    figure = Figure(figsize=(3.0 * across, 2.2 * down), dpi=100, layout="constrained")
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis, (setting, folds) in zip(panels, curves.items(), strict=False):
+        for losses in folds:
+            axis.plot(range(1, len(losses) + 1), losses, color=_VALIDATION, linewidth=1.0, marker="o", markersize=2.0)
+        axis.set_title(f"{setting}: {len(folds)} folds", fontsize=7)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+        _grid(axis)
+    for axis in panels[len(curves) :]:
+        axis.set_visible(False)
+    figure.supxlabel("epoch", fontsize=8)
+    figure.supylabel("validation loss", fontsize=8)
+    return _png(figure)
+
+
 def _lines(axis: Axes, history: Sequence[Epoch], columns: Mapping[str, str], best: Epoch) -> None:
     numbers = [epoch.number for epoch in history]
     for column, color in columns.items():

@@ -2,23 +2,29 @@
 
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.studies.by_hand import stored
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
-from viewshed_lab.studies.paper.data import held_out, open_archive
-from viewshed_lab.studies.paper.jobs import Scope, missing_models, run_study
+from viewshed_lab.studies.cases import TOUCHING
+from viewshed_lab.studies.paper.data import evaluation_of, held_out, open_archive
+from viewshed_lab.studies.paper.jobs import Scope, do_job, missing_models, run_study, tampered_of
 from viewshed_lab.studies.paper.models import NetworkAlone, config_of, fold_scores
 from viewshed_lab.studies.paper.page import files_of
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.paper.published import PaperResults
-from viewshed_lab.studies.runner import ignore_progress
+from viewshed_lab.studies.runner import Job, ignore_progress
 from viewshed_lab.studies.store import JOBS, ResultStore
 
 pytestmark = pytest.mark.slow
@@ -53,6 +59,35 @@ def test_every_job_is_there_and_none_is_done_twice(study: tuple[ResultStore[Pape
     assert {path: path.stat().st_mtime_ns for path in (store.folder / JOBS).iterdir()} == before
 
 
+_KILLED = """
+import sys
+from pathlib import Path
+from tests.studies.paper.test_study import PLAN, SOME
+from viewshed_lab.studies.paper.jobs import run_study
+from viewshed_lab.studies.runner import ignore_progress
+from viewshed_lab.studies.store import ResultStore
+list(run_study(ResultStore.open(Path(sys.argv[1]), PLAN), SOME, ignore_progress))
+"""
+
+SOME = Scope(steps=("data", "crossval", "models", "pairs"), protocols=("paper",), workers=1)
+
+
+def test_a_killed_run_goes_on_and_ends_the_same(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
+    store, _ = study
+    run = subprocess.Popen([sys.executable, "-c", _KILLED, tmp_path], cwd=Path(__file__).parents[3])
+    while run.poll() is None and not list(tmp_path.glob("crossval/*/fold-1/last.ckpt")):
+        time.sleep(0.02)
+    run.kill()
+    assert run.wait() == -signal.SIGKILL
+    again = ResultStore.open(tmp_path, PLAN)
+    done = again.keys()
+    left = [key for step in SOME.steps for key in PLAN.job_keys_of(step, SOME.protocols) if key not in done]
+    assert left
+    assert list(run_study(again, SOME, ignore_progress)) == []
+    pairs = PLAN.job_keys_of("pairs", SOME.protocols)
+    assert {key: stored(again)[key] for key in pairs} == {key: stored(store)[key] for key in pairs}
+
+
 def test_models_are_trained_with_what_cross_validation_chose(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
     store, _ = study
     scores = fold_scores(PLAN, store.folder)
@@ -67,6 +102,16 @@ def test_models_are_trained_with_what_cross_validation_chose(study: tuple[Result
     assert missing_models(PLAN, PLAN.models()[0].key, set()) == "not all folds are done"
 
 
+def test_scores_of_a_job_are_the_same_when_it_is_done_again(
+    study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path
+) -> None:
+    store, _ = study
+    key = ("pairs", "strict", "mcd-adversarial-ugv", "ugv", "0")
+    again = ResultStore.open(tmp_path, PLAN)
+    again.append(key, do_job(Job(PLAN, store.folder, key)))
+    assert stored(again)[key] == stored(store)[key]
+
+
 def test_pages_hold_targets_facts_and_figures(study: tuple[ResultStore[PaperPlan], Steps]) -> None:
     store, _ = study
     results = PaperResults.read(store)
@@ -77,7 +122,9 @@ def test_pages_hold_targets_facts_and_figures(study: tuple[ResultStore[PaperPlan
         assert all(content.startswith(b"\x89PNG") for name, content in files.items() if name.endswith(".png"))
         assert "Not finished" not in page
         assert f"seeds: {PLAN.seed} trained, {PLAN.test_seed} tested" in page
-    assert {"paper_violins.png", "paper_trade.png", "paper_mcd.png"} <= set(files_of(results, "paper"))
+    assert {
+        "paper_trade.png", "paper_spread.png", "paper_folds.png", "paper_crossval.png", "paper_resolutions.png"
+    } <= set(files_of(results, "paper"))  # fmt: skip
 
 
 def test_pages_say_what_is_missing(study: tuple[ResultStore[PaperPlan], Steps], tmp_path: Path) -> None:
@@ -115,6 +162,20 @@ def test_held_out_sweeps_are_of_other_scenes_and_have_a_past(study: tuple[Result
     assert [now - then for then in before if then is not None] == [2_000_000_000, 500_000_000]
     trained = {train[k].sweep.points.tobytes() for k in range(8)}
     assert not trained & {test[k].sweep.points.tobytes() for k in range(45)}
+
+
+def test_attacks_of_the_strict_pairs_take_turns_and_the_truth_is_the_clean_one(
+    study: tuple[ResultStore[PaperPlan], Steps],
+) -> None:
+    store, _ = study
+    setting = setting_of(PLAN, "strict", "ugv")
+    assert [setting.attack(number).name for number in range(3)] == list(TOUCHING[:3])
+    for number in range(3):
+        evaluation = evaluation_of(PLAN, store.folder, setting, setting.suite({}), number)
+        tampered = tampered_of(evaluation, setting.attack(number), PLAN.test_seed)
+        sample = held_out(PLAN, store.folder, "ugv", number)
+        assert np.array_equal(evaluation.reference.visible, sample.truth.visible())
+        assert tampered.added.any() or tampered.removed.any()
 
 
 class _Echo:

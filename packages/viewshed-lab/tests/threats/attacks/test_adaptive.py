@@ -12,8 +12,9 @@ from viewshed import BevGrid, FovEstimate, Sweep
 from viewshed.arrays import F64
 from viewshed.estimators import ESTIMATORS
 from viewshed_lab.threats.attacks import Spoofer, Wedge
+from viewshed_lab.threats.attacks._gradient import Expectation, WhiteBox
 from viewshed_lab.threats.attacks._search import evolution
-from viewshed_lab.threats.attacks.adaptive import BlackBox, Evade, OverClaim, UnderClaim
+from viewshed_lab.threats.attacks.adaptive import BlackBox, Evade, OverClaim, SearchResult, UnderClaim
 from viewshed_lab.threats.attacks.ghosts import FarWall
 
 pytestmark = pytest.mark.slow
@@ -121,3 +122,82 @@ def test_evading_keeps_the_monitor_quiet(flat_scene: Any) -> None:
     )
     assert 0.0 < score(evade.tampered.sweep) <= 9.0
     assert evade.value > 0.0
+
+
+@dataclass(frozen=True)
+class Wells:
+    """-Σ wᵢ (rᵢ - tᵢ)² over the returns: the best range of each is known."""
+
+    weight: np.ndarray
+    target_m: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> tuple[float, np.ndarray]:
+        range_m = np.linalg.norm(points, axis=1)
+        off_m = range_m - self.target_m
+        return -float((self.weight * off_m**2).sum()), (-2 * self.weight * off_m / range_m)[:, None] * points
+
+
+def _wells(sweep: Sweep) -> Wells:
+    rng = np.random.default_rng(6)
+    range_m = np.linalg.norm(sweep.points, axis=1)
+    return Wells(rng.uniform(0.1, 3.0, len(sweep)), np.clip(range_m + rng.uniform(-12, 25, len(sweep)), 3.0, 75.0))
+
+
+def test_the_gradient_finds_the_best_beams_and_their_best_ranges(flat_scene: Any) -> None:
+    sweep = flat_scene(14.0)
+    wells, range_m = _wells(sweep), np.linalg.norm(sweep.points, axis=1)
+    attack = WhiteBox(wells, 40, 160, azimuth=0.1, spoofer=EXACT)
+    found = attack.search(sweep, generator(1))
+    inside = Wedge(0.1, np.deg2rad(29.999)).holds(np.arctan2(sweep.points[:, 1], sweep.points[:, 0]))
+    gain = np.where(inside, wells.weight * (range_m - wells.target_m) ** 2, 0.0)
+    best = np.argsort(-gain)[:40]
+    assert set(np.flatnonzero(found.tampered.removed)) == set(best)
+    assert found.value - found.history[0] == pytest.approx(gain[best].sum(), rel=1e-3)
+    new_m = np.linalg.norm(found.tampered.sweep.points[found.tampered.added], axis=1)
+    assert np.abs(np.sort(new_m) - np.sort(wells.target_m[best])).max() < 0.1
+    assert len(found.history) == 162 == found.queries
+
+
+def test_ranges_stay_where_the_sensor_reports_them(flat_scene: Any) -> None:
+    sweep = flat_scene(14.0)
+    wells = Wells(np.ones(len(sweep)), np.full(len(sweep), 500.0))
+    found = WhiteBox(wells, None, 400, azimuth=0.1, sector_deg=6.0, spoofer=EXACT).search(sweep, generator(1))
+    new_m = np.linalg.norm(found.tampered.sweep.points[found.tampered.added], axis=1)
+    assert len(new_m) > 100
+    assert np.abs(new_m - 79.5).max() < 0.1
+
+
+def test_expectation_over_noise_is_unbiased_and_costs_its_samples(flat_scene: Any) -> None:
+    sweep = flat_scene(14.0)
+    wells = _wells(sweep)
+    noisy = WhiteBox(wells, 40, 80, azimuth=0.1, expectation=Expectation(6, 0.3, 0.1, 0.02, 0.1), spoofer=EXACT)
+    found = noisy.search(sweep, generator(1))
+    plain = WhiteBox(wells, 40, 80, azimuth=0.1, spoofer=EXACT).search(sweep, generator(1))
+    assert found.queries == 6 * plain.queries == 6 * 82
+    value = wells(sweep.points.astype(np.float64))[0]
+    assert found.value > value
+    gained = [wells(_met(sweep, one))[0] - value for one in (plain, found)]
+    assert 0.8 * gained[0] < gained[1] < gained[0]
+
+
+def _met(sweep: Sweep, found: SearchResult) -> np.ndarray:
+    """Return the points after an attack in the rows that they had: each return replaced keeps its place."""
+    assert found.tampered.added.sum() == found.tampered.removed.sum()
+    return found.tampered.sweep.points.astype(np.float64)
+
+
+def test_white_boxes_keep_the_rules(simulated: list[Scene]) -> None:
+    for number, scene in enumerate(simulated):
+        target_m = np.random.default_rng(number).uniform(0.0, 150.0, len(scene.sweep))
+        attack = WhiteBox(Wells(np.ones(len(scene.sweep)), target_m), (5, 150, None)[number % 3], 20, azimuth=number)
+        found = attack.search(scene.sweep, generator(number))
+        assert broken_on_beams(scene, found.tampered, attack.budget) == [], scene.name
+        assert same(found.tampered, attack.apply(scene.again(), generator(number)))
+        assert found.value >= found.history[0]
+
+
+def test_a_slope_that_leads_down_is_not_followed(flat_scene: Any) -> None:
+    sweep = flat_scene(14.0)
+    range_m = np.linalg.norm(sweep.points, axis=1)
+    found = WhiteBox(Wells(np.ones(len(sweep)), range_m), 40, 20, azimuth=0.1).search(sweep, generator(1))
+    assert found.tampered.sweep.points.tobytes() == sweep.points.tobytes()

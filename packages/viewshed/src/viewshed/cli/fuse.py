@@ -39,7 +39,8 @@ def fuse(
         float, typer.Option(min=0.0, max=1.0, help="Most seconds between sweeps that count as of the same time.")
     ] = 0.1,
     pose_std: Annotated[
-        str | None, typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5. Unknown if not given.")
+        str | None,
+        typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5. Else as stated."),
     ] = None,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png,html.")] = "jsonl,png,html",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
@@ -138,16 +139,26 @@ def parse_pose_std(words: str | None) -> PoseStd | None:
 
 
 def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: PoseStd | None = None) -> AgentReport:
-    """Return what the agent of a sweep reports."""
+    """Return what the agent of a sweep reports; its pose is as certain as the sweep states if no deviation is given."""
     from dataclasses import replace
 
-    from viewshed.agents.registration import UNSTATED
     from viewshed.agents.report import AgentReport
     from viewshed.preprocess.leveling import leveled_on
 
     leveled = leveled_on(sweep, estimator.grid)
     estimate = replace(estimator.estimate(leveled), agent=sweep.agent)
-    return AgentReport.of(estimate, detector.detect(leveled), pose_std or UNSTATED, leveled.ground)
+    return AgentReport.of(estimate, detector.detect(leveled), pose_std or stated_pose_std(sweep), leveled.ground)
+
+
+def stated_pose_std(sweep: Sweep) -> PoseStd:
+    """Return the standard deviations that a sweep states of its pose; the usual ones of what it leaves out."""
+    from viewshed.agents.registration import UNSTATED, PoseStd
+
+    if sweep.pose_covariance is None:
+        return UNSTATED
+    stated = PoseStd.of(sweep.pose_covariance)
+    # A table of places leaves out the turn, with a variance of 0.
+    return PoseStd(stated.place_m, stated.yaw or UNSTATED.yaw)
 
 
 def line_of(done: Round) -> str:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.monitor.evidence.drives import YARD, look, measure
 
+from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed.sweep import Sweep
 
 
@@ -41,3 +42,11 @@ def test_heights_and_shares_of_the_whole_sweep() -> None:
     assert measure("sensor_height", sweep)[0] == pytest.approx(1.8, abs=0.02)
     near = np.concatenate([sweep.points, np.full((len(sweep), 3), 0.5, np.float32)])
     assert measure("near_returns", Sweep(near))[0] == pytest.approx(0.5 + 0.5 * measure("near_returns", sweep)[0])
+
+
+def test_a_reason_says_unlike_before_where_less_is_as_suspicious_as_more() -> None:
+    nothing = {name: kind.reason(np.zeros(SECTORS, np.float32)) for name, kind in EVIDENCE.items()}
+    assert {name for name, reason in nothing.items() if reason.endswith("unlike before")} == {
+        name for name, kind in EVIDENCE.items() if kind.two_sided
+    }
+    assert nothing["isolated"] == "0.0% of the returns are isolated, unlike before"

@@ -126,7 +126,7 @@ def _rate_rows(calibration: Calibration, groups: Mapping[str, Sequence[Judged]])
 _RATE_HEADER = [
     "",
     "minutes",
-    *(word for asked in ASKED for word in (f"alarms, {asked:g} asked", f"an hour, {asked:g} asked")),
+    *(word for asked in ASKED for word in (f"alarms at a limit of {asked:g} an hour", f"an hour, limit of {asked:g}")),
 ]
 
 
@@ -174,8 +174,8 @@ def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
             means.append([area, *caught])
     mean = np.mean(means, axis=0)
     rows.append(["mean of the attacks", "", f"{mean[0]:.3f}", *(f"{one:.2f}" for one in mean[1:]), ""])
-    header = ["attack", "cases", "onset AUROC", *(f"caught in .5 s, {r:g} asked" for r in ASKED), "median surprise"]
-    return table(header, rows)
+    limits = (f"caught in .5 s at {r:g} alarms an hour" for r in ASKED)
+    return table(["attack", "cases", "onset AUROC", *limits, "median surprise"], rows)
 
 
 def _reliability(calibration: Calibration, judged: Sequence[Judged]) -> str:
@@ -260,7 +260,7 @@ def _strips(called: Sequence[Called]) -> list[str]:
 
 def trace_page(called: Sequence[Called], limit: float, per_hour: float) -> str:
     """Return the page of the traces alone, with a strip of p-values over time."""
-    about = facts(limit=f"score {limit:.2f}, {per_hour:g} false alarms an hour asked")
+    about = facts(limit=f"score {limit:.2f}, for {per_hour:g} false alarms an hour")
     intro = (
         "Real sweeps of one car (Allenpandas/LiDAR-Spoofing-Forensics-Datasets, Apache-2.0), without poses or rings."
         " The authors publish no key; this one is inferred from the data, where these sweeps stand out by gaps of 10 to"

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from viewshed.grid import BevGrid
 from viewshed_lab._page import facts
 from viewshed_lab.studies.cases import TOUCHING, strength_cases
 from viewshed_lab.studies.evaluate import Evaluation
@@ -24,15 +25,24 @@ from viewshed_lab.studies.figures import (
 from viewshed_lab.studies.formatting import commits
 from viewshed_lab.studies.pages import Picture, fill_template
 from viewshed_lab.studies.paper import tables
-from viewshed_lab.studies.paper.data import evaluation_of
+from viewshed_lab.studies.paper.data import archive_path, evaluation_of
 from viewshed_lab.studies.paper.jobs import ATTACKED, tampered_of
-from viewshed_lab.studies.paper.models import network_of
+from viewshed_lab.studies.paper.models import (
+    WEIGHTS,
+    NetworkAlone,
+    chosen_of,
+    fold_scores,
+    load_runner,
+    network_of,
+    trade_name,
+)
 from viewshed_lab.studies.paper.plan import MIXTURES, STEPS, Model
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.paper.published import OTHERS, SUB_TABLES, PaperResults
 from viewshed_lab.studies.records import BENIGN, PAPER, STRICT, VIEW, WEDGE, Case, Domain
 from viewshed_lab.threats.attacks import ATTACKS, SEVERITIES
 from viewshed_lab.threats.attacks.base import Tampered
+from viewshed_lab.training.figures import convergence_figure, fold_figure
 
 TEMPLATES = {PAPER: "paper/page.md", STRICT: "paper/strict.md"}
 
@@ -46,6 +56,9 @@ SPOOFED = "100"
 """Spoofed points of the pictures of the paper's protocol."""
 
 UNIFORM = Case("paper", "uniform", SPOOFED)
+
+SPREAD = 50
+"""Sweeps that the picture of the spread lays over each other, at most."""
 
 CURVED = 9
 """Contestants that the severity curves show at most, the best on benign sweeps beside all networks."""
@@ -65,6 +78,77 @@ def violin_picture(results: PaperResults, protocol: str) -> Picture:
         f"{STEMS[protocol]}_violins.png", violin_figure(panels, 2, attacked),
         f"Precision and AUPRC of single sweeps, benign and under {attacked}, networks and classical estimators",
     )  # fmt: skip
+
+
+def spread_picture(results: PaperResults) -> Picture | None:
+    """Return where the published attack puts its points: on one sweep, and on every held-out one of a domain.
+
+    None without the sweeps.
+    """
+    plan, folder = results.plan, results.store.folder
+    domain = plan.domains[0]
+    if not archive_path(folder, domain, "test").exists():
+        return None
+    setting, rows = setting_of(plan, PAPER, domain), {}
+    numbers = range(plan.pair_frames[0])[:SPREAD]
+    for name in ("uniform", "cluster"):
+        case, every = Case("paper", name, SPOOFED), np.zeros(setting.grid.shape)
+        for number in numbers:
+            evaluation = evaluation_of(plan, folder, setting, setting.suite({}), number)
+            tampered = tampered_of(evaluation, case, plan.test_seed)
+            every += setting.grid.count(tampered.sweep.points[tampered.added])
+            if number == numbers[0]:
+                maps = [
+                    Map(title, "returns", np.minimum(setting.grid.count(points), 1))
+                    for title, points in (
+                        ("one sweep", evaluation.sample.sweep.points),
+                        ("attacked", tampered.sweep.points),
+                        ("added points", tampered.sweep.points[tampered.added]),
+                    )
+                ]
+        rows[name] = [*maps, Map(f"added to {len(numbers)} sweeps", "returns", np.minimum(every, 1))]
+    alt = f"{SPOOFED} spoofed points, uniform and as a cluster, on one sweep of {domain} and on {len(numbers)}"
+    return Picture("paper_spread.png", map_figure(rows), alt)
+
+
+def fold_pictures(results: PaperResults) -> Iterator[Picture]:
+    """Yield the validation loss of each fold over its epochs, setting by setting, and the F1 of all folds."""
+    folds = results.store.results("crossval").facts
+    if not folds:
+        return
+    curves: dict[str, list[list[float]]] = {}
+    for key, found in folds.items():
+        losses = [epoch["validation_loss"] for epoch in found["history"]]
+        curves.setdefault(f"dropout {key[1]}, learning rate {key[2]}", []).append(losses)
+    alt = "Validation loss of every fold over its epochs, by dropout and learning rate"
+    yield Picture("paper_folds.png", convergence_figure(curves), alt)
+    scores = fold_scores(results.plan, results.store.folder)
+    chosen = chosen_of(results.plan, results.store.folder)
+    values = {setting.name: [score.f1 for score in scores[setting]] for setting in sorted(scores)}
+    png = fold_figure("cross-validation", values, "" if chosen is None else chosen.name)
+    yield Picture("paper_crossval.png", png, "F1 of every fold, by setting; the chosen one in color")
+
+
+def resolution_picture(results: PaperResults) -> Picture | None:
+    """Return input, truth, probability and mask of one sweep at each resolution of the trade study; None without it."""
+    plan, folder, rows = results.plan, results.store.folder, {}
+    base = setting_of(plan, PAPER, plan.trade_domain)
+    width = min(plan.trade_widths, key=lambda one: abs(one - plan.width))
+    for cells in plan.trade_cells:
+        shape = (width, plan.trade_depths[-1], cells)
+        if ("trade", *map(str, shape)) in results.trade.facts:
+            setting = replace(base, grid=BevGrid(cells, base.grid.half_extent_m))
+            runner = load_runner(folder / "trade" / f"trade-{trade_name(shape)}" / WEIGHTS)
+            evaluation = evaluation_of(plan, folder, setting, setting.suite({}), 0)
+            estimate = NetworkAlone(runner, setting.card(runner.card), 1, 0).estimate(evaluation.sample.sweep)
+            rows[f"{cells} cells"] = [
+                Map("input", "returns", np.minimum(setting.grid.count(evaluation.sample.sweep.points), 1)),
+                Map("truth", "truth", evaluation.reference.visible),
+                Map("probability", "probability", estimate.visible_prob),
+                Map(f"mask, p ≥ {setting.threshold:g}", "truth", estimate.visible_prob >= setting.threshold),
+            ]
+    alt = f"Input, truth, probability and mask of one sweep of {plan.trade_domain} by resolution"
+    return Picture("paper_resolutions.png", map_figure(rows), alt) if rows else None
 
 
 def mcd_picture(results: PaperResults, protocol: str) -> Picture | None:
@@ -156,6 +240,7 @@ def files_of(results: PaperResults, protocol: str) -> dict[str, bytes]:
         every_table=[replace(one, title=one.title.replace("Left out by the paper: t", "T")) for one in every],
         strict_domains=[Domain(results.strict, name) for name in results.domains] if results.strict.facts else (),
         violin_picture=violin_picture, mcd_picture=mcd_picture, trade_picture=trade_picture,
+        spread_picture=spread_picture, fold_pictures=fold_pictures, resolution_picture=resolution_picture,
         severity_pictures=severity_pictures, refused=_refused,
     )  # fmt: skip
     return page.files(f"{STEMS[protocol]}.md", facts(**provenance(results, protocol)))

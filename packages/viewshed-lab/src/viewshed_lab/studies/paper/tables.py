@@ -8,6 +8,8 @@ from math import isnan
 import numpy as np
 
 from viewshed.metrics import ConfusionCounts
+from viewshed_lab.data.drive import OBJECT_KINDS
+from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.studies.cases import DEFAULT
 from viewshed_lab.studies.deviation.page import monitor_table as table_of_monitor
 from viewshed_lab.studies.deviation.page import rows_of
@@ -24,6 +26,7 @@ from viewshed_lab.studies.formatting import (
     pivot,
 )
 from viewshed_lab.studies.pages import Table
+from viewshed_lab.studies.paper.data import preset_of
 from viewshed_lab.studies.paper.jobs import TRADE
 from viewshed_lab.studies.paper.models import chosen_of, fold_scores
 from viewshed_lab.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
@@ -34,6 +37,8 @@ from viewshed_lab.studies.statistics import f1
 from viewshed_lab.threats.attacks import ATTACKS, FAMILY
 
 NETWORKS = tuple(f"{variant}-{mixture}" for variant in VARIANTS for mixture in MIXTURES)
+
+OBJECT_SCENES, LEAST_BEAMS = 10, 5
 
 StrictDomain = Domain[PaperPlan]
 """The sweeps of one domain that face every attack."""
@@ -63,6 +68,24 @@ def fold_table(results: PaperResults) -> Table | None:
         name = f"**{setting.name}**" if setting == chosen else setting.name
         rows.append([name, str(len(f1s)), *(format_rate(float(of(f1s))) for of in (np.mean, np.min, np.max))])
     return Table(["setting", "folds", "mean F1", "lowest", "highest"], rows) if rows else None
+
+
+def object_table(results: PaperResults) -> Table:
+    """Return how many vehicles and people there are: of each an agent returns some beams, and in a scene."""
+    rows = []
+    for domain in results.domains:
+        preset = preset_of(results.plan, domain, "test")
+        seen, there = list[int](), list[int]()
+        for number in range(min(preset.scenes[0], OBJECT_SCENES)):
+            plan = ScenePlan(preset, 0, number)
+            things = world_of(plan).things
+            objects = [index for index, thing in enumerate(things) if thing.kind in OBJECT_KINDS]
+            there.append(len(objects))
+            for agent in range(preset.agents):
+                met = np.bincount(np.maximum(observe_frame(plan, agent).scan.thing, -1).ravel() + 1, minlength=2)[1:]
+                seen.append(sum(int(index < len(met) and met[index] >= LEAST_BEAMS) for index in objects))
+        rows.append([domain, f"{np.mean(seen):.1f}", f"{np.mean(there):.1f}", str(len(there))])
+    return Table(["domain", f"met by {LEAST_BEAMS} beams or more, an agent", "in a scene", "scenes"], rows)
 
 
 def trade_counts(results: PaperResults) -> dict[tuple[int, int, int], ConfusionCounts]:

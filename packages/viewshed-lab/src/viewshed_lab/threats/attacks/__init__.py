@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
+from viewshed_lab.threats.attacks._gradient import Expectation, WhiteBox
 from viewshed_lab.threats.attacks.adaptive import (
     ADAPTIVE,
     BlackBox,
@@ -50,8 +51,9 @@ from viewshed_lab.threats.attacks.whole_cloud import (
 __all__ = [
     "ADAPTIVE", "ATTACKS", "BUDGETS", "CLEAN_SPOOFER", "EARLIER", "FAMILY", "FREE_FORM", "FULL_WEDGE", "INFORMED",
     "PAPER_ATTACK", "PAPER_INDOOR_ATTACK", "RELIABILITY", "ROAD_EXTENT_M", "SEVERITIES", "WHOLE_CLOUD", "Attack",
-    "AttackFactory", "BlackBox", "CopiedObject", "Evade", "Knowledge", "Objective", "OverClaim", "Placement",
-    "SearchResult", "Spoofer", "Tampered", "UnderClaim", "VanishedObject", "Wedge", "at_severity",
+    "AttackFactory", "BlackBox", "CopiedObject", "Evade", "Expectation", "Knowledge", "Objective", "OverClaim",
+    "Placement", "SearchResult", "Spoofer", "Tampered", "UnderClaim", "VanishedObject", "Wedge", "WhiteBox",
+    "at_severity",
 ]  # fmt: skip
 
 FULL_WEDGE = 1_000_000_000

@@ -1,4 +1,4 @@
-"""Attackers who adapt to what the victim runs, by asking it (family 16).
+"""Attackers who adapt to what the victim runs, by asking it (family 16) or by its gradient (family 15).
 
 What an attacker who adapts wants, as a number for each sweep that the victim might read.
 """

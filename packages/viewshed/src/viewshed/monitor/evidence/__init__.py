@@ -60,17 +60,17 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
              "the sensor jumped by {value:.1f} m against its own motion"),
     # The state of the sensor, which means nothing but against the past of the stream.
     Evidence("sensor_height", sensor.measure_sensor_height, 1.0,
-             "the sensor is {value:.2f} m above the ground, as it was not before", two_sided=True),
+             "the sensor is {value:.2f} m above the ground, unlike before", two_sided=True),
     Evidence("returns", sensor.measure_returns, 10.0,
-             "there are {value:.0f} returns, as there were not before", two_sided=True),
+             "there are {value:.0f} returns, unlike before", two_sided=True),
     Evidence("near_returns", sensor.measure_near_returns, 0.01,
-             "{value:.1%} of the returns lie within 2 m, as they did not before", two_sided=True),
+             "{value:.1%} of the returns lie within 2 m, unlike before", two_sided=True),
     Evidence("range_noise", sensor.measure_range_noise, 0.001,
-             "the noise of range is {value:.3f} m, as it was not before", two_sided=True),
+             "the noise of range is {value:.3f} m, unlike before", two_sided=True),
     Evidence("ground_roughness", sensor.measure_ground_roughness, 0.003,
-             "ground returns lie {value:.3f} m from the ground, as they did not before", two_sided=True),
+             "ground returns lie {value:.3f} m from the ground, unlike before", two_sided=True),
     Evidence("isolated", sensor.measure_isolated, 0.02,
-             "{value:.0%} of the returns have no neighbor at a similar range, as they did not before", two_sided=True),
+             "{value:.1%} of the returns are isolated, unlike before", two_sided=True),
 )}  # fmt: skip
 """By name, in the order of a score's rows."""
 
