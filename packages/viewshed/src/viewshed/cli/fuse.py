@@ -40,7 +40,7 @@ def fuse(
     ] = 0.1,
     pose_std: Annotated[
         str | None,
-        typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5. Else as stated."),
+        typer.Option(help="Standard deviation of poses: METERS,DEGREES, as 0.2,0.5; if not given, as sweeps state."),
     ] = None,
     results: Annotated[str, typer.Option(help="What is written: some of jsonl,png,html.")] = "jsonl,png,html",
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("fused"),
