@@ -25,12 +25,12 @@ help:  ## list the commands
 demo: $(VENV)/.core  ## own environment, install, then estimate what a sensor sees in an embedded sample
 	$(BIN)/viewshed demo --out $(OUT)
 
-check: $(VENV)/.test  ## for each commit: lint, types, import contracts, the tests that are not slow (3 minutes)
-	@echo "make check: about 3 minutes on two cores; the first run compiles for some more"
+check: $(VENV)/.test  ## for each commit: lint, types, import contracts, the tests that are not slow (9 minutes)
+	@echo "make check: about 9 minutes on two cores of 2.5 GHz; the first run compiles for some more"
 	@$(call timed,check,lint types imports quick)
 
-test: $(VENV)/.test  ## lint, types, import contracts, all tests and doctests (12 minutes)
-	@echo "make test: about 12 minutes on two cores; the first run compiles for some more"
+test: $(VENV)/.test  ## lint, types, import contracts, all tests and doctests (16 minutes)
+	@echo "make test: about 16 minutes on two cores of 2.5 GHz; the first run compiles for some more"
 	@$(call timed,test,lint types imports unit)
 
 lint: $(VENV)/.test
