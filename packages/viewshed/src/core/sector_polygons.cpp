@@ -33,8 +33,8 @@ struct Tree {
     }
 };
 
-// Nodes from parents to children; those of a sector that reaches no farther than its parent have no width, and their
-// children belong to the parent. Size: how many nodes with a width are at and below a node.
+// Nodes from parents to children, without those of a sector that reaches no farther than its parent: these have no width,
+// and their children belong to the parent. Size: how many nodes are at and below a node.
 struct Order {
     std::vector<std::size_t> nodes;
     std::vector<std::int64_t> width;
@@ -54,11 +54,11 @@ struct Order {
             if (width[parent] == 0) parent = std::size_t(tree.parent[node] = tree.parent[parent]);
             if (ranges[node] == ranges[parent]) width[node] = 0;
         }
+        std::erase_if(nodes, [&](std::size_t node) { return width[node] == 0; });
         for (std::size_t n = 1; n < nodes.size(); ++n) depth[nodes[n]] = depth[std::size_t(tree.parent[nodes[n]])] + 1;
         for (std::size_t n = nodes.size(); n-- > 0;) {
-            const std::size_t node = nodes[n];
-            size[node] += width[node] > 0;
-            if (n > 0) size[std::size_t(tree.parent[node])] += size[node];
+            ++size[nodes[n]];
+            if (n > 0) size[std::size_t(tree.parent[nodes[n]])] += size[nodes[n]];
         }
     }
 };
@@ -86,22 +86,23 @@ std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& t
                                 std::size_t sectors, double inner) {
     // A node has a state for each level up to its own depth.
     const std::size_t depths = *std::max_element(order.depth.begin(), order.depth.end()) + 1, spend = sectors + 1;
-    std::vector<std::size_t> begin(ranges.size() + 1, 0);
-    for (std::size_t node = 0; node < ranges.size(); ++node) {
-        begin[node + 1] = begin[node] + (order.width[node] > 0 ? order.depth[node] + 1 : 0);
+    std::vector<std::size_t> begin(ranges.size());
+    std::size_t states = 0;
+    for (const std::size_t node : order.nodes) {
+        begin[node] = states;
+        states += order.depth[node] + 1;
     }
     const auto state = [&](std::size_t node, std::size_t level) { return (begin[node] + level) * spend; };
-    std::vector<char> taken(begin.back() * spend);
-    std::vector<std::int16_t> given(begin.back() * spend, 0);
+    std::vector<char> taken(states * spend);
+    std::vector<std::int16_t> given(states * spend, 0);
     // Of the children of the open node at each depth, by level, the best of what is spent on them; and the most that
     // they can spend. Of each node the most that it and the siblings before it can spend.
-    std::vector<std::vector<std::vector<double>>> below(depths + 1);
-    for (std::size_t d = 0; d <= depths; ++d) below[d].assign(d + 2, std::vector<double>(spend, 0.0));
-    std::vector<std::size_t> held(depths + 1, 0), after(ranges.size(), 0);
+    std::vector<std::vector<std::vector<double>>> below(depths);
+    for (std::size_t d = 0; d < depths; ++d) below[d].assign(d + 2, std::vector<double>(spend, 0.0));
+    std::vector<std::size_t> held(depths, 0), after(ranges.size(), 0);
     std::vector<double> path(depths + 1), value(spend);
     for (std::size_t n = order.nodes.size(); n-- > 0;) {
         const std::size_t node = order.nodes[n], depth = order.depth[node], most = std::min(sectors, order.size[node]);
-        if (order.width[node] == 0) continue;
         auto& children = below[depth];
         for (std::int64_t above = tree.parent[node]; above >= 0; above = tree.parent[std::size_t(above)]) {
             path[order.depth[std::size_t(above)] + 1] = ranges[std::size_t(above)] * ranges[std::size_t(above)];
@@ -128,7 +129,6 @@ std::vector<std::size_t> choose(const std::vector<double>& ranges, const Tree& t
     std::vector<std::size_t> chosen, left(ranges.size(), 0), level(ranges.size(), 0);
     for (std::size_t n = 0; n < order.nodes.size(); ++n) {
         const std::size_t node = order.nodes[n];
-        if (order.width[node] == 0) continue;
         std::size_t k = std::min(sectors, order.size[node]);
         if (n > 0) {
             const auto parent = std::size_t(tree.parent[node]);
