@@ -19,8 +19,6 @@ from viewshed.agents.view_message import MAX_BYTES, require_name
 QUEUE = 256
 """Messages that wait to be taken; the oldest give way."""
 
-_NS = 1_000_000_000
-
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
