@@ -231,7 +231,7 @@ def drive_through(
 
 
 def drives_left(number: int, case: str, done: Mapping[str, Drive]) -> Iterator[tuple[str, Drive]]:
-    """Return how each monitor drives through a junction of which it is not known.
+    """Yield how each monitor drives through a junction of which that is not known.
 
     Below WIDEN caution takes nothing back: a drive of ours without an alarm is, step by step, that of no monitor and
     that of ours + certificate, which are not driven again then.

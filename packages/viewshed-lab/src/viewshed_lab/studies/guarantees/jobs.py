@@ -98,9 +98,10 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         _add(folder, "attacks", number, attack_scene(number, sizes))
     for number in _left(folder, "speeds", sizes.drives, on_line):
         _add(folder, "speeds", number, {**certified_speeds(number), "filled": filled_share(number)})
+    driven = lines_of(folder, "driving")
     for number in range(sizes.drives):
         for case in CASES:
-            for monitor, drive in drives_left(number, case, drives_of(folder, number, case)):
+            for monitor, drive in drives_left(number, case, drives_of(driven, number, case)):
                 _add(folder, "driving", number, {"case": case, "monitor": monitor, **asdict(drive)})
         on_line(f"driving: {number + 1} of {sizes.drives} each")
 
@@ -126,10 +127,14 @@ def lines_of(folder: Path, part: str) -> list[Line]:
     return sorted(lines, key=lambda line: int(line["number"]))
 
 
-def drives_of(folder: Path, number: int, case: str) -> dict[str, Drive]:
-    """Return the drives through a junction that are done, by monitor."""
-    lines = [line for line in lines_of(folder, "driving") if (line["number"], line["case"]) == (number, case)]
-    return {line["monitor"]: Drive(**{one.name: line[one.name] for one in fields(Drive)}) for line in lines}
+def drives_of(lines: list[Line], number: int, case: str) -> dict[str, Drive]:
+    """Return the drives through a junction among those that are done, by monitor."""
+    names = [one.name for one in fields(Drive)]
+    return {
+        line["monitor"]: Drive(**{name: line[name] for name in names})
+        for line in lines
+        if (line["number"], line["case"]) == (number, case)
+    }
 
 
 def calibration_of(folder: Path, target: str) -> Calibration:

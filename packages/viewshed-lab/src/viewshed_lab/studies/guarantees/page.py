@@ -55,7 +55,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 _STATES = ListedColormap(["#b9b4c7", "#dcefff", "#4f6d8f", "#6d6875"])
 """Colors of UNKNOWN, FREE, SURFACE and HIDDEN."""
 
-FOUR = ("far wall", "removal", "ghost wall", "weather")
+AIMED = ("far wall", "removal", "ghost wall", "weather")
 """The cases of the aim, which was set before any drive; those who vanish came later."""
 
 _PARTS = (
@@ -101,22 +101,22 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
     """Return the aims of the study."""
     rows: list[Aim] = []
     if of := lines["certificates"]:
-        not_told = "height and attitude, slope 0.01"
-        areas = {words: _sum(of, f"{not_told} | {words}", "certified envelope") for words in ("added", "replaced:5")}
+        not_given = "height and attitude, slope 0.01"
+        areas = {words: _sum(of, f"{not_given} | {words}", "certified envelope") for words in ("added", "replaced:5")}
         found = {words: (r / max(r + f, 1e-9), r / max(v, 1e-9)) for words, (r, f, v) in areas.items()}
         for words, least in (("added", (0.90, 0.90)), ("replaced:5", (0.95, 0.55))):
             rows.append((
-                f"certified against `{words}`, ground not told: precision / recall",
+                f"certified against `{words}`, ground not given: precision / recall",
                 f"≥ {format_rates(*least)}", format_rates(*found[words]), bool(np.all(np.array(found[words]) >= least)),
             ))  # fmt: skip
         for words, wanted in (("replaced:150", 0.75), ("wedge:10", 0.80)):
-            worst = _worst_precision(of, f"{not_told} | {words}")
+            worst = _worst_precision(of, f"{not_given} | {words}")
             rows.append((
                 f"precision under the worst attack, `{words}`", f"≥ {format_rate(wanted)}", format_rate(worst),
                 worst >= wanted,
             ))  # fmt: skip
         default = _f1(np.sum([line["default"] for line in of], axis=0))
-        lost = default - _f1(_sum(of, f"{not_told} | added", "final"))
+        lost = default - _f1(_sum(of, f"{not_given} | added", "final"))
         rows.append(("F1 that the default loses inside the envelope", "≤ .010", format_rate(lost), lost <= 0.01))
     if of := lines["adapted"]:
         false_m2 = float(np.mean([line["final"][1] for line in of]))
@@ -165,8 +165,8 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
                 "≤ .020 / ≤ .150", format_rates(over, under), over <= 0.02 and under <= 0.15,
             ))  # fmt: skip
     rows += _aims_of_driving(lines["driving"])
-    told = {True: "met", False: "missed", None: "not shown"}
-    return Table(["aim", "wanted", "measured", ""], [[*row[:3], told[row[3]]] for row in rows]) if rows else None
+    words_of = {True: "met", False: "missed", None: "not shown"}
+    return Table(["aim", "wanted", "measured", ""], [[*row[:3], words_of[row[3]]] for row in rows]) if rows else None
 
 
 def _aims_of_driving(lines: list[Line]) -> list[Aim]:
@@ -177,7 +177,7 @@ def _aims_of_driving(lines: list[Line]) -> list[Aim]:
         pairs = [
             (line["collided"], known[case, MONITORS[0], number]["collided"])
             for (case, name, number), line in known.items()
-            if name == monitor and case in FOUR and (case, MONITORS[0], number) in known
+            if name == monitor and case in AIMED and (case, MONITORS[0], number) in known
         ]
         if pairs:
             hit, alone = np.sum(pairs, axis=0)
