@@ -93,7 +93,7 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         for target, calibration in calibrations.items():
             estimate, _ = counts_of(scene, target, number)
             found[target] = guaranteed_of(
-                scene, target, estimate, calibration.mask(estimate, scene.leveled.ground, ALPHA, DELTA)
+                scene, target, estimate, calibration.guaranteed(estimate, scene.leveled.ground, ALPHA, DELTA)
             )
         _add(folder, "report", number, found)
     for number in _left(folder, "attacked", sizes.attacked, on_line):
@@ -185,9 +185,8 @@ def _share_of(scene: SceneCounts, path: Calibration, step: int) -> tuple[float, 
     """Return the false share of a step's claim and the part it keeps of what the default rightly claims."""
     if step < 0:
         return 0.0, 0.0
-    levels, bands = np.searchsorted(THRESHOLDS, path.path[step]), np.arange(len(BANDS_M) - 1)
-    std = int(np.searchsorted(GROUND_STDS_M, path.stds_m[step]))
-    right, false = (float(counts[std, bands, levels].sum()) for counts in (scene.right, scene.false))
+    at = path.stds[step], np.arange(path.levels.shape[1]), path.levels[step]
+    right, false = (float(counts[at].sum()) for counts in (scene.right, scene.false))
     return false / max(right + false, 1.0), right / max(float(scene.right[-1, :, 0].sum()), 1.0)
 
 

@@ -126,11 +126,11 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
             certificate = certify(leveled, estimate, threat, given)
             # What is certified by the envelope alone, whatever an estimator claims.
             gain_m2, _ = envelope.changeable(threat, ~envelope.reference(threat), opens=True)
-            _, spent = envelope.changeable(threat, envelope.claim(), opens=False)
+            _, spent = envelope.changeable(threat, envelope.claim, opens=False)
             found[f"{name} | {words}"] = {
-                "envelope": areas(envelope.claim(), visible, scene.known),
+                "envelope": areas(envelope.claim, visible, scene.known),
                 "reference": areas(envelope.reference(threat), visible, scene.known),
-                "certified envelope": areas(envelope.claim() & ~spent, visible, scene.known),
+                "certified envelope": areas(envelope.claim & ~spent, visible, scene.known),
                 "final": areas(certificate.claim, visible, scene.known),
                 "certified": areas(certificate.certified_visible, visible, scene.known),
                 "gain_m2": gain_m2, "over_claim_m2": certificate.over_claim_m2,
@@ -197,7 +197,9 @@ def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = Fa
 
 def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Kept:
     """Return an estimator's mask of the error that a calibration promises with a confidence."""
-    return Kept(estimator, lambda leveled, estimate: calibration.mask(estimate, leveled.ground, confidence=confidence))
+    return Kept(
+        estimator, lambda leveled, estimate: calibration.guaranteed(estimate, leveled.ground, confidence=confidence)
+    )
 
 
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
@@ -236,7 +238,8 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
         there = leveled.world_from_level @ np.dstack([GRID.centers, ground_m.astype(np.float64)])
         error_m = there[..., 2] - survey.at(there)
         claims = {"default": estimate.visible()} | {
-            name: one.mask(estimate, leveled.ground, confidence=confidence) for name, (one, confidence) in masks.items()
+            name: one.guaranteed(estimate, leveled.ground, confidence=confidence)
+            for name, (one, confidence) in masks.items()
         }
         surveyed, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
         behind = behind_boxes(leveled, boxes, ground_m, TARGETS["car"])
@@ -289,7 +292,7 @@ def attacked_of(scene: Scene, number: int, calibration: Calibration, queries: in
         rng = np.random.Generator(np.random.PCG64(number))
         leveled = level(sweep if attack is None else attack.apply(sweep, rng).sweep, GRID)
         estimate = default.estimate(leveled)
-        claims = {"default": estimate.visible(), "guaranteed": calibration.mask(estimate, leveled.ground)}
+        claims = {"default": estimate.visible(), "guaranteed": calibration.guaranteed(estimate, leveled.ground)}
         found[name] = {of: areas(claim, scene.visible["car"], scene.known) for of, claim in claims.items()}
     return found
 
@@ -341,7 +344,7 @@ def broken_of(scene: Scene) -> dict[str, Any]:
     found = {}
     for name, one in cases.items():
         certificate = certify(leveled, estimate, ADDED, one)
-        envelope = Envelope.of(leveled, one, GRID, target).claim()
+        envelope = Envelope.of(leveled, one, GRID, target).claim
         found[name] = [*areas(certificate.certified_visible, scene.visible["car"], scene.known),
                        *areas(envelope, scene.visible["car"], scene.known)[:2]]  # fmt: skip
     return found
