@@ -132,7 +132,8 @@ class Given:
         inferred: what of these came from this sweep's own returns, which an attacker may own; empty where nothing did.
 
     Raises:
-        ValueError: the sensor fires no rings, is tilted by more than 15°, or a number is out of range.
+        ValueError: the sensor does not fire every ring in every column, is tilted by more than 15°, or a number is out
+            of range.
     """
 
     model: LidarModel
@@ -143,10 +144,10 @@ class Given:
     inferred: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.model.fires_rings:
+        if not self.model.fires_rings or self.model.shots is not None:
             raise ValueError(
-                f"a certificate needs a sensor that fires rings, got {self.model.name}: where its beams go in"
-                " a sweep is not known beforehand"
+                f"a certificate needs a sensor that fires every ring in every column, got {self.model.name}: where its"
+                " beams go in a sweep is not known beforehand"
             )
         if self.tilt > MOST_TILT:
             raise ValueError(
@@ -260,15 +261,9 @@ def _sent(
 def _columns(grid: BevGrid, width_m: float, model: LidarModel) -> _core.TargetColumns:
     """Return the columns that fall on a target in each cell; they are the same for every sweep."""
     range_m, azimuth = polar_of_cells(grid)
-    fired = None
-    if model.shots is not None:
-        fired = np.zeros((model.rings, model.azimuth_columns), np.uint8)
-        step, ring = np.nonzero(model.fired)
-        turn = (model.shots[step, ring, 0] + np.pi) / (2 * np.pi) % 1.0
-        fired[ring, (turn * model.azimuth_columns).astype(np.intp) % model.azimuth_columns] = 1
     return _core.TargetColumns(
-        range_m, azimuth, fired, model.rings, model.azimuth_columns, grid.cell_m, width_m, model.max_range_m
-    )
+        range_m, azimuth, model.rings, model.azimuth_columns, grid.cell_m, width_m, model.max_range_m
+    )  # fmt: skip
 
 
 # Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.

@@ -39,6 +39,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]),
         worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
+        attacked=_attacked(lines["attacked"]),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
         speeds=_speeds(lines["speeds"]), filled=_filled(lines["speeds"]), certified=CERTIFIED,
@@ -65,6 +66,7 @@ _PARTS = (
     "calibration",
     "development",
     "report",
+    "attacked",
     "attacks",
     "survey",
     "driving",
@@ -369,6 +371,24 @@ def _masks(folder: Path, lines: list[Line]) -> Table | None:
         ])  # fmt: skip
     header = ["target", "thresholds by range band", "scenes with a false share above α", "the default alone",
               "recall of the truth", "kept of what the default rightly claims"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _attacked(lines: list[Line]) -> Table | None:
+    """Return what is false of a guaranteed mask, a car, and of the default's claim, by the attack on the sweep."""
+    if not lines:
+        return None
+    rows = []
+    for attack in (name for name in lines[0] if name != "number"):
+        row = [attack]
+        for claim in ("guaranteed", "default"):
+            right, false, _ = np.array([line[attack][claim] for line in lines]).T
+            broken = int((false / np.maximum(right + false, 1e-9) > ALPHA).sum())
+            row += [format_interval(broken / len(lines), _interval(broken, len(lines))),
+                    format_rate(float(false.sum() / (right + false).sum()))]  # fmt: skip
+        rows.append(row)
+    header = ["attack", "scenes with a false share above α", "false share of the whole claim",
+              "the default alone: scenes", "false share"]  # fmt: skip
     return Table(header, rows)
 
 
