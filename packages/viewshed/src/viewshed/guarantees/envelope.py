@@ -30,6 +30,7 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep
 from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
 
 LEVEL_TILT = np.deg2rad(6.0)
 """Up to this tilt the core takes a sweep without attitude for level (level_sweep.cpp)."""
@@ -54,7 +55,6 @@ LEVEL_M = 5.0
 
 PLANE_M = 20.0
 """Up to here the ground that carries the sensor is its plane; beyond, its height stays."""
-
 
 MOST_BEAMS = 10_000_000
 """More beams than any sensor fires in a sweep."""
@@ -233,13 +233,13 @@ class Given:
             height + spread + np.float32(target.height_m), self.slopes(), start_m.astype(np.float32),
         )  # fmt: skip
 
-    def nearest_returns(self, leveled: LeveledSweep) -> F32:
+    def nearest_returns(self, sweep: Sweep) -> F32:
         """Return the horizontal range (rings, 2 · columns) of the nearest return of each beam; +inf for none.
 
         A beam is a ring in a column of azimuth; the circle stands twice. All returns of the sweep count, as it
         was measured, but null returns.
         """
-        sweep, model = leveled.sweep, self.model
+        model = self.model
         ring = sweep.ring if sweep.model is not None else None
         return _core.nearest_returns(
             sweep.points, ring, self.rotation.astype(np.float32), np.tan(model.elevation).astype(np.float32),
@@ -294,7 +294,7 @@ class Envelope:
     @classmethod
     def of(cls, leveled: LeveledSweep, given: Given, grid: BevGrid, target: Target) -> Envelope:
         """Return the envelope of a sweep."""
-        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled))
+        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled.sweep))
 
     @classmethod
     def within(cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32) -> Envelope:
