@@ -191,12 +191,12 @@ def _costs(lines: list[Line]) -> Table | None:
     if not lines:
         return None
     costs = {name: of for name, of in lines[0].items() if name != "number"}
-    heads = [f"{sensor}, {points:,} points" for sensor, (_, _, points) in costs["added"].items()]
+    heads = [f"{sensor}, {points:,} points, ms" for sensor, (_, _, points) in costs["added"].items()]
     rows = [
         [name, *(f"{median:.2f} (fastest {fastest:.2f})" for fastest, median, _ in of.values())]
         for name, of in costs.items()
     ]
-    return Table(["milliseconds a sweep, median of 40", *heads], rows)
+    return Table(["of a sweep, median of 40", *heads], rows)
 
 
 def _aims_of_driving(lines: list[Line]) -> list[Aim]:
