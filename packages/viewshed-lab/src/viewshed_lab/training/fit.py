@@ -213,8 +213,7 @@ class Loaders(L.LightningDataModule):
         return self._loader(self.frames.validation, ValidationOrder(len(self.frames.validation), self._share()), False)
 
     def _order(self, share: Share) -> TrainingOrder:
-        source = self.frames.train.source
-        return TrainingOrder(len(source), self.take, source.block, self.config.seed, share)
+        return TrainingOrder(len(self.frames.train), self.take, self.config.seed, share)
 
     def _share(self) -> Share:
         return Share(self.trainer.global_rank, self.world) if self.trainer is not None else Share(0, self.world)
