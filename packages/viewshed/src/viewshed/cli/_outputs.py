@@ -184,26 +184,16 @@ def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
 
 @dataclass(slots=True)
 class Run:
-    """What is done with every sweep.
+    """What is done with every sweep."""
 
-    Attributes:
-        estimator: what looks at it.
-        threshold: probability from which a cell counts as visible.
-        out: folder of the results.
-        results: what is written, ``png`` or names of ``EXPORTERS``.
-        monitor: says what it finds in each sweep; None without one.
-        crs: reference system of the poses, for the formats that have one; None for none.
-        dark: whether pictures are on a dark page.
-        certify: against what the claims are certified, ``added`` or ``replaced:5``; None where they are not.
-    """
-
-    estimator: Estimator
-    threshold: float
-    out: Path
-    results: tuple[str, ...] = RESULTS
-    monitor: StreamMonitor | None = None
-    crs: str | None = None
-    dark: bool = False
+    estimator: Estimator  # what looks at it
+    threshold: float  # probability from which a cell counts as visible
+    out: Path  # folder of the results
+    results: tuple[str, ...] = RESULTS  # what is written, ``png`` or names of ``EXPORTERS``
+    monitor: StreamMonitor | None = None  # says what it finds in each sweep; None without one
+    crs: str | None = None  # reference system of the poses, for the formats that have one; None for none
+    dark: bool = False  # whether pictures are on a dark page
+    # against what the claims are certified, ``added`` or ``replaced:5``; None where they are not
     certify: Threat | None = None
     _is_warm: bool = field(default=False, init=False)
 

@@ -66,33 +66,20 @@ IDENTITY = FILE_FRAMES["sensor"]
 
 @dataclass(slots=True, eq=False)
 class Columns:
-    """Columns of one revolution (not frozen, which costs as much as opening a file).
+    """Columns of one revolution (not frozen, which costs as much as opening a file)."""
 
-    Attributes:
-        points: (N, 3) float32, meters, writable, in ``frame``.
-        intensity: (N,) float32, or None.
-        ring: (N,) beam index, 0 the lowest, or None.
-        laser: (N,) beam number in the file's own order, turned into ``ring`` by elevation, or None.
-        azimuth: (N,) float32 radians, counter-clockwise from x of ``frame``, or None.
-        time_s: (N,) float32 seconds since the start of the sweep, or None.
-        t_ns: time of the sweep in nanoseconds, or None.
-        model: beams as the file describes them, or None.
-        frame: what is still to be done: ``sensor_from_columns``.
-        saved: the other attributes of a Sweep that this package wrote, or None.
-        left_out: what was in the file and cannot be what its name says, one line each.
-    """
-
-    points: NDArray[np.float32]
-    intensity: NDArray[np.float32] | None = None
-    ring: NDArray[Any] | None = None
+    points: NDArray[np.float32]  # (N, 3) float32, meters, writable, in ``frame``
+    intensity: NDArray[np.float32] | None = None  # (N,) float32, or None
+    ring: NDArray[Any] | None = None  # (N,) beam index, 0 the lowest, or None
+    # (N,) beam number in the file's own order, turned into ``ring`` by elevation, or None
     laser: NDArray[np.int64] | None = None
-    azimuth: NDArray[np.float32] | None = None
-    time_s: NDArray[np.float32] | None = None
-    t_ns: int | None = None
-    model: LidarModel | None = None
-    frame: Rigid = IDENTITY
-    saved: Saved | None = None
-    left_out: tuple[str, ...] = ()
+    azimuth: NDArray[np.float32] | None = None  # (N,) float32 radians, counter-clockwise from x of ``frame``, or None
+    time_s: NDArray[np.float32] | None = None  # (N,) float32 seconds since the start of the sweep, or None
+    t_ns: int | None = None  # time of the sweep in nanoseconds, or None
+    model: LidarModel | None = None  # beams as the file describes them, or None
+    frame: Rigid = IDENTITY  # what is still to be done: ``sensor_from_columns``
+    saved: Saved | None = None  # the other attributes of a Sweep that this package wrote, or None
+    left_out: tuple[str, ...] = ()  # what was in the file and cannot be what its name says, one line each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,21 +97,13 @@ class Saved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Given:
-    """What the caller knows about a sweep; it goes before what the file says.
+    """What the caller knows about a sweep; it goes before what the file says."""
 
-    Attributes:
-        model: beams of the sensor, or None.
-        frame: ``sensor_from_file``, or None for the format's own.
-        sensor_height_m: mounting height, or None.
-        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, or None.
-        world_from_sensor: pose, or None.
-    """
-
-    model: LidarModel | None = None
-    frame: Rigid | None = None
-    sensor_height_m: float | None = None
-    attitude: ArrayLike | None = None
-    world_from_sensor: Rigid | None = None
+    model: LidarModel | None = None  # beams of the sensor, or None
+    frame: Rigid | None = None  # ``sensor_from_file``, or None for the format's own
+    sensor_height_m: float | None = None  # mounting height, or None
+    attitude: ArrayLike | None = None  # quaternion (w, x, y, z) of ``level_from_sensor``, or None
+    world_from_sensor: Rigid | None = None  # pose, or None
 
 
 _NOTHING_SAVED = Saved()
