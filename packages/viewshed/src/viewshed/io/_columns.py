@@ -110,11 +110,7 @@ _NOTHING_SAVED = Saved()
 
 
 def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
-    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of.
-
-    Raises:
-        ValueError: a column is not as a Sweep needs it, or no point is finite.
-    """
+    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of."""
     points, azimuth = columns.points, columns.azimuth
     saved = columns.saved or _NOTHING_SAVED
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
@@ -194,9 +190,6 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     """Return Columns from lower-case names → (N,) numbers; ``ours`` says that this package wrote the file.
 
     Other programs mean many things by ring, azimuth and time: a column that cannot be what its name says is left out.
-
-    Raises:
-        ValueError: x, y or z is missing.
     """
     missing = [name for name in "xyz" if name not in table]
     if missing:
@@ -247,9 +240,6 @@ def number_columns(
     r"""Return the columns (rows,) float64 of text with ``width`` numbers a line, for ``wanted`` names → positions.
 
     Text takes two bytes a number and numpy eight, so it is read a part at a time and only wanted columns are kept.
-
-    Raises:
-        ValueError: there are fewer rows, a row has another width, or a word is not a number.
 
     >>> number_columns(b"1 2 nan\n", 0, 1, 3, {"y": 1})["y"].tolist()
     [2.0]
