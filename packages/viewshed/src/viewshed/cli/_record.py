@@ -157,11 +157,7 @@ class Center:
         return self.add(answer.estimate, answer.objects)
 
     def add(self, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
-        """Return the last round that a report ended, if it did.
-
-        Raises:
-            ValueError: the sweep has no time or no pose.
-        """
+        """Return the last round that a report ended, if it did."""
         from viewshed.agents.registration import UNSTATED
         from viewshed.agents.report import AgentReport
         from viewshed.cli.fuse import line_of
@@ -192,11 +188,7 @@ def objects_line(objects: SeenObjects) -> str:
 
 @contextmanager
 def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
-    """Open the bag to write, if any.
-
-    Raises:
-        ValueError: it would replace an input, or its name is that of no bag.
-    """
+    """Open the bag to write, if any."""
     if to is None:
         if schemas != "ros":
             raise ValueError("--schemas goes with --to")

@@ -120,11 +120,7 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
 
 
 def parse_pose_std(words: str | None) -> PoseStd | None:
-    """Return the standard deviations in METERS,DEGREES; None where they are not given.
-
-    Raises:
-        ValueError: these are not two numbers that can be.
-    """
+    """Return the standard deviations in METERS,DEGREES; None where they are not given."""
     from math import radians
 
     from viewshed.agents.registration import PoseStd
