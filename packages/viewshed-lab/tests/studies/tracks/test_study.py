@@ -28,7 +28,7 @@ TINY = TracksPlan.load("tiny")
 
 @pytest.fixture(scope="module")
 def moments() -> list[Moment]:
-    scene = replace(TINY, seconds=1.0, fovs=FOVS).scene(("count", "simulated", "hdl32e", "clear", "0"))
+    scene = replace(TINY, seconds=1.0, fovs=FOVS).scene(("count", "hdl32e", "clear", "0"))
     return list(simulate_drive(scene))
 
 
@@ -51,13 +51,12 @@ def test_moments_hold_what_their_world_tells(moments: list[Moment]) -> None:
         numbers = moment.truth.numbers.tolist()
         rows = [numbers.index(number) for number in moment.of_object[moment.of_object >= 0]]
         found = moment.detections.boxes[moment.of_object >= 0]
-        assert (np.hypot(*(found - moment.truth.boxes[rows])[:, :2].T) < 1.0).all()
+        assert (np.hypot(*(found - moment.truth.boxes[rows])[:, :2].T) <= 2.0).all()
     last = moments[-1]
     near = np.hypot(*(last.truth.boxes[:, :2] - last.ground[:2]).T) < 40.0
     many = near & (last.truth.returns >= 30)
     assert many.any()
-    for fov in ("exact", "default"):
-        assert (last.views[fov].view.visible(last.truth.boxes[many]) > 0.9).all()
+    assert (last.views["default"].view.visible(last.truth.boxes[many]) > 0.9).all()
     assert last.views["polygon"].cells is None
     assert last.views["none"].view.visible(last.truth.boxes).min() == 1.0
 
@@ -85,7 +84,7 @@ def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     """Stopped after its first step and gone on, it ends with a page and a model for each field of view."""
     plan = replace(
         TINY, seconds=3.2, fovs=("published", "default"), attacks=("fabricate_static",), accused=0.3, count=1, limit=2,
-        detectors=("perception",), lidar_attacks=("ghost_car_clean",),
+        lidar_attacks=("ghost_car_clean",),
     )  # fmt: skip
     store, engine = ResultStore.open(tmp_path, plan), LocalEngine(1)
     waiting = list(run_study(store, engine, ("test",)))
@@ -94,10 +93,11 @@ def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     assert not list(run_study(store, engine, ("count",)))
     assert not list(run_study(store, engine))
     save_models(store)
-    assert (tmp_path / MODELS / "perception-default.json").exists()
-    assert rules_of(tmp_path, "perception", "published") in [PublishedRules(coast_s=each) for each in COASTING_S]
+    assert (tmp_path / MODELS / "default.json").exists()
+    assert rules_of(tmp_path, "published") in [PublishedRules(coast_s=each) for each in COASTING_S]
     page = files_of(store)["tracks.md"].decode()
-    assert "| of the package | fabricate_static |" in page
+    assert "\n| fabricate_static |" in page
+    assert "\n| Stone Soup, none |" in page
     assert "| ghost_car_clean | default, probability |" in page
     assert "fabricated found within 1 s" in page
 
@@ -129,9 +129,9 @@ def test_an_object_behind_another_keeps_its_track_or_is_dropped(moments: list[Mo
 @pytest.mark.parametrize("name", LIDAR_ATTACKS)
 def test_a_forged_sweep_has_a_ghost_or_lacks_an_object(name: str) -> None:
     """After two seconds; what is forged is told: detections of the ghost, objects that are gone."""
-    scene = replace(TINY, seconds=2.6).scene(("lidar", "perception", "hdl32e", "clear", "0"))
+    scene = replace(TINY, seconds=2.6).scene(("lidar", "hdl32e", "clear", "0"))
     forger = SweepForger(name, np.random.default_rng(3))
-    forged = list(simulate_drive(scene, ("default",), "perception", forger=forger))
+    forged = list(simulate_drive(scene, ("default",), forger=forger))
     assert all(moment.report is not None for moment in forged)
     assert not any(moment.ghost.any() or moment.gone for moment in forged[:20])
     if name.startswith("ghost"):
