@@ -19,9 +19,10 @@ from viewshed_lab.studies.tracks.drives import FOVS, Moment, ObjectsTruth, simul
 from viewshed_lab.studies.tracks.evaluate import compare, evaluate, is_at_object, track_drive
 from viewshed_lab.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_study, save_models
 from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
-from viewshed_lab.studies.tracks.page import files_of
+from viewshed_lab.studies.tracks.page import _ratio_of_drives, files_of
 from viewshed_lab.studies.tracks.plan import TracksPlan
 from viewshed_lab.studies.tracks.published import PublishedRules
+from viewshed_lab.studies.tracks.stone_soup import stone_soup_centers
 
 TINY = TracksPlan.load("tiny")
 
@@ -142,3 +143,28 @@ def test_a_forged_sweep_has_a_ghost_or_lacks_an_object(name: str) -> None:
         # What is gone is not detected.
         for moment in forged[20:]:
             assert not moment.gone & set(moment.of_object.tolist())
+
+
+def test_stone_soup_confirms_follows_and_drops() -> None:
+    """By hand: a car at 5 m/s that is found for 2 s and then no more, and one false detection."""
+    sweeps = []
+    for k in range(35):
+        xy = [[0.5 * k, 3.0]] if k < 20 else []
+        xy += [[-20.0, -20.0]] if k == 7 else []
+        boxes = np.zeros((len(xy), 7))
+        boxes[:, :2], boxes[:, 3:6] = np.array(xy).reshape(-1, 2), 1.0
+        sweeps.append((0.1 * k, Detections(boxes, np.full(len(xy), 3, np.uint8), np.full(len(xy), 50, np.int32))))
+    centers = stone_soup_centers(sweeps, coast_s=1.0)
+    assert [len(each) for each in centers[:2]] == [0, 0]
+    assert all(len(each) == 1 for each in centers[4:20])
+    assert centers[19][0] == pytest.approx([9.5, 3.0], abs=0.3)
+    assert centers[27][0] == pytest.approx([13.5, 3.0], abs=1.0)  # it goes on where it was last seen
+    assert not len(centers[34])
+
+
+def test_ratios_are_of_the_same_drives() -> None:
+    """By hand: ours is 20 % better on each drive, however the drives differ: no doubt is left about the ratio."""
+    theirs = np.array([1.0, 9.0, 4.0, 2.0])
+    assert _ratio_of_drives(0.8 * theirs, theirs) == pytest.approx((0.8, 0.8, 0.8))
+    ratio, low, high = _ratio_of_drives(theirs[::-1], theirs)
+    assert low < ratio == 1.0 < high
