@@ -158,6 +158,7 @@ class Center:
 
     def add(self, sweep: Sweep, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
         """Return the last round that a report ended, if it did; a pose is as certain as its sweep states."""
+        from viewshed.agents.registration import PoseStd
         from viewshed.agents.report import AgentReport
         from viewshed.cli.fuse import line_of
 
