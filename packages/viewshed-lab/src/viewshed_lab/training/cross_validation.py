@@ -8,6 +8,7 @@ through. Ours runs the seeded sampler again from the start and looks up what is 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -19,7 +20,6 @@ import numpy as np
 
 import viewshed
 from viewshed._extras import needed_for
-from viewshed._files import append_jsonl, is_begun
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.training.config import TrainConfig, current_keys, differing_keys
 from viewshed_lab.training.data import Fold, check_data, check_folds
@@ -56,9 +56,9 @@ class FoldStore:
         """Return the store in a folder, begun if there is none; what a kill left of a last line is cut off."""
         path = folder / FILE
         store = cls(path, {})
-        if not is_begun(path):
+        if not _is_begun(path):
             folder.mkdir(parents=True, exist_ok=True)
-            append_jsonl(path, about)
+            _append_line(path, about)
             return store
         try:
             head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
@@ -74,7 +74,7 @@ class FoldStore:
 
     def add(self, score: FoldScore) -> None:
         """Add a score, on the disk when this returns."""
-        append_jsonl(self.path, asdict(score))
+        _append_line(self.path, asdict(score))
         self.scores[score.setting, score.fold] = score
 
 
@@ -283,3 +283,23 @@ def toml_of(config: TrainConfig) -> str:
     """
     values = {key: json.dumps(value, ensure_ascii=False) for key, value in config.to_json().items() if key != "name"}
     return "".join(f"{key} = {value}\n" for key, value in values.items())
+
+
+def _append_line(path: Path, line: dict[str, Any]) -> None:
+    """Append a line of JSON to a file; it is on the disk when this returns."""
+    with path.open("ab") as file:
+        file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _is_begun(path: Path) -> bool:
+    """Return whether a file of JSON lines has a whole line; cut off what a crash left of a line at its end."""
+    if not path.exists():
+        return False
+    content = path.read_bytes()
+    whole = content.rfind(b"\n") + 1
+    if whole < len(content):
+        with path.open("r+b") as file:
+            file.truncate(whole)
+    return whole > 0

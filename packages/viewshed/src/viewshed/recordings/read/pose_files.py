@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.geometry import Rigid
 from viewshed.io._input import open_input
 from viewshed.recordings.read._kitti_files import rigid_named, rigid_of, world_from_imu
-from viewshed.recordings.read.tf_tree import TransformBuffer
+from viewshed.recordings.read.tf_tree import between
 from viewshed.sweep import Sweep
 
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
@@ -236,17 +236,8 @@ class PoseFile:
         if times_ns[after] - times_ns[after - 1] > _GAP_NS:
             gap_s = (times_ns[after] - times_ns[after - 1]) / 1e9
             raise ValueError(f"the sweep at {t_ns / 1e9:.3f} s lies in a gap of {gap_s:.1f} s of {self.place.name}")
-        return self._between(after, within_ns, times_ns)
-
-    def _between(self, after: int, t_ns: int, times_ns: NDArray[np.int64]) -> Rigid:
-        """Return the pose at a time between a pose and the one before it."""
-        buffer = TransformBuffer()
-        for row in (after - 1, after):
-            pose = self.poses[row]
-            turn = quaternion_from_rotation(pose.rotation)
-            buffer.add("world", "sensor", int(times_ns[row]), pose.translation, turn)
-        found = buffer.lookup("world", "sensor", t_ns)
-        return self.poses[after] if found is None else found
+        share = (within_ns - times_ns[after - 1]) / (times_ns[after] - times_ns[after - 1])
+        return between(self.poses[after - 1], self.poses[after], float(share))
 
     def _covariance_at(self, t_ns: int, times_ns: NDArray[np.int64]) -> NDArray[np.float64] | None:
         """Return the covariance (6, 6) of the pose nearest to a time, of its place alone; None where none is stated."""

@@ -177,8 +177,8 @@ class RosMessages:
         return Encoded(POLYGON, empty[:-4] + len(points).to_bytes(4, "little") + points.tobytes())
 
     def transforms(self, transforms: list[Transform], t_ns: int) -> Any:
-        """Return transforms."""
-        return self.make(TF, transforms=[
+        """Return transforms; None for none."""
+        return None if not transforms else self.make(TF, transforms=[
             self.make(
                 "geometry_msgs/msg/TransformStamped", header=self.header(t_ns, each.parent), child_frame_id=each.child,
                 transform=self.make(
@@ -248,32 +248,27 @@ class RosMessages:
 
     def lies(self, moment: Moment) -> Any:
         """Return a status for each accusation and dispute of the round that a moment ended; None for none."""
-        if moment.round is None or not moment.round.sentences():
+        done = moment.round
+        if done is None:
             return None
-        agents = moment.round.numbers()["agents"]
-        return self.make(DIAGNOSTICS, header=self.header(moment.round.t_ns, ""), status=[
-            self.make(
-                "diagnostic_msgs/msg/DiagnosticStatus", level=1, name="viewshed: command_center", message=sentence,
-                values=[
-                    self.make("diagnostic_msgs/msg/KeyValue", key=f"trust of {name}", value=f"{each['trust']:.3f}")
-                    for name, each in agents.items()
-                ],
-            )
-            for sentence in moment.round.sentences()
-        ])  # fmt: skip
+        values = {f"trust of {name}": f"{each['trust']:.3f}" for name, each in done.numbers()["agents"].items()}
+        return self._statuses(done.sentences(), done.t_ns, values, level=1, name="viewshed: command_center")
 
     def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
         """Return a status for each sentence, the answer's numbers with each; None for no sentence."""
-        if not sentences:
-            return None
-        values = [self.make("diagnostic_msgs/msg/KeyValue", key=k, value=v) for k, v in moment.numbers().items()]
-        return self.make(DIAGNOSTICS, header=self.header(moment.t_ns, ""), status=[
-            self.make(
-                "diagnostic_msgs/msg/DiagnosticStatus", level=int(moment.verdict()), name=f"viewshed: {moment.agent}",
-                message=sentence, hardware_id=moment.sensor_frame, values=values,
-            )
-            for sentence in sentences
-        ])  # fmt: skip
+        about = {
+            "level": int(moment.verdict()),
+            "name": f"viewshed: {moment.agent}",
+            "hardware_id": moment.sensor_frame,
+        }
+        return self._statuses(sentences, moment.t_ns, moment.numbers(), **about)
+
+    def _statuses(self, sentences: list[str], t_ns: int, numbers: dict[str, str], **about: Any) -> Any:
+        """Return a status for each sentence, with the same numbers; None for no sentence."""
+        kind, pair = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"
+        values = [self.make(pair, key=key, value=value) for key, value in numbers.items()]
+        status = [self.make(kind, message=sentence, values=values, **about) for sentence in sentences]
+        return self.make(DIAGNOSTICS, header=self.header(t_ns, ""), status=status) if status else None
 
     def text(self, value: object) -> Any:
         """Return a value as JSON in a String."""
@@ -325,11 +320,6 @@ def _tracks(ros: RosMessages, moment: Moment) -> Any:
     return None if tracks is None else ros.tracks(tracks, moment.t_ns, moment.tracks_frame)
 
 
-def _explained(ros: RosMessages, moment: Moment) -> Any:
-    explained = moment.explained()
-    return None if explained is None else ros.text(explained)
-
-
 def _joint_tracks(ros: RosMessages, moment: Moment) -> Any:
     done = moment.round
     return None if done is None else ros.tracks(tracks_of_center(done.picture), done.t_ns, MAP)
@@ -344,22 +334,12 @@ def _joint_view(ros: RosMessages, moment: Moment) -> Any:
     return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, done.t_ns, MAP, pose)
 
 
-def _tf(ros: RosMessages, moment: Moment) -> Any:
-    transforms = moment.transforms()
-    return ros.transforms(transforms, moment.t_ns) if transforms else None
-
-
-def _tf_static(ros: RosMessages, moment: Moment) -> Any:
-    transforms = moment.static_transforms()
-    return ros.transforms(transforms, moment.t_ns) if transforms else None
-
-
 TOPICS = (
     Topic("/agent_names", lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
     Topic("/attacked_agents", lambda ros, m: ros.text(m.attacked) if m.truth or m.attacked else None, latched=True),
     Topic("/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
-    Topic("/tf_static", _tf_static, latched=True),
-    Topic("/tf", _tf),
+    Topic("/tf_static", lambda ros, m: ros.transforms(m.static_transforms(), m.t_ns), latched=True),
+    Topic("/tf", lambda ros, m: ros.transforms(m.transforms(), m.t_ns)),
     Topic("/{agent}/state", lambda ros, m: ros.odometry(m)),
     Topic("/{agent}/lidar/data", lambda ros, m: ros.returns(m.sweep, m.t_ns, m.sensor_frame)),
     Topic("/{agent}/lidar/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.seen, m.t_ns)),
@@ -370,7 +350,7 @@ TOPICS = (
     Topic("/{agent}/lidar/alarms", lambda ros, m: ros.diagnostics(m, m.alarms())),
     Topic("/{agent}/lidar/detections", _detections),
     Topic("/{agent}/lidar/tracks", _tracks),
-    Topic("/{agent}/lidar/explained", _explained),
+    Topic("/{agent}/lidar/explained", lambda ros, m: None if (rows := m.explained()) is None else ros.text(rows)),
     Topic("/metrics/{agent}", lambda ros, m: ros.text(dict(m.metrics)) if m.metrics else None),
     Topic("/metrics/{agent}/gospa", lambda ros, m: ros.number(m.metrics["gospa_m"]) if m.metrics else None),
     Topic("/command_center/tracks", _joint_tracks),
