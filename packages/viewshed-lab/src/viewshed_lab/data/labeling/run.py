@@ -13,7 +13,7 @@ from typing import Any
 from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.source import ObjectBox, RecordingSource, SweepRef, SweepSource
+from viewshed.recordings.read.source import RecordingSource, SweepReader, SweepRef, SweepSource
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
@@ -183,13 +183,11 @@ def _open_index(index: str) -> SweepSource:
     return RecordingSource(place, _Index({name: sorted(entries, key=_time_of) for name, entries in drives.items()}))
 
 
-class _Index:
+class _Index(SweepReader):
     """The sweeps of an index by drive."""
 
     def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
         self._drives = drives
-        self.problems = ()
-        self.notes = ()
         self.scenes = {
             scene: [SweepRef(scene, k, str(entry.file), _t_ns_of(entry), key=str(k)) for k, entry in enumerate(entries)]
             for scene, entries in drives.items()
@@ -198,10 +196,6 @@ class _Index:
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with what the index tells about it."""
         return read_indexed(self._drives[ref.scene][ref.index])
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return None: an index has no boxes."""
-        return None
 
 
 def _scene_of(entry: IndexEntry, folder: Path) -> str:

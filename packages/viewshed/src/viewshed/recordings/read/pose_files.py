@@ -123,8 +123,17 @@ class PoseFile:
                 has_all = set(_DEVIATION_COLUMNS) <= set(words)
                 deviations = [words.index(name) for name in _DEVIATION_COLUMNS] if has_all else []
             elif any(words):
-                found.append(_numbers_in(words, columns, f"line {number}"))
-                spread.append(_deviations_in(words, deviations, f"line {number}"))
+                place, deviation_m = (_floats_in(words, each, f"line {number}") for each in (columns, deviations))
+                if not np.isfinite(place).all() or abs(place[1]) >= 89.0:
+                    raise ValueError(
+                        f"line {number}: latitude must lie in (-89, 89) degrees and all be finite, got {place}"
+                    )
+                if not all(0.0 <= each < np.inf for each in deviation_m):
+                    raise ValueError(
+                        f"line {number}: standard deviations must be finite and not negative, got {deviation_m}"
+                    )
+                found.append(place)
+                spread.append(deviation_m or [np.nan] * 3)
         if not found:
             raise ValueError("must have places, got no line with numbers")
         order = np.argsort([row[0] for row in found], kind="stable")
@@ -247,25 +256,8 @@ class PoseFile:
         return np.diag([*deviation_m**2, 0.0, 0.0, 0.0]) if np.isfinite(deviation_m).all() else None
 
 
-def _deviations_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
-    """Return the standard deviations (3,) in a line of places, NaN where its table has none."""
-    if not columns:
-        return [np.nan] * 3
-    row = _floats_in(words, columns, where)
-    if not (np.isfinite(row).all() and min(row) >= 0.0):
-        raise ValueError(f"{where}: standard deviations must be finite and not negative, got {row}")
-    return row
-
-
-def _numbers_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
-    """Return time and place (4,) in a line of places."""
-    row = _floats_in(words, columns, where)
-    if not np.isfinite(row).all() or abs(row[1]) >= 89.0:
-        raise ValueError(f"{where}: latitude must lie in (-89, 89) degrees and all be finite, got {row}")
-    return row
-
-
 def _floats_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
+    """Return the numbers of some columns of a line of places."""
     try:
         return [float(words[column]) for column in columns]
     except (ValueError, IndexError) as error:

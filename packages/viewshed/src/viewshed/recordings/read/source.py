@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,31 +107,20 @@ class SweepSource(Protocol):
         ...
 
 
-class SweepReader(Protocol):
+class SweepReader(ABC):
     """What one layout says of a recording that :class:`RecordingSource` has opened; errors may be of any type."""
 
-    @property
-    def scenes(self) -> Mapping[str, Sequence[SweepRef]]:
-        """Scene → its sweeps, in the order of :meth:`SweepSource.refs`."""
-        ...
+    scenes: Mapping[str, Sequence[SweepRef]]  # scene → its sweeps, in the order of :meth:`SweepSource.refs`
+    problems: Sequence[str] = ()  # the lines of :meth:`SweepSource.damage`; reading may add to them
+    notes: Sequence[str] = ()  # the lines of :meth:`SweepSource.notes`
 
-    @property
-    def problems(self) -> Sequence[str]:
-        """The lines of :meth:`SweepSource.damage`; reading may add to them."""
-        ...
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """The lines of :meth:`SweepSource.notes`."""
-        ...
-
+    @abstractmethod
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep."""
-        ...
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; None where nobody annotated it."""
-        ...
+        return None
 
 
 @dataclass(frozen=True, slots=True)

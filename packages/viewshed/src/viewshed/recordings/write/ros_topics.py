@@ -51,6 +51,7 @@ from viewshed.grid import BevGrid
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import scan_of_sweep
 from viewshed.io.messages.pointcloud2 import cloud_table
+from viewshed.recordings.write.bag_writers import Schema
 from viewshed.recordings.write.moment import MAP, Moment, ObjectTruth, Transform
 from viewshed.sweep import Sweep
 
@@ -381,11 +382,12 @@ class RosTable:
     """The messages of moments, in the order of :data:`TOPICS`; each latched message once."""
 
     def __init__(self, *, ros1: bool) -> None:
-        self.messages = RosMessages(ros1=ros1)
+        self._messages, self._encoding = RosMessages(ros1=ros1), "ros1" if ros1 else "cdr"
         self._sent_ns: dict[str, int] = {}
+        self._schemas: dict[str, Schema] = {}
 
-    def of(self, moment: Moment) -> Iterator[tuple[str, Any, bool]]:
-        """Yield topic, message and whether it is latched, of all that a moment tells."""
+    def of(self, moment: Moment) -> Iterator[tuple[str, Schema, bytes, bool]]:
+        """Yield topic, schema, bytes and whether it is latched, of all that a moment tells."""
         for topic in TOPICS:
             name = ros_name(topic.name.format(agent=moment.agent))
             if topic.latched or topic.per_time:
@@ -393,6 +395,13 @@ class RosTable:
                 if self._sent_ns.get(name) == now_ns:
                     continue
                 self._sent_ns[name] = now_ns
-            message = topic.make(self.messages, moment)
+            message = topic.make(self._messages, moment)
             if message is not None:
-                yield name, message, topic.latched
+                schema = self._schema(message.__msgtype__)
+                yield name, schema, self._messages.encode(message), topic.latched
+
+    def _schema(self, kind: str) -> Schema:
+        if kind not in self._schemas:
+            definition = b"" if self._encoding == "ros1" else self._messages.definition(kind).encode()
+            self._schemas[kind] = Schema(kind, "ros2msg", self._encoding, definition)
+        return self._schemas[kind]
