@@ -17,13 +17,13 @@ from tests.cli.commands import run
 from torch.nn import functional
 
 from viewshed.networks.runtime import load_runner
-from viewshed.networks.unet_torch import load_weights
 from viewshed_lab.training import TrainConfig, Trained, train
 from viewshed_lab.training.cross_validation import toml_of
 from viewshed_lab.training.data import prepare
 from viewshed_lab.training.fit import read_checkpoint
 from viewshed_lab.training.log import TIMES, Epoch, Step, is_finished, scores_of
 from viewshed_lab.training.module import Learner
+from viewshed_lab.training.unet_torch import load_weights
 
 pytestmark = pytest.mark.slow
 

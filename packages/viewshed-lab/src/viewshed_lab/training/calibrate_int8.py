@@ -61,7 +61,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
         ValueError: the network is not one of the config, or loses more F1 than ``MAX_F1_LOSS``; nothing is written.
         ImportError: onnx is not installed.
     """
-    from viewshed.networks.quantize import quantize_network
+    from viewshed_lab.training.quantize import quantize_network
 
     if frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames}")

@@ -26,6 +26,7 @@ from viewshed.agents.honest import (
     ObjectReports,
     honest_model,
     own_box_columns,
+    place_columns,
     reported_columns,
 )
 from viewshed.agents.joint_fov import JointFov, confirmed, joint_fov
@@ -72,7 +73,8 @@ def chances(reports: Sequence[AgentReport], boxes: F64, honest: HonestModel) -> 
     out = np.zeros((len(boxes), len(reports)))
     for column, report in enumerate(reports):
         range_m = report.range_m(boxes)
-        chosen = np.flatnonzero((range_m <= FAR_M) & ~report.is_own(boxes) & report.on_its_level(boxes))
+        chosen = np.flatnonzero(range_m <= FAR_M)
+        chosen = chosen[~report.is_own(boxes[chosen]) & report.on_its_level(boxes[chosen])]
         some = boxes[chosen]
         out[chosen, column] = honest.chance(report.view.visible(some), some, range_m[chosen], height=report.height)
     return out
@@ -265,11 +267,12 @@ class CommandCenter:
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
             std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
         model = self.honest
-        own = own_box_columns(said)[0]
+        own, place = own_box_columns(said)[0], place_columns(said)
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
-            model.invented(own), model.silent_views(said), np.array([model.alone.bias, model.shared.bias]),
-            model.displaced(own), model.there(said), model.real.bias, xy_m, std_m,
+            model.invented(own), model.silent_views(place[0], said.silent_now),
+            np.array([model.alone.bias, model.shared.bias]), model.displaced(own), model.there(said, place, own),
+            model.real.bias, xy_m, std_m,
         )  # fmt: skip
 
 

@@ -158,5 +158,10 @@ class AgentReport:
         """Return which boxes (K, 7) of the world are its own vehicle."""
         if self.own_box is None:
             return np.zeros(len(boxes), np.bool_)
-        x_m, y_m = (self.world_from_level @ self.own_box[:3])[:2]
+        x_m, y_m = self._own_place
         return np.asarray(np.hypot(boxes[:, 0] - x_m, boxes[:, 1] - y_m) < self.own_box[3] / 2)
+
+    @cached_property
+    def _own_place(self) -> F64:
+        """(2,) x and y of its own vehicle in the world."""
+        return np.asarray((self.world_from_level @ self.own_box[:3])[:2])

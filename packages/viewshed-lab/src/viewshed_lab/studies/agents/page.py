@@ -42,6 +42,9 @@ GROUPS = {
 }
 """Lies under each heading of the targets."""
 
+WITNESSED, WITNESS_BINS = ("removed", "moved"), (0.0, 0.5, 1.5, np.inf)
+"""Lies about objects that are there, and how many honest agents report such an object, on average over time."""
+
 SHOWN = "fabricate"
 """The lie of the picture."""
 
@@ -163,6 +166,24 @@ class AgentsResults:
             [what, *(format_rate(self.area(runs, some)) for runs in groups.values())] for what, some in asked.items()
         ]
         return Table(("questions", *groups), rows)
+
+    def witnesses_table(self) -> Table:
+        """Return what is found of objects that were removed and moved, by how many honest agents report them."""
+        rows = []
+        for name in WITNESSED:
+            runs = self.of(*GROUPS[name])
+            if not runs:
+                continue
+            most = np.array([max(run.witnesses, default=0.0) for run in runs])
+            every = np.concatenate([run.witnesses for run in runs])
+            for low, high in pairwise(WITNESS_BINS):
+                some = [run for run, count in zip(runs, most, strict=True) if low <= count < high]
+                share = float(((every >= low) & (every < high)).mean())
+                words = f"{low:g} or more" if np.isinf(high) else f"{low:g} to {high:g}"
+                area = self.area(some) if some else float("nan")
+                rows.append([name, words, format_rate(share), str(len(some)), format_rate(area)])
+        header = ("lie", "honest agents that report the object", "share of the objects", "runs by their best", "AUROC")
+        return Table(header, rows)
 
     def picture(self, folder: Path, case: str) -> Picture:
         """Return the last time of the first test scene in a case."""

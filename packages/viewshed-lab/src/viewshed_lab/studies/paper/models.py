@@ -46,7 +46,7 @@ def load_runner(path: Path, device: str = "cpu") -> Runner:
         from viewshed.networks.runtime import OnnxRunner
 
         return OnnxRunner(path, threads=1)
-    from viewshed.networks.unet_torch import TorchRunner, load_weights
+    from viewshed_lab.training.unet_torch import TorchRunner, load_weights
 
     return TorchRunner(*load_weights(path.with_name(CHECKPOINT)), device)
 
