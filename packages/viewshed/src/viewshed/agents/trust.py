@@ -29,8 +29,9 @@ what opened or closed at once is remembered. What is older fades.
 :attr:`TrustRules.temper` before they become probabilities (a tempered posterior; Grünwald 2012).
 
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
-it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, and of what
-each view says by itself, among benign scenes of all terrain (:class:`TrustLimits`).
+it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, of what
+each view says by itself, and of what an agent withholds though its own view still holds it, among benign scenes of all
+terrain (:class:`TrustLimits`).
 """
 
 from __future__ import annotations
