@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from time import thread_time_ns
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,7 @@ class AgentsResults:
 
     plan: AgentsPlan  # of the study
     results: Results[AgentsPlan]  # of its runs
+    round_ms: list[float] = field(default_factory=list)  # processor time of each round of the pictures
 
     def runs(self, split: str) -> list[Run]:
         """Return the runs of a split, by the numbers of their scenes."""
@@ -192,7 +194,9 @@ class AgentsResults:
         liars, said = SceneCases(scene, (self.plan.seed, "test", 0), honest, compared=False).said(case)
         center = CommandCenter(scene.agents, honest=honest)
         for t_s, reports in zip(scene.times_s.tolist(), said, strict=True):
+            begun_ns = thread_time_ns()
             last = center.add(t_s, reports)
+            self.round_ms.append((thread_time_ns() - begun_ns) / 1e6)
         accused = self.limits.accused(last.verdicts.answers, last.elevated, self.rate)
         done = Round(last, accused, self.limits.disputed(last.verdicts, accused, self.rate))
         who = ", ".join(scene.agents[number] for number in liars.numbers) if liars else "nobody"
@@ -243,6 +247,9 @@ class AgentsResults:
                 ("seconds until then, median", 2.0, True, float(np.median(delays))),
                 ("runs with an honest agent accused, others lie", 0.01, True, others),
             ]
+        if self.round_ms:
+            what = f"milliseconds of a round of {self.plan.moving + self.plan.roadside} agents, median"
+            rows.append((what, 8.0, True, float(np.median(self.round_ms))))
         lines = []
         for what, bound, below, figure in rows:
             met = figure <= bound if below else figure >= bound
