@@ -53,6 +53,10 @@ TARGETS = {"fabricated": 0.97, "moved": 0.96, "pose": 0.94, "removed": 0.90, "st
 """AUROC."""
 
 
+ROUND_MS = 8
+"""Milliseconds that a round of five agents should take."""
+
+
 @dataclass(frozen=True, eq=False)
 class AgentsResults:
     """Runs of a study, and what follows from them."""
@@ -247,9 +251,6 @@ class AgentsResults:
                 ("seconds until then, median", 2.0, True, float(np.median(delays))),
                 ("runs with an honest agent accused, others lie", 0.01, True, others),
             ]
-        if self.round_ms:
-            what = f"milliseconds of a round of {self.plan.moving + self.plan.roadside} agents, median"
-            rows.append((what, 8.0, True, float(np.median(self.round_ms))))
         lines = []
         for what, bound, below, figure in rows:
             met = figure <= bound if below else figure >= bound
@@ -314,6 +315,8 @@ def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed),
         sensors=f"{', '.join(plan.sensors)}; tested with {', '.join(plan.test_sensors)}", scenes=scenes,
+        round=f"{np.median(found.round_ms):.0f} ms of a processor for the reports of {plan.moving + plan.roadside} agents,"
+        f" median of {len(found.round_ms)}; wanted: {ROUND_MS:g} ms",
         commits=commits(results),
     )  # fmt: skip
     return page.files("agents.md", about)
