@@ -315,8 +315,8 @@ def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed),
         sensors=f"{', '.join(plan.sensors)}; tested with {', '.join(plan.test_sensors)}", scenes=scenes,
-        round=f"{np.median(found.round_ms):.0f} ms of a processor for the reports of {plan.moving + plan.roadside} agents,"
-        f" median of {len(found.round_ms)}; wanted: {ROUND_MS:g} ms",
+        round=f"{np.median(found.round_ms):.0f} ms of a core for {plan.moving + plan.roadside} agents, median of"
+        f" {len(found.round_ms)}; wanted: {ROUND_MS:g} ms",
         commits=commits(results),
     )  # fmt: skip
     return page.files("agents.md", about)
