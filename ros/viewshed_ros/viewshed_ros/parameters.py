@@ -60,11 +60,7 @@ class Parameter:
         return made
 
     def refuse(self, name: str, value: Any) -> None:
-        """Refuse a value that is no choice, or out of bounds.
-
-        Raises:
-            ValueError: it is; the text says which are not.
-        """
+        """Refuse a value that is no choice, or out of bounds."""
         if self.choices and value not in self.choices:
             raise ValueError(f"{name} must be one of {', '.join(self.choices)}, got {value!r}")
         if self.least_and_most is not None:
@@ -260,11 +256,7 @@ def declare(node: Node) -> None:
 
 
 def read(node: Node) -> NodeSettings:
-    """Return the values of all parameters; those of the sensors are declared when they are named first.
-
-    Raises:
-        ValueError: a value is out of range or no choice; the text says which.
-    """
+    """Return the values of all parameters; those of the sensors are declared when they are named first."""
     given: dict[str, Any] = values_of(node, PARAMETERS)
     profile = profile_named(given["profile"])
     names = given["sensors"]
@@ -343,11 +335,7 @@ def declare_table(node: Node, table: dict[str, Parameter]) -> None:
 
 
 def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
-    """Return the values of the parameters of a table.
-
-    Raises:
-        ValueError: one is none of its choices, or out of bounds.
-    """
+    """Return the values of the parameters of a table."""
     values = {name: node.get_parameter(name).value for name in table}
     for name, parameter in table.items():
         parameter.refuse(name, values[name])
@@ -355,11 +343,7 @@ def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
 
 
 def check_change(name: str, value: Any, *, is_configured: bool) -> None:
-    """Refuse a value of a parameter of the node or of a sensor that makes no sense, or comes too late.
-
-    Raises:
-        ValueError, ImportError, OSError: it is refused; the text says why.
-    """
+    """Refuse a value of a parameter of the node or of a sensor that makes no sense, or comes too late."""
     parameter = PARAMETERS.get(name) or SENSOR_PARAMETERS.get(name.partition(".")[2])
     if parameter is None:
         return
@@ -377,11 +361,7 @@ def check_change(name: str, value: Any, *, is_configured: bool) -> None:
 
 
 def changed(settings: NodeSettings, values: Mapping[str, Any]) -> NodeSettings:
-    """Return settings with other values of parameters that may change at run time; of others nothing is taken.
-
-    Raises:
-        ValueError: they contradict each other.
-    """
+    """Return settings with other values of parameters that may change at run time; of others nothing is taken."""
     changes = {name: value for name, value in values.items() if name in PARAMETERS and PARAMETERS[name].at_run}
     if "rate_hz" in changes:
         changes["rate_hz"] = _rate_hz(settings.profile, changes["rate_hz"])

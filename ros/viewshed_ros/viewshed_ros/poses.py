@@ -84,11 +84,7 @@ class PoseBuffer:
         return len(self._times)
 
     def add(self, message: Any) -> None:
-        """Take a message; one from before the last begins anew.
-
-        Raises:
-            ValueError: it is in another frame, or its numbers are no pose.
-        """
+        """Take a message; one from before the last begins anew."""
         if message.header.frame_id.lstrip("/") != self._world_frame:
             raise ValueError(f"a pose must be in frame {self._world_frame!r}, got {message.header.frame_id!r}")
         t_ns, pose = nanoseconds_of(message.header.stamp), self._topic.rigid(message)
@@ -152,11 +148,7 @@ class TfPoses:
 
 
 def tf_buffer(node: Any) -> Any:
-    """Return a buffer of tf2 that listens.
-
-    Raises:
-        ValueError: tf2_ros is not installed.
-    """
+    """Return a buffer of tf2 that listens."""
     try:
         from tf2_ros import Buffer, TransformListener
     except ImportError as error:

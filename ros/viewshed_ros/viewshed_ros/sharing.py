@@ -31,11 +31,7 @@ class Speaker:
     _sequence: int = 0
 
     def message(self, answer: Answer) -> UInt8MultiArray:
-        """Return an answer as a signed message.
-
-        Raises:
-            ValueError: there is no estimate, or no pose or time of it.
-        """
+        """Return an answer as a signed message."""
         estimate, objects = answer.estimate, answer.objects
         if estimate is None or estimate.world_from_level is None or estimate.t_ns is None:
             raise ValueError("what is shared with others must have a pose and a time, got none for this sweep")

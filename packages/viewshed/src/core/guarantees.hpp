@@ -46,19 +46,15 @@ struct TargetColumns {
     std::vector<std::uint32_t> fired_before;  // (rings, 2 * columns + 1) fired columns before each, or empty
 };
 
-// The rings that pass between a target's foot and its top in each cell: those in [ring, ring_end) whose bit is set.
+// The rings [ring, ring_end) that pass between a target's foot and its top in each cell.
 struct SentBeams {
     // The least and the greatest height at which a beam meets a target in each cell, slopes (sectors, rings) of the beams by
-    // azimuth, and the heights (rings,) at which they start.
+    // azimuth, and the heights (rings,) at which they start. Raises where rings cross.
     SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const float> low_m, View2<const float> high_m,
               View2<const float> slope, View1<const float> start_m);
 
-    bool passes(std::size_t cell, std::size_t r) const { return (bits[cell * words + r / 64] >> (r % 64)) & 1; }
-
     std::shared_ptr<const TargetColumns> of;
-    std::size_t words;
-    Buffer<std::uint64_t> bits;               // (cells, words)
-    Buffer<std::uint16_t> ring, ring_end;     // (cells,)
+    Buffer<std::uint16_t> ring, ring_end;  // (cells,)
 };
 
 // What an attack changes: cells of a margin below `least` that it opens, or claims that it may have opened.
@@ -90,9 +86,10 @@ constexpr std::size_t GAP = 4;
 // the ring, a maximum over minima, so that it is nowhere farther and falls where a range falls.
 Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of);
 
-// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0; and the same where gaps
-// are closed.
-std::pair<Buffer<std::int32_t>, Buffer<std::int32_t>> envelope_margins(const SentBeams& sent, View2<const float> nearest);
+// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0; and whether the same is
+// `least` or more where gaps are closed.
+std::pair<Buffer<std::int32_t>, Buffer<bool>> envelope_margins(const SentBeams& sent, View2<const float> nearest,
+                                                               std::int32_t least);
 
 // For each beam (rings, columns), the sum over the cells that count and need at most `most` beams, of 1 / the number needed,
 // where it is one of those that can change.

@@ -89,17 +89,18 @@ void bind_guarantees(nb::module_& m) {
         "Horizontal range (rings, 2 * columns) of the nearest return of each beam, the circle twice; +inf for none.");
     m.def(
         "envelope_margins",
-        [](const SentBeams& sent, In2<float> nearest) {
+        [](const SentBeams& sent, In2<float> nearest, std::int32_t least) {
             const View2<const float> ranges = checked(sent, nearest);
-            auto [margin, closed] = [&] {
+            auto [margin, claim] = [&] {
                 const nb::gil_scoped_release unlocked;
-                return envelope_margins(sent, ranges);
+                return envelope_margins(sent, ranges, least);
             }();
             const auto of_cells = [&](auto& found) { return array(std::move(found), {sent.of->rows, sent.of->grid_columns}); };
-            return std::pair(of_cells(margin), of_cells(closed));
+            return std::pair(of_cells(margin), of_cells(claim));
         },
-        "sent"_a, "nearest"_in,
-        "Beams (cells, cells) that are sent through a target and not blocked before it, and the same where gaps are closed.");
+        "sent"_a, "nearest"_in, "least"_a,
+        "Beams (cells, cells) that are sent through a target and not blocked before it, and where they are the least or more"
+        " with gaps closed.");
     m.def(
         "without_gaps",
         [](In2<float> nearest, std::shared_ptr<TargetColumns> columns) {

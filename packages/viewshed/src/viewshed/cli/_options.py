@@ -259,11 +259,7 @@ class Following:
         return self.objects or self.fuse
 
     def adversary(self) -> Adversary | None:
-        """Return who forges, or None.
-
-        Raises:
-            ValueError: there is no such attack.
-        """
+        """Return who forges, or None."""
         if self.attack is None:
             return None
         agents = frozenset((self.attacked or "").split(",")) - {""}

@@ -71,11 +71,7 @@ def settings(
     certify: str | None,
     certified_only: bool = False,
 ) -> PipelineSettings:
-    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither.
-
-    Raises:
-        ValueError: there is no profile or no threat of this name.
-    """
+    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither."""
     from viewshed.guarantees.envelope import Threat
     from viewshed.pipeline.profiles import profile_named
     from viewshed.pipeline.reactions import RULES

@@ -152,17 +152,13 @@ class Center:
 
     def take(self, answer: Answer) -> Round | None:
         """Return the last round that an answer ended, if it did."""
-        if answer.estimate is None or answer.objects is None:
+        if answer.leveled is None or answer.estimate is None or answer.objects is None:
             return None
-        return self.add(answer.estimate, answer.objects)
+        return self.add(answer.leveled.sweep, answer.estimate, answer.objects)
 
-    def add(self, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
-        """Return the last round that a report ended, if it did.
-
-        Raises:
-            ValueError: the sweep has no time or no pose.
-        """
-        from viewshed.agents.registration import UNSTATED
+    def add(self, sweep: Sweep, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
+        """Return the last round that a report ended, if it did; a pose is as certain as its sweep states."""
+        from viewshed.agents.registration import PoseStd
         from viewshed.agents.report import AgentReport
         from viewshed.cli.fuse import line_of
 
@@ -171,7 +167,7 @@ class Center:
                 f"--fuse needs a time and a pose of each sweep, {estimate.agent} has one without; give --poses"
             )
         claimed = estimate if self._adversary is None else self._adversary.view(estimate)
-        report = AgentReport.of(claimed, objects.detections, UNSTATED, objects.ground)
+        report = AgentReport.of(claimed, objects.detections, PoseStd.stated_by(sweep), objects.ground)
         done = self._rounds.add(1e-9 * estimate.t_ns, report)
         for line in self._rounds.notes:
             note(line)
@@ -192,11 +188,7 @@ def objects_line(objects: SeenObjects) -> str:
 
 @contextmanager
 def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
-    """Open the bag to write, if any.
-
-    Raises:
-        ValueError: it would replace an input, or its name is that of no bag.
-    """
+    """Open the bag to write, if any."""
     if to is None:
         if schemas != "ros":
             raise ValueError("--schemas goes with --to")

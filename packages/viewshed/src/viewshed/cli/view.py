@@ -293,7 +293,7 @@ def _frames(
             elapsed_ms = 1e3 * (time.perf_counter() - begin_s)
             report, findings = (None, "") if check is None else check(leveled, estimate)
             seen = None if objects is None else objects.follow(leveled, estimate, report)
-            done = None if center is None or seen is None else center.add(estimate, seen)
+            done = None if center is None or seen is None else center.add(sweep, estimate, seen)
         except BAD_INPUTS as error:
             failures.report(named.file, error)
             continue

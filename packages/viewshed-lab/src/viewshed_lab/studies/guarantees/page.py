@@ -16,7 +16,7 @@ from scipy.stats import beta
 
 from viewshed.fov.estimate import FovEstimate
 from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, lower_bound
+from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, THRESHOLDS, lower_bound
 from viewshed.guarantees.envelope import Threat
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts
@@ -359,7 +359,9 @@ def _masks(folder: Path, lines: list[Line]) -> Table | None:
         calibration = calibration_of(folder, target)
         found = [line[target] for line in lines]
         broken, default = (sum(one[key] > ALPHA for one in found) for key in ("false_share", "default_false_share"))
-        thresholds = ", ".join(format_rate(float(t)) for t in calibration.path[calibration.step(ALPHA, DELTA)])
+        thresholds = ", ".join(
+            format_rate(float(t)) for t in THRESHOLDS[calibration.levels[calibration.step(ALPHA, DELTA)]]
+        )
         rows.append([
             target, thresholds, format_interval(broken / len(found), _interval(broken, len(found))),
             format_rate(default / len(found)), format_rate(float(np.mean([one["recall"] for one in found]))),
@@ -525,12 +527,12 @@ def _picture(number: int = 1) -> Picture:
     leveled = level(sweep, GRID)
     estimate, after = default_estimator(clean.target).estimate(leveled), victim.envelope_of(sweep)
     panels = {
-        "envelope without attack": clean.claim(),
-        "150 beams replaced": after.claim(),
+        "envelope without attack": clean.claim,
+        "150 beams replaced": after.claim,
         "final claim, certified against 5": certify(
             leveled, estimate, Threat("replaced", 5), victim.given
         ).certified_visible,
-        "opened by the attack": after.claim() & ~clean.open(),
+        "opened by the attack": after.claim & ~clean.open(),
     }
     figure = Figure((12.5, 3.4), dpi=90, layout="constrained")
     FigureCanvasAgg(figure)

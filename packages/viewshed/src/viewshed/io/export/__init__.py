@@ -39,22 +39,15 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Exporter:
-    """How one format is made.
+    """How one format is made."""
 
-    Attributes:
-        function: estimate to a JSON-serializable dictionary, or to bytes.
-        suffix: usual end of a file's name.
-        mark: what the first bytes of its files hold, and those of no other format.
-        states: how the four cell states map.
-        in_crs: the same with the name of the reference system of the world frame; None where the format has none.
-        image: picture that lies beside a YAML file, which begins with its name; None where there is none.
-    """
-
-    function: Callable[[FovEstimate], dict[str, Any] | bytes]
-    suffix: str
-    mark: bytes
-    states: str
+    function: Callable[[FovEstimate], dict[str, Any] | bytes]  # estimate to a JSON-serializable dictionary, or to bytes
+    suffix: str  # usual end of a file's name
+    mark: bytes  # what the first bytes of its files hold, and those of no other format
+    states: str  # how the four cell states map
+    # the same with the name of the reference system of the world frame; None where the format has none
     in_crs: Callable[[FovEstimate, str], dict[str, Any] | bytes] | None = None
+    # picture that lies beside a YAML file, which begins with its name; None where there is none
     image: Callable[[FovEstimate], bytes] | None = None
 
     def check_crs(self, crs: str | None) -> None:

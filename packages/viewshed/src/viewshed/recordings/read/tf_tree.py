@@ -118,7 +118,7 @@ class TransformBuffer:
         Raises:
             ValueError: the frames are not connected; the message names those that exist.
         """
-        ups, downs = self._chain(source.lstrip("/")), self._chain(target.lstrip("/"))
+        ups, downs = self.chain(source.lstrip("/")), self.chain(target.lstrip("/"))
         common = next((frame for frame in ups if frame in downs), None)
         if common is None:
             known = ", ".join(self.frames()) or "none"
@@ -133,7 +133,7 @@ class TransformBuffer:
         Raises:
             ValueError: there is none; the message names the frames that exist.
         """
-        chain = self._chain(frame.lstrip("/"))
+        chain = self.chain(frame.lstrip("/"))
         worlds = tuple(worlds)
         first = next((world for world in worlds if world in chain), None)
         if first is None:
@@ -150,7 +150,7 @@ class TransformBuffer:
         >>> round(buffer.tilt_rad("laser", (0, 1)), 1)
         2.4
         """
-        chain = self._chain(frame.lstrip("/"))
+        chain = self.chain(frame.lstrip("/"))
         found = (self._up(chain[:-1], t_ns) for t_ns in times_ns)
         axes = np.array([pose.rotation[:, 2] for pose in found if pose is not None])
         return float(np.arccos(np.clip(axes @ axes[0], -1.0, 1.0)).max()) if len(axes) else 0.0
@@ -165,7 +165,7 @@ class TransformBuffer:
             total = step @ total
         return total
 
-    def _chain(self, frame: str) -> list[str]:
+    def chain(self, frame: str) -> list[str]:
         """Return a frame and those above it; a loop ends where it closes."""
         chain = [frame]
         while chain[-1] in self._edges:
