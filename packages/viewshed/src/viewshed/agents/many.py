@@ -278,11 +278,11 @@ class CommandCenter:
             xy_m[hit, column] = report.in_world.boxes[members[hit, place], :2]
             std_m[:, column] = STD_M + STD_PER_M * said.range_m[:, column]
         model = self.honest
-        own, place = own_box_columns(said)[0], place_columns(said)
+        own, of_place = own_box_columns(said)[0], place_columns(said)
         return Reports(
             ids, said.seen, said.able, said.sees, model.reported(reported_columns(said)[0]), model.of_others,
-            model.invented(own), model.silent_views(place[0], said.silent_now),
-            np.array([model.alone.bias, model.shared.bias]), model.displaced(own), model.there(said, place, own),
+            model.invented(own), model.silent_views(of_place[0], said.silent_now),
+            np.array([model.alone.bias, model.shared.bias]), model.displaced(own), model.there(said, of_place, own),
             model.real.bias, xy_m, std_m,
         )  # fmt: skip
 
