@@ -84,8 +84,8 @@ polygons, whichever keep more where sectors keep less than {ENOUGH:.0%}; every r
 TIMES = """## Times
 
 Of each sweep the least of several runs, in milliseconds; then median and 95th percentile over the sweeps. Decoding a
-message includes that of its view, and all checks. More processes than cores cost times, those of whole messages most:
-between two of them others use the caches."""
+message includes that of its view, and all checks; the rows for signature and view alone are what no check can save.
+More processes than cores cost times, those of whole messages most: between two of them others use the caches."""
 REFUSALS = """## Refusing
 
 Microseconds from the bytes to the counted reason."""

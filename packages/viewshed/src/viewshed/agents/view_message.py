@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.grid import BevGrid
 from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import IntegrityReport
+
+T = TypeVar("T", str, bytes, int, float)
 
 VERSION = 4
 """Version of the payload; a receiver refuses others."""
@@ -217,40 +219,40 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
     world_from_level = Rigid.from_quaternion(pose[3:], pose[:3])
     covariance = upper.astype(np.float64)[_SQUARE6]
     name, height_m, reach_m = fields[6]
-    agent, t_ns = _text(fields[1]), _whole(fields[3])
+    agent, t_ns = _typed(str, fields[1]), _typed(int, fields[3])
     epoch, sequence = fields[2]
     view, ground, found, report = (fields.get(key) for key in range(7, 11))
     return ViewMessage(
         agent=agent,
-        sequence=_whole(sequence),
+        sequence=_typed(int, sequence),
         t_ns=t_ns,
-        frame=_text(fields[4]),
+        frame=_typed(str, fields[4]),
         world_from_level=world_from_level,
         pose_covariance=covariance,
-        sensor=SensorFacts(_text(name), _number(height_m), _number(reach_m)),
+        sensor=SensorFacts(_typed(str, name), _typed(float, height_m), _typed(float, reach_m)),
         view=None if view is None else _view_of(view, agent, t_ns, world_from_level),
         ground=None if ground is None else _ground_of(ground),
         detections=None if found is None else _detections_of(found),
         report=None if report is None else _report_of(report),
-        epoch=_whole(epoch),
+        epoch=_typed(int, epoch),
     )
 
 
 def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovEstimate:
     cells, *extent = fields[0]
     name, *sizes, least = fields[1]
-    half_extent_m, x_m, y_m = map(_number, extent)
-    length_m, width_m, height_m = map(_number, sizes)
-    grid = BevGrid(_whole(cells), half_extent_m, (x_m, y_m))
-    threshold, with_std = _number(fields[2]), fields[4] is True
-    found = decode_fov(_bytes(fields[5]), grid, threshold, with_std)
+    half_extent_m, x_m, y_m = (_typed(float, each) for each in extent)
+    length_m, width_m, height_m = (_typed(float, each) for each in sizes)
+    grid = BevGrid(_typed(int, cells), half_extent_m, (x_m, y_m))
+    threshold, with_std = _typed(float, fields[2]), fields[4] is True
+    found = decode_fov(_typed(bytes, fields[5]), grid, threshold, with_std)
     return FovEstimate(
         grid=grid,
         visible_prob=found.visible_prob,
         state=found.state,
         std=found.std,
-        method=_text(fields[3])[:64],
-        target=Target(_text(name)[:64], length_m, width_m, height_m, _whole(least)),
+        method=_typed(str, fields[3])[:64],
+        target=Target(_typed(str, name)[:64], length_m, width_m, height_m, _typed(int, least)),
         threshold=threshold,
         world_from_level=pose,
         t_ns=t_ns,
@@ -266,8 +268,8 @@ def _ground_fields(ground: HeightMap) -> list[Any]:
 
 def _ground_of(fields: list[Any]) -> HeightMap:
     half_extent_m, code = fields
-    shape = BevGrid(GROUND_NODES, _number(half_extent_m)).shape
-    if len(_bytes(code)) != 2 * GROUND_NODES**2:
+    shape = BevGrid(GROUND_NODES, _typed(float, half_extent_m)).shape
+    if len(_typed(bytes, code)) != 2 * GROUND_NODES**2:
         raise ValueError(f"the ground must have {GROUND_NODES} times {GROUND_NODES} heights, got {len(code)} bytes")
     heights_m = np.frombuffer(code, "<i2").reshape(shape).astype(np.float32) / np.float32(_GROUND_STEPS_PER_M)
     return HeightMap(heights_m, half_extent_m, np.ones(shape, np.bool_))
@@ -284,16 +286,16 @@ def _detections_of(fields: list[Any]) -> Detections:
 
 def _report_of(fields: list[Any]) -> IntegrityReport:
     monitor, score, threshold, p_value, degraded, degraded_p_value, suspect = fields
-    sectors = np.unpackbits(np.frombuffer(_bytes(suspect), np.uint8))
+    sectors = np.unpackbits(np.frombuffer(_typed(bytes, suspect), np.uint8))
     if len(sectors) != SECTORS:
         raise ValueError(f"a report must have {SECTORS} sectors, got {len(sectors)}")
     return IntegrityReport(
-        _text(monitor)[:64],
-        _number(score),
-        _number(threshold),
-        _number(p_value),
+        _typed(str, monitor)[:64],
+        _typed(float, score),
+        _typed(float, threshold),
+        _typed(float, p_value),
         degraded is True,
-        _number(degraded_p_value),
+        _typed(float, degraded_p_value),
         sectors.astype(np.bool_),
     )
 
@@ -305,27 +307,13 @@ def _columns(arrays: list[Any], types: tuple[Any, ...]) -> list[NDArray[Any]]:
     return list(arrays)
 
 
-def _text(value: Any) -> str:
-    if type(value) is not str:
-        raise ValueError(f"a payload must have text here, got {type(value).__name__}")
-    return value
+_WORDS = {str: "text", bytes: "bytes", int: "a whole number", float: "a float"}
 
 
-def _bytes(value: Any) -> bytes:
-    if type(value) is not bytes:
-        raise ValueError(f"a payload must have bytes here, got {type(value).__name__}")
-    return value
-
-
-def _whole(value: Any) -> int:
-    if type(value) is not int:
-        raise ValueError(f"a payload must have a whole number here, got {type(value).__name__}")
-    return value
-
-
-def _number(value: Any) -> float:
-    if type(value) is not float:
-        raise ValueError(f"a payload must have a float here, got {type(value).__name__}")
+def _typed(kind: type[T], value: Any) -> T:
+    """Return a value of exactly this type, or raise ValueError."""
+    if type(value) is not kind:
+        raise ValueError(f"a payload must have {_WORDS[kind]} here, got {type(value).__name__}")
     return value
 
 

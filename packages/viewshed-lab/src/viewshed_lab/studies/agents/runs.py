@@ -50,7 +50,7 @@ class Run:
     case: str  # ``HONEST`` or a lie
     liars: list[int]  # numbers of the agents that lied
     victim: int  # of a lie about another one, or -1
-    answers: list[list[list[float]]]  # [T][A][4] what speaks against each agent by ``QUESTIONS``, in nats
+    answers: list[list[list[float]]]  # [T][A][5] what speaks against each agent by ``QUESTIONS``
     doubt: list[float]  # [T] of all
     trust: list[list[float]]  # [T][A]
     published_trust: list[list[float]]  # [T][A], of the published formulas

@@ -212,7 +212,7 @@ _MET = {True: "met", False: "missed"}
 def _ratio_of_drives(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> tuple[float, float, float]:
     """Return the ratio of the means of two trackers (D,) on the same drives, with its 95 % interval over drives."""
     if not len(theirs):
-        return (float("nan"),) * 3
+        return np.nan, np.nan, np.nan
     drawn = np.random.default_rng(_SEED).integers(len(ours), size=(_DRAWS, len(ours)))
     low, high = np.quantile(ours[drawn].mean(axis=1) / theirs[drawn].mean(axis=1), (0.025, 0.975))
     return float(ours.mean() / theirs.mean()), float(low), float(high)
