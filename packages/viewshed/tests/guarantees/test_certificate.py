@@ -87,6 +87,19 @@ def test_an_attack_that_is_set_on_one_cell() -> None:
     assert len(blocking) >= 2
 
 
+def test_one_beam_opens_a_gap_that_had_beams_to_spare() -> None:
+    # So what is certified against other threats than added points lies in the open cells, not in the envelope's claim.
+    depth, gaps = toy.scene(np.random.default_rng(5)), 0
+    clean, threat = toy.envelope(toy.sweep_of(depth)), Threat("replaced", 1)
+    for beam in np.argwhere(np.isfinite(depth))[::4]:
+        after = depth.copy()
+        after[tuple(beam)] = np.inf
+        certified = certified_after(after, threat)
+        assert not (certified & ~clean.reference(threat)).any()
+        gaps += int((certified & ~clean.claim).sum())
+    assert gaps > 0
+
+
 def test_a_wedge_anywhere() -> None:
     # Six columns wide, it touches seven wherever it does not begin with one.
     for seed in range(3):
