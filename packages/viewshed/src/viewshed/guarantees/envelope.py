@@ -213,7 +213,7 @@ class Given:
         # The plane normal to the sensor's axis, up to PLANE_M; beyond, as high as there.
         share = PLANE_M / np.maximum(polar_of_cells(grid)[0], np.float32(PLANE_M))
         x_slope, y_slope = -self.rotation[:2, 2] / self.rotation[2, 2]
-        height_m = np.add.outer(grid.centers[:, 0, 0] * x_slope, grid.centers[0, :, 1] * y_slope) * share
+        height_m: F64 = np.add.outer(grid.centers[:, 0, 0] * x_slope, grid.centers[0, :, 1] * y_slope) * share
         return height_m.astype(np.float32)
 
     def sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
