@@ -230,8 +230,8 @@ CASES: dict[str, tuple[Callable[[int], Rows], str]] = {
     "Trust of many agents": (
         trust_of_agents,
         "Four cars and a mast; detections are forged as published. The published trust has the same tracks and the mask"
-        " of the same estimate as its polygon. GOSPA is of the tracks that somebody reports at the time. The publication"
-        " reports no figures that compare.",
+        " of the same estimate as its polygon. GOSPA is of the tracks that somebody reports at the time. The"
+        " publication reports no figures that compare.",
     ),
 }
 """By title: what runs, and what it is."""
