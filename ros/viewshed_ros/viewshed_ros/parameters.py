@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -268,38 +268,22 @@ def read(node: Node) -> NodeSettings:
         )
     if given["output"] == "world" and given["pose_source"] == "none":
         raise ValueError("output world needs poses, got pose_source none; name tf, odometry, pose or transform")
-    return NodeSettings(
-        profile=profile,
-        method=profile.method if given["method"] == OF_PROFILE else given["method"],
-        grid=profile.grid if given["grid"] == OF_PROFILE else given["grid"],
-        target=given["target"],
-        history=profile.history if given["history"] < 0 else given["history"],
-        rate_hz=_rate_hz(profile, given["rate_hz"]),
-        monitor=given["monitor"],
-        monitor_file=given["monitor_file"],
-        certify=_threat(given["certify"], profile),
-        certified_only=given["certified_only"],
-        sensors=tuple(_sensor(node, name) for name in names),
-        pose_source=given["pose_source"],
-        pose_topic=given["pose_topic"],
-        pose_wait_s=given["pose_wait_s"],
-        world_frame=given["world_frame"],
-        output=given["output"],
-        limits=SpeedLimits(given["speed_most_mps"], given["speed_unseen_mps"]),
-        vehicle=Vehicle(
-            given["vehicle_front_m"],
-            given["vehicle_half_width_m"],
-            given["vehicle_delay_s"],
-            given["vehicle_braking_mps2"],
+    made = {
+        "profile": profile,
+        "method": profile.method if given["method"] == OF_PROFILE else given["method"],
+        "grid": profile.grid if given["grid"] == OF_PROFILE else given["grid"],
+        "history": profile.history if given["history"] < 0 else given["history"],
+        "rate_hz": _rate_hz(profile, given["rate_hz"]),
+        "certify": _threat(given["certify"], profile),
+        "sensors": tuple(_sensor(node, name) for name in names),
+        "limits": SpeedLimits(given["speed_most_mps"], given["speed_unseen_mps"]),
+        "vehicle": Vehicle(
+            *(given[f"vehicle_{name}"] for name in ("front_m", "half_width_m", "delay_s", "braking_mps2"))
         ),
-        diagnostics_hz=given["diagnostics_hz"],
-        stale_s=given["stale_s"],
-        stale_periods=given["stale_periods"],
-        objects=given["objects"],
-        agent=given["agent"],
-        agent_key=given["agent_key"],
-        agent_topic=given["agent_topic"],
-    )
+    }
+    # All others are taken as they are.
+    same = {field.name: given[field.name] for field in fields(NodeSettings) if field.name not in made}
+    return NodeSettings(**made, **same)
 
 
 def _sensor(node: Node, name: str) -> SensorSettings:

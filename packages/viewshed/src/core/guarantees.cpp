@@ -62,9 +62,8 @@ MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, con
                 closed_blocked -= *reinterpret_cast<const Ranges*>(closed_m) < at.near_m;
             }
             for (std::size_t n = 0; n < LANES && begin + n < sent.ring_end[cell]; ++n) {
-                const std::int32_t firings = sent.of->firings(at, begin + n);
-                sum += std::max(firings - blocked[n], 0);
-                closed_sum += std::max(firings - closed_blocked[n], 0);
+                sum += std::max(at.firings - blocked[n], 0);
+                closed_sum += std::max(at.firings - closed_blocked[n], 0);
             }
         }
         margin[cell] = sum;
@@ -201,19 +200,12 @@ std::size_t ring_of(float x, float y, float z, View1<const float> tangent, View1
 
 }  // namespace
 
-TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimuth_, View2<const std::uint8_t> fired,
-                             std::size_t rings_, std::size_t columns_, double cell_m, double width_m, double farthest_m)
+TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimuth_, std::size_t rings_, std::size_t columns_,
+                             double cell_m, double width_m, double farthest_m)
     : rows(range.rows), grid_columns(range.columns), rings(rings_), columns(columns_),
       range_m(range.data, range.data + range.size()), azimuth(azimuth_.data, azimuth_.data + range.size()),
       windows(range.size()) {
     constexpr double TURN = 2 * std::numbers::pi;
-    if (fired.data != nullptr) {
-        fired_before.resize(rings * (2 * columns + 1));
-        for (std::size_t ring = 0; ring < rings; ++ring) {
-            std::uint32_t* const before = &fired_before[ring * (2 * columns + 1)];
-            for (std::size_t k = 0; k < 2 * columns; ++k) before[k + 1] = before[k] + (fired(ring, k % columns) != 0);
-        }
-    }
     for (std::size_t cell = 0; cell < windows.size(); ++cell) {
         const float r = range_m[cell], near_m = r - float(cell_m);
         if (near_m <= 0.0f || r > float(farthest_m)) continue;
@@ -274,7 +266,7 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
     return nearest;
 }
 
-Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of) {
+Buffer<float> without_gaps(Nearest nearest) {
     const std::size_t columns = nearest.columns / 2;
     Buffer<float> closed(nearest.size());
     std::vector<float> around(columns + 2 * GAP), least(columns + GAP);
@@ -285,9 +277,6 @@ Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of) 
         over_stretches(around.data(), least.data(), least.size(), [](float a, float b) { return a < b ? a : b; });
         float* const to = closed.data() + ring * 2 * columns;
         over_stretches(least.data(), to, columns, [](float a, float b) { return a > b ? a : b; });
-        for (std::size_t k = 0; of != nullptr && k < columns; ++k) {
-            if (!of->is_fired(ring, k)) to[k] = INFINITE;
-        }
         std::copy(to, to + columns, to + columns);
     }
     return closed;
@@ -295,7 +284,7 @@ Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of) 
 
 std::pair<Buffer<std::int32_t>, Buffer<bool>> envelope_margins(const SentBeams& sent, Nearest nearest, std::int32_t least) {
     const TargetColumns& of = *sent.of;
-    const Buffer<float> closed_m = without_gaps(nearest, &of);
+    const Buffer<float> closed_m = without_gaps(nearest);
     const Buffer<float> range_m = by_column(nearest);
     const Buffer<float> closed_range_m = by_column({closed_m.data(), nearest.rows, nearest.columns});
     Buffer<std::int32_t> margin(of.windows.size());

@@ -238,6 +238,14 @@ def test_a_star_ring_of_a_street_claims_most_of_what_is_seen_from_the_sensor(see
     assert shape.area > 0.6 * polygon_of_mask(mask, grid).area
 
 
+def test_a_blind_spot_goes_on_across_corners() -> None:
+    mask, grid = np.ones((8, 8), bool), BevGrid(8, 4.0)
+    mask[3:5, 3:5] = mask[5, 5] = mask[6, 6] = False
+    np.testing.assert_array_equal(blind_spot(mask, grid), ~mask)
+    mask[7, 7] = False  # it leads out of the grid
+    assert blind_spot(mask, grid) is None
+
+
 def test_a_star_ring_leaves_out_the_blind_spot_and_what_lies_behind_a_wall() -> None:
     grid = BevGrid(64, 32.0)
     mask = np.ones(grid.shape, np.bool_)

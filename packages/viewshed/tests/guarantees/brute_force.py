@@ -32,8 +32,8 @@ def slope_of(sine, sector, normal):
     return slope
 
 
-def margins(nearest, elevations, columns, rotation, height, cells, half, grade=0.0, far=100.0, fired=None):
-    """Return margins (cells, cells) on the plane of the sensor; ``fired`` (columns, rings) are its beams, or all."""
+def margins(nearest, elevations, columns, rotation, height, cells, half, grade=0.0, far=100.0):
+    """Return margins (cells, cells) on flat ground, or on that of a sensor that stands upright on its own slope."""
     found, step = np.zeros((cells, cells)), 2 * half / cells
     normal = tuple(float(rotation[i][2]) for i in range(3))
     for i in range(cells):
@@ -45,14 +45,13 @@ def margins(nearest, elevations, columns, rotation, height, cells, half, grade=0
             reach = math.atan2(WIDTH / 2, r) / (2 * math.pi) * columns
             middle = (a + math.pi) / (2 * math.pi) * columns
             window = [c for c in range(-columns, 2 * columns) if middle - reach <= c + 0.5 <= middle + reach]
-            surely = math.floor(2 * reach + 1e-6)
+            firings = math.floor(2 * reach + 1e-6)
             ground = -(normal[0] * x + normal[1] * y) / normal[2] * 20 / max(r, 20)
             spread = grade * max(r - 5, 0)
             sector = (math.floor((a + math.pi) / (2 * math.pi) * 128) % 128 + 0.5) / 128 * 2 * math.pi - math.pi
             for ring, elevation in enumerate(elevations):
                 z = height + r * slope_of(math.sin(elevation), sector, normal)
                 if ground - spread - 0.02 <= z <= ground + spread + HEIGHT:
-                    sent = surely if fired is None else min(surely, sum(fired[c % columns, ring] for c in window))
                     blocked = sum(nearest.get((ring, c % columns), math.inf) < r - step for c in window)
-                    found[i, j] += max(0, sent - blocked)
+                    found[i, j] += max(0, firings - blocked)
     return found

@@ -13,22 +13,14 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import CAR
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.grid import GRIDS, BevGrid
-from viewshed.guarantees.envelope import Envelope, Given, Kind, Threat, _columns
+from viewshed.guarantees.envelope import Envelope, Given, Kind, Threat
 from viewshed.sensors import LidarModel, lidar_model, sensor_names
 
 SEEDS = st.integers(0, 2**32 - 1)
 GAP = 4
+MANY = LidarModel("many", np.deg2rad(np.linspace(-24.0, 3.0, 70)), 90)
 WIDE = BevGrid(16, 32.0)
 """So far that a sensor's own plane ends before it does."""
-
-
-def partly_fired(rings: int) -> LidarModel:
-    """Return a sensor of which every tenth column of some rings is not fired."""
-    elevation = np.deg2rad(np.linspace(-24.0, 3.0, rings))
-    azimuth = (np.arange(90) + 0.5) / 90 * 2 * np.pi - np.pi
-    shots = np.stack(np.meshgrid(azimuth, elevation, indexing="ij"), axis=-1)
-    shots[::10, ::3] = np.nan
-    return LidarModel("partly", elevation, 90, shots=shots)
 
 
 def tilted(deg: float) -> Any:
@@ -39,7 +31,7 @@ def tilted(deg: float) -> Any:
 @pytest.mark.parametrize(
     ("tilt_deg", "grade", "model", "grid"),
     [(0.0, 0.0, toy.TOY, toy.GRID), (0.0, 0.03, toy.TOY, toy.GRID), (4.0, 0.0, toy.TOY, toy.GRID),
-     (3.0, 0.01, toy.TOY, WIDE), (0.0, 0.0, partly_fired(70), toy.GRID)],
+     (3.0, 0.01, toy.TOY, WIDE), (0.0, 0.0, MANY, toy.GRID)],
 )  # fmt: skip
 def test_as_the_checker_counts(tilt_deg: float, grade: float, model: LidarModel, grid: BevGrid) -> None:
     rng, checker = np.random.default_rng(3), brute_force
@@ -47,15 +39,14 @@ def test_as_the_checker_counts(tilt_deg: float, grade: float, model: LidarModel,
     one, rotation = toy.leveled(sweep), rotation_from_quaternion(sweep.attitude)
     ours = Envelope.of(one, Given.of(one, grade=grade), grid, CAR)
     nearest = checker.depths(sweep.points, model.elevation, 90, rotation)
-    fired = None if model.shots is None else ~np.isnan(model.shots[..., 0])
     theirs = checker.margins(
-        nearest, model.elevation, 90, rotation, toy.HEIGHT_M, grid.cells, grid.half_extent_m, grade, fired=fired
+        nearest, model.elevation, 90, rotation, toy.HEIGHT_M, grid.cells, grid.half_extent_m, grade
     )
     assert theirs.max() >= 20
     # float32 against float64: a beam on the edge of a window or of a target
     assert (ours.margins != theirs).mean() < 0.008
     assert np.abs(ours.margins - theirs).max() <= 12
-    closed_m = _core.without_gaps(ours.nearest_m, _columns(grid, CAR.width_m, model))
+    closed_m = _core.without_gaps(ours.nearest_m)
     assert np.array_equal(ours.claim, Envelope.within(grid, CAR, ours.sent, closed_m).open())
     assert (ours.claim != ours.open()).any() or grid is WIDE
 
@@ -76,19 +67,16 @@ def test_added_points_only_shrink(seed: int, count: int, grade: float) -> None:
 @settings(max_examples=60, deadline=None)
 @given(SEEDS)
 def test_gaps_close_what_both_sides_block(seed: int) -> None:
-    # At every range: a fired column is blocked if every stretch of GAP + 1 columns around it holds a blocked one.
-    rng, shots = np.random.default_rng(seed), np.zeros((40, 1, 2))
+    # At every range: a column is blocked if every stretch of GAP + 1 columns around it holds a blocked one.
+    rng = np.random.default_rng(seed)
     row = np.where(rng.random(40) < 0.7, np.inf, rng.uniform(1.0, 50.0, 40)).astype(np.float32)
-    fired, shots[:, 0, 0] = rng.random(40) < 0.9, (np.arange(40) + 0.5) / 40 * 2 * np.pi - np.pi
-    shots[~fired] = np.nan
-    columns = _columns(toy.GRID, CAR.width_m, LidarModel("one", np.zeros(1), 40, shots=shots))
-    closed = _core.without_gaps(np.tile(row, (1, 2)), columns)[0]
+    closed = _core.without_gaps(np.tile(row, (1, 2)))[0]
     for near_m in (2.0, 10.0, 60.0):
         blocked = row < near_m
         for column in range(80):
             starts = range(column - GAP, column + 1)
             expected = all(any(blocked[(start + k) % 40] for k in range(GAP + 1)) for start in starts)
-            assert (closed[column] < near_m) == (expected and fired[column % 40])
+            assert (closed[column] < near_m) == expected
 
 
 @settings(max_examples=40, deadline=None)
@@ -161,8 +149,10 @@ def test_threats_that_are_none(words: str, match: str) -> None:
 
 
 def test_what_cannot_be_given() -> None:
-    with pytest.raises(ValueError, match="fires rings"):
-        Given(lidar_model("livox_mid70"), np.eye(3), 1.8)
+    half = LidarModel("half", np.zeros(1), 4, shots=np.array([[[0.0, 0.0]], [[1.0, 0.0]], *[[[np.nan] * 2]] * 2]))
+    for model in (lidar_model("livox_mid70"), half):
+        with pytest.raises(ValueError, match="fires every ring in every column"):
+            Given(model, np.eye(3), 1.8)
     with pytest.raises(ValueError, match="within 15°"):
         Given(toy.TOY, rotation_from_quaternion(tilted(17.0)), 1.8)
     with pytest.raises(ValueError, match="height_m must be positive"):

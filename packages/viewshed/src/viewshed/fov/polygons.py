@@ -104,23 +104,6 @@ def _rings_in_cells(polygon: BaseGeometry, grid: BevGrid) -> tuple[NDArray[np.fl
     return (shapely.get_coordinates(rings) - grid.origin_m) / grid.cell_m, begin
 
 
-def claims_only(polygon: BaseGeometry, mask: Mask, grid: BevGrid) -> bool:
-    """Return whether a polygon (meters) lies on the grid and covers no part of a cell that is false in ``mask``.
-
-    >>> claims_only(shapely.box(0, 0, 1, 1), np.array([[False, False], [False, True]]), BevGrid(2, 1.0))
-    False
-    >>> claims_only(shapely.box(0.1, 0.1, 0.9, 0.9), np.array([[False, False], [False, True]]), BevGrid(2, 1.0))
-    True
-    """
-    if polygon.is_empty:
-        return True
-    corner = np.asarray(grid.origin_m)
-    if not shapely.box(*corner, *(corner + 2 * grid.half_extent_m)).covers(polygon):
-        return False
-    claimed = mask_of_polygon(polygon, grid) | _core.cells_met(*_rings_in_cells(polygon, grid), grid.cells)
-    return not bool((claimed & ~checked_mask(mask, grid)).any())
-
-
 def vertices_of(polygon: BaseGeometry) -> int:
     """Return the number of vertices of all rings; the one that closes a ring is not counted twice.
 

@@ -30,6 +30,7 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep
 from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
 
 LEVEL_TILT = np.deg2rad(6.0)
 """Up to this tilt the core takes a sweep without attitude for level (level_sweep.cpp)."""
@@ -54,7 +55,6 @@ LEVEL_M = 5.0
 
 PLANE_M = 20.0
 """Up to here the ground that carries the sensor is its plane; beyond, its height stays."""
-
 
 MOST_BEAMS = 10_000_000
 """More beams than any sensor fires in a sweep."""
@@ -132,7 +132,8 @@ class Given:
         inferred: what of these came from this sweep's own returns, which an attacker may own; empty where nothing did.
 
     Raises:
-        ValueError: the sensor fires no rings, is tilted by more than 15°, or a number is out of range.
+        ValueError: the sensor does not fire every ring in every column, is tilted by more than 15°, or a number is out
+            of range.
     """
 
     model: LidarModel
@@ -143,10 +144,10 @@ class Given:
     inferred: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.model.fires_rings:
+        if not self.model.fires_rings or self.model.shots is not None:
             raise ValueError(
-                f"a certificate needs a sensor that fires rings, got {self.model.name}: where its beams go in"
-                " a sweep is not known beforehand"
+                f"a certificate needs a sensor that fires every ring in every column, got {self.model.name}: where its"
+                " beams go in a sweep is not known beforehand"
             )
         if self.tilt > MOST_TILT:
             raise ValueError(
@@ -232,13 +233,13 @@ class Given:
             height + spread + np.float32(target.height_m), self.slopes(), start_m.astype(np.float32),
         )  # fmt: skip
 
-    def nearest_returns(self, leveled: LeveledSweep) -> F32:
+    def nearest_returns(self, sweep: Sweep) -> F32:
         """Return the horizontal range (rings, 2 · columns) of the nearest return of each beam; +inf for none.
 
         A beam is a ring in a column of azimuth; the circle stands twice. All returns of the sweep count, as it
         was measured, but null returns.
         """
-        sweep, model = leveled.sweep, self.model
+        model = self.model
         ring = sweep.ring if sweep.model is not None else None
         return _core.nearest_returns(
             sweep.points, ring, self.rotation.astype(np.float32), np.tan(model.elevation).astype(np.float32),
@@ -260,15 +261,9 @@ def _sent(
 def _columns(grid: BevGrid, width_m: float, model: LidarModel) -> _core.TargetColumns:
     """Return the columns that fall on a target in each cell; they are the same for every sweep."""
     range_m, azimuth = polar_of_cells(grid)
-    fired = None
-    if model.shots is not None:
-        fired = np.zeros((model.rings, model.azimuth_columns), np.uint8)
-        step, ring = np.nonzero(model.fired)
-        turn = (model.shots[step, ring, 0] + np.pi) / (2 * np.pi) % 1.0
-        fired[ring, (turn * model.azimuth_columns).astype(np.intp) % model.azimuth_columns] = 1
     return _core.TargetColumns(
-        range_m, azimuth, fired, model.rings, model.azimuth_columns, grid.cell_m, width_m, model.max_range_m
-    )
+        range_m, azimuth, model.rings, model.azimuth_columns, grid.cell_m, width_m, model.max_range_m
+    )  # fmt: skip
 
 
 # Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
@@ -299,7 +294,7 @@ class Envelope:
     @classmethod
     def of(cls, leveled: LeveledSweep, given: Given, grid: BevGrid, target: Target) -> Envelope:
         """Return the envelope of a sweep."""
-        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled))
+        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled.sweep))
 
     @classmethod
     def within(cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32) -> Envelope:

@@ -20,7 +20,7 @@ from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.envelope import Envelope, Given, Threat
-from viewshed.preprocess.leveling import NULL_RANGE_M, level
+from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -109,18 +109,8 @@ class Victim:
 
     def envelope_of(self, sweep: Sweep) -> Envelope:
         """Return the envelope of an attacked sweep."""
-        model, own = self.given.model, self.envelope
-        nearest_m = _core.nearest_returns(
-            sweep.points,
-            sweep.ring,
-            self.given.rotation.astype(np.float32),
-            np.tan(model.elevation).astype(np.float32),
-            model.origin_m.astype(np.float32),
-            model.azimuth_columns,
-            max(NULL_RANGE_M, model.min_range_m),
-            model.max_range_m,
-        )
-        return Envelope.within(own.grid, own.target, own.sent, nearest_m)
+        own = self.envelope
+        return Envelope.within(own.grid, own.target, own.sent, self.given.nearest_returns(sweep))
 
 
 def own_victim(sweep: Sweep, grid: BevGrid) -> Victim:

@@ -30,6 +30,7 @@ from viewshed_lab.studies.guarantees.scenes import (
     attacked_of,
     broken_of,
     certificates_of,
+    costs_of,
     counts_of,
     guaranteed_of,
     own_scene,
@@ -96,6 +97,8 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
                 scene, target, estimate, calibration.guaranteed(estimate, scene.leveled.ground, ALPHA, DELTA)
             )
         _add(folder, "report", number, found)
+    for number in _left(folder, "costs", 1, on_line):
+        _add(folder, "costs", number, costs_of(calibrations["car"]))
     for number in _left(folder, "attacked", sizes.attacked, on_line):
         line = attacked_of(own_scene("report", number), number, calibrations["car"], sizes.queries)
         _add(folder, "attacked", number, line)

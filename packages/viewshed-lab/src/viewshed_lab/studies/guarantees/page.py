@@ -39,6 +39,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]),
         worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
+        attacked=_attacked(lines["attacked"]), costs=_costs(lines["costs"]),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
         speeds=_speeds(lines["speeds"]), filled=_filled(lines["speeds"]), certified=CERTIFIED,
@@ -65,6 +66,8 @@ _PARTS = (
     "calibration",
     "development",
     "report",
+    "attacked",
+    "costs",
     "attacks",
     "survey",
     "driving",
@@ -165,8 +168,35 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
                 "≤ .020 / ≤ .150", format_rates(over, under), over <= 0.02 and under <= 0.15,
             ))  # fmt: skip
     rows += _aims_of_driving(lines["driving"])
+    rows += _aims_of_costs(lines["costs"])
     words_of = {True: "met", False: "missed", None: "not shown"}
     return Table(["aim", "wanted", "measured", ""], [[*row[:3], words_of[row[3]]] for row in rows]) if rows else None
+
+
+def _aims_of_costs(lines: list[Line]) -> list[Aim]:
+    """Return the rows of what a sweep costs at the fastest: the slowest certificate and the guaranteed mask."""
+    if not lines:
+        return []
+    costs = {name: [found[0] for found in of.values()] for name, of in lines[0].items() if name != "number"}
+    masks, slowest = costs.pop("guaranteed mask"), np.max(list(costs.values()), axis=0)
+    return [
+        ("slowest certificate, HDL-32E / HDL-64E", "≤ 5 / ≤ 8 ms", f"{slowest[0]:.1f} / {slowest[1]:.1f} ms",
+         bool((slowest <= (5.0, 8.0)).all())),
+        ("guaranteed mask, HDL-32E / HDL-64E", "≤ .5 ms", f"{masks[0]:.2f} / {masks[1]:.2f} ms", max(masks) <= 0.5),
+    ]  # fmt: skip
+
+
+def _costs(lines: list[Line]) -> Table | None:
+    """Return what a sweep costs in milliseconds."""
+    if not lines:
+        return None
+    costs = {name: of for name, of in lines[0].items() if name != "number"}
+    heads = [f"{sensor}, {points:,} points, ms" for sensor, (_, _, points) in costs["added"].items()]
+    rows = [
+        [name, *(f"{median:.2f} (fastest {fastest:.2f})" for fastest, median, _ in of.values())]
+        for name, of in costs.items()
+    ]
+    return Table(["of a sweep, median of 40", *heads], rows)
 
 
 def _aims_of_driving(lines: list[Line]) -> list[Aim]:
@@ -369,6 +399,24 @@ def _masks(folder: Path, lines: list[Line]) -> Table | None:
         ])  # fmt: skip
     header = ["target", "thresholds by range band", "scenes with a false share above α", "the default alone",
               "recall of the truth", "kept of what the default rightly claims"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _attacked(lines: list[Line]) -> Table | None:
+    """Return what is false of a guaranteed mask, a car, and of the default's claim, by the attack on the sweep."""
+    if not lines:
+        return None
+    rows = []
+    for attack in (name for name in lines[0] if name != "number"):
+        row = [attack]
+        for claim in ("guaranteed", "default"):
+            right, false, _ = np.array([line[attack][claim] for line in lines]).T
+            broken = int((false / np.maximum(right + false, 1e-9) > ALPHA).sum())
+            row += [format_interval(broken / len(lines), _interval(broken, len(lines))),
+                    format_rate(float(false.sum() / (right + false).sum()))]  # fmt: skip
+        rows.append(row)
+    header = ["attack", "scenes with a false share above α", "false share of the whole claim",
+              "the default alone: scenes", "false share"]  # fmt: skip
     return Table(header, rows)
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import count
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,7 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
-from viewshed.guarantees.certificate import ADDED, certify, without
+from viewshed.guarantees.certificate import ADDED, Certificate, certify, without
 from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -27,6 +30,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.data.wild import WildScene
+from viewshed_lab.sim import cast, junction
 from viewshed_lab.studies.crossview.page import posed_scenes
 from viewshed_lab.studies.crossview.rates import evaluate_crossview
 from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
@@ -136,6 +140,35 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
                 "gain_m2": gain_m2, "over_claim_m2": certificate.over_claim_m2,
             }  # fmt: skip
     return found
+
+
+def costs_of(calibration: Calibration, repeats: int = 40) -> dict[str, Any]:
+    """Return milliseconds (fastest, median) of each certificate and of a guaranteed mask, by sensor, at a junction."""
+    found: dict[str, Any] = {}
+    for sensor in ("HDL-32E", "HDL-64E"):
+        leveled = level(cast(lidar_model(sensor), junction(), 1.8, rng=np.random.default_rng(36)), GRID)
+        estimate = default_estimator(TARGETS["car"]).estimate(leveled)
+        jobs: dict[str, Callable[[], object]] = {
+            words: partial(certify, leveled, estimate, Threat.parse(words)) for words in THREATS
+        }
+        turned = (
+            replace(Given.of(leveled), rotation=Rigid.from_quaternion((1.0, 0.001 * step, 0.0, 0.0)).rotation)
+            for step in count()
+        )
+        jobs["added, another attitude each sweep"] = partial(_certify_next, leveled, estimate, turned)
+        jobs["guaranteed mask"] = partial(calibration.guaranteed, estimate, leveled.ground)
+        for name, job in jobs.items():
+            times_ms = []
+            for _ in range(repeats):
+                start_s = perf_counter()
+                job()
+                times_ms.append(1000 * (perf_counter() - start_s))
+            found.setdefault(name, {})[sensor] = [min(times_ms), float(np.median(times_ms)), len(leveled.sweep)]
+    return found
+
+
+def _certify_next(leveled: LeveledSweep, estimate: FovEstimate, given: Iterator[Given]) -> Certificate:
+    return certify(leveled, estimate, ADDED, next(given))
 
 
 def counts_of(scene: Scene, target: str, number: int) -> tuple[FovEstimate, SceneCounts]:
