@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "depth_images.hpp"
@@ -10,7 +9,6 @@
 #include "grid.hpp"
 #include "height_map.hpp"
 #include "no_return.hpp"
-#include "reach.hpp"
 #include "sensor_id.hpp"
 
 namespace viewshed {
@@ -22,8 +20,6 @@ constexpr float LOW_M = 0.3f, HIGH_M = 3.0f;
 
 // Columns of a revolution where the sensor is not known.
 constexpr std::size_t DEFAULT_COLUMNS = 1024;
-
-constexpr double NONE = std::numeric_limits<double>::infinity();
 
 // The rings (N,) of a sweep, its own or recovered ones, and its sensor; none of either where nothing shows it.
 struct Identity {
@@ -110,12 +106,10 @@ LostBeams lost_beams(const std::optional<NoReturnBeams>& beams) {
     return {some(beams->azimuth), some(beams->slope), {some(beams->depth_m), some(beams->early_m), some(beams->late_m)}};
 }
 
-// How far the sensor sees a dark target: by its table, else by its returns.
-double reach_of(const SweepLevel& at, const SensorModel* model, std::size_t count) {
-    if (model != nullptr && model->reach_m) return *model->reach_m;
-    const Buffer<bool> none(at.image ? 0 : count, false);
-    const View1<const bool> isolated = at.image ? View1<const bool>(at.image->isolated) : View1<const bool>(none);
-    return sensing_reach(at.level.range_m, isolated, at.level.rows, model == nullptr ? NONE : model->max_range_m);
+// How far the sensor sees a dark target.
+double reach_of(const SensorModel* model) {
+    if (model == nullptr) return USUAL_REACH_M;
+    return model->reach_m.value_or(std::min(USUAL_REACH_M, model->max_range_m));
 }
 
 CellWindows windows_of(const BevGrid& grid, const Target& target) {
@@ -174,7 +168,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     if (refine_ground_) refine_ground_(sweep, at);
     // 3. Beams by what is known of their depth, and how far the sensor sees.
     const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
-    const double reach_m = reach_of(at, model, sweep.points.rows);
+    const double reach_m = reach_of(model);
     // 4. The evidence of each cell.
     const std::size_t cells = grid_.size();
     Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);

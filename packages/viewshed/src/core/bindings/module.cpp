@@ -9,7 +9,6 @@ NB_MODULE(_core, m) {
         "set_threads", [](std::size_t count) { viewshed::set_threads(count); }, nanobind::arg("count"),
         "Let a stage use up to this number of threads, 1 to 4.");
     viewshed::bind_range_image(m);
-    viewshed::bind_reach(m);
     viewshed::bind_sensor_id(m);
     viewshed::bind_ground(m);
     viewshed::bind_held_ground(m);

@@ -75,6 +75,7 @@ BeamTable checked_table(View1<const double> given_elevation, View1<const double>
 
 // What Python calls: arrays are checked here, whatever hands them in.
 void bind_sensor_id(nb::module_& m) {
+    m.attr("USUAL_REACH_M") = USUAL_REACH_M;
     m.def(
         "identify_sensor",
         [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m, bool is_inferred,

@@ -15,7 +15,6 @@ RangeImageArrays range_image_arrays(RangeImage&& image);
 LevelArrays level_arrays(LevelPoints&& level);
 
 void bind_range_image(nb::module_& m);
-void bind_reach(nb::module_& m);
 void bind_sensor_id(nb::module_& m);
 void bind_ground(nb::module_& m);
 void bind_held_ground(nb::module_& m);
