@@ -39,7 +39,8 @@ Identity identify(const SweepInput& sweep, const SensorModel* expected) {
     const auto at = std::find(sensors.begin(), sensors.end(), expected);
     SensorId found = identify_sensor(sweep.points, sweep.ring, model == nullptr ? nullptr : &model->beams, sweep.infers_sensor,
                                      at == sensors.end() ? NO_SENSOR : int(at - sensors.begin()));
-    return {std::move(found.ring), sweep.ring, found.sensor == NO_SENSOR ? model : sensors[std::size_t(found.sensor)]};
+    if (found.sensor == OTHER_BEAMS && found.ring) return {std::move(found.ring), sweep.ring, nullptr};
+    return {std::move(found.ring), sweep.ring, found.sensor < 0 ? model : sensors[std::size_t(found.sensor)]};
 }
 
 // Where the beams of a range image point, and what of it says which beams are missing.
@@ -168,7 +169,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     if (refine_ground_) refine_ground_(sweep, at);
     // 3. Beams by what is known of their depth, and how far the sensor sees.
     const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
-    const double reach_m = reach_of(model);
+    const double reach_m = reach_of(sweep.model == nullptr ? model : sweep.model);
     // 4. The evidence of each cell.
     const std::size_t cells = grid_.size();
     Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);

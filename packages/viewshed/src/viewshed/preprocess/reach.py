@@ -39,5 +39,6 @@ def returns_beyond(points: F32, model: LidarModel | None) -> int:
 
 def reach_of_sweep(leveled: LeveledSweep) -> float:
     """Return how far in meters the sensor of a sweep sees a dark target."""
-    reach_m, planar = sensing_reach(leveled.sensor_id.model), leveled.sweep.planar
+    model = leveled.sensor_id.model if leveled.sweep.model is None else leveled.sweep.model
+    reach_m, planar = sensing_reach(model), leveled.sweep.planar
     return reach_m if planar is None else min(reach_m, planar.max_range_m)
