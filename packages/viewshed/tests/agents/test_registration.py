@@ -9,10 +9,11 @@ import pytest
 from tests.agents.test_view_evidence import honest
 
 from viewshed.agents.many import AgentReport, registered
-from viewshed.agents.registration import MOST_M, MOST_TURN, REACH, PoseStd, registered_poses
+from viewshed.agents.registration import MOST_M, MOST_TURN, REACH, UNSTATED, PoseStd, registered_poses
 from viewshed.detections import Detections
 from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
+from viewshed.sweep import Sweep
 
 STD = PoseStd(0.2, float(np.radians(0.5)))
 
@@ -76,3 +77,14 @@ def test_reports_keep_all_but_their_poses() -> None:
     assert np.array_equal(right[0].estimate.state, wrong.state)
     assert right[0].world_from_level is not wrong.world_from_level
     assert right[1] is said[1]
+
+
+def test_a_pose_is_as_certain_as_its_sweep_states_and_its_turn_as_usual_where_only_a_place_is_stated() -> None:
+    sweep = Sweep(np.ones((1, 3)))
+    assert PoseStd.stated_by(sweep) == UNSTATED
+    place = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.0])
+    stated = PoseStd.stated_by(sweep.replace(pose_covariance=place))
+    assert stated.place_m == pytest.approx(0.3)
+    assert stated.yaw == UNSTATED.yaw
+    both = PoseStd.stated_by(sweep.replace(pose_covariance=place + np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0025])))
+    assert both.yaw == pytest.approx(0.05)

@@ -11,10 +11,14 @@ import pytest
 from PIL import Image
 from tests.cli.commands import run
 
-from viewshed import read_sweep, write_sweep
-from viewshed.agents.registration import UNSTATED
-from viewshed.cli.fuse import stated_pose_std
+from viewshed import load_estimator, read_sweep, write_sweep
+from viewshed.agents.registration import UNSTATED, PoseStd
+from viewshed.agents.rounds import Rounds
+from viewshed.cli._record import Center
+from viewshed.geometry import Rigid
 from viewshed.io.samples import junction_path
+from viewshed.objects.object_stream import ObjectStream
+from viewshed.preprocess.leveling import level
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: bags are not written")
 pytest.importorskip("mcap", reason="mcap is not installed: bags are not written")
@@ -57,15 +61,21 @@ def test_poses_are_as_certain_as_is_said_or_refused(drive: Path, tmp_path: Path)
         assert f"--pose-std must be METERS,DEGREES, both 0 or more, got '{wrong}'; as 0.2,0.5" in err
 
 
-def test_a_pose_is_as_certain_as_its_sweep_states_and_its_turn_as_usual_where_only_a_place_is_stated() -> None:
-    sweep = read_sweep(junction_path())
-    assert stated_pose_std(sweep) == UNSTATED
-    place = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.0])
-    stated = stated_pose_std(sweep.replace(pose_covariance=place))
-    assert stated.place_m == pytest.approx(0.3)
-    assert stated.yaw == UNSTATED.yaw
-    both = stated_pose_std(sweep.replace(pose_covariance=place + np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.0025])))
-    assert both.yaw == pytest.approx(0.05)
+@pytest.mark.parametrize("deviation", [None, 0.5])
+def test_a_center_takes_a_pose_to_be_as_certain_as_its_sweep_states(
+    deviation: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[PoseStd]()
+    monkeypatch.setattr(Rounds, "add", lambda self, t_s, report: seen.append(report.pose_std) or [])
+    sweep = read_sweep(junction_path()).replace(
+        t_ns=1, world_from_sensor=Rigid.identity(),
+        pose_covariance=None if deviation is None else deviation**2 * np.eye(6),
+    )  # fmt: skip
+    estimator = load_estimator("shadow_map")
+    leveled = level(sweep, estimator.grid)
+    estimate = estimator.estimate(leveled)
+    Center().add(sweep, estimate, ObjectStream().follow(leveled, estimate))
+    assert seen == [UNSTATED if deviation is None else PoseStd(0.5, 0.5)]
 
 
 def test_a_replay_puts_agents_together_and_names_who_was_forged(drive: Path, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from viewshed import _core
 from viewshed.arrays import F64
 from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
+from viewshed.sweep import Sweep
 
 MOST_M, MOST_TURN = 0.25, float(np.radians(0.6))
 """Larger standard deviations of a place, along each axis, and of a heading count as these."""
@@ -87,6 +88,15 @@ class PoseStd:
             )
         place_m2 = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         return cls(max(place_m2, 0.0) ** 0.5, max(float(covariance[5, 5]), 0.0) ** 0.5)
+
+    @classmethod
+    def stated_by(cls, sweep: Sweep) -> PoseStd:
+        """Return those that a sweep states of its pose; the usual ones of what it leaves out."""
+        if sweep.pose_covariance is None:
+            return UNSTATED
+        stated = cls.of(sweep.pose_covariance)
+        # A table of places leaves out the turn, with a variance of 0.
+        return cls(stated.place_m, stated.yaw or UNSTATED.yaw)
 
     @property
     def bounded(self) -> PoseStd:

@@ -14,9 +14,10 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Reading
 from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
 from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import Method
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._terminal import note
-from viewshed.cli.estimate import Files, Method
+from viewshed.cli.estimate import Files
 
 if TYPE_CHECKING:
     from viewshed.agents.registration import PoseStd
@@ -120,11 +121,7 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
 
 
 def parse_pose_std(words: str | None) -> PoseStd | None:
-    """Return the standard deviations in METERS,DEGREES; None where they are not given.
-
-    Raises:
-        ValueError: these are not two numbers that can be.
-    """
+    """Return the standard deviations in METERS,DEGREES; None where they are not given."""
     from math import radians
 
     from viewshed.agents.registration import PoseStd
@@ -142,23 +139,13 @@ def report_of(sweep: Sweep, estimator: Estimator, detector: Detector, pose_std: 
     """Return what the agent of a sweep reports; its pose is as certain as the sweep states if no deviation is given."""
     from dataclasses import replace
 
+    from viewshed.agents.registration import PoseStd
     from viewshed.agents.report import AgentReport
     from viewshed.preprocess.leveling import leveled_on
 
     leveled = leveled_on(sweep, estimator.grid)
     estimate = replace(estimator.estimate(leveled), agent=sweep.agent)
-    return AgentReport.of(estimate, detector.detect(leveled), pose_std or stated_pose_std(sweep), leveled.ground)
-
-
-def stated_pose_std(sweep: Sweep) -> PoseStd:
-    """Return the standard deviations that a sweep states of its pose; the usual ones of what it leaves out."""
-    from viewshed.agents.registration import UNSTATED, PoseStd
-
-    if sweep.pose_covariance is None:
-        return UNSTATED
-    stated = PoseStd.of(sweep.pose_covariance)
-    # A table of places leaves out the turn, with a variance of 0.
-    return PoseStd(stated.place_m, stated.yaw or UNSTATED.yaw)
+    return AgentReport.of(estimate, detector.detect(leveled), pose_std or PoseStd.stated_by(sweep), leveled.ground)
 
 
 def line_of(done: Round) -> str:

@@ -77,14 +77,18 @@ class Ros:
         stamped = types["geometry_msgs/msg/TransformStamped"](self.header(t_ns, parent), child, moved)
         return types[TF]([stamped])
 
-    def odometry(self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float]) -> Any:
+    def odometry(
+        self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float],
+        covariance: NDArray[np.float64] | None = None,
+    ) -> Any:  # fmt: skip
+        stated = np.zeros(36) if covariance is None else covariance.ravel()
         types = self.store.types
         pose = types["geometry_msgs/msg/Pose"](
             types["geometry_msgs/msg/Point"](*where), types["geometry_msgs/msg/Quaternion"](*turn_xyzw)
         )
         zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
         return types[ODOMETRY](
-            self.header(t_ns, parent), child, types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            self.header(t_ns, parent), child, types["geometry_msgs/msg/PoseWithCovariance"](pose, stated),
             types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)),
         )  # fmt: skip
 
@@ -230,6 +234,30 @@ def test_odometry_is_a_pose_where_tf_has_none(tmp_path: Path, ros: Ros, write: W
     np.testing.assert_allclose(_world(source, ref), np.column_stack([10 - y, 5 + x, z + 1.5]), atol=1e-5)
     assert source.read(ref).sensor_height_m is None
     assert source.damage() == ()
+
+
+@KINDS
+def test_odometry_states_how_certain_the_pose_of_a_sensor_is(tmp_path: Path, ros: Ros, write: Write) -> None:
+    # The lidar stands 2 m ahead of the base, which faces left: a turn by .1 radians carries it by .2 m along x.
+    stated = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.01])
+    place, left = (10.0, 5.0, 0.0), (0.0, 0.0, TURN, TURN)
+    source = open_source(write(tmp_path / "a", [
+        ("/odom", 0, ros.odometry(S, "odom", "base_link", place, left, stated)),
+        ("/odom", 1, ros.odometry(2 * S, "odom", "base_link", place, left)),
+        ("/odom", 2, ros.odometry(3 * S, "odom", "base_link", place, left, -stated)),
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (2.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
+        *(("/points", n, ros.cloud(n * S)) for n in (1, 2, 3)),
+    ]))  # fmt: skip
+    found = [source.read(ref).pose_covariance for ref in source.refs("a")]
+    assert found[0] is not None
+    np.testing.assert_allclose(found[0][:3, :3], np.diag([0.08, 0.09, 0.01]), atol=1e-9)
+    np.testing.assert_allclose(found[0][[0, 5], [5, 5]], [-0.02, 0.01], atol=1e-9)
+    # What odometry leaves out in between is that of the message before: only one states a covariance here.
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-9)
+    bare = write(
+        tmp_path / "b", [("/odom", 0, ros.odometry(S, "odom", "lidar", place, left)), ("/points", 1, ros.cloud(S))]
+    )
+    assert [open_source(bare).read(ref).pose_covariance for ref in open_source(bare).refs("b")] == [None]
 
 
 def test_the_footprint_tells_the_height(tmp_path: Path) -> None:

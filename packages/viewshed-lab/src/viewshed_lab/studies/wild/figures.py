@@ -45,7 +45,8 @@ def picture_of(row: Any, methods: Sequence[str]) -> bytes:
         shown = axis.imshow(np.asarray(values)[::-1, ::-1], extent=extent, cmap=colors, **limits)
         figure.colorbar(shown, ax=axis, shrink=0.7)
         axis.set_title(title)
-    _cut(axes[2], leveled, sample, error)
+    aimed = seen.known & (seen.truth.state[target.name] != CellState.UNKNOWN)
+    _cut(axes[2], leveled, sample, np.where(aimed, error, 0.0))
     points = leveled.points[np.abs(leveled.points[:, :2]).max(axis=1) < half]
     axes[3].scatter(points[:, 1], points[:, 0], s=0.3, c="0.2")
     names = ["unknown", "free", "surface", "hidden", "truth not known"]
@@ -78,7 +79,7 @@ def reliability_of(pool: Pool) -> bytes:
 
 
 def _cut(axis: Any, leveled: LeveledSweep, sample: WildSample, error_m: NDArray[np.float64]) -> None:
-    """Draw exact and estimated ground, and the returns, along the line through the sensor where it is most wrong."""
+    """Draw exact and estimated ground, and the returns, along the line through the sensor with the largest errors."""
     half_m = leveled.ground.half_extent_m
     run_m = np.linspace(-half_m, half_m, 257)
     lines = [run_m[:, None] * [np.cos(turn), np.sin(turn)] for turn in np.arange(0.0, np.pi, np.pi / 36)]

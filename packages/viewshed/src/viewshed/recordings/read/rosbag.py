@@ -12,7 +12,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from viewshed._extras import needed_for
+from viewshed.arrays import F64
 from viewshed.geometry import Rigid
 from viewshed.io._input import one_line
 from viewshed.io.messages.hesai import PANDAR, sweep_of_hesai
@@ -22,7 +25,7 @@ from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velod
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
-from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage
+from viewshed.recordings.read.source import SweepReader, SweepRef, note_damage
 from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer
 from viewshed.sweep import Sweep
 
@@ -114,6 +117,8 @@ class _Contents:
     clouds: list[_Cloud] = field(default_factory=list)
     transforms: TransformBuffer = field(default_factory=TransformBuffer)
     odometry: dict[str, list[Any]] = field(default_factory=dict)
+    # of each frame that odometry places: by the time, covariance (6, 6) of its pose where one is stated
+    covariances: dict[str, dict[int, F64]] = field(default_factory=dict)
     worlds: list[str] = field(default_factory=lambda: list(WORLDS))
     metadata: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -127,6 +132,7 @@ class Bag:
     path: Path  # where it lies
     refs: tuple[SweepRef, ...]  # its clouds, in the order of time
     poses: tuple[Rigid | None, ...]  # ``world_from_sensor`` of each, or None
+    covariances: tuple[F64 | None, ...]  # (6, 6) of each pose as odometry states it, or None
     heights_m: tuple[float | None, ...]  # height of the sensor above the ground at each, or None
     encoding: str  # how its messages are written, ``cdr`` or ``ros1``
     kinds: Mapping[str, str]  # type of the messages of each topic with sweeps
@@ -321,9 +327,30 @@ def _add_odometry(contents: _Contents, damage: list[str]) -> None:
             try:
                 _add(contents.transforms, odometry.header, child, pose.position, pose.orientation)
                 contents.worlds.append(odometry.header.frame_id.lstrip("/"))
+                t_ns = odometry.header.stamp.sec * 1_000_000_000 + odometry.header.stamp.nanosec
+                covariance = np.array(odometry.pose.covariance, np.float64).reshape(6, 6)
+                # Zeros state nothing in ROS, nor does what is no covariance.
+                if covariance.any() and np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance)[0] >= -1e-9:
+                    contents.covariances.setdefault(child, {})[t_ns] = (covariance + covariance.T) / 2.0
             except ValueError as error:
                 note_damage(damage, f"{topic}: {one_line(error)}; left out")
     contents.worlds = list(dict.fromkeys(contents.worlds))
+
+
+def _covariance(contents: _Contents, cloud: _Cloud, world: str | None, pose: Rigid | None) -> F64 | None:
+    """Return the covariance (6, 6) of a sensor's pose that the odometry of its vehicle states, nearest in time."""
+    placed = next((frame for frame in contents.transforms.chain(cloud.frame) if frame in contents.covariances), None)
+    if placed is None or world is None or pose is None:
+        return None
+    vehicle = contents.transforms.lookup(world, placed, cloud.t_ns)
+    if vehicle is None:
+        return None
+    stated = contents.covariances[placed]
+    # A turn of the vehicle moves what stands beside its origin.
+    x, y, z = pose.translation - vehicle.translation
+    carried = np.eye(6)
+    carried[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return np.asarray(carried @ stated[min(stated, key=lambda t_ns: abs(t_ns - cloud.t_ns))] @ carried.T, np.float64)
 
 
 def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: str, damage: list[str]) -> Bag:
@@ -340,6 +367,9 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
         None if (world := worlds[cloud.frame]) is None else contents.transforms.lookup(world, cloud.frame, cloud.t_ns)
         for cloud in clouds
     )
+    covariances = tuple(
+        _covariance(contents, cloud, worlds[cloud.frame], pose) for cloud, pose in zip(clouds, poses, strict=True)
+    )
     for topic in topics:
         at = [poses[index] for index, cloud in enumerate(clouds) if cloud.topic == topic and worlds[cloud.frame]]
         if at.count(None):
@@ -349,7 +379,7 @@ def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: s
     heights_m = tuple(_height_m(contents, cloud) for cloud in clouds)
     kinds = {cloud.topic: cloud.kind for cloud in clouds}
     metadata = {topic: text for topic, text in contents.metadata.items() if topic in kinds}
-    return Bag(root, path, refs, poses, heights_m, encoding, kinds, metadata, tuple(contents.notes))
+    return Bag(root, path, refs, poses, covariances, heights_m, encoding, kinds, metadata, tuple(contents.notes))
 
 
 def _world(contents: _Contents, frame: str) -> str | None:
@@ -396,7 +426,7 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
     return OusterDecoder(OusterMetadata.parse(metadata))
 
 
-class BagRecording:
+class BagRecording(SweepReader):
     """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
     One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
@@ -442,7 +472,7 @@ class BagRecording:
             raise ValueError(f"{ref.file}: {ref.sensor} at {ref.t_ns} ns: {one_line(error)}") from error
         return sweep.replace(
             agent=ref.agent, t_ns=ref.t_ns, world_from_sensor=bag.poses[ref.index],
-            sensor_height_m=bag.heights_m[ref.index],
+            sensor_height_m=bag.heights_m[ref.index], pose_covariance=bag.covariances[ref.index],
         )  # fmt: skip
 
     def _sweep(self, bag: Bag, ref: SweepRef) -> Sweep:
@@ -451,10 +481,6 @@ class BagRecording:
         if kind in OUSTER:
             return sweep_of_ouster(messages, _cached_decoder(bag.metadata[ref.sensor]))
         return _SWEEP_OF[kind](messages[0])
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return None: bags hold no annotations that are read."""
-        return None
 
     def _file(self, bag: Bag) -> BagFile:
         """Return the opened bag; only one is kept open, and none that another process opened."""

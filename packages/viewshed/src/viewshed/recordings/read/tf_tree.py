@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid
+from viewshed.geometry import Rigid, quaternion_from_rotation
 
 WORLDS = ("map", "odom", "world", "earth")
 """Frames that are taken as the world, the first that the sensor hangs from."""
@@ -33,6 +33,17 @@ def slerp(one: NDArray[np.float64], other: NDArray[np.float64], share: float) ->
         angle = np.arccos(abs(cosine))
         mixed = (np.sin((1 - share) * angle) * one + np.sin(share * angle) * near) / np.sin(angle)
     return np.asarray(mixed / np.linalg.norm(mixed), np.float64)
+
+
+def between(before: Rigid, after: Rigid, share: float) -> Rigid:
+    """Return the transform at ``share`` in [0, 1] of the way, at constant speed and rate of turn.
+
+    >>> between(Rigid.identity(), Rigid.from_yaw(1.0, (4.0, 0.0, 0.0)), 0.25).translation.tolist()
+    [1.0, 0.0, 0.0]
+    """
+    one, other = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
+    where = (1 - share) * before.translation + share * after.translation
+    return Rigid.from_quaternion(slerp(one, other, share), where)
 
 
 @dataclass(slots=True, eq=False)
@@ -118,7 +129,7 @@ class TransformBuffer:
         Raises:
             ValueError: the frames are not connected; the message names those that exist.
         """
-        ups, downs = self._chain(source.lstrip("/")), self._chain(target.lstrip("/"))
+        ups, downs = self.chain(source.lstrip("/")), self.chain(target.lstrip("/"))
         common = next((frame for frame in ups if frame in downs), None)
         if common is None:
             known = ", ".join(self.frames()) or "none"
@@ -133,7 +144,7 @@ class TransformBuffer:
         Raises:
             ValueError: there is none; the message names the frames that exist.
         """
-        chain = self._chain(frame.lstrip("/"))
+        chain = self.chain(frame.lstrip("/"))
         worlds = tuple(worlds)
         first = next((world for world in worlds if world in chain), None)
         if first is None:
@@ -150,7 +161,7 @@ class TransformBuffer:
         >>> round(buffer.tilt_rad("laser", (0, 1)), 1)
         2.4
         """
-        chain = self._chain(frame.lstrip("/"))
+        chain = self.chain(frame.lstrip("/"))
         found = (self._up(chain[:-1], t_ns) for t_ns in times_ns)
         axes = np.array([pose.rotation[:, 2] for pose in found if pose is not None])
         return float(np.arccos(np.clip(axes @ axes[0], -1.0, 1.0)).max()) if len(axes) else 0.0
@@ -165,7 +176,7 @@ class TransformBuffer:
             total = step @ total
         return total
 
-    def _chain(self, frame: str) -> list[str]:
+    def chain(self, frame: str) -> list[str]:
         """Return a frame and those above it; a loop ends where it closes."""
         chain = [frame]
         while chain[-1] in self._edges:
