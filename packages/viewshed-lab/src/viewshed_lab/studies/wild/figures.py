@@ -12,12 +12,13 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from viewshed.arrays import Mask
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import TARGETS
+from viewshed.grid import BevGrid
 from viewshed.metrics import BINS
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed_lab.data.wild import WildSample
 from viewshed_lab.studies.wild.evaluate import estimator_named, ground_error_m
 from viewshed_lab.studies.wild.jobs import scene_of
 from viewshed_lab.studies.wild.pool import Pool
@@ -46,7 +47,7 @@ def picture_of(row: Any, methods: Sequence[str]) -> bytes:
         figure.colorbar(shown, ax=axis, shrink=0.7)
         axis.set_title(title)
     aimed = seen.known & (seen.truth.state[target.name] != CellState.UNKNOWN)
-    _cut(axes[2], leveled, sample, np.where(aimed, error, 0.0))
+    _cut(axes[2], leveled, grid, error, aimed)
     points = leveled.points[np.abs(leveled.points[:, :2]).max(axis=1) < half]
     axes[3].scatter(points[:, 1], points[:, 0], s=0.3, c="0.2")
     names = ["unknown", "free", "surface", "hidden", "truth not known"]
@@ -78,21 +79,21 @@ def reliability_of(pool: Pool) -> bytes:
     return _png(figure)
 
 
-def _cut(axis: Any, leveled: LeveledSweep, sample: WildSample, error_m: NDArray[np.float64]) -> None:
-    """Draw exact and estimated ground, and the returns, along the line through the sensor with the largest errors."""
+def _cut(axis: Any, leveled: LeveledSweep, grid: BevGrid, error_m: NDArray[np.float64], judged: Mask) -> None:
+    """Draw exact and estimated ground, and returns, along the line through the sensor with the largest errors."""
     half_m = leveled.ground.half_extent_m
     run_m = np.linspace(-half_m, half_m, 257)
     lines = [run_m[:, None] * [np.cos(turn), np.sin(turn)] for turn in np.arange(0.0, np.pi, np.pi / 36)]
 
     def along(values: NDArray[Any], xy: NDArray[np.float64]) -> NDArray[Any]:
-        cells, inside = sample.truth.grid.index(xy)
+        cells, inside = grid.index(xy)
         return np.where(inside, values[cells[..., 0], cells[..., 1]], np.nan)
 
-    xy = max(lines, key=lambda line: float(np.nanmean(np.abs(along(error_m, line)))))
+    xy = max(lines, key=lambda line: float(np.nanmean(along(np.where(judged, np.abs(error_m), 0.0), line))))
     low_m, estimated_m, high_m = (leveled.ground.shifted(by).at(xy) - leveled.sensor_height_m for by in (-1, 0, 1))
     axis.fill_between(run_m, low_m, high_m, color="#9bd", alpha=0.6, lw=0)
     axis.plot(run_m, estimated_m, c="#36c", label="estimated, one deviation")
-    axis.plot(run_m, along(sample.ground_m, xy) - sample.origin_height_m, c="k", lw=1, label="exact")
+    axis.plot(run_m, estimated_m - along(error_m, xy), c="k", lw=1, label="exact")
     forward = xy[-1] / np.linalg.norm(xy[-1])
     beside_m = leveled.points[:, :2] @ [-forward[1], forward[0]]
     near = np.abs(beside_m) < half_m / 64
