@@ -75,6 +75,8 @@ BeamTable checked_table(View1<const double> given_elevation, View1<const double>
 
 // What Python calls: arrays are checked here, whatever hands them in.
 void bind_sensor_id(nb::module_& m) {
+    m.attr("OTHER_BEAMS") = OTHER_BEAMS;
+    m.attr("USUAL_REACH_M") = USUAL_REACH_M;
     m.def(
         "identify_sensor",
         [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m, bool is_inferred,
@@ -92,7 +94,7 @@ void bind_sensor_id(nb::module_& m) {
         },
         "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "is_inferred"_a, "expected"_a,
         "The ring of each point (N, 3), or None where they are its own or nothing shows them, and the number of the sensor that "
-        "is inferred, -1 for none. A table of no beams is none.");
+        "is inferred, -1 for none, OTHER_BEAMS where the rings are no beams of the table. A table of no beams is none.");
     m.def(
         "infer_sensor",
         [](Points points, std::optional<RingColumn> ring) {

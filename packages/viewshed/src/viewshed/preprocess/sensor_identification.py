@@ -34,7 +34,7 @@ def identify_sensor(sweep: Sweep, expected: LidarModel | None = None) -> SensorI
     these rings agree with, if the sweep lets it be inferred; where there are no rings, one that explains points beside
     its beams as well, as those of a moving sensor are. Where no table does, rings come from the elevations at which the
     returns gather once the motion of the sensor is undone. None of this is guessed: a cloud that gathers at no
-    elevations has no rings, and rings that agree with no table have no sensor.
+    elevations has no rings, and rings that agree with no table have no sensor, not even the sweep's own one.
 
     A sensor that is expected, as that of the sweep before in a stream, is looked at first: about 2,000 returns confirm
     it, or all is done as without. It saves time and changes nothing else.
@@ -47,6 +47,8 @@ def identify_sensor(sweep: Sweep, expected: LidarModel | None = None) -> SensorI
     sensors, table = _inferable_sensors(), _NO_BEAMS if model is None else (model.elevation, model.origin_m)
     number = next((k for k, sensor in enumerate(sensors) if sensor is expected), -1)
     ring, number = _core.identify_sensor(sweep.points, sweep.ring, *table, sweep.infer_sensor, number)
+    if number == _core.OTHER_BEAMS and ring is not None:
+        return SensorId(ring, None)
     return SensorId(sweep.ring if ring is None else ring, sensors[number] if number >= 0 else model)
 
 
