@@ -39,7 +39,7 @@ def test_attacks_open_what_a_wrong_bound_denies() -> None:
     victim, tally = toy(), Tally()
     own = victim.envelope
     none = np.zeros_like(own.margins)
-    wrong = Envelope(own.grid, own.target, own.sent, own.nearest_m, none, none)
+    wrong = Envelope(own.grid, own.target, own.sent, own.nearest_m, none, none > 0)
     victim.envelope = wrong
     attacks.try_attacks(victim, "dropped:5", "gradient", 60, np.random.default_rng(1), tally)
     assert tally.violations > 0
