@@ -17,8 +17,8 @@ from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
 from viewshed.pipeline.reactions import ReactionState
 from viewshed.preprocess.held_ground import Rest
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId
 from viewshed.preprocess.streams import AGENTS, FORGET_S, why_anew
-from viewshed.sensors import LidarModel
 
 if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does without
     from viewshed.objects.object_stream import ObjectStream, SeenObjects
@@ -80,7 +80,7 @@ class Agent:
         monitor: what watches its sweeps, or None.
         objects: what follows its objects, or None.
         last_ns: time of its last sweep.
-        sensor: model of its last sweep's sensor, which is expected again.
+        sensor: what was identified of its last sweep's sensor, which is looked at first.
         rest: what it holds while it stands still, without poses.
         reaction: the last one.
         newest: its newest answer.
@@ -94,7 +94,7 @@ class Agent:
     monitor: StreamMonitor | None = None
     objects: ObjectStream | None = None
     last_ns: int | None = None
-    sensor: LidarModel | None = None
+    sensor: SensorId = UNIDENTIFIED
     rest: Rest = field(default_factory=Rest)
     reaction: ReactionState = field(default_factory=ReactionState)
     newest: Answer | None = None
