@@ -11,11 +11,13 @@ BENCHMARKS := PYTHONPATH=packages/viewshed-lab $(BIN)/python -m benchmarks
 # take neighbors in a file, so that most fixtures are made once.
 PYTEST := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(JOBS) --dist worksteal
 # What a command does, and how long it took, passed or not.
-timed = begin=$$(date +%s); $(MAKE) --no-print-directory $(2); code=$$?; \
+timed = begin=$$(date +%s); $(MAKE) --no-print-directory -j2 BESIDE=yes $(2); code=$$?; \
 	echo "make $(1): $$([ $$code = 0 ] && echo passed || echo FAILED) after $$(($$(date +%s) - begin)) s"; exit $$code
 
 .DELETE_ON_ERROR:
+ifndef BESIDE  # mypy, which uses one core, runs beside the tests; all else goes step by step
 .NOTPARALLEL:
+endif
 .DEFAULT_GOAL := help
 .PHONY: help demo check test properties lint types imports quick unit docs bench soak fuzz fuzz-library clean
 

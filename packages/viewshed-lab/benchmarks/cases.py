@@ -126,7 +126,7 @@ def _guaranteeing(size: str, sweep: Sweep) -> Iterator[Case]:
         lambda: certify(leveled, estimate, Threat(), next(swaying), trust_inferred=True),
         POINT_BYTES * len(sweep) + 3 * CELL_BYTES * GRID.cells**2, CERTIFICATE_MS[size],
     )  # fmt: skip
-    mask = partial(calibration.mask, estimate, leveled.ground)
+    mask = partial(calibration.guaranteed, estimate, leveled.ground)
     yield Case("mask of a promised error", size, mask, CELL_BYTES * GRID.cells**2, 0.5)
 
 

@@ -24,7 +24,7 @@ from viewshed import FovEstimate, Rigid, Sweep
 from viewshed.agents.fov_code import decode_fov, encode_fov, has_std
 from viewshed.agents.receiver import Reason, Receiver, ReceiverLimits
 from viewshed.agents.signing import KeyRing, SigningKey, is_signed_by, open_envelope, sign, sign_message
-from viewshed.agents.view_message import MAX_BYTES, SensorFacts, SharedTracks, ViewMessage, decode_message, field_sizes
+from viewshed.agents.view_message import MAX_BYTES, SensorFacts, ViewMessage, decode_message, field_sizes
 from viewshed.detections import Detections
 from viewshed.estimators import load_estimator
 from viewshed.io import read_index, read_indexed
@@ -46,7 +46,7 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "results" / "messages.md"
 INDEX = ROOT.parent / "shared" / "data" / "index.json"
 SEED = 20_261_123
-TRACKS = 20
+DETECTIONS = 20
 RUNS = 15
 START_NS = 1_760_000_000_000_000_000
 STEP_NS = 100_000_000
@@ -75,7 +75,7 @@ quantized alike, deflated one by one by zlib at its highest level. Each sweep co
 beginning, and how soon it forgets, was chosen on the real sweeps; the simulated ones had no part in that."""
 WHOLE = f"""## Bytes of a message
 
-The view of `viewnet`, {TRACKS} tracks with covariances, {TRACKS} detections, pose with covariance, report and
+The view of `viewnet`, {DETECTIONS} detections, pose with covariance, report and
 signature. Bytes of each field, and of the whole message."""
 REGIONS = f"""## Bytes of a Collective Perception Message
 
@@ -84,8 +84,8 @@ polygons, whichever keep more where sectors keep less than {ENOUGH:.0%}; every r
 TIMES = """## Times
 
 Of each sweep the least of several runs, in milliseconds; then median and 95th percentile over the sweeps. Decoding a
-message includes that of its view, and all checks. More processes than cores cost times, those of whole messages most:
-between two of them others use the caches."""
+message includes that of its view, and all checks; the rows for signature and view alone are what no check can save.
+More processes than cores cost times, those of whole messages most: between two of them others use the caches."""
 REFUSALS = """## Refusing
 
 Microseconds from the bytes to the counted reason."""
@@ -190,31 +190,24 @@ def estimates(method: str, sweeps: Iterable[Sweep]) -> list[FovEstimate]:
 
 
 def message_of(view: FovEstimate, number: int, rng: np.random.Generator) -> ViewMessage:
-    """Return a message with that view, and with tracks and detections about a car that drives through a town."""
-    origin = np.array([601_234.5, 5_300_000.25, 12.0])
-    half = rng.normal(size=(TRACKS, 4, 4))
-    states = rng.normal(0, 20, (TRACKS, 4)) + np.array([*origin[:2], 0.0, 0.0])
-    sizes = rng.uniform(0.5, 5.0, (TRACKS, 3))
-    kinds = rng.integers(0, 5, TRACKS, dtype=np.uint8)
-    boxes = np.column_stack([states[:, :2], np.full(TRACKS, origin[2]), sizes, rng.uniform(-3, 3, TRACKS)])
-    near = np.column_stack([boxes[:, :3] - origin, boxes[:, 3:]])
-    existence, visible, detectable, born_hidden = rng.random((4, TRACKS))
+    """Return a message with that view, and with detections about a car that drives through a town."""
+    boxes = np.column_stack([
+        rng.normal(0, 20, (DETECTIONS, 2)), np.zeros(DETECTIONS), rng.uniform(0.5, 5.0, (DETECTIONS, 3)),
+        rng.uniform(-3, 3, DETECTIONS),
+    ])  # fmt: skip
+    kinds, returns = rng.integers(0, 5, DETECTIONS, dtype=np.uint8), rng.integers(5, 900, DETECTIONS, dtype=np.int32)
     return ViewMessage(
         agent="car1",
         sequence=number,
         t_ns=START_NS + STEP_NS * number,
         frame="map",
-        world_from_level=Rigid.from_yaw(0.3, origin),
+        world_from_level=Rigid.from_yaw(0.3, np.array([601_234.5, 5_300_000.25, 12.0])),
         pose_covariance=np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4]),
         sensor=SensorFacts("HDL-32E", 1.84, 70.0),
         view=view,
-        detections=Detections(near, kinds, rng.integers(5, 900, TRACKS, dtype=np.int32)),
-        tracks=SharedTracks(
-            rng.integers(0, 2**40, TRACKS), states, half @ half.swapaxes(1, 2), boxes, rng.random((TRACKS, 5)), kinds,
-            existence, visible, detectable, born_hidden, rng.uniform(0, 60, TRACKS), rng.random(TRACKS),
-        ),
+        detections=Detections(boxes, kinds, returns),
         report=IntegrityReport("benchmark", 1.0, 2.0, 0.3),
-    )  # fmt: skip
+    )
 
 
 def view_rows(name: str, views: Sequence[FovEstimate]) -> list[Row]:

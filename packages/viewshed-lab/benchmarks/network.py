@@ -121,8 +121,8 @@ def draw_weights(path: Path) -> None:
     """Write a network of random weights."""
     import torch
 
-    from viewshed.networks.onnx_export import export_onnx
-    from viewshed.networks.unet_torch import UNet
+    from viewshed_lab.training.onnx_export import export_onnx
+    from viewshed_lab.training.unet_torch import UNet
 
     torch.manual_seed(SEED)
     export_onnx(path, NetworkCard("drawn", UNetShape(8, 4)), UNet(UNetShape(8, 4)).eval())
@@ -166,7 +166,7 @@ def runner_of(name: str, path: Path, threads: int) -> Runner:
     if name == TORCH:
         import torch
 
-        from viewshed.networks.unet_torch import TorchRunner, UNet
+        from viewshed_lab.training.unet_torch import TorchRunner, UNet
 
         torch.set_num_threads(threads)
         torch.manual_seed(SEED)

@@ -83,7 +83,7 @@ GOOD: dict[str, dict[str, Any]] = {
     "confirmed_cells": {
         "seen": np.ones((4, 4), np.bool_), "earlier_from_now": np.eye(2, 3, dtype=F4), "origin_x_m": 0.0,
         "origin_y_m": 0.0, "cell_m": 1.0, "in_view": np.ones((4, 4), F4), "whole": np.ones((4, 4), F4)},
-    "without_gaps": {"nearest": np.arange(32, dtype=F4).reshape(2, 16), "columns": None},
+    "without_gaps": {"nearest": np.arange(32, dtype=F4).reshape(2, 16)},
     "azimuth_bins_filled": {"azimuth": LONG},
     "farthest_in_bins": {"azimuth": LONG, "range_m": LONG, "bins": 5, "drop": 0},
     "ranges_in_bins": {"azimuth": LONG, "range_m": LONG, "height_m": LONG, "low_m": 0.0, "high_m": 1.0},

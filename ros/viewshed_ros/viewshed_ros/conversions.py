@@ -44,11 +44,7 @@ class Input:
     packet: str = ""  # the attribute that holds the bytes of a packet; empty for messages that hold a sweep
 
     def message_type(self) -> type[Any]:
-        """Return the class of the message.
-
-        Raises:
-            ValueError: none of its packages is installed.
-        """
+        """Return the class of the message."""
         for package in self.packages:
             try:
                 return getattr(import_module(f"{package}.msg"), self.name)  # type: ignore[no-any-return]
@@ -57,11 +53,7 @@ class Input:
         raise ValueError(f"type {self.name} needs the package {' or '.join(self.packages)}, which is not installed")
 
     def sweep(self, message: Any, **known: Any) -> Sweep:
-        """Return the sweep of a message at the time of its header, with attributes that are known.
-
-        Raises:
-            ValueError: the message contradicts itself, or what is known; the text says how.
-        """
+        """Return the sweep of a message at the time of its header, with attributes that are known."""
         if self.sweep_of is None:
             raise ValueError(f"a message of {self.name} holds a packet, no sweep")
         return self.sweep_of(message).replace(t_ns=nanoseconds_of(message.header.stamp), **known)
@@ -101,11 +93,7 @@ INPUTS = {
 
 
 def rigid_of(position: Any, orientation: Any) -> Rigid:
-    """Return the transform of a position (Point, Vector3) and a Quaternion.
-
-    Raises:
-        ValueError: a number is not finite, or the quaternion has not the norm 1.
-    """
+    """Return the transform of a position (Point, Vector3) and a Quaternion."""
     quaternion = [getattr(orientation, name) for name in "wxyz"]
     return Rigid(rotation_from_quaternion(quaternion), np.array([getattr(position, name) for name in "xyz"]))
 

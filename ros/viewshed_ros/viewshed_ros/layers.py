@@ -53,11 +53,7 @@ class PosedEstimate:
         return Header(stamp=self.stamp, frame_id=self.frame)
 
     def world_from_level(self) -> Rigid:
-        """Return the pose in the map.
-
-        Raises:
-            ValueError: it is not known.
-        """
+        """Return the pose in the map."""
         if self.estimate.world_from_level is None:
             raise ValueError(f"a mask must have a pose in {self.world_frame!r}, got none for this sweep")
         return self.estimate.world_from_level
@@ -74,11 +70,7 @@ class Unseen:
     since: Any  # time of the newest sweep
 
     def view(self) -> PosedEstimate:
-        """Return the last view with every cell UNKNOWN.
-
-        Raises:
-            ValueError: there was none.
-        """
+        """Return the last view with every cell UNKNOWN."""
         if self.last is None:
             raise ValueError("a grid must lie where the last one did, got none before")
         grid = self.last.estimate.grid
@@ -114,11 +106,7 @@ def _mask(view: PosedEstimate, values: NDArray[np.int8]) -> OccupancyGrid:
 
 
 def area_of(view: PosedEstimate) -> MapMetaData:
-    """Return where the masks of a view lie in the map.
-
-    Raises:
-        ValueError: its pose is not known.
-    """
+    """Return where the masks of a view lie in the map."""
     grid = nav2.grid_in_the_map(view.estimate.grid, view.world_from_level())
     return _info(grid, stamp_of(view.estimate.t_ns or 0), Rigid.identity())
 

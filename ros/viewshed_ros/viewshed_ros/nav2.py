@@ -31,11 +31,7 @@ _RAYS_A_CELL, _STEPS_A_CELL = 2.0, 4.0
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimits:
-    """What 100 % of a speed mask mean, and how fast one may drive where nothing is seen.
-
-    Raises:
-        ValueError: a number is out of range.
-    """
+    """What 100 % of a speed mask mean, and how fast one may drive where nothing is seen."""
 
     most_mps: float = 10.0  # 100 %
     unseen_mps: float = 1.0  # in cells that are not visible

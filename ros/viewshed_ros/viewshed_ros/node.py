@@ -176,12 +176,7 @@ class FieldOfView(LifecycleNode):
         self._diagnostics_timer = self.create_timer(1.0 / hz, self._diagnose, clock=STEADY) if hz else None
 
     def _objects(self, settings: NodeSettings) -> Any:
-        """Return what follows objects, or None; and prepare to tell others, where that is wanted.
-
-        Raises:
-            ImportError: a package is not installed.
-            OSError, ValueError: the key cannot be read.
-        """
+        """Return what follows objects, or None; and prepare to tell others, where that is wanted."""
         if settings.agent:
             from viewshed.agents.signing import read_signing_key  # needs packages that other nodes do without
             from viewshed_ros.sharing import Speaker
@@ -326,11 +321,7 @@ class FieldOfView(LifecycleNode):
         return sweep.replace(agent=sensor.settings.name, world_from_sensor=pose, **sensor.settings.changes)
 
     def _sweep(self, sensor: Sensor, message: Any) -> Sweep:
-        """Return the sweep of a message with what is known of its sensor; the pipeline calls this in its thread.
-
-        Raises:
-            ValueError: the message contradicts itself, or is in another frame than those before.
-        """
+        """Return the sweep of a message with what is known of its sensor; the pipeline calls this in its thread."""
         sensor.frames.check(message.header.frame_id.lstrip("/"))
         known = sensor.settings.changes
         pose = self._pose(sensor, nanoseconds_of(message.header.stamp))
@@ -424,11 +415,7 @@ class FieldOfView(LifecycleNode):
             sensor.counts.count(f"not published: {error}")
 
     def _view(self, sensor: Sensor, answer: Answer) -> PosedEstimate:
-        """Return an answer with where it stands.
-
-        Raises:
-            ValueError: it is to stand in the map, and its pose is not known.
-        """
+        """Return an answer with where it stands."""
         settings, estimate, leveled = self._settings_now(), answer.estimate, answer.leveled
         if estimate is None or leveled is None:
             raise ValueError("an answer without an estimate has no view")

@@ -92,11 +92,7 @@ def _cubes(
 
 
 def detections_of(message: MarkerArray) -> Detections:
-    """Return the detections of cubes as :func:`detection_cubes` makes them; what is no cube is left out.
-
-    Raises:
-        ValueError: a cube has no size, or a number is not finite.
-    """
+    """Return the detections of cubes as :func:`detection_cubes` makes them; what is no cube is left out."""
     kinds = {kind.name.lower(): kind for kind in ObjectKind}
     cubes = [each for each in message.markers if each.action == Marker.ADD and each.type == Marker.CUBE]
     boxes = np.zeros((len(cubes), 7))

@@ -107,11 +107,7 @@ class FrameVote:
             self.frame = most if 2 * count > len(self._votes) else self.frame
 
     def check(self, frame: str) -> None:
-        """Refuse a cloud in another frame.
-
-        Raises:
-            ValueError: it is in another frame, or in none.
-        """
+        """Refuse a cloud in another frame."""
         if not frame:
             raise ValueError("header.frame_id must name the sensor's frame, got none; let the driver name it")
         if frame != self.frame:

@@ -41,12 +41,7 @@ class Revolutions:
 
     @classmethod
     def of(cls, metadata: str | Path) -> Revolutions:
-        """Return what gathers the packets of the sensor that a file of its metadata describes.
-
-        Raises:
-            ValueError: they are no metadata.
-            OSError: the file cannot be read.
-        """
+        """Return what gathers the packets of the sensor that a file of its metadata describes."""
         path = Path(metadata)
         try:
             return cls(OusterDecoder(OusterMetadata.parse(path.read_text(encoding="utf-8"))))
@@ -59,9 +54,6 @@ class Revolutions:
         Args:
             data: its bytes, as the message's array holds them.
             t_ns: when it came.
-
-        Raises:
-            ValueError: it is no lidar packet of the sensor.
         """
         packet = Packet(np.frombuffer(bytes(data), np.uint8))
         number = self.decoder.frame_number(packet.buf.tobytes())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -60,11 +60,7 @@ class Parameter:
         return made
 
     def refuse(self, name: str, value: Any) -> None:
-        """Refuse a value that is no choice, or out of bounds.
-
-        Raises:
-            ValueError: it is; the text says which are not.
-        """
+        """Refuse a value that is no choice, or out of bounds."""
         if self.choices and value not in self.choices:
             raise ValueError(f"{name} must be one of {', '.join(self.choices)}, got {value!r}")
         if self.least_and_most is not None:
@@ -260,11 +256,7 @@ def declare(node: Node) -> None:
 
 
 def read(node: Node) -> NodeSettings:
-    """Return the values of all parameters; those of the sensors are declared when they are named first.
-
-    Raises:
-        ValueError: a value is out of range or no choice; the text says which.
-    """
+    """Return the values of all parameters; those of the sensors are declared when they are named first."""
     given: dict[str, Any] = values_of(node, PARAMETERS)
     profile = profile_named(given["profile"])
     names = given["sensors"]
@@ -276,38 +268,22 @@ def read(node: Node) -> NodeSettings:
         )
     if given["output"] == "world" and given["pose_source"] == "none":
         raise ValueError("output world needs poses, got pose_source none; name tf, odometry, pose or transform")
-    return NodeSettings(
-        profile=profile,
-        method=profile.method if given["method"] == OF_PROFILE else given["method"],
-        grid=profile.grid if given["grid"] == OF_PROFILE else given["grid"],
-        target=given["target"],
-        history=profile.history if given["history"] < 0 else given["history"],
-        rate_hz=_rate_hz(profile, given["rate_hz"]),
-        monitor=given["monitor"],
-        monitor_file=given["monitor_file"],
-        certify=_threat(given["certify"], profile),
-        certified_only=given["certified_only"],
-        sensors=tuple(_sensor(node, name) for name in names),
-        pose_source=given["pose_source"],
-        pose_topic=given["pose_topic"],
-        pose_wait_s=given["pose_wait_s"],
-        world_frame=given["world_frame"],
-        output=given["output"],
-        limits=SpeedLimits(given["speed_most_mps"], given["speed_unseen_mps"]),
-        vehicle=Vehicle(
-            given["vehicle_front_m"],
-            given["vehicle_half_width_m"],
-            given["vehicle_delay_s"],
-            given["vehicle_braking_mps2"],
+    made = {
+        "profile": profile,
+        "method": profile.method if given["method"] == OF_PROFILE else given["method"],
+        "grid": profile.grid if given["grid"] == OF_PROFILE else given["grid"],
+        "history": profile.history if given["history"] < 0 else given["history"],
+        "rate_hz": _rate_hz(profile, given["rate_hz"]),
+        "certify": _threat(given["certify"], profile),
+        "sensors": tuple(_sensor(node, name) for name in names),
+        "limits": SpeedLimits(given["speed_most_mps"], given["speed_unseen_mps"]),
+        "vehicle": Vehicle(
+            *(given[f"vehicle_{name}"] for name in ("front_m", "half_width_m", "delay_s", "braking_mps2"))
         ),
-        diagnostics_hz=given["diagnostics_hz"],
-        stale_s=given["stale_s"],
-        stale_periods=given["stale_periods"],
-        objects=given["objects"],
-        agent=given["agent"],
-        agent_key=given["agent_key"],
-        agent_topic=given["agent_topic"],
-    )
+    }
+    # All others are taken as they are.
+    same = {field.name: given[field.name] for field in fields(NodeSettings) if field.name not in made}
+    return NodeSettings(**made, **same)
 
 
 def _sensor(node: Node, name: str) -> SensorSettings:
@@ -343,11 +319,7 @@ def declare_table(node: Node, table: dict[str, Parameter]) -> None:
 
 
 def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
-    """Return the values of the parameters of a table.
-
-    Raises:
-        ValueError: one is none of its choices, or out of bounds.
-    """
+    """Return the values of the parameters of a table."""
     values = {name: node.get_parameter(name).value for name in table}
     for name, parameter in table.items():
         parameter.refuse(name, values[name])
@@ -355,11 +327,7 @@ def values_of(node: Node, table: dict[str, Parameter]) -> dict[str, Any]:
 
 
 def check_change(name: str, value: Any, *, is_configured: bool) -> None:
-    """Refuse a value of a parameter of the node or of a sensor that makes no sense, or comes too late.
-
-    Raises:
-        ValueError, ImportError, OSError: it is refused; the text says why.
-    """
+    """Refuse a value of a parameter of the node or of a sensor that makes no sense, or comes too late."""
     parameter = PARAMETERS.get(name) or SENSOR_PARAMETERS.get(name.partition(".")[2])
     if parameter is None:
         return
@@ -377,11 +345,7 @@ def check_change(name: str, value: Any, *, is_configured: bool) -> None:
 
 
 def changed(settings: NodeSettings, values: Mapping[str, Any]) -> NodeSettings:
-    """Return settings with other values of parameters that may change at run time; of others nothing is taken.
-
-    Raises:
-        ValueError: they contradict each other.
-    """
+    """Return settings with other values of parameters that may change at run time; of others nothing is taken."""
     changes = {name: value for name, value in values.items() if name in PARAMETERS and PARAMETERS[name].at_run}
     if "rate_hz" in changes:
         changes["rate_hz"] = _rate_hz(settings.profile, changes["rate_hz"])

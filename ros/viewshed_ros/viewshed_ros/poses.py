@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from threading import Condition
 from typing import Any, Protocol
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.time import Time
 
-from viewshed.geometry import Rigid, quaternion_from_rotation
-from viewshed.recordings.read.tf_tree import slerp
+from viewshed.geometry import Rigid
+from viewshed.recordings.read.tf_tree import between
 from viewshed_ros.conversions import nanoseconds_of, rigid_of
 
 MOST_POSES = 2000
@@ -84,11 +83,7 @@ class PoseBuffer:
         return len(self._times)
 
     def add(self, message: Any) -> None:
-        """Take a message; one from before the last begins anew.
-
-        Raises:
-            ValueError: it is in another frame, or its numbers are no pose.
-        """
+        """Take a message; one from before the last begins anew."""
         if message.header.frame_id.lstrip("/") != self._world_frame:
             raise ValueError(f"a pose must be in frame {self._world_frame!r}, got {message.header.frame_id!r}")
         t_ns, pose = nanoseconds_of(message.header.stamp), self._topic.rigid(message)
@@ -119,14 +114,7 @@ class PoseBuffer:
         gap_ns = self._times[late] - self._times[late - 1]
         if gap_ns > LONGEST_GAP_S * 1e9:
             raise LookupError(f"poses are {gap_ns / 1e9:.3g} s apart around the cloud, more than {LONGEST_GAP_S:g} s")
-        return interpolated(self._poses[late - 1], self._poses[late], (t_ns - self._times[late - 1]) / gap_ns)
-
-
-def interpolated(before: Rigid, after: Rigid, share: float) -> Rigid:
-    """Return the transform at ``share`` in [0, 1] of the way, at constant speed and rate of turn."""
-    one, other = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
-    translation = (1.0 - share) * before.translation + share * after.translation
-    return Rigid.from_quaternion(slerp(one, other, share), np.asarray(translation))
+        return between(self._poses[late - 1], self._poses[late], (t_ns - self._times[late - 1]) / gap_ns)
 
 
 class TfPoses:
@@ -152,11 +140,7 @@ class TfPoses:
 
 
 def tf_buffer(node: Any) -> Any:
-    """Return a buffer of tf2 that listens.
-
-    Raises:
-        ValueError: tf2_ros is not installed.
-    """
+    """Return a buffer of tf2 that listens."""
     try:
         from tf2_ros import Buffer, TransformListener
     except ImportError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from std_msgs.msg import UInt8MultiArray
 
 from viewshed.agents.signing import SigningKey, sign_message
-from viewshed.agents.view_message import SensorFacts, SharedTracks, ViewMessage
+from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.pipeline import Answer
 
 POSE_STD_M, POSE_STD = 0.1, 0.01
@@ -31,11 +31,7 @@ class Speaker:
     _sequence: int = 0
 
     def message(self, answer: Answer) -> UInt8MultiArray:
-        """Return an answer as a signed message.
-
-        Raises:
-            ValueError: there is no estimate, or no pose or time of it.
-        """
+        """Return an answer as a signed message."""
         estimate, objects = answer.estimate, answer.objects
         if estimate is None or estimate.world_from_level is None or estimate.t_ns is None:
             raise ValueError("what is shared with others must have a pose and a time, got none for this sweep")
@@ -56,7 +52,6 @@ class Speaker:
             sensor=SensorFacts(answer.agent[:32], float("nan") if basis is None else basis.sensor_height_m),
             view=estimate,
             detections=None if objects is None else objects.detections,
-            tracks=None if objects is None else SharedTracks.of(objects.explained.trusted()),
             report=None if answer.report is None else answer.report.now,
             epoch=self._epoch,
         )

@@ -98,46 +98,29 @@ class LocalEngine:
     """Runs jobs in ``workers`` processes, None is one for each core; with one worker in this process, without any.
 
     Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
-    ends them, and they end by themselves soon after this process is gone. They import ``preload``, modules that the
-    work needs, only once where the system can fork: in a server process, one for all engines of a program, which starts
-    now.
+    ends them, and they end by themselves soon after this process is gone.
     """
 
     workers: int | None = None
-    preload: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _check_workers(self.workers)
-        if self._size == 1:
-            return
-        with needed_for("more than one worker"):
-            import pebble  # noqa: F401
-        if self._method == "forkserver":
-            from multiprocessing import forkserver
-
-            multiprocessing.set_forkserver_preload(list(self.preload))
-            with _without_interrupts():
-                forkserver.ensure_running()
-
-    @property
-    def _size(self) -> int:
-        return cores() if self.workers is None else self.workers
-
-    @property
-    def _method(self) -> str:
-        return "forkserver" if self.preload and "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+        if self.workers != 1:
+            with needed_for("more than one worker"):
+                import pebble  # noqa: F401
 
     def run(self, work: Callable[[J], R], jobs: Sequence[J]) -> Generator[Done[R], None, None]:
         """Yield one ``Done`` for every job as they finish, see :class:`Engine`."""
-        if self._size == 1 or not jobs:
+        size = cores() if self.workers is None else self.workers
+        if size == 1 or not jobs:
             return (attempt(work, index, job) for index, job in enumerate(jobs))
-        return self._run_in_processes(pickle.dumps(work), jobs, min(self._size, len(jobs)))
+        return self._run_in_processes(pickle.dumps(work), jobs, min(size, len(jobs)))
 
     def _run_in_processes(self, work: bytes, jobs: Sequence[J], size: int) -> Generator[Done[R], None, None]:
         import pebble
 
         def started() -> pebble.ProcessPool:
-            context = multiprocessing.get_context(self._method)
+            context = multiprocessing.get_context("spawn")
             pool = pebble.ProcessPool(size, initializer=_watch_parent, context=context)
             with _without_interrupts():  # Ctrl-C is for this process, and for no thread or process of the pool
                 _ = pool.active  # starts it

@@ -91,7 +91,8 @@ def test_a_killed_worker_is_replaced(
     assert (tmp_path / "begun").read_text() == "x" * TRIES
     assert (done[2].error is None) == (result is not None)
     if result is None:
-        assert f"the worker died {TRIES} times over this job" in str(done[2].error)
+        end = "signal 9 (out of memory?)" if name == "local" else ""
+        assert f"the worker died {TRIES} times over this job, at last with {end}" in str(done[2].error)
 
 
 def test_engines_are_checked_when_they_are_made() -> None:

@@ -5,6 +5,7 @@ left out because it seems out of sight.
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64
@@ -12,7 +13,6 @@ from viewshed_lab.sim.assets.shapes import BOX, CYLINDER, PER_M
 from viewshed_lab.sim.raycast.scan import ExactScan
 from viewshed_lab.sim.world import Snapshot
 
-BEAMS_AT_ONCE = 1_000
 NEAREST_M = 1e-3
 
 
@@ -26,59 +26,77 @@ def rays_of(scan: ExactScan) -> tuple[F64, F64, F64]:
 def solid_interval(snapshot: Snapshot, s: int, origin: F64, direction: F64, times: F64) -> tuple[F64, F64]:
     """Return depths (N,) at which beams enter and leave a solid; NaN where they miss it."""
     center = snapshot.center_m[s] + times[:, None] * snapshot.velocity_mps[s]
-    o = (origin - center) @ snapshot.rotation[s]
-    d = direction @ snapshot.rotation[s]
-    with np.errstate(all="ignore"):
-        if snapshot.kind[s] == BOX:
-            return _faces(o, d, snapshot.half_m[s])
-        return _quadric(o, d, snapshot.half_m[s], bool(snapshot.kind[s] == CYLINDER))
+    o, d = (origin - center) @ snapshot.rotation[s], direction @ snapshot.rotation[s]
+    if snapshot.kind[s] == BOX:
+        return _faces(o, d, snapshot.half_m[s])
+    return _quadric(o, d, snapshot.half_m[s], bool(snapshot.kind[s] == CYLINDER))
 
 
+@njit(cache=True, error_model="numpy")
 def _faces(o: F64, d: F64, half: F64) -> tuple[F64, F64]:
     """A beam crosses the face of axis k at ±half[k] where the other two coordinates lie within theirs."""
-    starts, ways = np.ascontiguousarray(o.T), np.ascontiguousarray(d.T)
-    crossings = []
-    for k in range(3):
-        m, n = (axis for axis in range(3) if axis != k)
-        for side in (-1.0, 1.0):
-            t = (side * half[k] - starts[k]) / ways[k]
-            on = np.isfinite(t) & (np.abs(starts[m] + t * ways[m]) <= half[m] + 1e-9)
-            on &= np.abs(starts[n] + t * ways[n]) <= half[n] + 1e-9
-            crossings.append(np.where(on, t, np.nan))
-    return np.fmin.reduce(crossings), np.fmax.reduce(crossings)
+    near, far = np.full(len(o), np.nan), np.full(len(o), np.nan)
+    for i in range(len(o)):
+        for k in range(3):
+            m, n = (k + 1) % 3, (k + 2) % 3
+            for side in (-1.0, 1.0):
+                t = (side * half[k] - o[i, k]) / d[i, k]
+                on = abs(o[i, m] + t * d[i, m]) <= half[m] + 1e-9 and abs(o[i, n] + t * d[i, n]) <= half[n] + 1e-9
+                if np.isfinite(t) and on:
+                    near[i], far[i] = np.fmin(near[i], t), np.fmax(far[i], t)
+    return near, far
 
 
+@njit(cache=True, error_model="numpy")
 def _quadric(o: F64, d: F64, half: F64, cylinder: bool) -> tuple[F64, F64]:
-    axes = slice(0, 2) if cylinder else slice(0, 3)
-    p, v = o[:, axes] / half[axes], d[:, axes] / half[axes]
-    a, b, c = (v * v).sum(1), 2 * (p * v).sum(1), (p * p).sum(1) - 1
-    root = np.sqrt(b * b - 4 * a * c)
-    near, far = (-b - root) / (2 * a), (-b + root) / (2 * a)
-    if not cylinder:
-        return near, far
-    crossings = [np.where(np.abs(o[:, 2] + t * d[:, 2]) <= half[2], t, np.nan) for t in (near, far)]
-    for side in (-1.0, 1.0):
-        t = (side * half[2] - o[:, 2]) / d[:, 2]
-        at = (o[:, :2] + t[:, None] * d[:, :2]) / half[:2]
-        crossings.append(np.where(((at * at).sum(1) <= 1) & np.isfinite(t), t, np.nan))
-    return np.fmin.reduce(crossings), np.fmax.reduce(crossings)
+    near, far = np.full(len(o), np.nan), np.full(len(o), np.nan)
+    axes = 2 if cylinder else 3
+    for i in range(len(o)):
+        a = b = c = 0.0
+        for k in range(axes):
+            p, v = o[i, k] / half[k], d[i, k] / half[k]
+            a, b, c = a + v * v, b + 2 * p * v, c + p * p
+        root = np.sqrt(b * b - 4 * a * (c - 1))
+        for side in (-1.0, 1.0):
+            t = (-b + side * root) / (2 * a)
+            if not cylinder or abs(o[i, 2] + t * d[i, 2]) <= half[2]:
+                near[i], far[i] = np.fmin(near[i], t), np.fmax(far[i], t)
+            if cylinder:  # its ends
+                t = (side * half[2] - o[i, 2]) / d[i, 2]
+                x, y = (o[i, 0] + t * d[i, 0]) / half[0], (o[i, 1] + t * d[i, 1]) / half[1]
+                if np.isfinite(t) and x * x + y * y <= 1:
+                    near[i], far[i] = np.fmin(near[i], t), np.fmax(far[i], t)
+    return near, far
 
 
-def triangle_depths(corners: F64, origin: F64, direction: F64) -> F64:
-    """Return depths (T, N) at which beams cross each triangle (T, 3, 3); NaN where they do not."""
+def ground_depth(snapshot: Snapshot, origin: F64, direction: F64) -> F64:
+    """Return the depth (N,) at which beams first cross a triangle of the terrain; infinite where they do not."""
+    corners = triangles_of(snapshot)
     first, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(_first_crossing(first, e1, e2, np.cross(e1, e2), origin, direction))
 
-    def along(axis: F64) -> tuple[F64, F64]:
-        """Along an axis (T, 3) of each triangle: how far each beam begins from the first corner, and its speed."""
-        return axis @ origin.T - (first * axis).sum(axis=1, keepdims=True), axis @ direction.T
 
-    off, speed = along(np.cross(e1, e2))
-    t = -off / speed
-    on1, on2 = (start + t * speed for start, speed in map(along, (e1, e2)))
-    g11, g12, g22 = ((a * b).sum(axis=1, keepdims=True) for a, b in ((e1, e1), (e1, e2), (e2, e2)))
-    scale = g11 * g22 - g12 * g12
-    u, v = (g22 * on1 - g12 * on2) / scale, (g11 * on2 - g12 * on1) / scale
-    return np.where((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9), t, np.nan)
+@njit(cache=True, error_model="numpy")
+def _first_crossing(first: F64, e1: F64, e2: F64, normal: F64, origin: F64, direction: F64) -> F64:
+    found = np.full(len(origin), np.inf)
+    for n in range(len(first)):
+        g11 = g12 = g22 = 0.0
+        for k in range(3):
+            g11, g12, g22 = g11 + e1[n, k] * e1[n, k], g12 + e1[n, k] * e2[n, k], g22 + e2[n, k] * e2[n, k]
+        scale = g11 * g22 - g12 * g12
+        for i in range(len(origin)):
+            off = speed = on1 = on2 = 0.0
+            for k in range(3):
+                off += normal[n, k] * (origin[i, k] - first[n, k])
+                speed += normal[n, k] * direction[i, k]
+            t = -off / speed
+            for k in range(3):
+                p = origin[i, k] + t * direction[i, k] - first[n, k]
+                on1, on2 = on1 + e1[n, k] * p, on2 + e2[n, k] * p
+            u, v = (g22 * on1 - g12 * on2) / scale, (g11 * on2 - g12 * on1) / scale
+            if u >= -1e-9 and v >= -1e-9 and u + v <= 1 + 1e-9 and t > NEAREST_M:
+                found[i] = min(found[i], t)
+    return found
 
 
 def triangles_of(snapshot: Snapshot) -> F64:
@@ -99,16 +117,10 @@ def opaque_depth(snapshot: Snapshot, rays: tuple[F64, F64, F64], max_range_m: fl
     Volumes that beams may pass (finite ``per_m``) are left out.
     """
     depth, winner = np.full(len(rays[0]), np.inf), np.full(len(rays[0]), -2)
-    solids = [s for s in range(len(snapshot.kind)) if np.isinf(PER_M[snapshot.material[s]])]
-    corners = triangles_of(snapshot)
-    with np.errstate(all="ignore"):
-        for low in range(0, len(depth), BEAMS_AT_ONCE):
-            part = slice(low, low + BEAMS_AT_ONCE)
-            o, d, t = (array[part] for array in rays)
-            for s in solids:
-                _keep(depth[part], winner[part], solid_interval(snapshot, s, o, d, t)[0], s)
-            ground = triangle_depths(corners, o, d)
-            _keep(depth[part], winner[part], np.where(ground > NEAREST_M, ground, np.inf).min(axis=0), -1)
+    for s in range(len(snapshot.kind)):
+        if np.isinf(PER_M[snapshot.material[s]]):
+            _keep(depth, winner, solid_interval(snapshot, s, *rays)[0], s)
+    _keep(depth, winner, ground_depth(snapshot, *rays[:2]), -1)
     beyond = depth > max_range_m
     depth[beyond], winner[beyond] = np.inf, -2
     return depth, winner

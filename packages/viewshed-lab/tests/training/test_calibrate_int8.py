@@ -12,11 +12,11 @@ from tests.networks.made import nearby
 
 from viewshed.cli import main
 from viewshed.networks.card import INT8
-from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.runtime import OnnxRunner
 from viewshed_lab.training import TrainConfig
 from viewshed_lab.training import calibrate_int8 as module
 from viewshed_lab.training.calibrate_int8 import quantize
+from viewshed_lab.training.onnx_export import export_onnx
 
 pytestmark = pytest.mark.slow
 

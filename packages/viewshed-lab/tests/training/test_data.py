@@ -39,20 +39,6 @@ def test_every_scene_is_held_out_by_one_fold(config: TrainConfig, archive: Path,
         Fold(2, 2)
 
 
-def test_fresh_scenes_differ_from_epoch_to_epoch(config: TrainConfig, tmp_path: Path) -> None:
-    wanted = replace(config, data=("ugv-small",), fresh=True, frames_per_epoch=16, attacks=(), attack_share=0.0,
-                     half_extent_m=8.0)  # fmt: skip
-    frames = prepare(wanted, tmp_path)
-    assert (len(frames.train), len(frames.validation)) == (16, 8)
-    first, again, later = frames.train[1, 9], frames.train[1, 9], frames.train[2, 9]
-    assert (first["inputs"] == again["inputs"]).all()
-    assert (first["inputs"] != later["inputs"]).any()
-    assert (first["inputs"] != frames.train[1, 10]["inputs"]).any()
-    assert first["known"].any()
-    with pytest.raises(ValueError, match="fresh scenes have no folds"):
-        prepare(wanted, tmp_path, Fold(0, 2))
-
-
 def _refused(config: TrainConfig, tmp_path: Path, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         prepare(config, tmp_path / "cache")

@@ -13,16 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.cli.commands import run
 from torch.nn import functional
 
 from viewshed.networks.runtime import load_runner
-from viewshed.networks.unet_torch import load_weights
 from viewshed_lab.training import TrainConfig, Trained, train
 from viewshed_lab.training.cross_validation import toml_of
 from viewshed_lab.training.data import prepare
 from viewshed_lab.training.fit import read_checkpoint
 from viewshed_lab.training.log import TIMES, Epoch, Step, is_finished, scores_of
 from viewshed_lab.training.module import Learner
+from viewshed_lab.training.unet_torch import load_weights
 
 pytestmark = pytest.mark.slow
 
@@ -185,16 +186,12 @@ def test_a_checkpoint_of_something_else_is_refused(
     _refused(config, tmp_path, r"last.ckpt is damaged or no checkpoint; delete it, and training begins again")
 
 
-_COMMAND = "from viewshed.cli import main; main()"
-
-
-def test_two_processes_train_together(config: TrainConfig, tmp_path: Path) -> None:
+def test_two_processes_train_together(config: TrainConfig, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "tiny.toml").write_text(toml_of(replace(config, batch=2, epochs=2)))
-    words = [sys.executable, "-c", _COMMAND, "train", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out")]
-    done = subprocess.run([*words, "--devices", "2"], check=False, capture_output=True, text=True)
+    done = run("train", tmp_path / "tiny.toml", "--out", tmp_path / "out", "--devices", 2)
     assert done.returncode == 0, done.stderr
     assert "best epoch" in done.stdout
-    assert "Initializing distributed" not in done.stderr
+    assert "Initializing distributed" not in capfd.readouterr().err
     history = [Epoch(**row) for row in read_checkpoint(tmp_path / "out" / "last.ckpt")["viewshed"]["history"]]
     assert len(history) == 2
     assert history[1].train_loss < history[0].train_loss

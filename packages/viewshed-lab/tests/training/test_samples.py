@@ -23,7 +23,7 @@ from viewshed_lab.threats.attacks.removal import PhysicalRemoval
 from viewshed_lab.training import TrainConfig
 from viewshed_lab.training.data import prepare
 from viewshed_lab.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
-from viewshed_lab.training.sources import ArchivedSamples, OnlineSimulation
+from viewshed_lab.training.sources import ArchivedSamples
 
 pytestmark = pytest.mark.slow
 
@@ -114,10 +114,10 @@ def test_an_attack_that_a_sweep_refuses_leaves_it(config: TrainConfig, tmp_path:
     assert sum(same) * 4 == len(same)  # the first sweep of each scene of four has none before it
 
 
-@given(st.integers(1, 40), st.integers(1, 5), st.integers(1, 4), st.integers(0, 3))
-def test_processes_share_an_epoch(frames: int, world: int, block: int, epoch: int) -> None:
+@given(st.integers(1, 40), st.integers(1, 5), st.integers(0, 3))
+def test_processes_share_an_epoch(frames: int, world: int, epoch: int) -> None:
     shares = [Share(rank, world) for rank in range(world)]
-    orders = [TrainingOrder(frames, frames, block, 3, share, epoch) for share in shares]
+    orders = [TrainingOrder(frames, frames, 3, share, epoch) for share in shares]
     keys = [list(order) for order in orders]
     assert {len(part) for part in keys} == {len(orders[0])}
     assert {number for part in keys for _, number in part} == set(range(frames))
@@ -176,19 +176,18 @@ def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainC
         frames=(8,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
     )  # fmt: skip
     simulate(pair, Storage.of(tmp_path / "pair"), LocalEngine(1))
-    archived = ArchivedSamples((Archive.open(tmp_path / "pair"),), config)
-    for source in (archived, OnlineSimulation(replace(config, data=("roads",)), 8)):
-        longest, agents = 0, set()
-        for index in range(len(source)):
-            now, few = source.clean(1, index).sweep, source.earlier(1, index, 2)
-            times = [sweep.t_ns or 0 for sweep in (*few, now)]
-            assert times == sorted(set(times))
-            assert {sweep.agent for sweep in few} <= {now.agent}
-            agents.add(now.agent)
-            assert source.earlier(1, index) == () or source.earlier(1, index)[0].t_ns == few[-1].t_ns
-            longest = max(longest, len(few))
-        assert longest == 2
-        assert len(agents) == 2
+    source = ArchivedSamples((Archive.open(tmp_path / "pair"),), config)
+    longest, agents = 0, set()
+    for index in range(len(source)):
+        now, few = source.clean(index).sweep, source.earlier(index, 2)
+        times = [sweep.t_ns or 0 for sweep in (*few, now)]
+        assert times == sorted(set(times))
+        assert {sweep.agent for sweep in few} <= {now.agent}
+        agents.add(now.agent)
+        assert source.earlier(index) == () or source.earlier(index)[0].t_ns == few[-1].t_ns
+        longest = max(longest, len(few))
+    assert longest == 2
+    assert len(agents) == 2
 
 
 def test_an_attack_that_lasted_struck_the_same_place_before() -> None:

@@ -1,9 +1,7 @@
 #include "guarantees.hpp"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -47,10 +45,10 @@ Buffer<float> by_column(Nearest nearest) {
     return turned;
 }
 
-// Write both margins of the cells of some rows: over the rings that pass, the firings sent less the beams blocked, not below 0.
-// The two ranges of a beam are counted side by side, for LANES rings at once.
-MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, const float* closed, std::size_t first,
-                                std::size_t last, std::int32_t* margin, std::int32_t* closed_margin) {
+// Write the margins of some cells: over the rings that pass, the firings sent less the beams blocked, not below 0; and which of
+// them have the least where gaps are closed as well. The two ranges of a beam are counted side by side, for LANES rings at once.
+MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, const float* closed, std::int32_t least,
+                                std::size_t first, std::size_t last, std::int32_t* margin, bool* claim) {
     const std::size_t padded = sent.of->rings + LANES;
     for (std::size_t cell = first; cell < last; ++cell) {
         const TargetColumns::Window& at = sent.of->windows[cell];
@@ -64,65 +62,34 @@ MULTIVERSION void count_margins(const SentBeams& sent, const float* nearest, con
                 closed_blocked -= *reinterpret_cast<const Ranges*>(closed_m) < at.near_m;
             }
             for (std::size_t n = 0; n < LANES && begin + n < sent.ring_end[cell]; ++n) {
-                if (!sent.passes(cell, begin + n)) continue;
-                const std::int32_t firings = sent.of->firings(at, begin + n);
-                sum += std::max(firings - blocked[n], 0);
-                closed_sum += std::max(firings - closed_blocked[n], 0);
+                sum += std::max(at.firings - blocked[n], 0);
+                closed_sum += std::max(at.firings - closed_blocked[n], 0);
             }
         }
         margin[cell] = sum;
-        closed_margin[cell] = closed_sum;
+        claim[cell] = closed_sum >= least;
     }
 }
 
-// Write which rings pass between a target's foot and its top in the cells of some rows; `rising`: no ring is below the one
-// before, in any sector.
-MULTIVERSION void find_rings(SentBeams& sent, const float* low_m, const float* high_m, View2<const float> slope,
-                             const float* start_m, bool rising, std::size_t first, std::size_t last) {
+// Write which rings pass between a target's foot and its top in some cells: as each ring is above the one before, those from one
+// up to another, a step or two from the last cell's.
+void find_rings(SentBeams& sent, const float* low_m, const float* high_m, View2<const float> slope, const float* start_m,
+                std::size_t first, std::size_t last) {
     const double per_rad = double(slope.rows) / (2 * std::numbers::pi);
     const std::size_t rings = sent.of->rings;
-    std::uint8_t passes[64] = {};
     std::size_t ring = 0, ring_end = 0;
     for (std::size_t cell = first; cell < last; ++cell) {
         if (sent.of->windows[cell].firings == 0) continue;
         const float r = sent.of->range_m[cell], low = low_m[cell], high = high_m[cell];
         const auto turned = std::size_t(std::max((double(sent.of->azimuth[cell]) + std::numbers::pi) * per_rad, 0.0));
         const float* const of_sector = slope[std::min(turned, slope.rows - 1)];
-        if (rising) {
-            // Each ring is above the one before, so that those between are a stretch: a step or two from the last cell's.
-            const auto z_m = [&](std::size_t k) { return start_m[k] + r * of_sector[k]; };
-            while (ring > 0 && z_m(ring - 1) >= low) --ring;
-            while (ring < rings && z_m(ring) < low) ++ring;
-            while (ring_end > 0 && z_m(ring_end - 1) > high) --ring_end;
-            while (ring_end < rings && z_m(ring_end) <= high) ++ring_end;
-            if (ring >= ring_end) continue;
-            for (std::size_t word = ring / 64; word * 64 < ring_end; ++word) {
-                const std::size_t from = std::max(ring, word * 64), end = std::min(ring_end, word * 64 + 64);
-                sent.bits[cell * sent.words + word] = ~std::uint64_t(0) >> (64 - (end - from)) << (from % 64);
-            }
-            sent.ring[cell] = std::uint16_t(ring);
-            sent.ring_end[cell] = std::uint16_t(ring_end);
-            continue;
-        }
-        for (std::size_t word = 0; word < sent.words; ++word) {
-            const std::size_t begin = word * 64, count = std::min(rings - begin, std::size_t(64));
-            for (std::size_t k = 0; k < count; ++k) {
-                const float z_m = start_m[begin + k] + r * of_sector[begin + k];
-                passes[k] = std::uint8_t(z_m >= low) & std::uint8_t(z_m <= high);
-            }
-            std::fill(passes + count, passes + 64, std::uint8_t(0));
-            // Eight bytes to eight bits: the product moves each to its place in the top byte.
-            std::uint64_t bits = 0;
-            for (std::size_t k = 0; k < 8; ++k) {
-                std::uint64_t eight;
-                std::memcpy(&eight, passes + 8 * k, 8);
-                bits |= (eight * 0x0102040810204080u >> 56) << (8 * k);
-            }
-            sent.bits[cell * sent.words + word] = bits;
-            if (bits == 0) continue;
-            if (sent.ring_end[cell] == 0) sent.ring[cell] = std::uint16_t(begin + std::size_t(std::countr_zero(bits)));
-            sent.ring_end[cell] = std::uint16_t(begin + 64 - std::size_t(std::countl_zero(bits)));
-        }
+        const auto z_m = [&](std::size_t k) { return start_m[k] + r * of_sector[k]; };
+        while (ring > 0 && z_m(ring - 1) >= low) --ring;
+        while (ring < rings && z_m(ring) < low) ++ring;
+        while (ring_end > 0 && z_m(ring_end - 1) > high) --ring_end;
+        while (ring_end < rings && z_m(ring_end) <= high) ++ring_end;
+        sent.ring[cell] = std::uint16_t(ring);
+        sent.ring_end[cell] = std::uint16_t(std::max(ring, ring_end));
     }
 }
 
@@ -141,8 +108,9 @@ MULTIVERSION void share_cells(const SentBeams& sent, const float* nearest, const
     for (const Share& one : shares) {
         if (begin >= sent.ring_end[one.cell] || begin + LANES <= sent.ring[one.cell]) continue;
         Weights share{};
-        const std::size_t count = std::min(LANES, sent.of->rings - begin);
-        for (std::size_t n = 0; n < count; ++n) share[n] = sent.passes(one.cell, begin + n) ? one.of_beam : 0.0;
+        for (std::size_t n = 0; n < LANES; ++n) {
+            share[n] = begin + n >= sent.ring[one.cell] && begin + n < sent.ring_end[one.cell] ? one.of_beam : 0.0;
+        }
         const TargetColumns::Window& at = sent.of->windows[one.cell];
         for (std::size_t k = at.begin; k < at.begin + at.width; ++k) {
             const Counts before = *reinterpret_cast<const Ranges*>(nearest + k * padded + begin) < at.near_m;
@@ -152,37 +120,45 @@ MULTIVERSION void share_cells(const SentBeams& sent, const float* nearest, const
     }
 }
 
-// Count for each of some beams that it can change.
-MULTIVERSION void add_changes(const float* __restrict range_m, std::size_t width, float near_m, bool opens,
-                              std::int32_t* __restrict changes) {
-    for (std::size_t k = 0; k < width; ++k) changes[k] += std::int32_t((range_m[k] < near_m) == opens);
-}
-
-// Whether a wedge of `wide` columns anywhere can change a cell, and between which of its starts, see wedge_changes.
-bool wedge_starts(const SentBeams& sent, Nearest nearest, std::size_t cell, std::int32_t needed, bool opens, std::size_t wide,
-                  std::vector<std::int32_t>& changes, std::int64_t& first, std::int64_t& last) {
-    const TargetColumns::Window at = sent.of->windows[cell];
-    // The beams of each column that can change.
-    changes.assign(at.width, 0);
-    for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
-        if (!sent.passes(cell, ring)) continue;
-        add_changes(nearest[ring] + at.begin, at.width, at.near_m, opens, changes.data());
+// Write which of some cells a wedge of `wide` columns changes wherever it begins, and add to `more` (4 * columns + 1) how many
+// more a wedge changes that begins in a column than one before it; starts from -columns on.
+MULTIVERSION void count_starts(const SentBeams& sent, Nearest nearest, const std::int32_t* margin, const bool* counts,
+                               const Attack& rule, std::size_t wide, std::size_t first_cell, std::size_t last_cell,
+                               bool* changes, std::int64_t* more) {
+    const auto columns = std::int64_t(sent.of->columns);
+    std::vector<std::int32_t> of_column(sent.of->columns);
+    for (std::size_t cell = first_cell; cell < last_cell; ++cell) {
+        changes[cell] = false;
+        const std::int32_t needed = rule.needed(margin[cell]);
+        if (needed == 0 || !counts[cell]) continue;
+        const TargetColumns::Window at = sent.of->windows[cell];
+        // The beams of each column that can change.
+        std::fill_n(of_column.begin(), at.width, 0);
+        for (std::size_t ring = sent.ring[cell]; ring < sent.ring_end[cell]; ++ring) {
+            const float* const range_m = nearest[ring] + at.begin;
+            for (std::size_t k = 0; k < at.width; ++k) of_column[k] += std::int32_t((range_m[k] < at.near_m) == rule.opens);
+        }
+        // The most that a wedge covers.
+        std::int32_t covered = 0, most = 0;
+        for (std::size_t k = 0; k < at.width; ++k) {
+            covered += of_column[k] - (k >= wide ? of_column[k - wide] : 0);
+            most = std::max(most, covered);
+        }
+        if (most < needed) continue;
+        // It must reach the column up to which enough can change from the left, and begin no later than that from the right.
+        std::int32_t left = 0, right = 0;
+        std::size_t reach = 0, begin = at.width;
+        while (left < needed) left += of_column[reach++];
+        while (right < needed) right += of_column[--begin];
+        const auto first = std::int64_t(at.begin + reach) - std::int64_t(wide);
+        auto last = std::int64_t(at.begin + begin);
+        if (first > last) continue;
+        changes[cell] = true;
+        // No start counts a cell twice, however wide the wedge.
+        last = std::min(last, first + columns - 1);
+        ++more[first + columns];
+        --more[last + columns + 1];
     }
-    // The most that a wedge covers.
-    std::int32_t covered = 0, most = 0;
-    for (std::size_t k = 0; k < at.width; ++k) {
-        covered += changes[k] - (k >= wide ? changes[k - wide] : 0);
-        most = std::max(most, covered);
-    }
-    if (most < needed) return false;
-    // It must reach the column up to which enough can change from the left, and begin no later than that from the right.
-    std::int32_t left = 0, right = 0;
-    std::size_t reach = 0, begin = at.width;
-    while (left < needed) left += changes[reach++];
-    while (right < needed) right += changes[--begin];
-    first = std::int64_t(at.begin + reach) - std::int64_t(wide);
-    last = std::int64_t(at.begin + begin);
-    return first <= last;
 }
 
 // Squares of the ranges within which a return is one.
@@ -224,19 +200,12 @@ std::size_t ring_of(float x, float y, float z, View1<const float> tangent, View1
 
 }  // namespace
 
-TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimuth_, View2<const std::uint8_t> fired,
-                             std::size_t rings_, std::size_t columns_, double cell_m, double width_m, double farthest_m)
+TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimuth_, std::size_t rings_, std::size_t columns_,
+                             double cell_m, double width_m, double farthest_m)
     : rows(range.rows), grid_columns(range.columns), rings(rings_), columns(columns_),
       range_m(range.data, range.data + range.size()), azimuth(azimuth_.data, azimuth_.data + range.size()),
       windows(range.size()) {
     constexpr double TURN = 2 * std::numbers::pi;
-    if (fired.data != nullptr) {
-        fired_before.resize(rings * (2 * columns + 1));
-        for (std::size_t ring = 0; ring < rings; ++ring) {
-            std::uint32_t* const before = &fired_before[ring * (2 * columns + 1)];
-            for (std::size_t k = 0; k < 2 * columns; ++k) before[k + 1] = before[k] + (fired(ring, k % columns) != 0);
-        }
-    }
     for (std::size_t cell = 0; cell < windows.size(); ++cell) {
         const float r = range_m[cell], near_m = r - float(cell_m);
         if (near_m <= 0.0f || r > float(farthest_m)) continue;
@@ -252,14 +221,21 @@ TargetColumns::TargetColumns(View2<const float> range, View2<const float> azimut
 
 SentBeams::SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const float> low_m, View2<const float> high_m,
                      View2<const float> slope, View1<const float> start_m)
-    : of(std::move(columns)), words((of->rings + 63) / 64), bits(of->windows.size() * words, 0), ring(of->windows.size(), 0),
-      ring_end(of->windows.size(), 0) {
-    bool rising = std::is_sorted(start_m.begin(), start_m.end());
-    for (std::size_t sector = 0; rising && sector < slope.rows; ++sector) {
-        rising = std::is_sorted(slope[sector], slope[sector] + slope.columns);
+    : of(std::move(columns)), ring(of->windows.size(), 0), ring_end(of->windows.size(), 0) {
+    // Rings that rise where the nearest target may stand, and whose slopes do, rise at every range.
+    float nearest_m = INFINITE;
+    for (std::size_t cell = 0; cell < of->windows.size(); ++cell) {
+        if (of->windows[cell].firings > 0) nearest_m = std::min(nearest_m, of->range_m[cell]);
+    }
+    for (std::size_t sector = 0; sector < slope.rows; ++sector) {
+        for (std::size_t k = 1; k < slope.columns; ++k) {
+            const float apart = slope(sector, k) - slope(sector, k - 1);
+            require(apart >= 0.0f && start_m[k] - start_m[k - 1] + nearest_m * apart >= 0.0f,
+                    "each ring must be above the one before wherever a target may stand");
+        }
     }
     for_ranges(of->rows, count_parts(of->rows, ROWS), [&](std::size_t, std::size_t first_row, std::size_t end_row) {
-        find_rings(*this, low_m.data, high_m.data, slope, start_m.data, rising, first_row * of->grid_columns,
+        find_rings(*this, low_m.data, high_m.data, slope, start_m.data, first_row * of->grid_columns,
                    end_row * of->grid_columns);
     });
 }
@@ -290,7 +266,7 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
     return nearest;
 }
 
-Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of) {
+Buffer<float> without_gaps(Nearest nearest) {
     const std::size_t columns = nearest.columns / 2;
     Buffer<float> closed(nearest.size());
     std::vector<float> around(columns + 2 * GAP), least(columns + GAP);
@@ -301,25 +277,23 @@ Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of) 
         over_stretches(around.data(), least.data(), least.size(), [](float a, float b) { return a < b ? a : b; });
         float* const to = closed.data() + ring * 2 * columns;
         over_stretches(least.data(), to, columns, [](float a, float b) { return a > b ? a : b; });
-        for (std::size_t k = 0; of != nullptr && k < columns; ++k) {
-            if (!of->is_fired(ring, k)) to[k] = INFINITE;
-        }
         std::copy(to, to + columns, to + columns);
     }
     return closed;
 }
 
-std::pair<Buffer<std::int32_t>, Buffer<std::int32_t>> envelope_margins(const SentBeams& sent, View2<const float> nearest) {
+std::pair<Buffer<std::int32_t>, Buffer<bool>> envelope_margins(const SentBeams& sent, Nearest nearest, std::int32_t least) {
     const TargetColumns& of = *sent.of;
-    const Buffer<float> closed_m = without_gaps(nearest, &of);
+    const Buffer<float> closed_m = without_gaps(nearest);
     const Buffer<float> range_m = by_column(nearest);
     const Buffer<float> closed_range_m = by_column({closed_m.data(), nearest.rows, nearest.columns});
-    Buffer<std::int32_t> margin(of.windows.size()), closed(of.windows.size());
+    Buffer<std::int32_t> margin(of.windows.size());
+    Buffer<bool> claim(of.windows.size());
     for_ranges(of.rows, count_parts(of.rows, ROWS), [&](std::size_t, std::size_t first, std::size_t last) {
-        count_margins(sent, range_m.data(), closed_range_m.data(), first * of.grid_columns, last * of.grid_columns,
-                      margin.data(), closed.data());
+        count_margins(sent, range_m.data(), closed_range_m.data(), least, first * of.grid_columns, last * of.grid_columns,
+                      margin.data(), claim.data());
     });
-    return {std::move(margin), std::move(closed)};
+    return {std::move(margin), std::move(claim)};
 }
 
 Buffer<double> cells_of_beams(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
@@ -343,28 +317,18 @@ Buffer<double> cells_of_beams(const SentBeams& sent, View2<const float> nearest,
     return weight;
 }
 
-std::int64_t wedge_changes(const SentBeams& sent, View2<const float> nearest, View1<const std::int32_t> margin,
-                           View1<const bool> counts, const Attack& rule, std::size_t wide, View1<bool> changes) {
-    const auto columns = std::int64_t(sent.of->columns);
-    // How many cells more a wedge changes that begins in a column than one before it; starts from -columns on.
-    std::vector<std::int64_t> more(std::size_t(4 * columns + 1), 0), at(std::size_t(columns), 0);
-    std::vector<std::int32_t> column;
-    for (std::size_t cell = 0; cell < margin.size; ++cell) {
-        changes[cell] = false;
-        const std::int32_t needed = rule.needed(margin[cell]);
-        std::int64_t first = 0, last = 0;
-        if (needed == 0 || !counts[cell]) continue;
-        if (!wedge_starts(sent, nearest, cell, needed, rule.opens, wide, column, first, last)) continue;
-        changes[cell] = true;
-        // No start counts a cell twice, however wide the wedge.
-        last = std::min(last, first + columns - 1);
-        ++more[std::size_t(first + columns)];
-        --more[std::size_t(last + columns + 1)];
-    }
+std::int64_t wedge_changes(const SentBeams& sent, Nearest nearest, View1<const std::int32_t> margin, View1<const bool> counts,
+                           const Attack& rule, std::size_t wide, View1<bool> changes) {
+    const std::size_t columns = sent.of->columns, parts = count_parts(sent.of->rows, ROWS), starts = 4 * columns + 1;
+    std::vector<std::int64_t> more(parts * starts, 0), at(columns, 0);
+    for_ranges(sent.of->rows, parts, [&](std::size_t part, std::size_t first, std::size_t last) {
+        count_starts(sent, nearest, margin.data, counts.data, rule, wide, first * sent.of->grid_columns,
+                     last * sent.of->grid_columns, changes.data, &more[part * starts]);
+    });
     std::int64_t now = 0;
-    for (std::size_t s = 0; s < std::size_t(4 * columns); ++s) {
-        now += more[s];
-        at[s % std::size_t(columns)] += now;
+    for (std::size_t s = 0; s + 1 < starts; ++s) {
+        for (std::size_t part = 0; part < parts; ++part) now += more[part * starts + s];
+        at[s % columns] += now;
     }
     return *std::max_element(at.begin(), at.end());
 }

@@ -24,41 +24,24 @@ struct TargetColumns {
         float near_m;
     };
 
-    // Ranges and azimuths of the cells (rows, columns); which columns are fired (rings, columns), or no data for all.
-    TargetColumns(View2<const float> range_m, View2<const float> azimuth, View2<const std::uint8_t> fired, std::size_t rings,
-                  std::size_t columns, double cell_m, double width_m, double farthest_m);
-
-    // The firings of a ring in a window.
-    std::int32_t firings(const Window& at, std::size_t ring) const {
-        if (fired_before.empty()) return at.firings;
-        const std::uint32_t* const before = &fired_before[ring * (2 * columns + 1)];
-        return std::min(at.firings, std::int32_t(before[at.begin + at.width] - before[at.begin]));
-    }
-
-    bool is_fired(std::size_t ring, std::size_t column) const {
-        const std::size_t at = ring * (2 * columns + 1) + column;
-        return fired_before.empty() || fired_before[at + 1] > fired_before[at];
-    }
+    // Ranges and azimuths of the cells (rows, columns).
+    TargetColumns(View2<const float> range_m, View2<const float> azimuth, std::size_t rings, std::size_t columns, double cell_m,
+                  double width_m, double farthest_m);
 
     std::size_t rows, grid_columns, rings, columns;
-    std::vector<float> range_m, azimuth;      // (cells,)
-    std::vector<Window> windows;              // (cells,)
-    std::vector<std::uint32_t> fired_before;  // (rings, 2 * columns + 1) fired columns before each, or empty
+    std::vector<float> range_m, azimuth;  // (cells,)
+    std::vector<Window> windows;          // (cells,)
 };
 
-// The rings that pass between a target's foot and its top in each cell: those in [ring, ring_end) whose bit is set.
+// The rings [ring, ring_end) that pass between a target's foot and its top in each cell.
 struct SentBeams {
     // The least and the greatest height at which a beam meets a target in each cell, slopes (sectors, rings) of the beams by
-    // azimuth, and the heights (rings,) at which they start.
+    // azimuth, and the heights (rings,) at which they start. Raises where rings cross.
     SentBeams(std::shared_ptr<const TargetColumns> columns, View2<const float> low_m, View2<const float> high_m,
               View2<const float> slope, View1<const float> start_m);
 
-    bool passes(std::size_t cell, std::size_t r) const { return (bits[cell * words + r / 64] >> (r % 64)) & 1; }
-
     std::shared_ptr<const TargetColumns> of;
-    std::size_t words;
-    Buffer<std::uint64_t> bits;               // (cells, words)
-    Buffer<std::uint16_t> ring, ring_end;     // (cells,)
+    Buffer<std::uint16_t> ring, ring_end;  // (cells,)
 };
 
 // What an attack changes: cells of a margin below `least` that it opens, or claims that it may have opened.
@@ -84,15 +67,16 @@ Buffer<float> nearest_returns(View2<const float> points, View1<const std::int16_
 // So many columns of a ring without a near return are closed between two that have one.
 constexpr std::size_t GAP = 4;
 
-// Nearest ranges (rings, 2 * columns) with gaps of up to GAP columns closed; those that are not fired block nothing.
+// Nearest ranges (rings, 2 * columns) with gaps of up to GAP columns closed.
 //
 // A gap takes the farther one of the nearest ranges at its two sides, which blocks what both of them block: a grey closing along
 // the ring, a maximum over minima, so that it is nowhere farther and falls where a range falls.
-Buffer<float> without_gaps(View2<const float> nearest, const TargetColumns* of);
+Buffer<float> without_gaps(View2<const float> nearest);
 
-// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0; and the same where gaps
-// are closed.
-std::pair<Buffer<std::int32_t>, Buffer<std::int32_t>> envelope_margins(const SentBeams& sent, View2<const float> nearest);
+// The margins (cells,): over the rings that pass, the firings sent less the beams blocked, not below 0; and whether the same is
+// `least` or more where gaps are closed.
+std::pair<Buffer<std::int32_t>, Buffer<bool>> envelope_margins(const SentBeams& sent, View2<const float> nearest,
+                                                               std::int32_t least);
 
 // For each beam (rings, columns), the sum over the cells that count and need at most `most` beams, of 1 / the number needed,
 // where it is one of those that can change.

@@ -18,7 +18,7 @@ _RECORDINGS = ("rosbags", "mcap", "lz4", "zstandard", "velodyne_decoder", "yaml"
 EXTRAS = {
     **dict.fromkeys(("numba", "matplotlib", "pebble"), LABORATORY),
     **dict.fromkeys(("torch", "lightning", "onnx", "optuna"), "viewshed-lab[train]"),
-    "ray": "viewshed-lab[ray]",
+    "ray": "viewshed-lab[ray]", "stonesoup": "viewshed-lab[test]",
     **dict.fromkeys(_RECORDINGS, "viewshed[recordings]"),
     **dict.fromkeys(("scipy", "cbor2", "cwt", "cryptography", "zenoh"), "viewshed[agents]"),
     "rasterio": "viewshed[geo]", "rerun": "viewshed[view]",

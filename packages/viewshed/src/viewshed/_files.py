@@ -1,9 +1,8 @@
-"""Files that survive a kill: written whole or not at all, or JSON lines that are only appended; archives of arrays."""
+"""Files that survive a kill, written whole or not at all; archives of arrays."""
 
 from __future__ import annotations
 
 import io
-import json
 import lzma
 import os
 import re
@@ -162,27 +161,3 @@ def _lock(descriptor: int) -> bool:
     except OSError:
         return False
     return True
-
-
-def append_jsonl(path: Path, line: dict[str, Any]) -> None:
-    """Append a line of JSON to a file; it is on the disk when this returns.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    with path.open("ab") as file:
-        file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")).encode() + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def is_begun(path: Path) -> bool:
-    """Return whether a file of JSON lines has a whole line; cut off what a crash left of a line at its end."""
-    if not path.exists():
-        return False
-    content = path.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        with path.open("r+b") as file:
-            file.truncate(whole)
-    return whole > 0

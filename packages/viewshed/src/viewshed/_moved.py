@@ -22,6 +22,10 @@ MOVED = {
     **{f"viewshed.fusion.{name}": f"viewshed.objects.{name}" for name in _OBJECTS},
     "viewshed.fusion": "viewshed.agents",
     "viewshed.messages": "viewshed.agents",
+    **{
+        f"viewshed.networks.{name}": f"viewshed_lab.training.{name}"
+        for name in ("onnx_export", "quantize", "unet_torch")
+    },
     "viewshed.plot": "viewshed.show.plot",
     "viewshed.view": "viewshed.show.view",
     "viewshed.datasets.recording": "viewshed.recordings.recording",

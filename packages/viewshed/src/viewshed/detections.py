@@ -29,18 +29,13 @@ class ObjectKind(IntEnum):
 class Detections:
     """The objects that a detector found in one sweep, in one frame (``level`` of the sweep, unless stated otherwise).
 
-    Attributes:
-        boxes: (K, 7) float64, columns ``BOX_COLUMNS``.
-        kinds: (K,) uint8 of :class:`ObjectKind`; a kind that is none of them is OTHER.
-        returns: (K,) int32 returns in each box; 0 where that is not known.
-
     Raises:
         ValueError: the lengths differ, a number is not finite, or a size is not positive.
     """
 
-    boxes: NDArray[np.float64]
-    kinds: NDArray[np.uint8]
-    returns: NDArray[np.int32]
+    boxes: NDArray[np.float64]  # (K, 7) float64, columns ``BOX_COLUMNS``
+    kinds: NDArray[np.uint8]  # (K,) uint8 of :class:`ObjectKind`; a kind that is none of them is OTHER
+    returns: NDArray[np.int32]  # (K,) int32 returns in each box; 0 where that is not known
 
     def __post_init__(self) -> None:
         for name, kind in (("boxes", np.float64), ("kinds", np.uint8), ("returns", np.int32)):

@@ -1,11 +1,11 @@
-"""Messages for tests: a small view with shadows, tracks, detections and a report."""
+"""Messages for tests: a small view with shadows, detections and a report."""
 
 from typing import Any
 
 import numpy as np
 
 from viewshed import CAR, BevGrid, CellState, FovEstimate, Rigid
-from viewshed.agents.view_message import SensorFacts, SharedTracks, ViewMessage
+from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.detections import Detections
 from viewshed.fov.height_map import HeightMap
 from viewshed.monitor.report import IntegrityReport
@@ -34,23 +34,6 @@ def ground() -> HeightMap:
     return HeightMap(heights, GRID.half_extent_m, np.ones(heights.shape, bool))
 
 
-def tracks(
-    count: int = 3, seed: int = 0, origin: tuple[float, float, float] = (601_234.5, 5_300_000.25, 12.0)
-) -> SharedTracks:
-    rng = np.random.default_rng(seed)
-    half = rng.normal(size=(count, 4, 4))
-    states = rng.normal(0, 20, (count, 4)) + np.array([*origin[:2], 0.0, 0.0])
-    boxes = np.column_stack(
-        [states[:, :2], np.full(count, origin[2] + 0.8), rng.uniform(0.5, 5, (count, 3)), rng.normal(size=count)]
-    )
-    existence, visible, detectable, born_hidden = np.round(255 * rng.random((4, count))) / 255
-    return SharedTracks(
-        rng.integers(0, 2**40, count), states, half @ half.swapaxes(1, 2), boxes, rng.random((count, 5)),
-        rng.integers(0, 5, count, dtype=np.uint8), existence, visible, detectable, born_hidden,
-        rng.uniform(0, 90, count), rng.random(count),
-    )  # fmt: skip
-
-
 def message(sequence: Any = 1, agent: Any = "car1", t_ns: Any = NOW_NS, **changes: Any) -> Any:
     """A message that has everything; keywords take the place of fields."""
     covariance = np.diag([0.04, 0.04, 0.01, 1e-4, 1e-4, 4e-4])
@@ -64,7 +47,7 @@ def message(sequence: Any = 1, agent: Any = "car1", t_ns: Any = NOW_NS, **change
         "pose_covariance": covariance, "sensor": SensorFacts("HDL-32E", 1.84, 70.0), "view": view(),
         "ground": ground(),
         "detections": Detections(boxes, np.array([3, 1], np.uint8), np.array([40, 7], np.int32)),
-        "tracks": tracks(), "report": IntegrityReport("by hand", 2.0, 1.5, 0.01, True, 0.25, suspect),
+        "report": IntegrityReport("by hand", 2.0, 1.5, 0.01, True, 0.25, suspect),
         "epoch": 0,
     }  # fmt: skip
     return ViewMessage(**(fields | changes))

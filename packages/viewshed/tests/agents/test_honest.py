@@ -11,6 +11,7 @@ from viewshed.agents.honest import (
     ObjectReports,
     fit_honest,
     own_box_columns,
+    place_columns,
     reported_columns,
 )
 from viewshed.agents.many import AgentReport, object_reports
@@ -73,12 +74,12 @@ def test_a_model_learns_who_reports_and_what_lies_elsewhere() -> None:
     assert invented[3] > invented[0]
     assert displaced[3] > 1.0
     assert displaced[0] < 0.0
-    there = model.there(said)[0]
+    there = model.there(said, place_columns(said), own_box_columns(said)[0])[0]
     assert there[0] > there[1]  # a report speaks for an object, silence against it
     # Who alone reports a place that others see free is as one that puts an object there.
     alone = reports(np.eye(4, dtype=bool)[:1], np.array([[0.45, 0.0, 0.0, 0.0]]), rng)
     hedge = reports(np.eye(4, dtype=bool)[:1], np.array([[0.45, 0.45, 0.45, 0.45]]), rng)
-    free, covered = (model.silent_views(each)[0, 0] for each in (alone, hedge))
+    free, covered = (model.silent_views(place_columns(each)[0], each.silent_now)[0, 0] for each in (alone, hedge))
     assert free[0] == covered[0] == 0.0
     assert (free[1:] > covered[1:] + 0.5).all()
     assert (np.diff(model.found, axis=-1) >= 0).all()  # and never less where more is claimed

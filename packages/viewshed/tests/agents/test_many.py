@@ -17,6 +17,7 @@ from viewshed.agents.many import (
     joint_fov,
     match_agents,
 )
+from viewshed.agents.trust import QUESTIONS
 from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.detections import Detections
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
@@ -74,6 +75,25 @@ def test_what_all_report_is_one_track_each_and_believed() -> None:
     places = last.tracks.boxes[last.believed][:, :2]
     assert np.linalg.norm(places[:, None] - CARS[None, :, :2], axis=2).min(axis=0).max() < 0.2
     assert not last.verdicts.suspects.any()
+
+
+def test_who_withholds_what_its_own_view_holds_is_told_by_how_long() -> None:
+    """All report both cars; then c leaves one out for four looks, of which the first may be its detector's miss."""
+    said = [[CARS] * 3] * 5 + [[CARS, CARS, CARS[:1]]] * 4 + [[CARS] * 3]
+    withheld = [picture.verdicts.answers[:, QUESTIONS.index("withheld")].tolist() for picture in run(said)]
+    assert withheld[4:] == [[0.0, 0.0, each] for each in (0.0, 0.0, 1.0, 2.0, 3.0, 0.0)]
+    # Not yet known: reported once.
+    early = run([[CARS] * 3] + [[CARS, CARS, CARS[:1]]] * 4)
+    assert not early[-1].verdicts.answers[:, QUESTIONS.index("withheld")].any()
+
+
+def test_who_no_longer_holds_a_surface_withholds_nothing() -> None:
+    center = CommandCenter(("a", "b", "c"))
+    for time in range(9):
+        seen = CARS if time < 5 else CARS[:1]
+        said = [report(AGENTS[0], CARS), report(AGENTS[1], CARS), report(AGENTS[2], seen)]
+        answers = center.add(0.5 * time, said).verdicts.answers
+    assert not answers[:, QUESTIONS.index("withheld")].any()
 
 
 def test_what_one_invents_and_two_deny_is_not_believed_and_it_is_suspected() -> None:

@@ -103,6 +103,13 @@ def odd(kind: str) -> tuple[list[AgentReport], str]:
     return said, apart
 
 
+def test_a_center_of_one_agent_says_that_nobody_contradicts_it() -> None:
+    [*_, last] = follow(CommandCenter(("a",)), [[report(AGENTS[0], CARS)]] * 4)
+    done = Round.of(last)
+    assert done.sentences() == ["a alone is heard: nobody contradicts it"]
+    assert not (done.accused | done.disputed).any()
+
+
 @pytest.mark.parametrize(
     "kind",
     ["a class that nobody knows", "views without objects", "one agent only", "agents that never overlap"],

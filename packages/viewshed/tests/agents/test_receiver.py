@@ -96,7 +96,7 @@ REFUSED: dict[str, tuple[Callable[[], bytes], Reason]] = {
     "longer": (lambda: signed() + b"\0", Reason.MALFORMED),
     "another algorithm": (lambda: signed().replace(b"\x01\x27\x04", b"\x01\x26\x04", 1), Reason.MALFORMED),
     "an older version": (lambda: edited(_0=1), Reason.OTHER_VERSION),
-    "a newer version": (lambda: edited(_0=4), Reason.OTHER_VERSION),
+    "a newer version": (lambda: edited(_0=5), Reason.OTHER_VERSION),
     "no version": (lambda: edited(_0="2"), Reason.MALFORMED),
     "no name": (lambda: edited(_1=""), Reason.MALFORMED),
     "a name of a number": (lambda: edited(_1=5), Reason.MALFORMED),
@@ -166,10 +166,10 @@ def test_signatures_are_remembered_in_a_bounded_number() -> None:
 def test_two_senders_of_one_name_are_noticed() -> None:
     here = receiver()
     assert give(here, signed(1)).reason is None
-    assert give(here, signed(1, tracks=samples.tracks(2))).reason is Reason.TWO_OF_ONE_NAME
+    assert give(here, signed(1, ground=samples.ground())).reason is Reason.TWO_OF_ONE_NAME
     assert here.agents["car1"].refused == {Reason.TWO_OF_ONE_NAME: 1}
     # A forger cannot make it look so.
-    data = bytearray(signed(1, tracks=samples.tracks(2)))
+    data = bytearray(signed(1, ground=samples.ground()))
     data[-1] ^= 1
     assert give(here, bytes(data)).reason is Reason.FORGED
 
@@ -503,7 +503,7 @@ def test_any_bytes_are_taken(kind: Callable[[bytes], Any]) -> None:
 def test_an_older_version_is_refused_with_both_versions() -> None:
     receipt = give(receiver(), edited(_0=1))
     assert receipt.reason is Reason.OTHER_VERSION
-    assert receipt.detail == "the version of a payload must be 3, got 1; bring agent and receiver to one release"
+    assert receipt.detail == "the version of a payload must be 4, got 1; bring agent and receiver to one release"
 
 
 def test_what_an_honest_key_signs_is_checked_all_the_same() -> None:

@@ -46,7 +46,7 @@ def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
     assert verdicts.doubt > 1.0
     assert verdicts.evidence[0] == pytest.approx(verdicts.evidence[1], abs=0.7)
     assert verdicts.evidence.max() < 0.7  # neither can be told from the other
-    benign = np.tile(np.linspace(-1.0, 0.7, 199)[:, None, None], (1, 2, 4))
+    benign = np.tile(np.linspace(-1.0, 0.7, 199)[:, None, None], (1, 2, 5))
     limits = TrustLimits.of(benign, np.zeros(2, bool), np.linspace(0.0, 1.0, 199))
     accused = limits.accused(verdicts.answers, np.zeros(2, bool), 0.01)
     assert not accused.any()
@@ -173,7 +173,7 @@ def test_each_question_is_answered_by_itself() -> None:
         verdicts = trust.add(silent(4), 1.0, (of_pairs, of_own))
     by_hand = np.zeros((4, 3))
     by_hand[0, 0], by_hand[2, 1], by_hand[3, 2] = 4.0, 3.0, 2.0
-    assert verdicts.answers[:, 1:] == pytest.approx(by_hand, abs=1e-3)
+    assert verdicts.answers[:, 1:4] == pytest.approx(by_hand, abs=1e-3)
     # Nobody reported anything, whatever views say of their agents.
     assert verdicts.answers[:, 0] == pytest.approx(0.0, abs=1e-9)
     assert verdicts.evidence.max() > 1.0
@@ -227,23 +227,23 @@ def test_old_reports_fade_and_memory_stays_bounded() -> None:
 def test_limits_hold_their_rate_and_refuse_what_they_cannot(masts: int) -> None:
     """Of five agents some are elevated, which err three times as much, and one question has half the noise."""
     rng, elevated, accused = np.random.default_rng(8), np.arange(5) >= 5 - masts, []
-    scale = np.where(elevated, 3.0, 1.0)[:, None] * np.array([1.0, 0.5, 1.0, 1.0])
+    scale = np.where(elevated, 3.0, 1.0)[:, None] * np.array([1.0, 0.5, 1.0, 1.0, 1.0])
     for _ in range(20):
-        benign = rng.normal(size=(199, 5, 4)) * scale
+        benign = rng.normal(size=(199, 5, 5)) * scale
         limits = TrustLimits.of(benign, elevated, rng.normal(size=199))
-        accused += [limits.accused(rng.normal(size=(5, 4)) * scale, elevated, 0.05) for _ in range(200)]
+        accused += [limits.accused(rng.normal(size=(5, 5)) * scale, elevated, 0.05) for _ in range(200)]
     assert np.mean([one.any() for one in accused]) == pytest.approx(0.05, abs=0.015)
     # Each kind has its part: the scale makes up for what the elevated ones err more.
     assert np.mean(accused, axis=0) == pytest.approx(np.mean(accused), abs=0.008)
     # Each question convicts by itself.
-    for question in range(4):
-        answers = np.zeros((5, 4))
+    for question in range(5):
+        answers = np.zeros((5, 5))
         answers[1, question] = 6.0 * scale[1, question]
         assert limits.accused(answers, elevated, 0.05).tolist() == [False, True, False, False, False]
     with pytest.raises(ValueError, match=r"needs \d+ benign scenes, got 199"):
-        limits.accused(np.zeros((5, 4)), elevated, 0.0001)
+        limits.accused(np.zeros((5, 5)), elevated, 0.0001)
     with pytest.raises(ValueError, match="must be finite"):
-        TrustLimits.of(np.full((9, 5, 4), np.nan), elevated, np.zeros(9))
+        TrustLimits.of(np.full((9, 5, 5), np.nan), elevated, np.zeros(9))
     with pytest.raises(ValueError, match="must be of two benign scenes or more, got 1 and 1"):
         TrustLimits.of(benign[:1], elevated, np.zeros(1))
 

@@ -1,7 +1,6 @@
 """A message comes back as it was sent, fits its schema, and says nothing that it must not."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,11 @@ from viewshed.agents.view_message import (
     FIELDS,
     MAX_BYTES,
     MAX_DETECTIONS,
-    MAX_TRACKS,
     SensorFacts,
-    SharedTracks,
     decode_message,
     encode_message,
-    field_sizes,
 )
 from viewshed.detections import Detections
-from viewshed.objects.tracks import Tracks
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -34,7 +29,7 @@ def decoded(payload: bytes) -> Any:
     return decode_message(payload)
 
 
-OPTIONAL = ("view", "ground", "detections", "tracks", "report")
+OPTIONAL = ("view", "ground", "detections", "report")
 
 
 def test_everything_comes_back() -> None:
@@ -54,9 +49,6 @@ def test_everything_comes_back() -> None:
     assert np.allclose(found.ground.at(places), sent.ground.at(places), atol=0.06)
     for name in ("boxes", "kinds", "returns"):
         assert np.allclose(getattr(found.detections, name), getattr(sent.detections, name), atol=1e-5)
-    for name in SharedTracks.__slots__:
-        # Positions are near the sender's, so that float32 keeps them to micrometers, in a map of any size.
-        assert np.allclose(getattr(found.tracks, name), getattr(sent.tracks, name), rtol=1e-5, atol=2e-5), name
     for name in ("monitor", "score", "threshold", "p_value", "degraded", "degraded_p_value"):
         assert getattr(found.report, name) == getattr(sent.report, name)
     assert np.flatnonzero(found.report.suspect).tolist() == [0, 5, 71]
@@ -69,9 +61,8 @@ def test_what_an_agent_does_not_have_it_leaves_out(left_out: tuple[str, ...]) ->
         assert (getattr(found, name) is None) == (name in left_out)
 
 
-def test_no_tracks_and_no_detections_are_something_else_than_none_sent() -> None:
-    found = decoded(encode_message(samples.message(tracks=samples.tracks(0), detections=Detections.none())))
-    assert (len(found.tracks), len(found.detections)) == (0, 0)
+def test_no_detections_are_something_else_than_none_sent() -> None:
+    assert len(decoded(encode_message(samples.message(detections=Detections.none()))).detections) == 0
 
 
 def test_deviations_are_sent_where_there_are_any() -> None:
@@ -93,7 +84,7 @@ def test_messages_fit_their_schema() -> None:
     full = encode_message(samples.message(view=samples.view(with_std=True)))
     schema.validate_cbor(full)
     schema.validate_cbor(encode_message(samples.message(**dict.fromkeys(OPTIONAL))))
-    nothing_known = samples.message(sensor=SensorFacts("of our own"), tracks=samples.tracks(0))
+    nothing_known = samples.message(sensor=SensorFacts("of our own"))
     schema.validate_cbor(encode_message(nothing_known))
     # The schema is no empty promise: without a field that must be there, or with one of another type, it objects.
     for key in range(7):
@@ -101,10 +92,6 @@ def test_messages_fit_their_schema() -> None:
         del fields[key]
         with pytest.raises(pycddl.ValidationError, match="missing key"):
             schema.validate_cbor(cbor2.dumps(fields))
-
-
-def test_twenty_tracks_take_less_than_2400_bytes() -> None:
-    assert field_sizes(encode_message(samples.message(tracks=samples.tracks(20))))["tracks"] < 2400
 
 
 def bad(change: dict[int, Any], **fields: Any) -> bytes:
@@ -130,9 +117,9 @@ def changed(key: int, column: int, at: int, value: float) -> bytes:
     return dumped(fields)
 
 
-VIEW, FOUND, TRACKS = (cbor.loads(encode_message(samples.message()))[key] for key in (7, 9, 10))
+VIEW, FOUND = (cbor.loads(encode_message(samples.message()))[key] for key in (7, 9))
 BAD: dict[str, tuple[Callable[[], bytes], str]] = {
-    "version": (lambda: bad({0: 1}), "whose version is 3"),
+    "version": (lambda: bad({0: 1}), "whose version is 4"),
     "no map": (lambda: b"\x80", "must be a map"),
     "agent": (lambda: bad({1: "a b"}), "agent must be 1 to 32 letters"),
     "agent of bytes": (lambda: bad({1: b"a"}), "must have text here"),
@@ -168,18 +155,11 @@ BAD: dict[str, tuple[Callable[[], bytes], str]] = {
     "ground text": (lambda: bad({8: [16.0, "a"]}), "must have bytes here"),
     "detections": (lambda: changed(9, 0, 3, -1.0), "positive sizes"),
     "kinds of detections": (lambda: changed(9, 1, 0, 9), "of known kinds"),
-    "NaN track": (lambda: changed(10, 1, 0, np.nan), "states of tracks must be finite"),
-    "NaN covariance of a track": (lambda: changed(10, 2, 0, np.nan), "covariances of tracks must be finite"),
-    "negative variance of a track": (lambda: changed(10, 2, 0, -9.0), "covariances of tracks must have no negative"),
-    "size of a track": (lambda: changed(10, 3, 1, 0.0), "positive sizes"),
-    "kind of a track": (lambda: changed(10, 5, 0, 5), r"kinds of tracks must lie in \[0, 4\], got 5"),
-    "time of a track": (lambda: changed(10, 7, 0, -1.0), "times not be negative"),
-    "uneven tracks": (lambda: bad({10: TRACKS | {0: TRACKS[0][:2]}}), "must all be of as many tracks"),
     "uneven detections": (lambda: bad({9: [FOUND[0][:-1], *FOUND[1:]]}), "must all be of as many objects"),
-    "report": (lambda: bad({11: ["a", 1.0, 1.0, 2.0, False, 1.0, bytes(9)]}), "p_value must lie in"),
-    "report without sectors": (lambda: bad({11: ["a", 1.0, 1.0, 1.0, False, 1.0, b""]}), "must have 72 sectors, got 0"),
-    "another field": (lambda: bad({12: 1}), r"keys of a payload must lie in \[0, 11\], got 12"),
-    "a field missing": (lambda: cbor2.dumps({0: 3, 1: "a"}), "must have the fields of its schema"),
+    "report": (lambda: bad({10: ["a", 1.0, 1.0, 2.0, False, 1.0, bytes(9)]}), "p_value must lie in"),
+    "report without sectors": (lambda: bad({10: ["a", 1.0, 1.0, 1.0, False, 1.0, b""]}), "must have 72 sectors, got 0"),
+    "another field": (lambda: bad({11: 1}), r"keys of a payload must lie in \[0, 10\], got 11"),
+    "a field missing": (lambda: cbor2.dumps({0: 4, 1: "a"}), "must have the fields of its schema"),
     "too many bytes": (lambda: bytes(MAX_BYTES + 1), "at most 49152 bytes"),
 }  # fmt: skip
 
@@ -192,16 +172,12 @@ def test_what_a_message_must_not_say_is_refused(name: str) -> None:
         decoded(payload)
 
 
-def test_ten_thousand_tracks_are_refused_before_they_are_looked_at() -> None:
-    many = {key: each.repeat(4000) for key, each in cbor.loads(encode_message(samples.message()))[10].items()}
-    assert len(many[0]) == 12_000
+def test_ten_thousand_detections_are_refused_before_they_are_looked_at() -> None:
+    boxes, kinds, returns = cbor.loads(encode_message(samples.message()))[9]
     with pytest.raises(ValueError, match="at most 49152 bytes"):
-        decoded(bad({10: many}))
-    few = {key: each.repeat(100) for key, each in cbor.loads(encode_message(samples.message()))[10].items()}
-    with pytest.raises(ValueError, match="at most 256 tracks, got 300"):
-        decoded(bad({10: few}))
-    with pytest.raises(ValueError, match="at most 256 tracks, got 257"):
-        samples.tracks(MAX_TRACKS + 1)
+        decoded(bad({9: [each.repeat(5000) for each in (boxes, kinds, returns)]}))
+    with pytest.raises(ValueError, match="at most 512 detections"):
+        decoded(bad({9: [each.repeat(300) for each in (boxes, kinds, returns)]}))
     found = samples.message().detections.take(np.zeros(MAX_DETECTIONS + 1, np.intp))
     with pytest.raises(ValueError, match="at most 512 detections, got 513"):
         samples.message(detections=found)
@@ -216,39 +192,8 @@ def test_values_are_checked_when_a_message_is_made() -> None:
     uneven[0, 1] = 0.5
     with pytest.raises(ValueError, match="pose_covariance must be symmetric"):
         samples.message(pose_covariance=uneven)
-    with pytest.raises(ValueError, match="visible of tracks must have the shape"):
-        replace(samples.tracks(), visible=np.zeros(2))
-    with pytest.raises(ValueError, match=r"probabilities of tracks must lie in \[0, 1\]"):
-        replace(samples.tracks(), existence=np.full(3, 1.5))
     with pytest.raises(ValueError, match="must be finite or NaN"):
         SensorFacts("a", height_m=float("inf"))
-
-
-def test_confirmed_tracks_are_shared_the_surest_first() -> None:
-    states = np.arange(16.0).reshape(4, 4)
-    held = Tracks(
-        t_s=100.0,
-        ids=np.array([4, 5, 6, 7]),
-        states=states,
-        covariances=np.tile(np.eye(4), (4, 1, 1)),
-        boxes=np.column_stack([states[:, :2], np.ones((4, 5))]),
-        box_variances=np.ones((4, 5)),
-        kinds=np.full(4, 3, np.uint8),
-        existence=np.array([0.7, 0.99, 0.9, 0.95]),
-        confirmed=np.array([True, False, True, True]),
-        detection=np.zeros(4, np.int32),
-        visible=np.ones(4),
-        detectable=np.ones(4),
-        born_s=np.array([1.0, 2.0, 3.0, 4.0]),
-        seen_s=np.array([99.0, 99.5, 100.0, 100.0]),
-        born_hidden=np.zeros(4),
-    )
-    shared = SharedTracks.of(held)
-    assert shared.ids.tolist() == [7, 6, 4]
-    assert shared.age_s.tolist() == [96.0, 97.0, 99.0]
-    assert shared.unseen_s.tolist() == [0.0, 0.0, 1.0]
-    with pytest.raises(ValueError, match="must be in the world"):
-        SharedTracks.of(replace(held, in_world=False))
 
 
 @given(st.binary(max_size=300))

@@ -21,7 +21,7 @@ from tests.recordings.read.test_rosbag import ROS2, S, write_mcap, write_ros2
 from viewshed import BevGrid, Sweep, read_sweep, write_sweep
 from viewshed.io.samples import junction_path
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.onnx_export import export_onnx
+from viewshed_lab.training.onnx_export import export_onnx
 
 CLOUD = np.random.default_rng(0).uniform((-20, -20, -2, 0), (20, 20, 2, 1), (500, 4)).astype(np.float32)
 POSE = "1 0 0 0 0 1 0 0 0 0 1 1.8\n"

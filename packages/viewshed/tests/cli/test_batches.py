@@ -13,7 +13,7 @@ from tests.networks.made import card, nearby
 from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.cli._outputs import Failures, Named, Run
 from viewshed.io.export import read_npz
-from viewshed.networks.onnx_export import export_onnx
+from viewshed_lab.training.onnx_export import export_onnx
 
 GRID = BevGrid(16, 8.0)
 

@@ -27,7 +27,7 @@ def test_what_is_written_is_certified(tmp_path: Path) -> None:
     leveled = level(sweep, GRIDS["road"])
     envelope = Envelope.of(leveled, Given.of(leveled), GRIDS["road"], CAR)
     assert claimed.any()
-    certified = envelope.claim() & envelope.open(5)
+    certified = envelope.claim & envelope.open(5)
     assert (claimed == load_estimator("shadow_map").estimate(leveled).visible() & certified).all()
 
 

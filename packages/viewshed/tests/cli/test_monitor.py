@@ -14,8 +14,8 @@ from viewshed import Sweep, open_recording, write_sweep
 from viewshed.cli import main
 from viewshed.cli._verdicts import stream_monitor
 from viewshed.monitor import load_calibration, load_monitor
-from viewshed.networks.onnx_export import export_onnx
-from viewshed.networks.unet_torch import Stage, UNet
+from viewshed_lab.training.onnx_export import export_onnx
+from viewshed_lab.training.unet_torch import Stage, UNet
 
 
 def _network() -> UNet:

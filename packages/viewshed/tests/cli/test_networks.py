@@ -10,7 +10,7 @@ from tests.networks.made import card, nearby
 from viewshed import BevGrid, Sweep, write_sweep
 from viewshed.io.export import read_npz
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.onnx_export import export_onnx
+from viewshed_lab.training.onnx_export import export_onnx
 
 SHAPE = UNetShape(4, 2, 0.3)
 

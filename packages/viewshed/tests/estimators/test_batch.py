@@ -24,10 +24,10 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.visibility import CAR, Target
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
-from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed_lab.training.onnx_export import export_onnx
 
 GRID = BevGrid(32, 16.0)
 SHAPES = {"flat": UNetShape(4, 2, 0.3, 3), "folded": UNetShape(4, 2, 0.3, 3, 2)}

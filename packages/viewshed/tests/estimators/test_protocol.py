@@ -22,8 +22,8 @@ from viewshed.estimators import (
 )
 from viewshed.geometry import Rigid
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.onnx_export import export_onnx
 from viewshed.preprocess.leveling import level
+from viewshed_lab.training.onnx_export import export_onnx
 
 ROAD, ROOM = GRIDS["road"], GRIDS["indoor"]
 

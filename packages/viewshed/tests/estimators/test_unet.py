@@ -31,11 +31,11 @@ from viewshed.fov.estimate import CellState
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.onnx_export import export_onnx
-from viewshed.networks.unet_torch import TorchRunner
 from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
+from viewshed_lab.training.onnx_export import export_onnx
+from viewshed_lab.training.unet_torch import TorchRunner
 
 GRID = BevGrid(64, 16.0)
 SHAPE = UNetShape(4, 2, 0.3)

@@ -5,16 +5,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
+from viewshed._core import label_regions, squared_depth
 from viewshed.arrays import Mask
-from viewshed.fov._mask_regions import label_regions, squared_depth
 
 MASKS = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24), elements=st.booleans())
 
 
 @given(MASKS)
 def test_regions_are_numbered_as_scipy_numbers_them(mask: Mask) -> None:
-    np.testing.assert_array_equal(label_regions(mask), ndimage.label(mask)[0])
-    np.testing.assert_array_equal(label_regions(mask, diagonal=True), ndimage.label(mask, structure=np.ones((3, 3)))[0])
+    np.testing.assert_array_equal(label_regions(mask, False), ndimage.label(mask)[0])
+    np.testing.assert_array_equal(label_regions(mask, True), ndimage.label(mask, structure=np.ones((3, 3)))[0])
 
 
 @given(MASKS)
@@ -38,10 +38,10 @@ def test_a_spiral_is_one_region(side: int) -> None:
             continue
         (i, j), turns = (i + di, j + dj), 0
         mask[i, j] = True
-    assert label_regions(mask).max() == 1
-    np.testing.assert_array_equal(label_regions(mask) == 1, mask)
+    assert label_regions(mask, False).max() == 1
+    np.testing.assert_array_equal(label_regions(mask, False) == 1, mask)
 
 
 def test_nothing_has_no_region() -> None:
-    assert label_regions(np.zeros((3, 5), np.bool_)).max() == 0
+    assert label_regions(np.zeros((3, 5), np.bool_), False).max() == 0
     assert squared_depth(np.zeros((3, 5), np.bool_)).max() == 0

@@ -11,11 +11,11 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
 
+from viewshed import _core
 from viewshed.arrays import Mask
-from viewshed.fov._sector_polygons import best_sectors
-from viewshed.fov._star_polygons import free_ranges
 from viewshed.fov.polygons import (
     blind_spot,
+    free_ranges,
     inner_polygon_of_mask,
     mask_of_polygon,
     polygon_of_mask,
@@ -168,7 +168,7 @@ def test_sectors_are_the_best_of_all(ranges: list[int], count: int, inner: float
     wrapped = np.array(ranges * 2, float)
     every = [cover(i, i + w, wrapped[i : i + w].min()) for i in range(bins) for w in range(1, bins + 1)]
     expected = gains(np.array(every)[list(itertools.combinations(range(len(every)), count))]).max()
-    found = tuple(zip(*(part.tolist() for part in best_sectors(wrapped[:bins], count, inner)), strict=True))
+    found = tuple(zip(*(part.tolist() for part in _core.best_sectors(wrapped[:bins], count, inner)), strict=True))
     assert len(found) <= count
     assert all(reach <= wrapped[first:end].min() for first, end, reach in found)
     said = gains(np.array([[np.full(bins, inner), *(cover(*sector) for sector in found)]]))
@@ -236,6 +236,14 @@ def test_a_star_ring_of_a_street_claims_most_of_what_is_seen_from_the_sensor(see
     shape = shapely.make_valid(Polygon(star_ring(mask, grid, 720)))
     assert outside_area(shape, mask, grid) < 1e-6
     assert shape.area > 0.6 * polygon_of_mask(mask, grid).area
+
+
+def test_a_blind_spot_goes_on_across_corners() -> None:
+    mask, grid = np.ones((8, 8), bool), BevGrid(8, 4.0)
+    mask[3:5, 3:5] = mask[5, 5] = mask[6, 6] = False
+    np.testing.assert_array_equal(blind_spot(mask, grid), ~mask)
+    mask[7, 7] = False  # it leads out of the grid
+    assert blind_spot(mask, grid) is None
 
 
 def test_a_star_ring_leaves_out_the_blind_spot_and_what_lies_behind_a_wall() -> None:

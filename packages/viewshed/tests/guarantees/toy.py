@@ -24,9 +24,9 @@ def directions(model: LidarModel = TOY) -> NDArray[Any]:
     return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
 
 
-def scene(rng: np.random.Generator) -> NDArray[Any]:
+def scene(rng: np.random.Generator, model: LidarModel = TOY) -> NDArray[Any]:
     """Return ranges (columns, rings) along the beams over flat ground with walls of random height; +inf for none."""
-    d = directions()
+    d = directions(model)
     ground = np.where(d[..., 2] < 0, -HEIGHT_M / np.minimum(d[..., 2], -1e-9), np.inf)
     depth = np.where(ground < 30.0, ground, np.inf)
     azimuth = np.arctan2(d[:, 0, 1], d[:, 0, 0])
@@ -43,7 +43,7 @@ def scene(rng: np.random.Generator) -> NDArray[Any]:
 def sweep_of(depth: NDArray[Any], added: NDArray[Any] | None = None, **more: Any) -> Sweep:
     """Return the sweep of ranges (columns, rings), and points added to it."""
     hit = np.isfinite(depth)
-    points = (directions() * np.where(hit, depth, 0.0)[..., None])[hit]
+    points = (directions(more.get("model") or TOY) * np.where(hit, depth, 0.0)[..., None])[hit]
     points = points if added is None else np.concatenate([points, added])
     known: dict[str, Any] = {"model": TOY, "sensor_height_m": HEIGHT_M, "attitude": np.array([1.0, 0.0, 0.0, 0.0])}
     return Sweep(points.astype(np.float32), **(known | more))

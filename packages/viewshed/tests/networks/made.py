@@ -7,7 +7,7 @@ from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.features import FEATURES
-from viewshed.networks.unet_torch import Stage, UNet
+from viewshed_lab.training.unet_torch import Stage, UNet
 
 SMALL = UNetShape(4, 2, 0.3)
 GRID = BevGrid(32, 16.0)

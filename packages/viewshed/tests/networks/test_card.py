@@ -11,8 +11,8 @@ from torch.utils.flop_counter import FlopCounterMode
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION, NetworkCard
-from viewshed.networks.unet_torch import UNet
 from viewshed.sweep import Sweep
+from viewshed_lab.training.unet_torch import UNet
 
 SHAPES = [UNetShape(8, 4), UNetShape(4, 3, channels=2), UNetShape(16, 5), UNetShape(1, 1)]
 

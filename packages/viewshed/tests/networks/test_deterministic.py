@@ -13,11 +13,11 @@ from tests.networks.made import card, drawn, inputs
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
 from viewshed.networks.deterministic import without_masks
-from viewshed.networks.onnx_export import onnx_model
 from viewshed.networks.protobuf import encode, fields
-from viewshed.networks.quantize import quantize_network
 from viewshed.networks.runtime import OnnxRunner, load_runner
 from viewshed.networks.weights import WEIGHTS, shipped_content, with_checksum
+from viewshed_lab.training.onnx_export import onnx_model
+from viewshed_lab.training.quantize import quantize_network
 
 SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2, 3, 2), UNetShape(4, 3, 0.0, 2, 4)]
 SHIPPED = sorted(path.stem for path in WEIGHTS.glob("*.onnx"))

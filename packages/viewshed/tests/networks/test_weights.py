@@ -6,9 +6,9 @@ import pytest
 from tests.networks.made import GRID, card, drawn
 
 from viewshed.grid import BevGrid
-from viewshed.networks.onnx_export import export_onnx
 from viewshed.networks.runtime import OnnxRunner
 from viewshed.networks.weights import WEIGHTS, default_name, float32_name, manifest, shipped_content, shipped_names
+from viewshed_lab.training.onnx_export import export_onnx
 
 main = runpy.run_path(str(Path(__file__).resolve().parents[4] / "tools" / "ship_weights.py"))["main"]
 

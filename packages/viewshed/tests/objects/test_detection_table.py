@@ -1,4 +1,4 @@
-"""The measured table: laws over what is shipped, counts by hand, and what is blocked in a scene by hand."""
+"""The measured table: laws over what is shipped, and counts by hand."""
 
 from dataclasses import replace
 
@@ -6,32 +6,26 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.objects.scenes import car, seen
 
 from viewshed.detections import ObjectKind
-from viewshed.objects.detection_table import BLOCKED, RANGE_M, RETURNS, DetectionTable, blocked_share, detection_table
-from viewshed_lab.sim import Box
+from viewshed.objects.detection_table import RANGE_M, RETURNS, DetectionTable, detection_table
 
 CAR = np.array([ObjectKind.CAR], np.uint8)
 
 
 def empty(sweeps: int = 10) -> DetectionTable:
     kinds, ranges = len(ObjectKind), len(RANGE_M) - 1
-    counts = np.zeros((kinds, len(RETURNS), ranges, len(BLOCKED) - 1), np.int64)
+    counts = np.zeros((kinds, len(RETURNS), ranges), np.int64)
     by_range = np.zeros((kinds, ranges), np.int64)
-    return DetectionTable(counts, counts, np.zeros((kinds, ranges, 2)), by_range, by_range, sweeps, {})
+    return DetectionTable(counts, counts, by_range, by_range, sweeps, {})
 
 
-@given(
-    st.floats(0, 1e5), st.floats(0, 1e5), st.floats(0, 200), st.sampled_from(list(ObjectKind)),
-    st.one_of(st.none(), st.floats(0, 1)),
-)  # fmt: skip
+@given(st.floats(0, 1e5), st.floats(0, 1e5), st.floats(0, 200), st.sampled_from(list(ObjectKind)))
 def test_more_expected_returns_are_never_found_more_rarely(
-    one: float, other: float, range_m: float, kind: ObjectKind, blocked: float | None
+    one: float, other: float, range_m: float, kind: ObjectKind
 ) -> None:
-    share = None if blocked is None else np.full(2, blocked)
     returns = np.sort([one, other])
-    prob = detection_table().prob(returns, np.full(2, range_m), np.full(2, kind, np.uint8), share)
+    prob = detection_table().prob(returns, np.full(2, range_m), np.full(2, kind, np.uint8))
     assert 0.0 <= prob[0] <= prob[1] + 1e-12 <= 1.0 + 1e-12
 
 
@@ -41,11 +35,6 @@ def test_the_shipped_table_knows_what_a_detector_can_do() -> None:
     assert none < 0.05
     assert 0.1 < few < 0.7
     assert many > 0.85
-    std_m = table.center_std_m(np.array([5.0, 50.0]), np.full(2, ObjectKind.CAR, np.uint8))
-    assert std_m.shape == (2, 2)
-    assert ((std_m > 0.05) & (std_m < 1.5)).all()
-    assert std_m[0, 0] < std_m[1, 0]
-    assert 0 < table.false_per_sweep[ObjectKind.CAR] < 10
 
 
 def test_many_counts_are_their_share_and_few_lean_on_the_rest() -> None:
@@ -77,13 +66,3 @@ def test_tables_that_contradict_themselves_are_refused() -> None:
         replace(table, found=table.found + 1)
     with pytest.raises(ValueError, match="must have classes"):
         replace(table, found=table.found[:2])
-
-
-def test_what_a_wall_hides_is_blocked() -> None:
-    wall = Box(8.0, 2.0, 0.3, 6.0, 2.5)
-    leveled = seen(wall, *car(14.0, 2.5), *car(3.0, -9.0))
-    boxes = np.array([[14.0, 2.5, 0.75, 4.4, 1.8, 1.5, 0.0], [3.0, -9.0, 0.75, 4.4, 1.8, 1.5, 0.0]])
-    hidden, free = blocked_share(leveled, boxes)
-    assert hidden > 0.95
-    assert free < 0.05
-    assert blocked_share(leveled, boxes[:0]).shape == (0,)

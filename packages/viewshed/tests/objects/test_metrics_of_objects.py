@@ -10,7 +10,7 @@ from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric
 from stonesoup.types.state import State
 
 from viewshed.arrays import F64
-from viewshed.objects.metrics import IdSwitches, existence_error, gospa, match_objects, ospa_m
+from viewshed.objects.metrics import IdSwitches, gospa, match_objects, ospa_m
 
 POINTS = st.integers(0, 7).flatmap(lambda n: arrays(np.float64, (n, 2), elements=st.floats(-8, 8, width=32)))
 
@@ -62,13 +62,6 @@ def test_as_many_pairs_as_can_be_come_before_a_smaller_sum() -> None:
     assert found.truth_of_track.tolist() == [1, 0]
 
 
-def test_calibration_error_by_hand() -> None:
-    assert existence_error([0.9] * 10, [True] * 9 + [False]) == pytest.approx(0.0, abs=1e-12)
-    assert existence_error([0.9] * 10, [True] * 5 + [False] * 5) == pytest.approx(0.4)
-    assert existence_error([1.0, 0.0], [True, True]) == pytest.approx(0.5)
-    assert np.isnan(existence_error([], []))
-
-
 def test_bad_input_is_refused() -> None:
     point = np.zeros((1, 2))
     with pytest.raises(ValueError, match="points must be finite"):
@@ -77,5 +70,3 @@ def test_bad_input_is_refused() -> None:
         ospa_m(point, point, cutoff_m=0.0)
     with pytest.raises(ValueError, match=r"order must be at least 1 and finite, got 0\.5"):
         gospa(point, point, order=0.5)
-    with pytest.raises(ValueError, match="must have one shape"):
-        existence_error([0.5], [True, False])

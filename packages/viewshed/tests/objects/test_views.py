@@ -56,14 +56,13 @@ def _all_views(pose: Rigid | None) -> list[View]:
     return [
         PolygonView.of(estimate, 0.0),
         GridView(estimate, 0.0),
-        GridView(estimate, 0.0, hard=True),
         BeamView(_leveled(pose, Box(10, 3, 4, 2, 3)), 0.0),
     ]
 
 
 def test_without_a_pose_tracks_are_in_the_level_frame_and_the_view_says_so() -> None:
-    assert [view.in_world for view in _all_views(None)] == [False] * 4
-    assert [view.in_world for view in _all_views(POSE)] == [True] * 4
+    assert [view.in_world for view in _all_views(None)] == [False] * 3
+    assert [view.in_world for view in _all_views(POSE)] == [True] * 3
 
 
 @given(st.lists(st.tuples(st.floats(-25, 25), st.floats(-25, 25), st.floats(-3, 3)), min_size=1, max_size=5))
@@ -98,14 +97,13 @@ def test_a_polygon_is_asked_at_the_center() -> None:
 
 
 def test_a_grid_gives_the_mean_of_five_lines_of_sight() -> None:
-    """What lies left of the line of sight to the middle is hidden: two of the five, and hard or not is the same."""
+    """What lies left of the line of sight to the middle is hidden: two of the five."""
     azimuth = np.arctan2(GRID.centers[..., 1], GRID.centers[..., 0])
     middle = np.arctan2(5.0, 12.0)
     prob = np.where(azimuth > middle, 0.0, 1.0)
     visible = GridView(_estimate(prob), 0.0).visible(CAR)[0]
     assert visible == pytest.approx(0.6)
     assert GridView(_estimate(0.6 * prob), 0.0).visible(CAR)[0] == pytest.approx(0.36)
-    assert GridView(_estimate(0.6 * prob), 0.0, hard=True).visible(CAR)[0] == pytest.approx(0.6)
 
 
 @given(st.floats(-8, 8), st.floats(-8, 8), st.floats(-3, 3), st.floats(0.5, 6), st.floats(0.5, 3))

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 dataset_app = typer.Typer(help="Look at a data set.")
 
-_WORKERS_NEED = ("viewshed_lab.data.simulated", "pyarrow.parquet")
-
 Place = Annotated[str, typer.Argument(metavar="PLACE", help="Folder or URI of the data set.")]
 
 
@@ -47,16 +45,12 @@ def simulate(
 
     Example: viewshed simulate nuscenes-small --out sweeps
     """
-    from viewshed_lab._jobs import LocalEngine, engine_named
-
-    # First of all, so that the workers' imports run beside those of this process.
-    local = engine == "local" and not preview
-    runner = LocalEngine(workers, preload=_WORKERS_NEED) if local else engine_named(engine, workers)
-
+    from viewshed_lab._jobs import engine_named
     from viewshed_lab.data.archive.storage import Storage
     from viewshed_lab.data.presets import preset_named
     from viewshed_lab.data.simulated import simulate as run
 
+    runner = engine_named(engine, workers)
     chosen = _configured(preset_named(preset), sweeps, seed, grid)
     if preview:
         _preview(chosen, out)

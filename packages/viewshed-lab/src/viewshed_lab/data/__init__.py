@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from viewshed_lab.data.archive.archive import Archive
-    from viewshed_lab.data.archive.build import ArchiveWriter, write_archive
+    from viewshed_lab.data.archive.build import write_archive
     from viewshed_lab.data.archive.schema import SCHEMA_VERSION, Manifest, ShardFacts
     from viewshed_lab.data.archive.shard import write_shard
     from viewshed_lab.data.archive.storage import Storage
@@ -15,15 +15,14 @@ if TYPE_CHECKING:
     from viewshed_lab.data.sample import Sample
 
 _HOMES = {
-    "SCHEMA_VERSION": "archive.schema", "Archive": "archive.archive", "ArchiveWriter": "archive.build",
-    "Manifest": "archive.schema", "Sample": "sample", "ShardFacts": "archive.schema", "Storage": "archive.storage",
-    "open_release": "release", "write_archive": "archive.build", "write_shard": "archive.shard",
+    "SCHEMA_VERSION": "archive.schema", "Archive": "archive.archive", "Manifest": "archive.schema", "Sample": "sample",
+    "ShardFacts": "archive.schema", "Storage": "archive.storage", "open_release": "release",
+    "write_archive": "archive.build", "write_shard": "archive.shard",
 }  # fmt: skip
 
 __all__ = [
     "SCHEMA_VERSION",
     "Archive",
-    "ArchiveWriter",
     "Manifest",
     "Sample",
     "ShardFacts",

@@ -16,7 +16,7 @@ from viewshed.arrays import Mask
 from viewshed.fov.visibility import CAR
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
-from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
+from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
 from viewshed_lab.sim.raycast.scan import ExactScan
 from viewshed_lab.sim.truth.exact import exact_truth
 from viewshed_lab.studies.records import Case
@@ -189,7 +189,7 @@ def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> M
 @lru_cache(maxsize=1)
 def _scan(scene: ScenePlan, number: int) -> ExactScan:
     """Return what every beam met in a frame; a sample is looked at several times in a row."""
-    return observe_frame(scene, number).scan
+    return scan_frame(scene, number)[0]
 
 
 def kept_rings(corruption: Corruption, model: LidarModel, rng: np.random.Generator) -> Mask:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +13,13 @@ from viewshed.estimators.unet import PASSES
 from viewshed.metrics import Scores
 from viewshed.networks.mc_dropout import mean_and_deviation
 from viewshed.networks.runtime import OnnxRunner
+from viewshed.sweep import Sweep
+from viewshed_lab.data.presets import preset_named
+from viewshed_lab.data.simulated import ScenePlan, simulate_frame
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import archived_samples
 from viewshed_lab.training.samples import TrainingFrames, TrainingSample
-from viewshed_lab.training.sources import FRAMES_PER_NEW_SCENE, OnlineSimulation
+from viewshed_lab.training.sources import CleanSample, labeled, paper_label
 
 MAX_F1_LOSS = 0.002
 """F1 that quantization may cost."""
@@ -24,7 +27,8 @@ MAX_F1_LOSS = 0.002
 FRAMES = 64
 """Sweeps that calibrate, and as many others that check, unless other numbers are given."""
 
-_EPOCH = 0x62797465
+_EPOCH, _FRESH, _STEP = 0x62797465, 0x7665777368, 8
+"""Seeds, and the step in the numbers of new frames: the shipped weights were calibrated with these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
         ValueError: the network is not one of the config, or loses more F1 than ``MAX_F1_LOSS``; nothing is written.
         ImportError: onnx is not installed.
     """
-    from viewshed.networks.quantize import quantize_network
+    from viewshed_lab.training.quantize import quantize_network
 
     if frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames}")
@@ -84,13 +88,49 @@ def quantize(config: TrainConfig, network: str | Path, out: str | Path, frames: 
 def _draw(config: TrainConfig, count: int) -> Iterator[TrainingSample]:
     """Yield ``count`` frames, in no order; see :func:`quantize`."""
     if config.simulated:
-        source = TrainingFrames(OnlineSimulation(config, count * FRAMES_PER_NEW_SCENE), config)
-        numbers = np.arange(count) * FRAMES_PER_NEW_SCENE
+        source, numbers = TrainingFrames(_NewScenes(config, count), config), np.arange(count) * _STEP
     else:
         source = TrainingFrames(archived_samples(config), config)
         spread = np.linspace(0, len(source) - 1, count).astype(np.intp)
         numbers = np.random.default_rng(config.seed).permutation(spread)
     return (source.draw(_EPOCH, int(number)) for number in numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class _NewScenes:
+    """Frames of scenes that no training has seen, one of each, numbered in steps; the presets in turn."""
+
+    config: TrainConfig  # seed and presets
+    count: int  # how many
+
+    def __len__(self) -> int:
+        return self.count
+
+    def clean(self, index: int) -> CleanSample:
+        """Return one frame, simulated now."""
+        sample, config = simulate_frame(*self._place(index)), self.config
+        if config.truth == "probe":
+            return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
+        return labeled(sample.sweep, paper_label(sample.sweep, config.grid, config.indoor))
+
+    def earlier(self, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        """Return the sweeps of the same agent just before it, the oldest first; fewer at the start of a scene."""
+        scene, number = self._place(index)
+        before = range(number - scene.preset.agents, -1, -scene.preset.agents)[:count]
+        return tuple(simulate_frame(scene, earlier).sweep for earlier in reversed(before))
+
+    def _place(self, index: int) -> tuple[ScenePlan, int]:
+        config, number = self.config, index // _STEP
+        preset = preset_named(config.data[number % len(config.data)])
+        at = preset.splits.index(config.train_split)
+        length = preset.frames[at] // preset.scenes[at]
+        seed = int(np.random.SeedSequence([config.seed, _EPOCH, _FRESH]).generate_state(1)[0])
+        new = replace(
+            preset, splits=("fresh",), scenes=(self.count,), frames=(self.count * length,), seed=seed,
+            grid_cells=config.cells, grid_half_extent_m=config.half_extent_m,
+        )  # fmt: skip
+        scene, rng = ScenePlan(new, 0, number), np.random.default_rng([config.seed, _EPOCH, number, _FRESH])
+        return scene, int(rng.permutation(scene.frames)[0])
 
 
 def _check(config: TrainConfig, runner: OnnxRunner) -> None:

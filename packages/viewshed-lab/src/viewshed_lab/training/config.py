@@ -77,7 +77,6 @@ class TrainConfig:
     epochs: int  # at most
     patience: int  # epochs without a lower validation loss after which training ends
     frames_per_epoch: int  # frames drawn for an epoch; 0 is all
-    fresh: bool  # presets only: new scenes in every epoch, simulated while training
     # 0 makes each frame whenever it is shown; n makes n versions of it, each attacked anew, once and for all, and shows
     # one of them in each epoch. They are kept beside the labels, and cost no time while training.
     versions: int
@@ -120,12 +119,6 @@ class TrainConfig:
             raise ValueError(f"data must name different presets or archives, got {list(self.data)}")
         if simulated and len(simulated) != len(self.data):
             raise ValueError(f"data must be presets or archives, not both, got {list(self.data)}")
-        if self.fresh and not simulated:
-            raise ValueError(f"fresh needs presets as data, one of {', '.join(preset_names())}, got {list(self.data)}")
-        if self.fresh and self.versions:
-            raise ValueError(f"versions must be 0 with fresh: no frame is shown twice, got {self.versions}")
-        if self.fresh and not self.frames_per_epoch:
-            raise ValueError("frames_per_epoch must be given with fresh: there is no end of new frames, got 0")
         for place in simulated:
             if self.train_split not in preset_named(place).splits:
                 names = ", ".join(preset_named(place).splits)
@@ -170,8 +163,8 @@ class TrainConfig:
 
 
 def current_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a config in plain values without ``doubt_frames``, which older ones have: frames for a second head."""
-    return {key: value for key, value in table.items() if key != "doubt_frames"}
+    """Return a config in plain values without what older ones have: ``doubt_frames``, and ``fresh``, never true."""
+    return {key: value for key, value in table.items() if key != "doubt_frames" and (key, value) != ("fresh", False)}
 
 
 def differing_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

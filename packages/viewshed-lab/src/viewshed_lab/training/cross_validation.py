@@ -1,15 +1,14 @@
 """Cross-validation by scene: which width, dropout and learning rate. A run that was stopped resumes where it was.
 
-Scores are kept by us, a line of ``folds.jsonl`` for each finished fold, for both samplers: an optuna storage would keep
-its trials, but not the state of its sampler, so that a resumed search would ask for other settings than one that ran
-through. Ours runs the seeded sampler again from the start and looks up what is finished.
+A fold that is finished is a finished training, whose folder says its scores. Optuna's seeded sampler runs again from
+the start, and so asks for the same settings again.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -17,16 +16,12 @@ from typing import Any
 
 import numpy as np
 
-import viewshed
 from viewshed._extras import needed_for
-from viewshed._files import append_jsonl, is_begun
 from viewshed_lab._page import facts, page, table
-from viewshed_lab.training.config import TrainConfig, current_keys, differing_keys
+from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import Fold, check_data, check_folds
 from viewshed_lab.training.log import Machines, Step, save
 from viewshed_lab.training.run import require_torch, train
-
-FILE = "folds.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,40 +37,6 @@ class FoldScore:
     iou: float
     loss: float
     epoch: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FoldStore:
-    """Scores in a file: the first line tells what they are of, each other one a finished fold."""
-
-    path: Path  # of the file
-    scores: dict[tuple[str, int], FoldScore]  # by setting and fold
-
-    @classmethod
-    def open(cls, folder: Path, about: dict[str, Any]) -> FoldStore:
-        """Return the store in a folder, begun if there is none; what a kill left of a last line is cut off."""
-        path = folder / FILE
-        store = cls(path, {})
-        if not is_begun(path):
-            folder.mkdir(parents=True, exist_ok=True)
-            append_jsonl(path, about)
-            return store
-        try:
-            head, *lines = (json.loads(line) for line in path.read_text(encoding="utf-8").splitlines())
-            scores = [FoldScore(**line) for line in lines]
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{path} is damaged; delete it, finished folds are read from their folders") from error
-        head["config"] = current_keys(head.get("config", {}))
-        if head != about:
-            other = differing_keys(head["config"], about["config"]) or differing_keys(head, about)
-            raise ValueError(f"{path} is of a cross-validation with other {other}; choose another --out, or delete it")
-        store.scores.update({(score.setting, score.fold): score for score in scores})
-        return store
-
-    def add(self, score: FoldScore) -> None:
-        """Add a score, on the disk when this returns."""
-        append_jsonl(self.path, asdict(score))
-        self.scores[score.setting, score.fold] = score
 
 
 WIDTHS = (4, 8, 16, 32)
@@ -181,20 +142,15 @@ def crossval(
     check_device(Machines(device))
     check_data(config)
     check_folds(config, wanted.folds)
-    # What the results depend on: not how many settings or which are tried.
-    about = {"version": viewshed.__version__, "config": config.to_json(), "folds": wanted.folds}
-    store = FoldStore.open(folder, about)
 
     def score_fold(setting: Hyperparameters, number: int) -> FoldScore:
-        if (setting.name, number) not in store.scores:
-            name = f"{setting.name}/fold-{number}"
-            on_step = None if on_progress is None else partial(on_progress, name)
-            best = train(
-                setting.of(config), folder / name, device=device, on_progress=on_step, cache=folder / "cache",
-                fold=Fold(number, wanted.folds),
-            ).best  # fmt: skip
-            store.add(FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number))
-        return store.scores[setting.name, number]
+        name = f"{setting.name}/fold-{number}-of-{wanted.folds}"
+        on_step = None if on_progress is None else partial(on_progress, name)
+        best = train(
+            setting.of(config), folder / name, device=device, on_progress=on_step, cache=folder / "cache",
+            fold=Fold(number, wanted.folds),
+        ).best  # fmt: skip
+        return FoldScore(setting.name, number, best.f1, best.iou, best.validation_loss, best.number)
 
     try_settings = _search_with_optuna if wanted.sampler == "optuna" else _search_grid
     tried = try_settings(

@@ -20,20 +20,10 @@ from viewshed_lab.data.simulated import recipe_of, simulate
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.sample_cache import sample_cache_of
 from viewshed_lab.training.samples import VALIDATION_EPOCH, TrainingFrames
-from viewshed_lab.training.sources import (
-    FRAMES_PER_NEW_SCENE,
-    ArchivedSamples,
-    OnlineSimulation,
-    PaperLabels,
-    check_archives,
-    on_grid,
-)
+from viewshed_lab.training.sources import ArchivedSamples, PaperLabels, check_archives
 
 OnProgress = Callable[[str, int, int], None]
 """Called with what is being prepared, how many frames are done and how many there are in all."""
-
-NEW_SCENES_VALIDATION_SHARE = 0.1
-"""Frames that validate beside fresh ones, as a share of those of an epoch."""
 
 _VALIDATION = 0x76616C
 _WORTH_PROCESSES = 100
@@ -67,8 +57,6 @@ def check_data(config: TrainConfig) -> None:
 
 def check_folds(config: TrainConfig, count: int) -> None:
     """Check that a config's data have scenes enough for ``count`` folds."""
-    if config.fresh:
-        raise ValueError("fresh scenes have no folds: every epoch has its own; set fresh = false")
     for place in config.data:
         if config.simulated:
             preset = preset_named(place)
@@ -96,13 +84,6 @@ def prepare(
     """
     if fold is not None:
         check_folds(config, fold.count)
-    if config.fresh:
-        new = (_simulated_archive(_held_out(config, name), cache, on_progress) for name in config.data)
-        validation = _frames_of_archives(
-            config, tuple(new), cache, on_progress, first_epoch=VALIDATION_EPOCH, versions=0
-        )
-        fresh = OnlineSimulation(config, config.frames_per_epoch)
-        return TrainingData(TrainingFrames(fresh, config, mirrored=config.mirrored), validation)
     archives = [_train_split(config, place, cache, on_progress) for place in config.data]
     check_archives(config, archives)
     parts = [_split_scenes(archive.split(config.train_split), config, fold) for archive in archives]
@@ -172,19 +153,8 @@ def _train_split(config: TrainConfig, place: str, cache: Path, on_progress: OnPr
     preset = preset_named(place)
     count = preset.splits.index(config.train_split) + 1
     parts = {name: getattr(preset, name)[:count] for name in ("splits", "scenes", "frames")}
-    return _simulated_archive(on_grid(replace(preset, **parts), config), cache, on_progress)
-
-
-def _held_out(config: TrainConfig, name: str) -> Preset:
-    """Return the preset of the scenes that validate beside fresh ones: another seed than any epoch's."""
-    preset, wanted = preset_named(name), NEW_SCENES_VALIDATION_SHARE * config.frames_per_epoch / len(config.data)
-    scenes = max(round(wanted / FRAMES_PER_NEW_SCENE), 1)
-    seed = int(np.random.SeedSequence([config.seed, _VALIDATION]).generate_state(1)[0])
-    held = replace(
-        preset, name=f"{name}-validation-{config.seed}", splits=("validation",), scenes=(scenes,),
-        frames=(scenes * FRAMES_PER_NEW_SCENE,), interval_s=1.0, seed=seed,
-    )  # fmt: skip
-    return on_grid(held, config)
+    wanted = replace(preset, grid_cells=config.cells, grid_half_extent_m=config.half_extent_m, **parts)
+    return _simulated_archive(wanted, cache, on_progress)
 
 
 def _simulated_archive(preset: Preset, cache: Path, on_progress: OnProgress | None) -> Archive:

@@ -25,7 +25,6 @@ from torch.multiprocessing.spawn import ProcessRaisedException
 from torch.utils.data import DataLoader, Dataset
 
 import viewshed
-from viewshed.networks.unet_torch import UNet, save_weights
 from viewshed_lab._page import facts
 from viewshed_lab.training.config import TrainConfig, current_keys, differing_keys
 from viewshed_lab.training.data import TrainingData
@@ -45,6 +44,7 @@ from viewshed_lab.training.log import (
 )
 from viewshed_lab.training.module import FORMAT, KEY, Learner
 from viewshed_lab.training.samples import Share, TrainingFrames, TrainingOrder, ValidationOrder
+from viewshed_lab.training.unet_torch import UNet, save_weights
 
 _REPAIR = "delete it, and training begins again"
 
@@ -213,8 +213,7 @@ class Loaders(L.LightningDataModule):
         return self._loader(self.frames.validation, ValidationOrder(len(self.frames.validation), self._share()), False)
 
     def _order(self, share: Share) -> TrainingOrder:
-        source = self.frames.train.source
-        return TrainingOrder(len(source), self.take, source.block, self.config.seed, share)
+        return TrainingOrder(len(self.frames.train), self.take, self.config.seed, share)
 
     def _share(self) -> Share:
         return Share(self.trainer.global_rank, self.world) if self.trainer is not None else Share(0, self.world)
@@ -287,8 +286,8 @@ def _run(trainer: L.Trainer, learner: Learner, loaders: Loaders, last: str | Non
 
 def _finish(config: TrainConfig, out: Path) -> list[Epoch]:
     """Return the history in a folder; make weights, table and picture of it where they are not there yet."""
-    from viewshed.networks.onnx_export import export_onnx
     from viewshed_lab.training.figures import curve_figure
+    from viewshed_lab.training.onnx_export import export_onnx
 
     checkpoint = read_checkpoint(out / CHECKPOINT)[KEY]
     history = [Epoch(**table) for table in checkpoint["history"]]

@@ -13,9 +13,9 @@ from torch import Tensor
 from torch.nn import functional
 
 import viewshed
-from viewshed.networks.unet_torch import UNet
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.log import Epoch, OnProgress, Step, best_of, history_to_json, scores_of
+from viewshed_lab.training.unet_torch import UNet
 
 FORMAT = 1
 """Version of what a checkpoint holds beside Lightning's own."""

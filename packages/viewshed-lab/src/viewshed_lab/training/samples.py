@@ -206,9 +206,9 @@ class TrainingFrames:
 
     def draw(self, epoch: int, index: int) -> TrainingSample:
         """Return a frame made now, with the attack of this epoch."""
-        clean = self.source.clean(epoch, index)
+        clean = self.source.clean(index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
-        attacked = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(epoch, index), rng)
+        attacked = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
         sweeps = attacked.sweep, *self._past(epoch, index, attacked)
         if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
             sweeps = tuple(map(unorganized_no_sensor, sweeps))
@@ -224,7 +224,7 @@ class TrainingFrames:
             return ()
         if attacked.sweep.world_from_sensor is None:
             return ()
-        earlier = self.source.earlier(epoch, index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
+        earlier = self.source.earlier(index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
         earlier = tuple(sweep for sweep in earlier if sweep.world_from_sensor is not None)
         return attacked.attack_history(earlier, rng) if rng.random() < _LASTING_SHARE else earlier
 
@@ -253,13 +253,12 @@ class Share:
 class TrainingOrder:
     """The frames of an epoch in an order of its own, as keys; a sampler for torch's DataLoader.
 
-    >>> list(TrainingOrder(4, 4, 1, 7)) == sorted(TrainingOrder(4, 4, 1, 7))
+    >>> list(TrainingOrder(4, 4, 7)) == sorted(TrainingOrder(4, 4, 7))
     False
     """
 
     frames: int  # how many there are
     take: int  # how many an epoch shows
-    block: int  # number of frames in a row that stay together
     seed: int  # with the epoch it decides the order
     share: Share = Share()  # this process's part; all are equally long, the first frames fill up
     epoch: int = 0  # number of the epoch, from 0; Lightning sets it
@@ -272,15 +271,10 @@ class TrainingOrder:
         return math.ceil(self.take / self.share.world)
 
     def __iter__(self) -> Iterator[Key]:
-        order = np.resize(self._order(), len(self) * self.share.world)
+        rng = np.random.default_rng([self.seed, self.epoch + 1])
+        order = np.resize(rng.permutation(self.frames)[: self.take], len(self) * self.share.world)
         for index in order[self.share.rank :: self.share.world]:
             yield self.epoch + 1, int(index)
-
-    def _order(self) -> NDArray[np.int64]:
-        rng = np.random.default_rng([self.seed, self.epoch + 1])
-        blocks = rng.permutation(-(-self.frames // self.block))
-        order = (blocks[:, None] * self.block + np.arange(self.block)).reshape(-1)
-        return order[order < self.frames][: self.take]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Clean sweeps to train on: of archives, or simulated anew for every epoch; and the paper's labels of archives.
+"""Clean sweeps to train on, of archives, and the paper's labels of them.
 
 The label of arXiv 2503.07375 takes as long as the network, so it is computed once for each sweep and cached as bits.
 """
@@ -8,8 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -21,9 +20,6 @@ from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed_lab.data.archive.archive import Archive
 from viewshed_lab.data.archive.schema import ShardFacts
-from viewshed_lab.data.presets import Preset, preset_named
-from viewshed_lab.data.sample import Sample
-from viewshed_lab.data.simulated import ScenePlan, simulate_frame
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.log import build_files, mapped_array, write_array
 
@@ -81,11 +77,7 @@ def _label_shard(job: _LabelJob) -> int:
     return job.shard.frames
 
 
-FRAMES_PER_NEW_SCENE = 8
-"""Frames that are simulated of each fresh scene."""
-
 _LOOK_BACK_FRAMES = 24
-_FRESH = 0x7665777368
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,49 +92,45 @@ class CleanSample:
     known: NDArray[np.bool_]  # (cells, cells) bool, where it is known
 
 
+def labeled(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
+    """Return a sweep with the paper's label, which is known everywhere."""
+    return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
+
+
 class CleanSamples(Protocol):
     """Frames by number, in any process."""
 
     def __len__(self) -> int: ...
 
-    @property
-    def block(self) -> int:
-        """Frames in a row that are best read one after the other; 1 where it does not matter."""
-        ...
-
-    def clean(self, epoch: int, index: int) -> CleanSample:
+    def clean(self, index: int) -> CleanSample:
         """Return one frame."""
         ...
 
-    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
-        """Return the last ``count`` sweeps before it of the same sensor and scene, or as many as there are.
-
-        The oldest comes first.
-        """
+    def earlier(self, index: int, count: int = 1) -> tuple[Sweep, ...]:
+        """Return the last ``count`` sweeps before it of the same sensor and scene, the oldest first, or fewer."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArchivedSamples:
-    """The frames of archives, one after the other; the same in every epoch."""
+    """The frames of archives, one after the other."""
 
     archives: tuple[Archive, ...]  # what is read, each a part of a split
     config: TrainConfig  # target and truth
     labels: PaperLabels | None = None  # of the paper, where they are the truth
-    block: int = 1  # see :class:`CleanSamples`
 
     def __len__(self) -> int:
         return sum(map(len, self.archives))
 
-    def clean(self, epoch: int, index: int) -> CleanSample:
-        """Return one frame, of any epoch."""
+    def clean(self, index: int) -> CleanSample:
+        """Return one frame."""
         archive, at = self._place(index)
         sample = archive[at]
         if self.labels is None:
-            return _with_truth(sample, self.config)
-        return _with_label(sample.sweep, self.labels.of_frame(*archive.locate(at)))
+            return CleanSample(sample.sweep, sample.truth.visible(self.config.target), sample.known)
+        return labeled(sample.sweep, self.labels.of_frame(*archive.locate(at)))
 
-    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
+    def earlier(self, index: int, count: int = 1) -> tuple[Sweep, ...]:
         """Return the last sweeps before it of the same sensor and scene, the oldest first."""
         archive, at = self._place(index)
         sample = archive[at]
@@ -161,67 +149,6 @@ class ArchivedSamples:
                 return archive, index
             index -= len(archive)
         raise IndexError(f"index must be below {len(self)}, the number of frames")
-
-
-@dataclass(frozen=True, slots=True)
-class OnlineSimulation:
-    """Frames of scenes that no epoch has seen before; 8 of each scene, the presets in turn."""
-
-    config: TrainConfig  # seed, presets and number of frames
-    count: int  # frames of an epoch
-
-    def __len__(self) -> int:
-        return self.count
-
-    @property
-    def block(self) -> int:
-        """Frames of one scene."""
-        return FRAMES_PER_NEW_SCENE
-
-    def clean(self, epoch: int, index: int) -> CleanSample:
-        """Return one frame, simulated now."""
-        sample = simulate_frame(*self._place(epoch, index))
-        if self.config.truth == "probe":
-            return _with_truth(sample, self.config)
-        return _with_label(sample.sweep, paper_label(sample.sweep, self.config.grid, self.config.indoor))
-
-    def earlier(self, epoch: int, index: int, count: int = 1) -> tuple[Sweep, ...]:
-        """Return the sweeps of the same agent just before it, the oldest first; fewer at the start of a scene."""
-        scene, number = self._place(epoch, index)
-        before = range(number - scene.preset.agents, -1, -scene.preset.agents)[:count]
-        return tuple(simulate_frame(scene, earlier).sweep for earlier in reversed(before))
-
-    def _place(self, epoch: int, index: int) -> tuple[ScenePlan, int]:
-        number, turn = divmod(index, FRAMES_PER_NEW_SCENE)
-        config = self.config
-        preset = new_scenes_preset(config, config.data[number % len(config.data)], epoch, len(self))
-        scene = ScenePlan(preset, 0, number)
-        rng = np.random.default_rng([config.seed, epoch, number, _FRESH])
-        return scene, int(rng.permutation(scene.frames)[turn % scene.frames])
-
-
-@lru_cache(maxsize=16)
-def new_scenes_preset(config: TrainConfig, name: str, epoch: int, frames: int) -> Preset:
-    """Return the preset with one split of new scenes, enough for ``frames``, on the config's grid."""
-    preset = preset_named(name)
-    at = preset.splits.index(config.train_split)
-    scenes = -(-frames // FRAMES_PER_NEW_SCENE)
-    length = preset.frames[at] // preset.scenes[at]
-    seed = int(np.random.SeedSequence([config.seed, epoch, _FRESH]).generate_state(1)[0])
-    return replace(on_grid(preset, config), splits=("fresh",), scenes=(scenes,), frames=(scenes * length,), seed=seed)
-
-
-def on_grid(preset: Preset, config: TrainConfig) -> Preset:
-    """Return the preset with its truth on the config's grid."""
-    return replace(preset, grid_cells=config.cells, grid_half_extent_m=config.half_extent_m)
-
-
-def _with_truth(sample: Sample, config: TrainConfig) -> CleanSample:
-    return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
-
-
-def _with_label(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
-    return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
 
 
 def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:

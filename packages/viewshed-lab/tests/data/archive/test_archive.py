@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from viewshed_lab.data import Archive, ArchiveWriter, Sample, Storage, write_archive, write_shard
+from viewshed_lab.data import Archive, Sample, Storage, write_archive, write_shard
 from viewshed_lab.data.archive.shard import Shard
 
 MakeSample = Callable[..., Sample]
@@ -49,11 +49,12 @@ def test_every_sample_comes_back_as_it_was(
 @pytest.fixture
 def archive(make_sample: MakeSample, tmp_path: Path) -> Archive:
     """Six scenes, the last two for the test; 4 + number frames each; shards of at most 3 frames."""
-    writer = ArchiveWriter(tmp_path / "a", {"command": "test"}, frames_per_shard=3)
-    for scene in range(6):
-        for frame in range(4 + scene):
-            writer.add(make_sample(10 * scene + frame, scene=f"s{scene}", split="test" if scene > 3 else "train"))
-    return writer.close()
+    samples = (
+        make_sample(10 * scene + frame, scene=f"s{scene}", split="test" if scene > 3 else "train")
+        for scene in range(6)
+        for frame in range(4 + scene)
+    )
+    return write_archive(tmp_path / "a", samples, {"command": "test"}, frames_per_shard=3)
 
 
 def test_indices_lead_to_the_frames_in_order(archive: Archive) -> None:
@@ -206,10 +207,12 @@ def test_a_writer_refuses_what_does_not_fit(make_sample: MakeSample, tmp_path: P
     assert store.names() == []
     with pytest.raises(ValueError, match="at least one sample"):
         write_archive(tmp_path / "empty", [], {})
+    with pytest.raises(ValueError, match="truth must have the layout of the archive"):
+        write_archive(tmp_path / "odd", [make_sample(0), make_sample(1, cells=20, scene="b")], {})
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").write_text("x")
     with pytest.raises(ValueError, match="must be empty"):
-        ArchiveWriter(tmp_path / "full", {})
+        write_archive(tmp_path / "full", [make_sample(0)], {})
 
 
 def test_the_same_samples_give_the_same_bytes(make_sample: MakeSample, tmp_path: Path) -> None:

@@ -4,12 +4,9 @@ import numpy as np
 
 from viewshed import BevGrid, FovEstimate, FovEstimator, Rigid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim import Box, Scene, cast
 from viewshed_lab.studies.crossview.rates import (
-    CrossViewRules,
-    columns_of,
     crossview_truth,
     evaluate_crossview,
     rows_of,
@@ -36,8 +33,7 @@ SWEEPS = [_sweep(0, 0, 0), _sweep(28, 14, 1), _sweep(32, -3, 2), _sweep(24, 18, 
 
 
 def test_the_van_behind_the_wall_is_unseen_and_the_open_one_is_seen() -> None:
-    levels = [level(sweep, GRID) for sweep in SWEEPS]
-    columns = columns_of(levels[0], levels[1:], CrossViewRules())
+    _, columns = crossview_truth([SWEEPS])[0]
     hidden, shown = columns.xy[~columns.seen], columns.xy[columns.seen]
     assert len(hidden) > 3
     assert len(shown) > 3

@@ -64,7 +64,7 @@ def test_spoofers_fire_when_the_sensor_points_there_and_mixed_pixels_are_counted
     assert set(found) == {"ghost_car", "removal", "relay"}
     assert [late for _, _, late in found.values()] == [0.0] * 3
     assert min(cases for cases, _, _ in found.values()) >= 9
-    # A wall 5 m away before one at 7 m: of the five beams at its edges one returns between; each counts in three sectors.
+    # A wall at 5 m before one at 7 m: of the five beams at its edges one returns between; each counts in three sectors.
     azimuth, rings = np.deg2rad(np.arange(-179.5, 180.0)), np.arange(4)
     range_m = np.where(np.abs(azimuth) < 0.5, 5.0, 7.0)
     range_m[np.argmin(np.abs(azimuth - 0.5))] = 6.0

@@ -19,16 +19,17 @@ from viewshed_lab.studies.tracks.drives import FOVS, Moment, ObjectsTruth, simul
 from viewshed_lab.studies.tracks.evaluate import compare, evaluate, is_at_object, track_drive
 from viewshed_lab.studies.tracks.jobs import COASTING_S, MODELS, rules_of, run_study, save_models
 from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS, SweepForger
-from viewshed_lab.studies.tracks.page import files_of
+from viewshed_lab.studies.tracks.page import _ratio_of_drives, files_of
 from viewshed_lab.studies.tracks.plan import TracksPlan
 from viewshed_lab.studies.tracks.published import PublishedRules
+from viewshed_lab.studies.tracks.stone_soup import stone_soup_centers
 
 TINY = TracksPlan.load("tiny")
 
 
 @pytest.fixture(scope="module")
 def moments() -> list[Moment]:
-    scene = replace(TINY, seconds=1.0, fovs=FOVS).scene(("count", "simulated", "hdl32e", "clear", "0"))
+    scene = replace(TINY, seconds=1.0, fovs=FOVS).scene(("count", "hdl32e", "clear", "0"))
     return list(simulate_drive(scene))
 
 
@@ -51,13 +52,12 @@ def test_moments_hold_what_their_world_tells(moments: list[Moment]) -> None:
         numbers = moment.truth.numbers.tolist()
         rows = [numbers.index(number) for number in moment.of_object[moment.of_object >= 0]]
         found = moment.detections.boxes[moment.of_object >= 0]
-        assert (np.hypot(*(found - moment.truth.boxes[rows])[:, :2].T) < 1.0).all()
+        assert (np.hypot(*(found - moment.truth.boxes[rows])[:, :2].T) <= 2.0).all()
     last = moments[-1]
     near = np.hypot(*(last.truth.boxes[:, :2] - last.ground[:2]).T) < 40.0
     many = near & (last.truth.returns >= 30)
     assert many.any()
-    for fov in ("exact", "default"):
-        assert (last.views[fov].view.visible(last.truth.boxes[many]) > 0.9).all()
+    assert (last.views["default"].view.visible(last.truth.boxes[many]) > 0.9).all()
     assert last.views["polygon"].cells is None
     assert last.views["none"].view.visible(last.truth.boxes).min() == 1.0
 
@@ -85,7 +85,7 @@ def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     """Stopped after its first step and gone on, it ends with a page and a model for each field of view."""
     plan = replace(
         TINY, seconds=3.2, fovs=("published", "default"), attacks=("fabricate_static",), accused=0.3, count=1, limit=2,
-        detectors=("perception",), lidar_attacks=("ghost_car_clean",),
+        lidar_attacks=("ghost_car_clean",),
     )  # fmt: skip
     store, engine = ResultStore.open(tmp_path, plan), LocalEngine(1)
     waiting = list(run_study(store, engine, ("test",)))
@@ -94,10 +94,11 @@ def test_a_run_from_plan_to_page(tmp_path: Path) -> None:
     assert not list(run_study(store, engine, ("count",)))
     assert not list(run_study(store, engine))
     save_models(store)
-    assert (tmp_path / MODELS / "perception-default.json").exists()
-    assert rules_of(tmp_path, "perception", "published") in [PublishedRules(coast_s=each) for each in COASTING_S]
+    assert (tmp_path / MODELS / "default.json").exists()
+    assert rules_of(tmp_path, "published") in [PublishedRules(coast_s=each) for each in COASTING_S]
     page = files_of(store)["tracks.md"].decode()
-    assert "| of the package | fabricate_static |" in page
+    assert "\n| fabricate_static |" in page
+    assert "\n| Stone Soup, none |" in page
     assert "| ghost_car_clean | default, probability |" in page
     assert "fabricated found within 1 s" in page
 
@@ -129,9 +130,9 @@ def test_an_object_behind_another_keeps_its_track_or_is_dropped(moments: list[Mo
 @pytest.mark.parametrize("name", LIDAR_ATTACKS)
 def test_a_forged_sweep_has_a_ghost_or_lacks_an_object(name: str) -> None:
     """After two seconds; what is forged is told: detections of the ghost, objects that are gone."""
-    scene = replace(TINY, seconds=2.6).scene(("lidar", "perception", "hdl32e", "clear", "0"))
+    scene = replace(TINY, seconds=2.6).scene(("lidar", "hdl32e", "clear", "0"))
     forger = SweepForger(name, np.random.default_rng(3))
-    forged = list(simulate_drive(scene, ("default",), "perception", forger=forger))
+    forged = list(simulate_drive(scene, ("default",), forger=forger))
     assert all(moment.report is not None for moment in forged)
     assert not any(moment.ghost.any() or moment.gone for moment in forged[:20])
     if name.startswith("ghost"):
@@ -142,3 +143,28 @@ def test_a_forged_sweep_has_a_ghost_or_lacks_an_object(name: str) -> None:
         # What is gone is not detected.
         for moment in forged[20:]:
             assert not moment.gone & set(moment.of_object.tolist())
+
+
+def test_stone_soup_confirms_follows_and_drops() -> None:
+    """By hand: a car at 5 m/s that is found for 2 s and then no more, and one false detection."""
+    sweeps = []
+    for k in range(35):
+        xy = [[0.5 * k, 3.0]] if k < 20 else []
+        xy += [[-20.0, -20.0]] if k == 7 else []
+        boxes = np.zeros((len(xy), 7))
+        boxes[:, :2], boxes[:, 3:6] = np.array(xy).reshape(-1, 2), 1.0
+        sweeps.append((0.1 * k, Detections(boxes, np.full(len(xy), 3, np.uint8), np.full(len(xy), 50, np.int32))))
+    centers = stone_soup_centers(sweeps, coast_s=1.0)
+    assert [len(each) for each in centers[:2]] == [0, 0]
+    assert all(len(each) == 1 for each in centers[4:20])
+    assert centers[19][0] == pytest.approx([9.5, 3.0], abs=0.3)
+    assert centers[27][0] == pytest.approx([13.5, 3.0], abs=1.0)  # it goes on where it was last seen
+    assert not len(centers[34])
+
+
+def test_ratios_are_of_the_same_drives() -> None:
+    """By hand: ours is 20 % better on each drive, however the drives differ: no doubt is left about the ratio."""
+    theirs = np.array([1.0, 9.0, 4.0, 2.0])
+    assert _ratio_of_drives(0.8 * theirs, theirs) == pytest.approx((0.8, 0.8, 0.8))
+    ratio, low, high = _ratio_of_drives(theirs[::-1], theirs)
+    assert low < ratio == 1.0 < high

@@ -112,12 +112,11 @@ void bind_agent_views(nb::module_& m) {
            In1<double> pose, In2<double> places_m, In1<double> ground_m, In1<std::int32_t> owner, In1<bool> is_free,
            std::int32_t own, std::int32_t agents, In2<double> blockers, bool from_above, double nearest_m, double farthest_m,
            double same_ground_m) {
-            const std::size_t count = owner.shape(0), nodes = heights_m.shape(0);
+            const std::size_t nodes = heights_m.shape(0);
             require(nodes >= 2 && nodes <= MOST_SIDE && heights_m.shape(1) == nodes, "heights_m must be a square");
             require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
             require(places_m.shape(1) == 2 && blockers.shape(1) == 2, "places_m and blockers must have two columns");
-            require(places_m.shape(0) == count && ground_m.shape(0) == count && is_free.shape(0) == count,
-                    "places_m, ground_m, owner and is_free must be as long");
+            require(are_as_long(owner, places_m, ground_m, is_free), "places_m, ground_m, owner and is_free must be as long");
             require(agents >= 1 && agents <= 65536, "agents must lie in [1, 65536]");
             const Buffer<std::int32_t> owners = indices_of<std::int32_t>(view(owner), 0, agents - 1, "owner");
             const ViewCells<std::uint8_t> cells = cells_of(states, x_m, y_m, cell_m);

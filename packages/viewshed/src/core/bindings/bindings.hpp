@@ -62,6 +62,17 @@ View2<T> view(const InOut2<T>& a) {
     return {a.data(), a.shape(0), a.shape(1)};
 }
 
+// Whether arrays have as many rows.
+template <typename First, typename... Rest>
+bool are_as_long(const First& first, const Rest&... rest) {
+    return ((rest.shape(0) == first.shape(0)) && ...);
+}
+// Whether arrays of two dimensions have one shape.
+template <typename First, typename... Rest>
+bool have_one_shape(const First& first, const Rest&... rest) {
+    return are_as_long(first, rest...) && ((rest.shape(1) == first.shape(1)) && ...);
+}
+
 // Give the memory of a buffer to a numpy array of a shape that holds at most as many values. Needs the interpreter's lock.
 template <typename T>
 Out<T> array(Buffer<T>&& buffer, std::initializer_list<std::size_t> shape) {

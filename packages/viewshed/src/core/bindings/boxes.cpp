@@ -11,8 +11,7 @@ void bind_boxes(nb::module_& m) {
         .def(
             "__init__",
             [](BeamsByAzimuth* self, In1<float> azimuth, In1<float> slope, In1<float> depth_m) {
-                require(slope.shape(0) == azimuth.shape(0) && depth_m.shape(0) == azimuth.shape(0),
-                        "azimuth, slope and depth_m must have one shape (B,)");
+                require(are_as_long(azimuth, slope, depth_m), "azimuth, slope and depth_m must have one shape (B,)");
                 new (self) BeamsByAzimuth(view(azimuth), view(slope), view(depth_m));
             },
             "azimuth"_in, "slope"_in, "depth_m"_in)

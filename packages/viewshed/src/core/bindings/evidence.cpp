@@ -18,8 +18,7 @@ using LostArrays = std::tuple<In1<float>, In1<float>, In1<float>, In1<float>, In
 
 Beams beams_of(const BeamArrays& arrays) {
     const auto& [azimuth, slope, depth_m] = arrays;
-    require(azimuth.shape(0) == slope.shape(0) && azimuth.shape(0) == depth_m.shape(0),
-            "azimuth, slope and depth_m must have one shape (B,)");
+    require(are_as_long(azimuth, slope, depth_m), "azimuth, slope and depth_m must have one shape (B,)");
     require(azimuth.shape(0) < (1u << 30), "beams must be fewer than 2^30");
     return {view(azimuth), view(slope), view(depth_m)};
 }
@@ -40,7 +39,7 @@ TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, flo
     const std::size_t nodes = heights_m.shape(0);
     require(nodes >= 2 && nodes <= 16384 && heights_m.shape(1) == nodes,
             "heights_m must have shape (nodes, nodes), 2 to 16384 of them");
-    require(std_m.shape(0) == nodes && std_m.shape(1) == nodes, "std_m must have the shape of heights_m");
+    require(have_one_shape(heights_m, std_m), "std_m must have the shape of heights_m");
     require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
     return {view(heights_m), view(std_m), half_extent_m, sensor_height_m};
 }
@@ -123,11 +122,7 @@ void bind_evidence(nb::module_& m) {
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,
            In2<bool> visible, In2<bool> denied, In2<bool> obstacle, In1<float> table) {
-            const auto has_shape = [&](const auto& array) {
-                return array.shape(0) == measured.shape(0) && array.shape(1) == measured.shape(1);
-            };
-            require(has_shape(late) && has_shape(aimed) && has_shape(visible_prob) && has_shape(within_reach) &&
-                        has_shape(visible) && has_shape(denied) && has_shape(obstacle),
+            require(have_one_shape(measured, late, aimed, visible_prob, within_reach, visible, denied, obstacle),
                     "all arrays must have one shape (cells, cells)");
             const std::size_t cells = measured.size();
             const SupportedCells support{measured.data(), late.data(), aimed.data(), visible_prob.data(),
@@ -144,10 +139,7 @@ void bind_evidence(nb::module_& m) {
     m.def(
         "claims",
         [](In2<std::uint8_t> state, In2<float> measured, In2<std::int32_t> node, In2<float> std_m, In1<float> table) {
-            const auto has_shape = [&](const auto& array) {
-                return array.shape(0) == state.shape(0) && array.shape(1) == state.shape(1);
-            };
-            require(has_shape(measured) && has_shape(node), "state, measured and node must have one shape (cells, cells)");
+            require(have_one_shape(state, measured, node), "state, measured and node must have one shape (cells, cells)");
             require(table.shape(0) > 0, "table must have at least one probability");
             require(state.size() < (1u << 31), "cells must be fewer than 2^31");
             const Buffer<std::int32_t> nodes =

@@ -32,15 +32,14 @@ void bind_guarantees(nb::module_& m) {
     nb::class_<TargetColumns>(m, "TargetColumns", "The columns of azimuth that fall on a target in each cell.")
         .def(
             "__init__",
-            [](TargetColumns* self, In2<float> range_m, In2<float> azimuth, std::optional<In2<std::uint8_t>> fired,
-               std::size_t rings, std::size_t columns, double cell_m, double width_m, double farthest_m) {
+            [](TargetColumns* self, In2<float> range_m, In2<float> azimuth, std::size_t rings, std::size_t columns, double cell_m,
+               double width_m, double farthest_m) {
                 const std::size_t rows = range_m.shape(0), cells = range_m.shape(1);
                 require(azimuth.shape(0) == rows && azimuth.shape(1) == cells,
                         "range_m and azimuth must have one shape (cells, cells)");
                 require(range_m.size() < (1u << 28), "cells must be fewer than 2^28");
                 require(rings >= 1 && rings <= 4096, "rings must lie in [1, 4096]");
                 require(columns >= 4 && columns <= 36000, "columns must lie in [4, 36000]");
-                require(!fired || (fired->shape(0) == rings && fired->shape(1) == columns), "fired must be (rings, columns)");
                 require(cell_m > 0 && width_m > 0 && std::isfinite(cell_m) && std::isfinite(width_m),
                         "cell_m and width_m must be positive and finite");
                 const Buffer<float> ranges = copy_of(view(range_m).flat()), angles = copy_of(view(azimuth).flat());
@@ -48,12 +47,10 @@ void bind_guarantees(nb::module_& m) {
                     require(ranges[n] >= 0 && std::isfinite(ranges[n]) && std::fabs(angles[n]) < 3.2f,
                             "range_m must be finite, not negative, and azimuth lie in [-pi, pi]");
                 }
-                const View2<const std::uint8_t> all{nullptr, 0, 0};
-                new (self) TargetColumns({ranges.data(), rows, cells}, {angles.data(), rows, cells}, fired ? view(*fired) : all,
-                                         rings, columns, cell_m, width_m, farthest_m);
+                new (self) TargetColumns({ranges.data(), rows, cells}, {angles.data(), rows, cells}, rings, columns, cell_m,
+                                         width_m, farthest_m);
             },
-            "range_m"_in, "azimuth"_in, "fired"_in.none(), "rings"_a, "columns"_a, "cell_m"_a,
-            "width_m"_a, "farthest_m"_a);
+            "range_m"_in, "azimuth"_in, "rings"_a, "columns"_a, "cell_m"_a, "width_m"_a, "farthest_m"_a);
     nb::class_<SentBeams>(m, "SentBeams", "The beams that are sent through a target in each cell.")
         .def(
             "__init__",
@@ -89,28 +86,26 @@ void bind_guarantees(nb::module_& m) {
         "Horizontal range (rings, 2 * columns) of the nearest return of each beam, the circle twice; +inf for none.");
     m.def(
         "envelope_margins",
-        [](const SentBeams& sent, In2<float> nearest) {
+        [](const SentBeams& sent, In2<float> nearest, std::int32_t least) {
             const View2<const float> ranges = checked(sent, nearest);
-            auto [margin, closed] = [&] {
+            auto [margin, claim] = [&] {
                 const nb::gil_scoped_release unlocked;
-                return envelope_margins(sent, ranges);
+                return envelope_margins(sent, ranges, least);
             }();
             const auto of_cells = [&](auto& found) { return array(std::move(found), {sent.of->rows, sent.of->grid_columns}); };
-            return std::pair(of_cells(margin), of_cells(closed));
+            return std::pair(of_cells(margin), of_cells(claim));
         },
-        "sent"_a, "nearest"_in,
-        "Beams (cells, cells) that are sent through a target and not blocked before it, and the same where gaps are closed.");
+        "sent"_a, "nearest"_in, "least"_a,
+        "Beams (cells, cells) that are sent through a target and not blocked before it, and where they are the least or more"
+        " with gaps closed.");
     m.def(
         "without_gaps",
-        [](In2<float> nearest, std::shared_ptr<TargetColumns> columns) {
+        [](In2<float> nearest) {
             require(nearest.shape(1) % 2 == 0 && nearest.shape(1) >= 2 * GAP,
                     "nearest must be (rings, 2 * columns), columns 4 or more");
-            require(!columns || (nearest.shape(0) == columns->rings && nearest.shape(1) == 2 * columns->columns),
-                    "nearest must be (rings, 2 * columns) of the same sensor");
-            return array(without_gaps(view(nearest), columns.get()), {nearest.shape(0), nearest.shape(1)});
+            return array(without_gaps(view(nearest)), {nearest.shape(0), nearest.shape(1)});
         },
-        "nearest"_in, "columns"_a.none(),
-        "Nearest ranges with gaps of up to four columns closed; those that are not fired block nothing.");
+        "nearest"_in, "Nearest ranges with gaps of up to four columns closed.");
     m.def(
         "cells_of_beams",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,

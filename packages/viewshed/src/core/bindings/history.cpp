@@ -3,7 +3,6 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include <array>
 #include <tuple>
 #include <vector>
 
@@ -64,11 +63,8 @@ void bind_history(nb::module_& m) {
         [](In2<bool> seen, In2<float> earlier_from_now, double origin_x_m, double origin_y_m, double cell_m,
            In2<float> open, In2<float> whole) {
             const std::size_t cells = seen.shape(0);
-            for (const auto& [rows, columns] : {std::array{seen.shape(0), seen.shape(1)},
-                                                {open.shape(0), open.shape(1)},
-                                                {whole.shape(0), whole.shape(1)}}) {
-                require(rows == cells && columns == cells, "seen, in_view and whole must have one shape (cells, cells)");
-            }
+            require(seen.shape(1) == cells && have_one_shape(seen, open, whole),
+                    "seen, in_view and whole must have one shape (cells, cells)");
             require(earlier_from_now.shape(0) == 2 && earlier_from_now.shape(1) == 3,
                     "earlier_from_now must have shape (2, 3)");
             require(cell_m > 0, "cell_m must be positive");

@@ -11,8 +11,7 @@ void bind_object_candidates(nb::module_& m) {
     m.def(
         "object_candidates",
         [](Points points, In1<float> height_m, In1<float> range_m, float sensor_height_m) {
-            require(height_m.shape(0) == points.shape(0), "height_m must be as long as points");
-            require(range_m.shape(0) == points.shape(0), "range_m must be as long as points");
+            require(are_as_long(points, height_m, range_m), "points, height_m and range_m must be as long");
             require(std::isfinite(sensor_height_m), "sensor_height_m must be finite");
             const Candidates found = without_lock([&] {
                 const Buffer<float> own = copy_of(view(points).flat()), own_m = copy_of(view(height_m));

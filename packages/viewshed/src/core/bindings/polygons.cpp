@@ -73,8 +73,7 @@ void bind_polygons(nb::module_& m) {
         "rings_of_mask",
         [](In2<bool> mask, In2<std::int32_t> regions) {
             require_square(mask.shape(0), mask.shape(1));
-            require(regions.shape(0) == mask.shape(0) && regions.shape(1) == mask.shape(1),
-                    "regions must have the mask's shape");
+            require(have_one_shape(mask, regions), "regions must have the mask's shape");
             const std::size_t cells = mask.shape(0);
             const Buffer<bool> inside = copy_of(view(mask).flat());
             const Buffer<std::int32_t> numbers =

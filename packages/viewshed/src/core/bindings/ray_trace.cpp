@@ -13,8 +13,7 @@ namespace {
 
 Returns returns_of(const In1<float>& azimuth, const In1<float>& range_m, const In1<float>& height_m, float low_m,
                    float high_m) {
-    require(azimuth.shape(0) == range_m.shape(0) && range_m.shape(0) == height_m.shape(0),
-            "azimuth, range_m and height_m must be as long");
+    require(are_as_long(azimuth, range_m, height_m), "azimuth, range_m and height_m must be as long");
     return {view(azimuth), view(range_m), view(height_m), low_m, high_m};
 }
 
@@ -82,8 +81,7 @@ void bind_ray_trace(nb::module_& m) {
         "cells_within",
         [](In1<float> limit_m, In2<float> cell_range_m, In2<std::int16_t> cell_bin) {
             const std::size_t rows = cell_range_m.shape(0), columns = cell_range_m.shape(1);
-            require(cell_bin.shape(0) == rows && cell_bin.shape(1) == columns,
-                    "cell_range_m and cell_bin must have one shape");
+            require(have_one_shape(cell_range_m, cell_bin), "cell_range_m and cell_bin must have one shape");
             require_bins(limit_m.shape(0));
             const auto bin = indices_of<std::int16_t>(view(cell_bin).flat(), 0, std::int16_t(limit_m.shape(0) - 1), "cell_bin");
             Buffer<float> visible(rows * columns);
@@ -98,8 +96,7 @@ void bind_ray_trace(nb::module_& m) {
            In2<float> cell_range_m, In2<float> cell_azimuth, In2<std::int16_t> cell_slice) {
             const std::size_t rows = cell_range_m.shape(0), columns = cell_range_m.shape(1);
             require(azimuth.shape(0) == range_m.shape(0), "azimuth and range_m must be as long");
-            require(cell_azimuth.shape(0) == rows && cell_azimuth.shape(1) == columns &&
-                        cell_slice.shape(0) == rows && cell_slice.shape(1) == columns,
+            require(have_one_shape(cell_range_m, cell_azimuth, cell_slice),
                     "cell_range_m, cell_azimuth and cell_slice must have one shape");
             require_bins(slices);
             require(window > 0.0 && window < 2 * std::numbers::pi, "window must lie between 0 and a turn");

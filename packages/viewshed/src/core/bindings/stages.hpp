@@ -14,31 +14,15 @@ using LevelArrays = Tuple<Out<float>, Out<float>, Out<float>, Out<float>, Out<st
 RangeImageArrays range_image_arrays(RangeImage&& image);
 LevelArrays level_arrays(LevelPoints&& level);
 
-void bind_range_image(nb::module_& m);
-void bind_reach(nb::module_& m);
-void bind_sensor_id(nb::module_& m);
-void bind_ground(nb::module_& m);
-void bind_held_ground(nb::module_& m);
-void bind_leveling(nb::module_& m);
-void bind_level_sweep(nb::module_& m);
-void bind_no_return(nb::module_& m);
-void bind_grid(nb::module_& m);
-void bind_height_map(nb::module_& m);
-void bind_visibility(nb::module_& m);
-void bind_evidence(nb::module_& m);
-void bind_guarantees(nb::module_& m);
-void bind_boxes(nb::module_& m);
-void bind_object_candidates(nb::module_& m);
-void bind_shape_classifier(nb::module_& m);
-void bind_history(nb::module_& m);
-void bind_features(nb::module_& m);
-void bind_mc_dropout(nb::module_& m);
-void bind_ray_trace(nb::module_& m);
-void bind_concave_hull(nb::module_& m);
-void bind_polygons(nb::module_& m);
-void bind_files(nb::module_& m);
-void bind_fov_code(nb::module_& m);
-void bind_agent_views(nb::module_& m);
-void bind_temporal_evidence(nb::module_& m);
+// The files of bindings, in the order in which the module offers them.
+#define VIEWSHED_BINDINGS(bind)                                                                                     \
+    bind(range_image) bind(reach) bind(sensor_id) bind(ground) bind(held_ground) bind(leveling)                     \
+    bind(level_sweep) bind(no_return) bind(grid) bind(height_map) bind(visibility) bind(evidence)                   \
+    bind(guarantees) bind(boxes) bind(object_candidates) bind(shape_classifier) bind(history) bind(features)        \
+    bind(mc_dropout) bind(ray_trace) bind(concave_hull) bind(polygons) bind(files) bind(temporal_evidence)          \
+    bind(fov_code) bind(agent_views)
+#define DECLARE(name) void bind_##name(nb::module_& m);
+VIEWSHED_BINDINGS(DECLARE)
+#undef DECLARE
 
 }  // namespace viewshed

@@ -24,7 +24,7 @@ MAX_DEPTH = 4
 """Most arrays and maps that lie in each other."""
 
 _DTYPES: dict[int, np.dtype[Any]] = {
-    64: np.dtype("u1"), 78: np.dtype("<i4"), 79: np.dtype("<i8"), 85: np.dtype("<f4"), 86: np.dtype("<f8"),
+    64: np.dtype("u1"), 78: np.dtype("<i4"), 85: np.dtype("<f4"), 86: np.dtype("<f8"),
 }  # fmt: skip
 _TAGS = {dtype: tag for tag, dtype in _DTYPES.items()}
 

@@ -243,18 +243,22 @@ class HonestModel:
         small = boxes[:, 3:5].max(axis=1, initial=0.0) < SMALL_M
         return np.asarray(self.found[_share_bins(np.full(len(boxes), height), small, range_m, visible)])
 
-    def silent_views(self, reports: ObjectReports) -> F64:
-        """Return what the views of those who could report an object and do not add to *alone* and *shared*, (2, J, A).
+    def silent_views(self, columns: Columns, silent: Mask) -> F64:
+        """Return what the views of those who are silent (J, A) add to *alone* and *shared*, (2, J, A), without biases.
 
-        The biases of the sums are left out.
+        Args:
+            columns: of :func:`place_columns`.
+            silent: who could report each object and does not.
         """
-        columns, silent = place_columns(reports)[0], reports.silent_now
         return np.stack([np.where(silent, of(columns) - of.bias, 0.0) for of in (self.alone, self.shared)])
 
-    def there(self, reports: ObjectReports) -> F64:
-        """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one."""
-        (place, size), own, of_bins = place_columns(reports), own_box_columns(reports)[0], self.real.of_bins
-        of_silence = np.where(reports.silent_now, of_bins[place].sum(axis=-1), 0.0)
+    def there(self, reports: ObjectReports, place: tuple[Columns, int], own: Columns) -> F64:
+        """Return the log-odds (J, A) that each agent's report or silence adds to those that an object is one.
+
+        ``place`` and ``own`` are what :func:`place_columns` and :func:`own_box_columns` say of the reports.
+        """
+        (columns, size), of_bins = place, self.real.of_bins
+        of_silence = np.where(reports.silent_now, of_bins[columns].sum(axis=-1), 0.0)
         return np.where(reports.seen, of_bins[size + own].sum(axis=-1), of_silence)
 
     def to_json(self) -> str:

@@ -156,7 +156,13 @@ class AgentReport:
 
     def is_own(self, boxes: F64) -> Mask:
         """Return which boxes (K, 7) of the world are its own vehicle."""
-        if self.own_box is None:
+        if self._own_circle is None:
             return np.zeros(len(boxes), np.bool_)
-        x_m, y_m = (self.world_from_level @ self.own_box[:3])[:2]
-        return np.asarray(np.hypot(boxes[:, 0] - x_m, boxes[:, 1] - y_m) < self.own_box[3] / 2)
+        (x_m, y_m), radius_m = self._own_circle
+        return np.asarray(np.hypot(boxes[:, 0] - x_m, boxes[:, 1] - y_m) < radius_m)
+
+    @cached_property
+    def _own_circle(self) -> tuple[F64, float] | None:
+        """Where its own vehicle is in the world, (2,), and half its length; None for a sensor on a mast."""
+        box = self.own_box
+        return None if box is None else ((self.world_from_level @ box[:3])[:2], float(box[3]) / 2)

@@ -116,7 +116,7 @@ class Round:
         lies += [f"{disputed}: one of them lies, and no third view says which"] if disputed else []
         if self.missing:
             lies.append(f"{self._those_missing} heard lately and missing: they contradict nobody")
-        if len(self.reports) == 1 < len(names):
+        if len(self.reports) == 1:
             lies.append(f"{self.reports[0].agent} alone is heard: nobody contradicts it")
         elif apart := ", ".join(self._far_from_all()):
             lies.append(f"{apart}: farther than {APART_M:g} m from all others, so that nobody contradicts it")

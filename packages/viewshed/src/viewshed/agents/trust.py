@@ -29,8 +29,9 @@ what opened or closed at once is remembered. What is older fades.
 :attr:`TrustRules.temper` before they become probabilities (a tempered posterior; Grünwald 2012).
 
 **Evidence.** For each agent, the mean likelihood of the hypotheses in which it lies over the largest of those in which
-it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, and of what
-each view says by itself, among benign scenes of all terrain (:class:`TrustLimits`).
+it does not (Wasserman, Ramdas, Balakrishnan 2020). Accusations are one rank of that of the reports, of what
+each view says by itself, and of what an agent withholds though its own view still holds it, among benign scenes of all
+terrain (:class:`TrustLimits`).
 """
 
 from __future__ import annotations
@@ -51,9 +52,10 @@ from viewshed.arrays import F64, Mask
 MOST_LIARS = 2
 """Agents that may lie together; never more than half of them."""
 
-QUESTIONS = ("reports", "opened", "misplaced", "through")
+QUESTIONS = ("reports", "opened", "misplaced", "through", "withheld")
 """What may speak against an agent, each by itself, for the noise of one drowns another: evidence of its reports; by how
-much more its view opened at once than it closed; how its surfaces lie beside those of others; what it sees through."""
+much more its view opened at once than it closed; how its surfaces lie beside those of others; what it sees through; at
+how many looks it withholds objects that it reported and that its own view still holds."""
 
 USUAL, LEAST_SPREAD = 0.9, 0.1
 """Share of honest agents whose answers are usual, and nats by which the others go beyond on average at least."""
@@ -148,7 +150,7 @@ class Verdicts:
     existence: F64  # (J,) probability that each exists, whoever lies
     suspects: Mask  # (A,) bool, those who lie under the best explanations (within one nat), the ones with fewest liars
     against: F64  # (A, A) nats that comparisons of two views speak against both, and on the diagonal that one's own do
-    answers: F64  # (A, 4) nats against each by ``QUESTIONS``
+    answers: F64  # (A, 5) what speaks against each by ``QUESTIONS``: nats, of the last one looks
 
 
 _AT_ONCE = np.array([name in ("opened", "closed") for name in OWN])
@@ -216,13 +218,16 @@ class Trust:
         self._pairs = np.pad(self._pairs, ((0, 1), (0, 1), (0, 0)))[np.ix_(kept, kept)]
         self._own = np.pad(self._own, ((0, 1), (0, 0)))[list(kept)]
 
-    def add(self, reports: Reports, seconds: float, views: tuple[F64, F64] | None = None) -> Verdicts:
+    def add(
+        self, reports: Reports, seconds: float, views: tuple[F64, F64] | None = None, withheld: F64 | None = None
+    ) -> Verdicts:
         """Return what is believed after the next reports.
 
         Args:
             reports: of all agents.
             seconds: since the reports before.
             views: surprises of comparisons of views (A, A, 2) and (A, 3), NaN where nothing was compared.
+            withheld: looks (A,) at which each agent withholds what its own view holds; None are none.
 
         Raises:
             ValueError: there are other agents, or no time has passed.
@@ -254,7 +259,7 @@ class Trust:
             steady = self._own + part * (own - self._own)
             at_once = np.maximum(fade * self._own, np.where(np.isfinite(views[1]), views[1], 0.0))
             self._own = np.where(_AT_ONCE, at_once, steady)
-        return self._verdicts(reports)
+        return self._verdicts(reports, np.zeros(self.agents) if withheld is None else withheld)
 
     def _likelihoods(self, reports: Reports) -> F64:
         """Return the log-likelihoods (J, H) of the reports of each object, for each set of agents that lie about it."""
@@ -323,7 +328,7 @@ class Trust:
         gain = np.where(touched, against, 0.0).sum(axis=(1, 2)) + self._lies @ own
         return against + against.T + np.diag(own), gain
 
-    def _verdicts(self, reports: Reports) -> Verdicts:
+    def _verdicts(self, reports: Reports, withheld: F64) -> Verdicts:
         """Return what is believed of the agents, and of the objects of the last reports."""
         known = np.array(list(self._of_objects.values())).reshape(-1, len(self._lies))
         # A hypothesis is the mean over the sets of its liars that may lie about an object, ...
@@ -342,7 +347,7 @@ class Trust:
         others = max(self.agents - 1, 1)
         answers = np.column_stack([
             self._evidence(logs - of_views), np.maximum(opened - closed, 0.0), self._own[:, OWN.index("misplaced")],
-            self._pairs[..., PAIR.index("through")].sum(axis=1) / others,
+            self._pairs[..., PAIR.index("through")].sum(axis=1) / others, withheld,
         ])  # fmt: skip
         liars = self._lies.sum(axis=1)
         prior = liars * np.log(self.rules.prior) + (self.agents - liars) * np.log1p(-self.rules.prior)
@@ -381,8 +386,8 @@ class TrustLimits:
     agents of one scene depend on each other.
     """
 
-    usual: F64  # (2, 4) nine in ten answers are smaller, by whether the sensor is elevated and by question
-    spread: F64  # (2, 4) mean of what the others are beyond
+    usual: F64  # (2, 5) nine in ten answers are smaller, by whether the sensor is elevated and by question
+    spread: F64  # (2, 5) mean of what the others are beyond
     score: F64  # (N,) highest score of any agent in each benign scene, over time, ascending
     doubt: F64  # (N,) largest doubt of each benign scene, ascending
 
@@ -391,7 +396,7 @@ class TrustLimits:
         """Return the limits of benign scenes; each is scored on the scale of all others, as a further scene is.
 
         Args:
-            answers: (N, A, 4) largest answers of each agent of each scene.
+            answers: (N, A, 5) largest answers of each agent of each scene.
             elevated: (A,) bool, whose sensors look over the traffic.
             doubt: (N,) largest doubt of each scene.
 
@@ -424,12 +429,12 @@ class TrustLimits:
         return 1.0 / (len(self.score) + 1.0)
 
     def scores(self, answers: F64, elevated: Mask) -> F64:
-        """Return the highest one (A,) of the answers (A, 4) of each agent, on the scale of those of its kind."""
+        """Return the highest one (A,) of the answers (A, 5) of each agent, on the scale of those of its kind."""
         kind = elevated.astype(np.intp)
         return np.asarray(((answers - self.usual[kind]) / self.spread[kind]).max(axis=1))
 
     def accused(self, answers: F64, elevated: Mask, rate: float) -> Mask:
-        """Return who is accused (A,) by the answers of each (A, 4): somebody in this share of benign scenes.
+        """Return who is accused (A,) by the answers of each (A, 5): somebody in this share of benign scenes.
 
         Raises:
             ValueError: there are too few scenes for this rate.
@@ -454,7 +459,7 @@ class TrustLimits:
 
 
 def _scale_of(answers: F64, elevated: Mask) -> tuple[F64, F64]:
-    """Return what is usual and what others are beyond (2, 4), by whether sensors are elevated, of answers (N, A, 4)."""
+    """Return what is usual and what others are beyond (2, 5), by whether sensors are elevated, of answers (N, A, 5)."""
     usual, spread = np.zeros((2, len(QUESTIONS))), np.ones((2, len(QUESTIONS)))
     for kind in np.unique(elevated.astype(np.intp)):
         own = answers[:, elevated == kind].reshape(-1, len(QUESTIONS))

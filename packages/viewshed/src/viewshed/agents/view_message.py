@@ -1,7 +1,7 @@
 """What one agent says of one sweep: where it was, what it saw, what it found, and whether it doubts its sweep.
 
 A payload is a map of deterministic CBOR; ``docs/view_message.cddl`` is its schema. Numbers of many objects are typed
-arrays, and positions of tracks are differences to the position of the sender, so that float32 holds them.
+arrays.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,10 @@ from viewshed.geometry import Rigid, quaternion_from_rotation
 from viewshed.grid import BevGrid
 from viewshed.monitor.evidence.base import SECTORS
 from viewshed.monitor.report import IntegrityReport
-from viewshed.objects.tracks import Tracks
 
-VERSION = 3
+T = TypeVar("T", str, bytes, int, float)
+
+VERSION = 4
 """Version of the payload; a receiver refuses others."""
 
 MAX_BYTES = 49_152
@@ -36,7 +37,6 @@ MAX_BYTES = 49_152
 GROUND_NODES = 32
 """Heights of the ground a side."""
 
-MAX_TRACKS = 256
 MAX_DETECTIONS = 512
 
 MAX_EPOCH = 2**53
@@ -45,7 +45,7 @@ MAX_T_NS = 2**63 - 1
 
 FIELDS = (
     "version", "agent", "number", "t_ns", "frame", "pose",
-    "sensor", "view", "ground", "detections", "tracks", "report",
+    "sensor", "view", "ground", "detections", "report",
 )  # fmt: skip
 """Fields of a payload by their keys."""
 
@@ -56,18 +56,11 @@ _GROUND_STEPS_PER_M, _MOST_STEPS = 100.0, 2**15 - 1
 _LAST_KIND = int(max(ObjectKind))
 
 _UPPER6 = np.triu_indices(6)
-_UPPER4 = np.triu_indices(4)
 
-
-def _square(size: int) -> NDArray[np.intp]:
-    """Return where each number of a symmetric matrix (size, size) stands among those of its upper triangle."""
-    rows, columns = np.triu_indices(size)
-    square = np.zeros((size, size), np.intp)
-    square[rows, columns] = square[columns, rows] = np.arange(len(rows))
-    return square
-
-
-_SQUARE6, _SQUARE4 = _square(6), _square(4)
+# Where each number of a symmetric matrix (6, 6) stands among those of its upper triangle.
+_SQUARE6 = np.zeros((6, 6), np.intp)
+_SQUARE6[_UPPER6] = np.arange(21)
+_SQUARE6 = np.maximum(_SQUARE6, _SQUARE6.T)
 
 # Covariances are rounded to float32: an eigenvalue below zero by no more than this share of the trace is none.
 _ROUNDING = 1e-5
@@ -89,82 +82,6 @@ class SensorFacts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SharedTracks:
-    """The tracks that an agent shares, in the frame of its message.
-
-    Raises:
-        ValueError: the lengths differ, a number is not finite or out of its range, a covariance is none.
-    """
-
-    ids: NDArray[np.int64]  # (N,) int64, the sender's own, the same for one object over time
-    states: F64  # (N, 4) x, y in meters and their velocities in m/s
-    covariances: F64  # (N, 4, 4) of the states
-    boxes: F64  # (N, 7) columns ``viewshed.detections.BOX_COLUMNS``; the centers are those of the states
-    box_variances: F64  # (N, 5) of z, length, width, height (square meters) and yaw (square radians)
-    kinds: NDArray[np.uint8]  # (N,) uint8 of :class:`viewshed.detections.ObjectKind`
-    existence: F64  # (N,) probability that there is such an object
-    visible: F64  # (N,) probability that the sender's view let it be seen
-    detectable: F64  # (N,) probability that the sender's detector finds it where the view lets it be seen
-    born_hidden: F64  # (N,) probability, at its first detection, that it could have come from where nothing was seen
-    age_s: F64  # (N,) seconds since the first detection
-    unseen_s: F64  # (N,) seconds since the last detection
-
-    def __post_init__(self) -> None:
-        count = len(self.ids)
-        if count > MAX_TRACKS:
-            raise ValueError(f"a message must have at most {MAX_TRACKS} tracks, got {count}")
-        for name, shape in _TRACK_SHAPES.items():
-            array = getattr(self, name)
-            if array.shape != (count, *shape):
-                raise ValueError(f"{name} of tracks must have the shape {(count, *shape)}, got {array.shape}")
-        numbers = np.concatenate([getattr(self, name).ravel() for name in _TRACK_FLOATS])
-        if not np.isfinite(numbers).all():
-            wrong = [name for name in _TRACK_FLOATS if not np.isfinite(getattr(self, name)).all()]
-            raise ValueError(f"{wrong[0]} of tracks must be finite")
-        if (self.boxes[:, 3:6] <= 0).any() or (self.box_variances < 0).any():
-            raise ValueError("boxes of tracks must have positive sizes, and variances that are not negative")
-        if count and self.kinds.max() > _LAST_KIND:
-            raise ValueError(f"kinds of tracks must lie in [0, {_LAST_KIND}], got {self.kinds.max()}")
-        # The last columns of the numbers are four probabilities, age and time unseen.
-        ends = numbers[len(numbers) - 6 * count :]
-        if count and not (ends.min() >= 0.0 and ends[: 4 * count].max() <= 1.0):
-            raise ValueError("probabilities of tracks must lie in [0, 1], and their times not be negative")
-        _require_covariances(self.covariances, "covariances of tracks")
-
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self.ids)
-
-    @classmethod
-    def of(cls, tracks: Tracks) -> SharedTracks:
-        """Return the confirmed tracks of a tracker, the most probable first, at most :data:`MAX_TRACKS`.
-
-        Raises:
-            ValueError: the tracks are not in the world.
-        """
-        if not tracks.in_world:
-            raise ValueError("shared tracks must be in the world; give the tracker poses")
-        order = np.argsort(-tracks.existence, kind="stable")
-        chosen = order[tracks.confirmed[order]][:MAX_TRACKS]
-        plain = {name: getattr(tracks, name)[chosen] for name in _SAME_NAMES}
-        return cls(
-            **plain,
-            age_s=np.maximum(tracks.t_s - tracks.born_s[chosen], 0.0),
-            unseen_s=np.maximum(tracks.t_s - tracks.seen_s[chosen], 0.0),
-        )
-
-
-_TRACK_SHAPES: dict[str, tuple[int, ...]] = {
-    "ids": (), "states": (4,), "covariances": (4, 4), "boxes": (7,), "box_variances": (5,), "kinds": (),
-    "existence": (), "visible": (), "detectable": (), "born_hidden": (), "age_s": (), "unseen_s": (),
-}  # fmt: skip
-
-_TRACK_FLOATS = [name for name in _TRACK_SHAPES if name not in ("ids", "kinds")]
-
-_SAME_NAMES = [name for name in _TRACK_SHAPES if name not in ("age_s", "unseen_s")]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ViewMessage:
     """What one agent says of one sweep.
 
@@ -183,7 +100,6 @@ class ViewMessage:
     # heights about it in ``level``, or None; what comes back has ``GROUND_NODES`` a side, to a centimeter
     ground: HeightMap | None = None
     detections: Detections | None = None  # objects of this sweep in ``level``, or None
-    tracks: SharedTracks | None = None  # objects over time in the map, or None
     report: IntegrityReport | None = None  # of a monitor on the sweep, or None; reasons and suspect cells are not sent
     # which start of the agent this is, greater at each: the milliseconds since 1970 when it started, or a counter that
     # it keeps in a file. Its numbers begin anew with each epoch.
@@ -197,7 +113,7 @@ class ViewMessage:
                 raise ValueError(f"{name} must lie in [0, {highest}], got {getattr(self, name)}")
         if self.pose_covariance.shape != (6, 6):
             raise ValueError(f"pose_covariance must have the shape (6, 6), got {self.pose_covariance.shape}")
-        _require_covariances(self.pose_covariance[None], "pose_covariance")
+        _require_covariance(self.pose_covariance, "pose_covariance")
         if self.detections is not None and len(self.detections) > MAX_DETECTIONS:
             raise ValueError(f"a message must have at most {MAX_DETECTIONS} detections, got {len(self.detections)}")
 
@@ -208,15 +124,15 @@ def require_name(what: str, name: str) -> None:
         raise ValueError(f"{what} must be 1 to 32 letters, digits, '_', '.' or '-', got {name[:40]!r}")
 
 
-def _require_covariances(matrices: F64, what: str) -> None:
-    """Raise ValueError where one of some matrices (N, K, K) is not finite, not symmetric or has a negative variance."""
-    if not np.isfinite(matrices).all():
+def _require_covariance(matrix: F64, what: str) -> None:
+    """Raise ValueError where a matrix (K, K) is not finite, not symmetric or has a negative variance."""
+    if not np.isfinite(matrix).all():
         raise ValueError(f"{what} must be finite")
-    slack = _ROUNDING * np.abs(np.einsum("nii->n", matrices)) + 1e-12
-    if (np.abs(matrices - matrices.swapaxes(1, 2)) > slack[:, None, None]).any():
+    slack = _ROUNDING * abs(float(np.trace(matrix))) + 1e-12
+    if (np.abs(matrix - matrix.T) > slack).any():
         raise ValueError(f"{what} must be symmetric")
     try:  # what has a negative eigenvalue has no Cholesky decomposition
-        np.linalg.cholesky(matrices + slack[:, None, None] * np.eye(matrices.shape[-1]))
+        np.linalg.cholesky(matrix + slack * np.eye(len(matrix)))
     except np.linalg.LinAlgError:
         raise ValueError(f"{what} must have no negative eigenvalue") from None
 
@@ -248,10 +164,8 @@ def encode_message(message: ViewMessage) -> bytes:
     if message.detections is not None:
         found = message.detections
         fields[9] = [found.boxes.astype(np.float32).ravel(), found.kinds, found.returns]
-    if message.tracks is not None:
-        fields[10] = _track_fields(message.tracks, origin)
     if message.report is not None:
-        fields[11] = _report_fields(message.report)
+        fields[10] = _report_fields(message.report)
     return cbor.dumps(fields)
 
 
@@ -265,22 +179,6 @@ def _view_fields(view: FovEstimate) -> dict[int, Any]:
         3: view.method,
         4: has_std(view),
         5: encode_fov(view),
-    }
-
-
-def _track_fields(tracks: SharedTracks, origin: F64) -> dict[int, Any]:
-    states = np.column_stack([tracks.states[:, :2] - origin[:2], tracks.states[:, 2:]])
-    shapes = np.column_stack([tracks.boxes[:, 2] - origin[2], tracks.boxes[:, 3:]])
-    shares = np.stack([tracks.existence, tracks.visible, tracks.detectable, tracks.born_hidden], axis=1)
-    return {
-        0: tracks.ids.astype(np.int64),
-        1: states.astype(np.float32).ravel(),
-        2: tracks.covariances[:, *_UPPER4].astype(np.float32).ravel(),
-        3: shapes.astype(np.float32).ravel(),
-        4: tracks.box_variances.astype(np.float32).ravel(),
-        5: tracks.kinds.astype(np.uint8),
-        6: np.rint(255 * shares).astype(np.uint8).ravel(),
-        7: np.stack([tracks.age_s, tracks.unseen_s], axis=1).astype(np.float32).ravel(),
     }
 
 
@@ -321,41 +219,40 @@ def _message_of(fields: dict[int, Any]) -> ViewMessage:
     world_from_level = Rigid.from_quaternion(pose[3:], pose[:3])
     covariance = upper.astype(np.float64)[_SQUARE6]
     name, height_m, reach_m = fields[6]
-    agent, t_ns = _text(fields[1]), _whole(fields[3])
+    agent, t_ns = _typed(str, fields[1]), _typed(int, fields[3])
     epoch, sequence = fields[2]
-    view, ground, found, tracks, report = (fields.get(key) for key in range(7, 12))
+    view, ground, found, report = (fields.get(key) for key in range(7, 11))
     return ViewMessage(
         agent=agent,
-        sequence=_whole(sequence),
+        sequence=_typed(int, sequence),
         t_ns=t_ns,
-        frame=_text(fields[4]),
+        frame=_typed(str, fields[4]),
         world_from_level=world_from_level,
         pose_covariance=covariance,
-        sensor=SensorFacts(_text(name), _number(height_m), _number(reach_m)),
+        sensor=SensorFacts(_typed(str, name), _typed(float, height_m), _typed(float, reach_m)),
         view=None if view is None else _view_of(view, agent, t_ns, world_from_level),
         ground=None if ground is None else _ground_of(ground),
         detections=None if found is None else _detections_of(found),
-        tracks=None if tracks is None else _tracks_of(tracks, world_from_level.translation),
         report=None if report is None else _report_of(report),
-        epoch=_whole(epoch),
+        epoch=_typed(int, epoch),
     )
 
 
 def _view_of(fields: dict[int, Any], agent: str, t_ns: int, pose: Rigid) -> FovEstimate:
     cells, *extent = fields[0]
     name, *sizes, least = fields[1]
-    half_extent_m, x_m, y_m = map(_number, extent)
-    length_m, width_m, height_m = map(_number, sizes)
-    grid = BevGrid(_whole(cells), half_extent_m, (x_m, y_m))
-    threshold, with_std = _number(fields[2]), fields[4] is True
-    found = decode_fov(_bytes(fields[5]), grid, threshold, with_std)
+    half_extent_m, x_m, y_m = (_typed(float, each) for each in extent)
+    length_m, width_m, height_m = (_typed(float, each) for each in sizes)
+    grid = BevGrid(_typed(int, cells), half_extent_m, (x_m, y_m))
+    threshold, with_std = _typed(float, fields[2]), fields[4] is True
+    found = decode_fov(_typed(bytes, fields[5]), grid, threshold, with_std)
     return FovEstimate(
         grid=grid,
         visible_prob=found.visible_prob,
         state=found.state,
         std=found.std,
-        method=_text(fields[3])[:64],
-        target=Target(_text(name)[:64], length_m, width_m, height_m, _whole(least)),
+        method=_typed(str, fields[3])[:64],
+        target=Target(_typed(str, name)[:64], length_m, width_m, height_m, _typed(int, least)),
         threshold=threshold,
         world_from_level=pose,
         t_ns=t_ns,
@@ -371,8 +268,8 @@ def _ground_fields(ground: HeightMap) -> list[Any]:
 
 def _ground_of(fields: list[Any]) -> HeightMap:
     half_extent_m, code = fields
-    shape = BevGrid(GROUND_NODES, _number(half_extent_m)).shape
-    if len(_bytes(code)) != 2 * GROUND_NODES**2:
+    shape = BevGrid(GROUND_NODES, _typed(float, half_extent_m)).shape
+    if len(_typed(bytes, code)) != 2 * GROUND_NODES**2:
         raise ValueError(f"the ground must have {GROUND_NODES} times {GROUND_NODES} heights, got {len(code)} bytes")
     heights_m = np.frombuffer(code, "<i2").reshape(shape).astype(np.float32) / np.float32(_GROUND_STEPS_PER_M)
     return HeightMap(heights_m, half_extent_m, np.ones(shape, np.bool_))
@@ -387,44 +284,18 @@ def _detections_of(fields: list[Any]) -> Detections:
     return Detections(boxes.reshape(-1, 7).astype(np.float64), kinds, returns)
 
 
-# Types of the columns of tracks, and how many numbers each has of a track.
-_TRACK_TYPES = (np.int64, np.float32, np.float32, np.float32, np.float32, np.uint8, np.uint8, np.float32)
-_TRACK_WIDTHS = (1, 4, 10, 5, 5, 1, 4, 2)
-
-
-def _tracks_of(fields: dict[int, Any], origin: F64) -> SharedTracks:
-    columns = _columns([fields[key] for key in range(len(_TRACK_TYPES))], _TRACK_TYPES)
-    count = len(columns[0])
-    if count > MAX_TRACKS:
-        raise ValueError(f"a message must have at most {MAX_TRACKS} tracks, got {count}")
-    if [len(column) for column in columns] != [count * width for width in _TRACK_WIDTHS]:
-        raise ValueError("columns of tracks must all be of as many tracks")
-    wide = [
-        column.astype(np.float64).reshape(count, width) for column, width in zip(columns, _TRACK_WIDTHS, strict=True)
-    ]
-    states, upper, shapes, variances, shares, times = (wide[key] for key in (1, 2, 3, 4, 6, 7))
-    states[:, :2] += origin[:2]
-    shapes[:, 0] += origin[2]
-    covariances = upper[:, _SQUARE4]
-    existence, visible, detectable, born_hidden = (shares / 255.0).T
-    return SharedTracks(
-        columns[0], states, covariances, np.column_stack([states[:, :2], shapes]), variances, columns[5],
-        existence, visible, detectable, born_hidden, *times.T,
-    )  # fmt: skip
-
-
 def _report_of(fields: list[Any]) -> IntegrityReport:
     monitor, score, threshold, p_value, degraded, degraded_p_value, suspect = fields
-    sectors = np.unpackbits(np.frombuffer(_bytes(suspect), np.uint8))
+    sectors = np.unpackbits(np.frombuffer(_typed(bytes, suspect), np.uint8))
     if len(sectors) != SECTORS:
         raise ValueError(f"a report must have {SECTORS} sectors, got {len(sectors)}")
     return IntegrityReport(
-        _text(monitor)[:64],
-        _number(score),
-        _number(threshold),
-        _number(p_value),
+        _typed(str, monitor)[:64],
+        _typed(float, score),
+        _typed(float, threshold),
+        _typed(float, p_value),
         degraded is True,
-        _number(degraded_p_value),
+        _typed(float, degraded_p_value),
         sectors.astype(np.bool_),
     )
 
@@ -436,27 +307,13 @@ def _columns(arrays: list[Any], types: tuple[Any, ...]) -> list[NDArray[Any]]:
     return list(arrays)
 
 
-def _text(value: Any) -> str:
-    if type(value) is not str:
-        raise ValueError(f"a payload must have text here, got {type(value).__name__}")
-    return value
+_WORDS = {str: "text", bytes: "bytes", int: "a whole number", float: "a float"}
 
 
-def _bytes(value: Any) -> bytes:
-    if type(value) is not bytes:
-        raise ValueError(f"a payload must have bytes here, got {type(value).__name__}")
-    return value
-
-
-def _whole(value: Any) -> int:
-    if type(value) is not int:
-        raise ValueError(f"a payload must have a whole number here, got {type(value).__name__}")
-    return value
-
-
-def _number(value: Any) -> float:
-    if type(value) is not float:
-        raise ValueError(f"a payload must have a float here, got {type(value).__name__}")
+def _typed(kind: type[T], value: Any) -> T:
+    """Return a value of exactly this type, or raise ValueError."""
+    if type(value) is not kind:
+        raise ValueError(f"a payload must have {_WORDS[kind]} here, got {type(value).__name__}")
     return value
 
 

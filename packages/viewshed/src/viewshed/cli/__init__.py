@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated, TextIO, cast
+from typing import Annotated, cast
 
 import typer
 
@@ -119,14 +119,7 @@ def _from_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
+def _warn(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Print a warning like other complaints, without the place in the source that Python would add."""
     line = " ".join(str(message).split())
     if category.__name__ == "Assumption":  # of viewshed.io, which is imported only where files are read

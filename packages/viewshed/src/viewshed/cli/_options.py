@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_type_hints
@@ -259,11 +259,7 @@ class Following:
         return self.objects or self.fuse
 
     def adversary(self) -> Adversary | None:
-        """Return who forges, or None.
-
-        Raises:
-            ValueError: there is no such attack.
-        """
+        """Return who forges, or None."""
         if self.attack is None:
             return None
         agents = frozenset((self.attacked or "").split(",")) - {""}
@@ -282,19 +278,16 @@ class Following:
 NOT_FOLLOWED = Following()
 """Fields of view alone."""
 
-GROUPS: dict[str, type[Any]] = {"reading": Reading, "following": Following}
-"""Options that several commands share, by the parameter that takes them."""
-
 
 def with_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameters of :data:`GROUPS` are an option for each of their fields; others as it is.
+    """Return a command whose parameters that are dataclasses are an option for each of their fields; others as it is.
 
     The reference system is no such option: only commands that write maps have one.
     """
-    groups = {name: kind for name, kind in GROUPS.items() if name in command.__annotations__}
+    signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
+    groups = {name: each.annotation for name, each in signature.parameters.items() if is_dataclass(each.annotation)}
     if not groups:
         return command
-    signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
     own = {name: _parameters(group) for name, group in groups.items()}
 
     @wraps(command)
@@ -345,23 +338,16 @@ class SectionedCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options, in sections where they are many."""
-        shown = [(param, param.get_help_record(ctx)) for param in self.get_params(ctx)]
-        titles = {name: f"{title} options" for title, names in SECTIONS.items() for name in names}
+        shown = self.get_params(ctx)
+        of_section = {name: f"{title} options" for title, names in SECTIONS.items() for name in names}
+        titles = of_section if len(shown) > _MANY else {}
         sections: dict[str, list[Any]] = {
-            "Arguments": [],
-            "Options": [],
-            **{f"{title} options": [] for title in SECTIONS},
+            title: [] for title in ("Arguments", "Options", *dict.fromkeys(titles.values()))
         }
-        for param, record in shown:
+        for param in shown:
             is_argument = param.param_type_name == "argument"
-            title = (
-                "Arguments"
-                if is_argument
-                else titles.get(str(param.name), "Options")
-                if len(shown) > _MANY
-                else "Options"
-            )
-            if record is not None:
+            title = "Arguments" if is_argument else titles.get(str(param.name), "Options")
+            if (record := param.get_help_record(ctx)) is not None:
                 sections[title].append(record)
         for title, records in sections.items():
             if records:

@@ -68,11 +68,7 @@ def parse_results(text: str, known: Sequence[str] = ()) -> tuple[str, ...]:
 
 
 def make_folder(out: Path) -> None:
-    """Make the folder of the results.
-
-    Raises:
-        ValueError: something else is there.
-    """
+    """Make the folder of the results."""
     from viewshed.io.export import EXPORTERS
 
     if out.exists() and not out.is_dir():
@@ -125,11 +121,7 @@ def free_name(wanted: str, taken: set[str]) -> str:
 
 
 def refuse_inputs(places: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Check that no result replaces a file that is read.
-
-    Raises:
-        ValueError: one would.
-    """
+    """Check that no result replaces a file that is read."""
     read = {os.path.realpath(file) for file in inputs}  # Path.resolve raises where links lead in a circle
     for place in places:
         if os.path.realpath(place) in read:
@@ -184,26 +176,16 @@ def with_bar(items: Iterable[T], count: int) -> Iterator[T]:
 
 @dataclass(slots=True)
 class Run:
-    """What is done with every sweep.
+    """What is done with every sweep."""
 
-    Attributes:
-        estimator: what looks at it.
-        threshold: probability from which a cell counts as visible.
-        out: folder of the results.
-        results: what is written, ``png`` or names of ``EXPORTERS``.
-        monitor: says what it finds in each sweep; None without one.
-        crs: reference system of the poses, for the formats that have one; None for none.
-        dark: whether pictures are on a dark page.
-        certify: against what the claims are certified, ``added`` or ``replaced:5``; None where they are not.
-    """
-
-    estimator: Estimator
-    threshold: float
-    out: Path
-    results: tuple[str, ...] = RESULTS
-    monitor: StreamMonitor | None = None
-    crs: str | None = None
-    dark: bool = False
+    estimator: Estimator  # what looks at it
+    threshold: float  # probability from which a cell counts as visible
+    out: Path  # folder of the results
+    results: tuple[str, ...] = RESULTS  # what is written, ``png`` or names of ``EXPORTERS``
+    monitor: StreamMonitor | None = None  # says what it finds in each sweep; None without one
+    crs: str | None = None  # reference system of the poses, for the formats that have one; None for none
+    dark: bool = False  # whether pictures are on a dark page
+    # against what the claims are certified, ``added`` or ``replaced:5``; None where they are not
     certify: Threat | None = None
     _is_warm: bool = field(default=False, init=False)
 
@@ -246,11 +228,7 @@ class Run:
         return replace(summary, verdicts=stream_verdicts(self.monitor.check(leveled)))
 
     def together(self, sweeps: Iterable[Named], name: str) -> Iterator[Summary]:
-        """Yield the one summary of the sweeps of one vehicle, if there are any; the picture shows the first's returns.
-
-        Raises:
-            ValueError: mountings are missing or cannot be, or the sweeps are of different times.
-        """
+        """Yield the one summary of a vehicle's sweeps, if there are any; the picture shows the first's returns."""
         from viewshed.fov.union import union_of_views
         from viewshed.preprocess.leveling import level
 
@@ -339,11 +317,7 @@ def warm_up(estimator: Estimator, sweep: Sweep) -> None:
 
 
 def report_doubts(leveled: LeveledSweep, name: str) -> None:
-    """Say on standard error what cannot well be as it was read, a line each.
-
-    Raises:
-        ValueError: the points are not in meters about the sensor; no picture would show anything.
-    """
+    """Say on standard error what cannot well be as it was read, a line each."""
     from viewshed.preprocess.plausibility import check_units, doubts
 
     check_units(leveled.sweep)

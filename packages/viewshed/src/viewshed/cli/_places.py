@@ -47,9 +47,6 @@ def files_in(place: Path) -> list[Path]:
     """Return the files and recordings that are read for a place, in the order of the numbers in their names.
 
     A pattern is the files that it fits, a folder of sweeps is its sweeps and bags; anything else is the place itself.
-
-    Raises:
-        ValueError: the pattern fits no file, or the folder holds no sweep.
     """
     if _PATTERN.search(str(place)) and not place.exists():
         found = sorted((Path(name) for name in glob(str(place), recursive=True)), key=_by_numbers)  # noqa: PTH207

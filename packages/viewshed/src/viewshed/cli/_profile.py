@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from viewshed.cli import _options as options
+
 if TYPE_CHECKING:
     from viewshed.cli._outputs import Named
     from viewshed.guarantees.envelope import Threat
@@ -36,7 +38,36 @@ CertifiedOnly = Annotated[
     typer.Option("--certified-only", help="Claim only what --certify certifies, be there an alarm or not."),
 ]
 
+Method = Annotated[
+    str | None, typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …")
+]
+
 Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineOptions:
+    """What the options say of the pipeline that ``replay`` and ``record`` run."""
+
+    profile: ProfileName = None
+    method: Method = None
+    grid: options.GridName = "road"
+    target: options.TargetName = "car"
+    history: options.HistorySweeps = 0
+    monitor: options.WithMonitor = False
+    monitor_file: options.MonitorFile = None
+    certify: CertifyOnAlarm = None
+    certified_only: CertifiedOnly = False
+
+    def settings(self, ctx: typer.Context) -> PipelineSettings:
+        """Return what they come to with the profile."""
+        return settings(
+            ctx, self.profile, method=self.method, grid=self.grid, history=self.history, monitor=self.monitor,
+            certify=self.certify, certified_only=self.certified_only,
+        )  # fmt: skip
+
+
+AS_USUAL = PipelineOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +102,7 @@ def settings(
     certify: str | None,
     certified_only: bool = False,
 ) -> PipelineSettings:
-    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither.
-
-    Raises:
-        ValueError: there is no profile or no threat of this name.
-    """
+    """Return the settings of a profile, of those options that are given, and the usual ones where there is neither."""
     from viewshed.guarantees.envelope import Threat
     from viewshed.pipeline.profiles import profile_named
     from viewshed.pipeline.reactions import RULES

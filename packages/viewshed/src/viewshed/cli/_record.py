@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,10 +11,12 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from viewshed.cli._options import NOT_FOLLOWED, Following
+from viewshed.cli._options import NOT_FOLLOWED, Following, NetworkOptions, parse_grid
 from viewshed.cli._outputs import Failures, Named, refuse_inputs
+from viewshed.cli._profile import PipelineOptions, PipelineSettings
+from viewshed.cli._stream import history_buffer
 from viewshed.cli._terminal import note
-from viewshed.cli._verdicts import stream_verdicts
+from viewshed.cli._verdicts import stream_verdicts, watching
 
 if TYPE_CHECKING:
     from viewshed.agents.rounds import Round
@@ -157,11 +160,7 @@ class Center:
         return self.add(answer.leveled.sweep, answer.estimate, answer.objects)
 
     def add(self, sweep: Sweep, estimate: FovEstimate, objects: SeenObjects) -> Round | None:
-        """Return the last round that a report ended, if it did; a pose is as certain as its sweep states.
-
-        Raises:
-            ValueError: the sweep has no time or no pose.
-        """
+        """Return the last round that a report ended, if it did; a pose is as certain as its sweep states."""
         from viewshed.agents.registration import PoseStd
         from viewshed.agents.report import AgentReport
         from viewshed.cli.fuse import line_of
@@ -190,13 +189,47 @@ def objects_line(objects: SeenObjects) -> str:
     return counts + (f", {suspicious} suspicious" if suspicious else "")
 
 
+def run_recorded(
+    running: PipelineOptions,
+    chosen: PipelineSettings,
+    sweeps: Iterable[Awaited],
+    following: Following,
+    failures: Failures,
+    *,
+    to: Path | None,
+    schemas: str,
+    inputs: Sequence[Path],
+    is_live: bool,
+) -> None:
+    """Answer sweeps, write what came of them to a bag if one is named, and end the command with its exit code.
+
+    Live, a sweep that comes too late is dropped; else each is answered, and equal sweeps give equal bytes.
+    """
+    from viewshed.pipeline import Pipeline
+
+    estimator = NetworkOptions().estimator(chosen.method, parse_grid(chosen.grid), running.target)
+    buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, running.monitor_file)
+    with recorders(to, schemas, inputs) as records:
+        adversary = following.adversary()
+        listener = Listener(records, failures, is_live=is_live, following=following, adversary=adversary)
+        pipeline = Pipeline(
+            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
+            rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only,
+            lossless=not is_live, stale_after_s=math.inf,
+        )  # fmt: skip
+        count = run(pipeline, listener, sweeps, adversary)
+        if to is not None and not count:
+            raise ValueError(f"no sweep could be read, {to} was not written")
+    if to is not None:
+        files = [to] if to.is_file() else sorted(to.iterdir())
+        typer.echo(f"{to}: {sum(file.stat().st_size for file in files) / 1e6:.2f} MB")
+    if failures.count:
+        raise typer.Exit(2)
+
+
 @contextmanager
 def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator[list[Record]]:
-    """Open the bag to write, if any.
-
-    Raises:
-        ValueError: it would replace an input, or its name is that of no bag.
-    """
+    """Open the bag to write, if any."""
     if to is None:
         if schemas != "ros":
             raise ValueError("--schemas goes with --to")
@@ -207,12 +240,6 @@ def recorders(to: Path | None, schemas: str, inputs: Sequence[Path]) -> Iterator
     refuse_inputs([to], inputs)
     with open_recorder(to, schemas) as record:
         yield [record]
-
-
-def written_line(place: Path) -> str:
-    """Return what was written, and how much it is."""
-    files = [place] if place.is_file() else sorted(place.iterdir())
-    return f"{place}: {sum(file.stat().st_size for file in files) / 1e6:.2f} MB"
 
 
 def repeated(read: Callable[[], Iterable[Named]], *, loop: bool) -> Iterator[Named]:

@@ -52,11 +52,7 @@ _NO_HISTORY = (
 
 
 def poses_of(reading: Reading, jobs: list[Job]) -> PoseFile | None:
-    """Return the poses that an option names, and say what was assumed of them.
-
-    Raises:
-        ValueError: the file is wrong, or has not one pose for each file that is read.
-    """
+    """Return the poses that an option names, and say what was assumed of them."""
     if reading.poses is None:
         return None
     from viewshed.recordings.read.pose_files import PoseFile
@@ -127,11 +123,7 @@ def _named(sweeps: Iterator[Sweep], name: str, taken: set[str]) -> Iterator[tupl
 
 
 def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
-    """Return what keeps this number of earlier sweeps for an estimator, or None for none.
-
-    Raises:
-        ValueError: the estimator uses no history.
-    """
+    """Return what keeps this number of earlier sweeps for an estimator, or None for none."""
     from viewshed.estimators.temporal import SweepBuffer
 
     if sweeps and not estimator.uses_history:

@@ -14,12 +14,7 @@ if TYPE_CHECKING:
 
 
 def stream_monitor(file: Path | None) -> StreamMonitor:
-    """Return what watches a stream: the calibration in a file of ``viewshed monitor calibrate``, or the shipped one.
-
-    Raises:
-        ValueError: the file is no such monitor.
-        OSError: it cannot be read.
-    """
+    """Return what watches a stream: the calibration in a file of ``viewshed monitor calibrate``, or the shipped one."""
     from viewshed.monitor import StreamMonitor, load_calibration
     from viewshed.monitor.stream_monitor import PER_HOUR
 

@@ -33,16 +33,13 @@ from viewshed.cli._outputs import (
     refuse_inputs,
 )
 from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import Method
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._verdicts import watching
 
 Files = Annotated[
     list[Path] | None,
     typer.Argument(metavar="FILE...", help="Sweeps in any known format, folders of them, patterns, or recordings."),
-]
-
-Method = Annotated[
-    str | None, typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …")
 ]
 
 Threshold = Annotated[

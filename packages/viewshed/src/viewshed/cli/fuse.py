@@ -14,9 +14,10 @@ from viewshed.cli import _options as options
 from viewshed.cli._options import AS_THEY_ARE, Reading
 from viewshed.cli._outputs import Failures, Named, make_folder, output_names, parse_results
 from viewshed.cli._places import chosen_files
+from viewshed.cli._profile import Method
 from viewshed.cli._stream import named_sweeps
 from viewshed.cli._terminal import note
-from viewshed.cli.estimate import Files, Method
+from viewshed.cli.estimate import Files
 
 if TYPE_CHECKING:
     from viewshed.agents.registration import PoseStd
@@ -120,11 +121,7 @@ def _with_times(stream: Iterator[Named], number: int, failures: Failures) -> Ite
 
 
 def parse_pose_std(words: str | None) -> PoseStd | None:
-    """Return the standard deviations in METERS,DEGREES; None where they are not given.
-
-    Raises:
-        ValueError: these are not two numbers that can be.
-    """
+    """Return the standard deviations in METERS,DEGREES; None where they are not given."""
     from math import radians
 
     from viewshed.agents.registration import PoseStd

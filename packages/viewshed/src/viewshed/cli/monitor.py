@@ -424,11 +424,7 @@ class _DeviationRun:
 
 
 def estimator_of(monitor: DeviationMonitor, weights: str | None) -> UnetEstimator:
-    """Return the network that a monitor was fitted on.
-
-    Raises:
-        ValueError: the monitor does not name it, or the weights are others.
-    """
+    """Return the network that a monitor was fitted on."""
     from viewshed.estimators.unet import load_network
 
     if not {"network", "target", "passes", "seed"} <= set(monitor.facts):

@@ -10,24 +10,12 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from viewshed._extras import plugin
-from viewshed.cli import _options as options
-from viewshed.cli._options import (
-    AS_THEY_ARE,
-    NOT_FOLLOWED,
-    Following,
-    HistorySweeps,
-    MonitorFile,
-    NetworkOptions,
-    Reading,
-    WithMonitor,
-)
+from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Reading
 from viewshed.cli._outputs import Failures, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import CertifiedOnly, CertifyOnAlarm, PipelineSettings, ProfileName, settings
-from viewshed.cli._record import Awaited, Listener, SchemaNames, recorders, run, written_line
-from viewshed.cli._stream import history_buffer, named_sweeps
-from viewshed.cli._verdicts import watching
-from viewshed.cli.estimate import Method
+from viewshed.cli._profile import AS_USUAL, PipelineOptions, PipelineSettings
+from viewshed.cli._record import Awaited, SchemaNames, run_recorded
+from viewshed.cli._stream import named_sweeps
 from viewshed.cli.replay import USUAL_PERIOD_S
 
 if TYPE_CHECKING:
@@ -45,16 +33,8 @@ def record(
     ],
     to: Annotated[Path, typer.Option("--to", help="Bag to write: NAME.mcap, NAME.bag (ROS 1), or a folder (ROS 2).")],
     schemas: SchemaNames = "ros",
-    profile: ProfileName = None,
-    method: Method = None,
-    grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,
-    target: options.TargetName = "car",
-    history: HistorySweeps = 0,
-    monitor: WithMonitor = False,
-    monitor_file: MonitorFile = None,
-    certify: CertifyOnAlarm = None,
-    certified_only: CertifiedOnly = False,
+    running: PipelineOptions = AS_USUAL,
     following: Following = NOT_FOLLOWED,
     sweeps: Annotated[int | None, typer.Option("--sweeps", min=1, help="End after this number of sweeps.")] = None,
     preset: Annotated[
@@ -77,35 +57,19 @@ def record(
 
     Example: viewshed record sim --world junction --agents 3 --seconds 5 --to drive.mcap
     """
-    from viewshed.pipeline import Pipeline
-
     is_simulated = [str(file) for file in files] == [SIMULATED]
     if is_simulated and reading != AS_THEY_ARE:
         raise ValueError("sim reads no file: leave out --topic, --poses and all that says how files are read")
-    chosen = settings(
-        ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=certify,
-        certified_only=certified_only,
-    )  # fmt: skip
-    estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
-    buffer, watch = history_buffer(estimator, chosen.history), watching(chosen.monitor, monitor_file)
-    failures = Failures()
+    chosen, failures = running.settings(ctx), Failures()
     if is_simulated:
         stream = _simulated(preset, seconds, hz, agents, world, seed)
     else:
-        stream = _read(reading, files, chosen, failures, history)
-    with recorders(to, schemas, [] if is_simulated else files) as records:
-        adversary = following.adversary()
-        listener = Listener(records, failures, is_live=False, following=following, adversary=adversary)
-        pipeline = Pipeline(
-            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
-            rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only, lossless=True,
-        )  # fmt: skip
-        count = run(pipeline, listener, _timed(islice(stream, sweeps)), adversary)
-        if not count:
-            raise ValueError(f"no sweep could be read, {to} was not written")
-    typer.echo(written_line(to))
-    if failures.count:
-        raise typer.Exit(2)
+        stream = _read(reading, files, chosen, failures, running.history)
+    inputs = [] if is_simulated else files
+    run_recorded(
+        running, chosen, _timed(islice(stream, sweeps)), following, failures, to=to, schemas=schemas, inputs=inputs,
+        is_live=False,
+    )  # fmt: skip
 
 
 def _timed(stream: Iterable[tuple[Sweep, DriveTruth | None]]) -> Iterator[Awaited]:

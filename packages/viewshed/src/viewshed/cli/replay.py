@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -10,24 +9,13 @@ from typing import Annotated
 
 import typer
 
-from viewshed.cli import _options as options
-from viewshed.cli._options import (
-    AS_THEY_ARE,
-    NOT_FOLLOWED,
-    Following,
-    HistorySweeps,
-    MonitorFile,
-    NetworkOptions,
-    Reading,
-    WithMonitor,
-)
+from viewshed.cli._options import AS_THEY_ARE, NOT_FOLLOWED, Following, Index, Reading
 from viewshed.cli._outputs import Failures, Named, output_names
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import CertifiedOnly, CertifyOnAlarm, ProfileName, settings
-from viewshed.cli._record import Awaited, Listener, SchemaNames, To, recorders, repeated, run, written_line
-from viewshed.cli._stream import history_buffer, named_sweeps
-from viewshed.cli._verdicts import watching
-from viewshed.cli.estimate import Files, Method
+from viewshed.cli._profile import AS_USUAL, PipelineOptions
+from viewshed.cli._record import Awaited, SchemaNames, To, repeated, run_recorded
+from viewshed.cli._stream import named_sweeps
+from viewshed.cli.estimate import Files
 
 USUAL_PERIOD_S = 0.1
 """Between two sweeps whose times are not known or do not rise."""
@@ -71,13 +59,8 @@ def _period_s(last_ns: int | None, now_ns: int | None) -> float:
 def replay(
     ctx: typer.Context,
     files: Files = None,
-    profile: ProfileName = None,
-    method: Method = None,
-    grid: options.GridName = "road",
     reading: Reading = AS_THEY_ARE,
-    index: options.Index = None,
-    target: options.TargetName = "car",
-    history: HistorySweeps = 0,
+    index: Index = None,
     rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Pace: 1 as measured, 2 twice as fast.")] = 1.0,
     as_fast: Annotated[
         bool, typer.Option("--as-fast", help="Do not wait between sweeps; --rate does not count.")
@@ -85,10 +68,7 @@ def replay(
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")] = False,
     to: To = None,
     schemas: SchemaNames = "ros",
-    monitor: WithMonitor = False,
-    monitor_file: MonitorFile = None,
-    certify: CertifyOnAlarm = None,
-    certified_only: CertifiedOnly = False,
+    running: PipelineOptions = AS_USUAL,
     following: Following = NOT_FOLLOWED,
 ) -> None:
     """Estimate the sweeps of a recording as they would come in live.
@@ -99,37 +79,17 @@ def replay(
 
     Example: viewshed replay drive.mcap --rate 2
     """
-    from viewshed.pipeline import Pipeline
-
-    chosen = settings(
-        ctx, profile, method=method, grid=grid, history=history, monitor=monitor, certify=certify,
-        certified_only=certified_only,
-    )  # fmt: skip
-    estimator = NetworkOptions().estimator(chosen.method, options.parse_grid(chosen.grid), target)
-    buffer = history_buffer(estimator, chosen.history)
-    watch = watching(chosen.monitor, monitor_file)
-    failures = Failures()
+    chosen, failures = running.settings(ctx), Failures()
     jobs = list(chosen_files(files or [], index))
-    names = output_names([file for file, _ in jobs])
+    places = [file for file, _ in jobs]
+    names = output_names(places)
 
     def read() -> Iterator[Named]:
-        return named_sweeps(reading, jobs, names, failures, history=history)
+        return named_sweeps(reading, jobs, names, failures, history=running.history)
 
     pace = Pacer(0.0 if as_fast else rate)
-    with recorders(to, schemas, [file for file, _ in jobs]) as records:
-        adversary = following.adversary()
-        listener = Listener(records, failures, is_live=not as_fast, following=following, adversary=adversary)
-        pipeline = Pipeline(
-            estimator, listener, history=buffer, monitor=watch, objects=following.object_stream(adversary),
-            rules=chosen.rules, certify=chosen.certify, certified_only=chosen.certified_only,
-            lossless=as_fast, stale_after_s=math.inf,
-        )  # fmt: skip
-        taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
-        awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)
-        count = run(pipeline, listener, awaited, adversary)
-        if to is not None and not count:
-            raise ValueError(f"no sweep could be read, {to} was not written")
-    if to is not None:
-        typer.echo(written_line(to))
-    if failures.count:
-        raise typer.Exit(2)
+    taken = pace.kept(chosen.at_rate(repeated(read, loop=loop)))
+    awaited = (Awaited(each.sweep.agent, pace.time_s, each.sweep) for each in taken)
+    run_recorded(
+        running, chosen, awaited, following, failures, to=to, schemas=schemas, inputs=places, is_live=not as_fast
+    )

@@ -30,12 +30,12 @@ from viewshed.cli._options import (
 )
 from viewshed.cli._outputs import Failures, Named, output_names, refuse_inputs, report_doubts, summary_line, warm_up
 from viewshed.cli._places import chosen_files
-from viewshed.cli._profile import PipelineSettings, ProfileName, settings
+from viewshed.cli._profile import Method, PipelineSettings, ProfileName, settings
 from viewshed.cli._record import Awaited, Center, Listener, note_unmet, objects_line, repeated, run
 from viewshed.cli._stream import history_buffer, named_sweeps
 from viewshed.cli._terminal import BAD_INPUTS, complain, one_line
 from viewshed.cli._verdicts import stream_monitor, stream_verdicts, verdicts, watching
-from viewshed.cli.estimate import Files, Method
+from viewshed.cli.estimate import Files
 from viewshed.cli.monitor import estimator_of
 from viewshed.cli.replay import Pacer
 

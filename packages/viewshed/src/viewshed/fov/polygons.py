@@ -15,10 +15,7 @@ from shapely import GeometryType, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from viewshed import _core
-from viewshed.arrays import Mask
-from viewshed.fov._mask_regions import label_regions, squared_depth
-from viewshed.fov._sector_polygons import best_sectors
-from viewshed.fov._star_polygons import free_ranges, star_vertices
+from viewshed.arrays import F64, Mask
 from viewshed.geometry import FloatArray
 from viewshed.grid import BevGrid
 
@@ -66,7 +63,7 @@ def polygon_of_mask(mask: Mask, grid: BevGrid) -> MultiPolygon:
     array = checked_mask(mask, grid)
     if not array.any():
         return MultiPolygon()
-    vertices, starts, ring_labels = _core.rings_of_mask(array, label_regions(array))
+    vertices, starts, ring_labels = _core.rings_of_mask(array, _core.label_regions(array, False))
     vertices, rings, owners = _grouped(vertices, starts, ring_labels)
     coords = np.asarray(grid.origin_m) + vertices * grid.cell_m
     return MultiPolygon(
@@ -107,23 +104,6 @@ def _rings_in_cells(polygon: BaseGeometry, grid: BevGrid) -> tuple[NDArray[np.fl
     return (shapely.get_coordinates(rings) - grid.origin_m) / grid.cell_m, begin
 
 
-def claims_only(polygon: BaseGeometry, mask: Mask, grid: BevGrid) -> bool:
-    """Return whether a polygon (meters) lies on the grid and covers no part of a cell that is false in ``mask``.
-
-    >>> claims_only(shapely.box(0, 0, 1, 1), np.array([[False, False], [False, True]]), BevGrid(2, 1.0))
-    False
-    >>> claims_only(shapely.box(0.1, 0.1, 0.9, 0.9), np.array([[False, False], [False, True]]), BevGrid(2, 1.0))
-    True
-    """
-    if polygon.is_empty:
-        return True
-    corner = np.asarray(grid.origin_m)
-    if not shapely.box(*corner, *(corner + 2 * grid.half_extent_m)).covers(polygon):
-        return False
-    claimed = mask_of_polygon(polygon, grid) | _core.cells_met(*_rings_in_cells(polygon, grid), grid.cells)
-    return not bool((claimed & ~checked_mask(mask, grid)).any())
-
-
 def vertices_of(polygon: BaseGeometry) -> int:
     """Return the number of vertices of all rings; the one that closes a ring is not counted twice.
 
@@ -162,6 +142,30 @@ def inner_polygon_of_mask(mask: Mask, grid: BevGrid, max_vertices: int) -> Multi
         high = price
         best = max(best, found, key=lambda shape: shape.area)
     return best
+
+
+def free_ranges(
+    mask: Mask,
+    grid: BevGrid,
+    apex_m: tuple[float, float],
+    bins: int,
+    *,
+    margin_m: float = 0.0,
+    whole_cells: bool = True,
+) -> F64:
+    """Return (bins,) meters: how far each wedge reaches from ``apex_m`` without leaving the true cells of ``mask``.
+
+    With ``whole_cells`` no part of another cell is covered, and all stay ``margin_m`` away from it; without, no
+    other cell's center is, nor anything off the grid. 0 where the apex itself is not inside. ``bins`` must be a
+    multiple of 4.
+    """
+    if bins % 4 or bins <= 0:
+        raise ValueError(f"bins must be a positive multiple of 4, got {bins}")
+    lattice = (*grid.origin_m, grid.cell_m, *apex_m)
+    if whole_cells:
+        return _core.free_ranges(mask, *lattice, 0.5 * grid.cell_m + margin_m, bins, True)
+    edge = _core.free_ranges(np.ones_like(mask), *lattice, 0.5 * grid.cell_m + margin_m, bins, True)
+    return np.minimum(edge, _core.free_ranges(mask, *lattice, max(margin_m, 1e-6), bins, False))
 
 
 def star_ring(mask: Mask, grid: BevGrid, bins: int = 360) -> NDArray[np.float64]:
@@ -231,7 +235,7 @@ def _star_about(
 ) -> BaseGeometry:
     bins = min(BINS, 48 + 3 * grid.cells // 16 * 16)
     bins = bins if hole is not None else bins // 4
-    vertices = star_vertices(free_ranges(mask, grid, apex_m, bins), price_m2)
+    vertices = _core.star_vertices(free_ranges(mask, grid, apex_m, bins), price_m2)
     if len(vertices) < 3:
         return MultiPolygon()
     angle, radius = vertices.T
@@ -241,7 +245,7 @@ def _star_about(
 
 def deepest_point(mask: Mask, grid: BevGrid) -> NDArray[np.float64]:
     """Return (2,) meters: the center of the true cell of ``mask`` that lies farthest from any other."""
-    deepest = np.unravel_index(int(np.argmax(squared_depth(mask))), mask.shape)
+    deepest = np.unravel_index(int(np.argmax(_core.squared_depth(np.ascontiguousarray(mask)))), mask.shape)
     center: NDArray[np.float64] = grid.centers[deepest]
     return center
 
@@ -263,7 +267,8 @@ def blind_spot(mask: Mask, grid: BevGrid) -> Mask | None:
     cells, inside = grid.index(nudges)
     if not inside.all():
         return None
-    labels = label_regions(np.pad(~mask, 1, constant_values=True), diagonal=True)
+    # Cells of the hole connect across corners as well; the border stands for what lies around the grid.
+    labels = _core.label_regions(np.pad(~mask, 1, constant_values=True), True)
     around = labels[1:-1, 1:-1]
     own = np.unique(around[cells[:, 0], cells[:, 1]])
     if labels[0, 0] in own:
@@ -333,6 +338,6 @@ def sectors_of_mask(
     ranges = free_ranges(array, grid, apex_m, bins, whole_cells=whole_cells)
     if range_step_m > 0.0:
         ranges = np.floor(ranges / range_step_m + 1e-9) * range_step_m * (1 - 1e-12)
-    first, end, reach = best_sectors(ranges, sectors, inner)
+    first, end, reach = _core.best_sectors(ranges, sectors, inner)
     step = np.float64(2 * np.pi / bins)
     return Sectors(apex_m, np.asarray(first * step), np.asarray(end * step), reach, inner)

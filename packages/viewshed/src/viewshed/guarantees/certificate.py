@@ -96,7 +96,7 @@ def certify(
     """
     given = Given.of(leveled) if given is None else given
     envelope = Envelope.of(leveled, given, estimate.grid, estimate.target)
-    claim = estimate.visible() & envelope.claim()
+    claim = estimate.visible() & envelope.claim
     over_m2, changes = envelope.changeable(threat, claim, opens=False)
     certified = claim & ~changes
     if given.inferred and not trust_inferred:

@@ -15,7 +15,7 @@ independent. The Clopper-Pearson bound of their share that is visible holds for 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -102,8 +102,8 @@ class Calibration:
         sensor: beam table, or what the scenes have in common.
         target: name of the target.
         method: name of the estimator.
-        stds_m: (steps,) largest standard deviation of the ground below a claim, the strictest mask first.
-        path: (steps, bands) thresholds.
+        stds: (steps,) numbers in GROUND_STDS_M of the path's masks, the strictest first.
+        levels: (steps, bands) numbers in THRESHOLDS.
         shares: (steps, scenes) false share of the claim in each test scene.
         seen: (bands, PLACE_EDGES, 2) cells drawn in each bin, and how many of them were visible.
     """
@@ -111,8 +111,8 @@ class Calibration:
     sensor: str
     target: str
     method: str
-    stds_m: F32
-    path: F32
+    stds: NDArray[np.intp]
+    levels: NDArray[np.intp]
     shares: F32
     seen: NDArray[np.int64]
 
@@ -128,10 +128,8 @@ class Calibration:
         """
         if len(scenes) < 2 * LEAST_SCENES:
             raise ValueError(f"scenes must be {2 * LEAST_SCENES} or more, got {len(scenes)}; simulate or label more")
-        learn, test = scenes[: len(scenes) // 2], scenes[len(scenes) // 2 :]
-        stds, levels = _path(learn)
-        shares = _shares(test, stds, levels)
-        return cls(sensor, target, method, GROUND_STDS_M[stds], THRESHOLDS[levels], shares, _seen(test))
+        half = len(scenes) // 2
+        return _tested(sensor, target, method, *_path(scenes[:half]), scenes[half:])
 
     def retested(self, scenes: Sequence[SceneCounts], sensor: str) -> Calibration:
         """Return the same path, tested on scenes of another domain: labelled ones, or such with cross-view labels.
@@ -143,9 +141,7 @@ class Calibration:
         """
         if len(scenes) < LEAST_SCENES:
             raise ValueError(f"recalibration needs {LEAST_SCENES} scenes or more, got {len(scenes)}; label more sweeps")
-        stds, levels = np.searchsorted(GROUND_STDS_M, self.stds_m), np.searchsorted(THRESHOLDS, self.path)
-        shares = _shares(scenes, stds, levels)
-        return Calibration(sensor, self.target, self.method, self.stds_m, self.path, shares, _seen(scenes))
+        return _tested(sensor, self.target, self.method, self.stds, self.levels, scenes)
 
     def step(self, alpha: float, delta: float, confidence: float = 0.9) -> int:
         """Return the step of the path that the tests allow, -1 where they allow none.
@@ -160,13 +156,8 @@ class Calibration:
         refused = [binomial_tail(int(count), scenes, delta) > 1.0 - confidence for count in broken]
         return int(np.argmax([*refused, True])) - 1
 
-    def mask(
-        self,
-        estimate: FovEstimate,
-        ground: HeightMap,
-        alpha: float = 0.05,
-        delta: float = 0.1,
-        confidence: float = 0.9,
+    def guaranteed(
+        self, estimate: FovEstimate, ground: HeightMap, alpha: float = 0.05, delta: float = 0.1, confidence: float = 0.9
     ) -> Mask:
         """Return the cells (cells, cells) whose false share is at most α in a share 1 - δ of scenes.
 
@@ -188,12 +179,11 @@ class Calibration:
                 f"nothing is guaranteed at alpha {alpha:g}, delta {delta:g} by {self.shares.shape[1]} scenes;"
                 " choose a larger one, or calibrate on more scenes"
             )
-        claim: Mask = estimate.visible_prob >= self.path[step][band_of_cells(estimate.grid)]
-        if np.isfinite(self.stds_m[step]):
-            claim &= ground_std(ground, estimate.grid) <= self.stds_m[step]
-        return claim
+        claim: Mask = estimate.visible_prob >= THRESHOLDS[self.levels[step]][band_of_cells(estimate.grid)]
+        std_m = GROUND_STDS_M[self.stds[step]]
+        return claim if np.isinf(std_m) else claim & (ground_std(ground, estimate.grid) <= std_m)
 
-    def at(self, estimate: FovEstimate, xy: FloatArray, confidence: float = 0.95) -> F64:
+    def guaranteed_at(self, estimate: FovEstimate, xy: FloatArray, confidence: float = 0.95) -> F64:
         """Return the lower bound (…,) of the probability that a target at points (…, 2+) of ``level`` is visible.
 
         0 where nothing is claimed, NaN outside the grid.
@@ -202,10 +192,10 @@ class Calibration:
         cells, inside = estimate.grid.index(xy)
         i, j = cells[..., 0], cells[..., 1]
         bins = np.searchsorted(PLACE_EDGES, estimate.visible_prob[i, j], side="right") - 1
-        bound = np.zeros((self.seen.shape[0], len(PLACE_EDGES) + 1))
+        bound = np.zeros((len(self.seen), len(PLACE_EDGES) + 1))  # the last one, of -1: below all bins
         for band, number in np.ndindex(self.seen.shape[:2]):
-            count, visible = self.seen[band, number]
-            bound[band, number] = lower_bound(int(visible), int(count), confidence)
+            count, visible = self.seen[band, number].tolist()
+            bound[band, number] = lower_bound(visible, count, confidence)
         found: F64 = np.where(inside, bound[band_of_cells(estimate.grid)[i, j], bins], np.nan)
         return found
 
@@ -218,22 +208,21 @@ class Calibration:
 
     def to_json(self) -> dict[str, Any]:
         """Return the calibration as plain values."""
-        return {
-            "sensor": self.sensor, "target": self.target, "method": self.method,
-            "stds": np.searchsorted(GROUND_STDS_M, self.stds_m).tolist(),
-            "levels": np.searchsorted(THRESHOLDS, self.path).tolist(),
-            "shares": [[round(float(share), 4) for share in step] for step in self.shares],
+        shares = [[round(float(share), 4) for share in step] for step in self.shares]
+        arrays = {
+            "stds": self.stds.tolist(),
+            "levels": self.levels.tolist(),
+            "shares": shares,
             "seen": self.seen.tolist(),
-        }  # fmt: skip
+        }
+        return {"sensor": self.sensor, "target": self.target, "method": self.method, **arrays}
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Calibration:
         """Return the calibration in plain values."""
-        stds, levels, shares, seen = (np.array(table[key]) for key in ("stds", "levels", "shares", "seen"))
-        return cls(
-            table["sensor"], table["target"], table["method"], GROUND_STDS_M[stds], THRESHOLDS[levels],
-            shares.astype(np.float32), seen,
-        )  # fmt: skip
+        arrays = {name: np.array(table[name]) for name in ("stds", "levels", "seen")}
+        shares = np.array(table["shares"], np.float32)
+        return cls(table["sensor"], table["target"], table["method"], shares=shares, **arrays)
 
 
 @lru_cache(maxsize=1)
@@ -314,14 +303,18 @@ def _path(scenes: Sequence[SceneCounts]) -> tuple[NDArray[np.intp], NDArray[np.i
     return stds, np.concatenate([np.full((len(sure), levels.shape[1]), _SURE), levels])
 
 
-def _shares(scenes: Iterable[SceneCounts], stds: NDArray[np.intp], levels: NDArray[np.intp]) -> F32:
-    """Return the false share (steps, scenes) of the claim of each mask of a path; 0 where nothing is claimed."""
+def _tested(
+    sensor: str,
+    target: str,
+    method: str,
+    stds: NDArray[np.intp],
+    levels: NDArray[np.intp],
+    scenes: Sequence[SceneCounts],
+) -> Calibration:
+    """Return the calibration of a path of masks on scenes that did not choose it; no claim has no false share."""
     at = stds[:, None], np.arange(levels.shape[1]), levels
     right, false = (np.array([getattr(scene, name)[at].sum(axis=1) for scene in scenes]) for name in ("right", "false"))
-    shares: F32 = (false / np.maximum(right + false, 1)).T.astype(np.float32)
-    return shares
-
-
-def _seen(scenes: Iterable[SceneCounts]) -> NDArray[np.int64]:
+    shares = (false / np.maximum(right + false, 1)).T.astype(np.float32)
     drawn = np.array([scene.drawn for scene in scenes])
-    return np.stack([(drawn >= 0).sum(axis=0), (drawn == 1).sum(axis=0)], axis=-1)
+    seen = np.stack([(drawn >= 0).sum(axis=0), (drawn == 1).sum(axis=0)], axis=-1)
+    return Calibration(sensor, target, method, stds, levels, shares, seen)

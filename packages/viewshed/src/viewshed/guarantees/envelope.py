@@ -30,12 +30,16 @@ from viewshed.fov.visibility import Target
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep
 from viewshed.sensors import LidarModel
+from viewshed.sweep import Sweep
 
 LEVEL_TILT = np.deg2rad(6.0)
 """Up to this tilt the core takes a sweep without attitude for level (level_sweep.cpp)."""
 
 MOST_TILT = np.deg2rad(15.0)
 """Beams of a sensor tilted further are not those that its table spreads over the ground."""
+
+MOST_STEEP = np.deg2rad(89.9)
+"""Beams that a tilted sensor sends up beyond the vertical go as if below it: over any target."""
 
 SECTORS = 128
 """Sectors of azimuth in which the slopes of a tilted sensor's rings are computed."""
@@ -51,7 +55,6 @@ LEVEL_M = 5.0
 
 PLANE_M = 20.0
 """Up to here the ground that carries the sensor is its plane; beyond, its height stays."""
-
 
 MOST_BEAMS = 10_000_000
 """More beams than any sensor fires in a sweep."""
@@ -129,7 +132,8 @@ class Given:
         inferred: what of these came from this sweep's own returns, which an attacker may own; empty where nothing did.
 
     Raises:
-        ValueError: the sensor fires no rings, is tilted by more than 15°, or a number is out of range.
+        ValueError: the sensor does not fire every ring in every column, is tilted by more than 15°, or a number is out
+            of range.
     """
 
     model: LidarModel
@@ -140,10 +144,10 @@ class Given:
     inferred: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.model.fires_rings:
+        if not self.model.fires_rings or self.model.shots is not None:
             raise ValueError(
-                f"a certificate needs a sensor that fires rings, got {self.model.name}: where its beams go in"
-                " a sweep is not known beforehand"
+                f"a certificate needs a sensor that fires every ring in every column, got {self.model.name}: where its"
+                " beams go in a sweep is not known beforehand"
             )
         if self.tilt > MOST_TILT:
             raise ValueError(
@@ -196,7 +200,8 @@ class Given:
         normal = self.rotation[:, 2]
         level, up = normal[0] * np.cos(azimuth) + normal[1] * np.sin(azimuth), normal[2]
         angle = np.sin(self.model.elevation) / np.hypot(level, up)[:, None]
-        slope = np.tan(np.arcsin(np.clip(angle, -1.0, 1.0)) - np.arctan2(level, up)[:, None])
+        elevation = np.arcsin(np.clip(angle, -1.0, 1.0)) - np.arctan2(level, up)[:, None]
+        slope = np.tan(np.clip(elevation, -MOST_STEEP, MOST_STEEP))
         return np.ascontiguousarray(slope, np.float32)
 
     def heights(self, grid: BevGrid) -> F32:
@@ -205,9 +210,11 @@ class Given:
             return self.ground.at(grid.centers)
         if self.tilt > LEVEL_TILT:
             return np.zeros(grid.shape, np.float32)
-        (x, y), normal = _on_plane(grid), self.rotation[:, 2]
-        height: F32 = (x * (-normal[0] / normal[2]) + y * (-normal[1] / normal[2])).astype(np.float32)
-        return height
+        # The plane normal to the sensor's axis, up to PLANE_M; beyond, as high as there.
+        share = PLANE_M / np.maximum(polar_of_cells(grid)[0], np.float32(PLANE_M))
+        x_slope, y_slope = -self.rotation[:2, 2] / self.rotation[2, 2]
+        height_m = np.add.outer(grid.centers[:, 0, 0] * x_slope, grid.centers[0, :, 1] * y_slope) * share
+        return height_m.astype(np.float32)
 
     def sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
         """Return the beams that are sent through a target in each cell; kept while what is given stays."""
@@ -218,20 +225,21 @@ class Given:
         )
 
     def _sent(self, grid: BevGrid, target: Target) -> _core.SentBeams:
-        height, spread = self.heights(grid), _spread(grid, self.grade)
+        height = self.heights(grid)
+        spread = np.float32(self.grade) * np.maximum(polar_of_cells(grid)[0] - np.float32(LEVEL_M), np.float32(0.0))
         start_m = self.height_m + self.rotation[2, 2] * self.model.origin_m
         return _core.SentBeams(
             _columns(grid, target.width_m, self.model), height - spread + np.float32(FOOT_M),
             height + spread + np.float32(target.height_m), self.slopes(), start_m.astype(np.float32),
         )  # fmt: skip
 
-    def nearest_returns(self, leveled: LeveledSweep) -> F32:
+    def nearest_returns(self, sweep: Sweep) -> F32:
         """Return the horizontal range (rings, 2 · columns) of the nearest return of each beam; +inf for none.
 
         A beam is a ring in a column of azimuth; the circle stands twice. All returns of the sweep count, as it
         was measured, but null returns.
         """
-        sweep, model = leveled.sweep, self.model
+        model = self.model
         ring = sweep.ring if sweep.model is not None else None
         return _core.nearest_returns(
             sweep.points, ring, self.rotation.astype(np.float32), np.tan(model.elevation).astype(np.float32),
@@ -250,43 +258,17 @@ def _sent(
 
 
 @lru_cache(maxsize=4)
-def _on_plane(grid: BevGrid) -> tuple[F64, F64]:
-    """Return x and y (cells, cells) of the place on the plane whose height a cell has: itself, or PLANE_M away."""
-    share = PLANE_M / np.maximum(polar_of_cells(grid)[0], np.float32(PLANE_M))
-    return grid.centers[..., 0] * share, grid.centers[..., 1] * share
-
-
-@lru_cache(maxsize=4)
-def _spread(grid: BevGrid, grade: float) -> F32:
-    """Return how far (cells, cells) the ground may leave the height that is given."""
-    beyond_m: F32 = np.maximum(polar_of_cells(grid)[0] - np.float32(LEVEL_M), np.float32(0.0))
-    return np.float32(grade) * beyond_m
-
-
-@lru_cache(maxsize=4)
 def _columns(grid: BevGrid, width_m: float, model: LidarModel) -> _core.TargetColumns:
     """Return the columns that fall on a target in each cell; they are the same for every sweep."""
     range_m, azimuth = polar_of_cells(grid)
     return _core.TargetColumns(
-        range_m, azimuth, fired_columns(model), model.rings, model.azimuth_columns, grid.cell_m, width_m,
-        model.max_range_m,
+        range_m, azimuth, model.rings, model.azimuth_columns, grid.cell_m, width_m, model.max_range_m
     )  # fmt: skip
 
 
 # Whoever leaks a reference to this module (an extension of another package) would make nanobind report these as leaked.
 atexit.register(_columns.cache_clear)
 atexit.register(_sent.cache_clear)
-
-
-def fired_columns(model: LidarModel) -> NDArray[np.uint8] | None:
-    """Return which columns (rings, columns) of azimuth a sensor fires, None where all."""
-    if model.shots is None:
-        return None
-    fired = np.zeros((model.rings, model.azimuth_columns), np.uint8)
-    step, ring = np.nonzero(~np.isnan(model.shots[..., 0]))
-    turn = (model.shots[step, ring, 0] + np.pi) / (2 * np.pi) % 1.0
-    fired[ring, (turn * model.azimuth_columns).astype(np.intp) % model.azimuth_columns] = 1
-    return fired
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,7 +281,7 @@ class Envelope:
         sent: the beams that are.
         nearest_m: (rings, 2 · columns) float32, see :meth:`Given.nearest_returns`.
         margins: (cells, cells) int32 beams that are sent through a target in a cell and not blocked before it.
-        closed: (cells, cells) int32 the same where gaps of up to four columns of a ring are closed.
+        claim: (cells, cells) bool where these are enough with gaps of up to four columns of a ring closed.
     """
 
     grid: BevGrid
@@ -307,23 +289,18 @@ class Envelope:
     sent: _core.SentBeams
     nearest_m: F32
     margins: NDArray[np.int32]
-    closed: NDArray[np.int32]
+    claim: Mask
 
     @classmethod
     def of(cls, leveled: LeveledSweep, given: Given, grid: BevGrid, target: Target) -> Envelope:
         """Return the envelope of a sweep."""
-        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled))
+        return cls.within(grid, target, given.sent(grid, target), given.nearest_returns(leveled.sweep))
 
     @classmethod
     def within(cls, grid: BevGrid, target: Target, sent: _core.SentBeams, nearest_m: F32) -> Envelope:
         """Return the envelope of nearest ranges for beams that are sent."""
-        margins, closed = _core.envelope_margins(sent, nearest_m)
-        return cls(grid, target, sent, nearest_m, margins, closed)
-
-    def claim(self) -> Mask:
-        """Return the cells (cells, cells) that the envelope claims."""
-        claim: Mask = self.closed >= self.target.min_returns
-        return claim
+        margins, claim = _core.envelope_margins(sent, nearest_m, target.min_returns)
+        return cls(grid, target, sent, nearest_m, margins, claim)
 
     def open(self, spare: int = 0) -> Mask:
         """Return the cells (cells, cells) with ``spare`` more unblocked beams than the target needs, gaps left open."""
@@ -335,7 +312,7 @@ class Envelope:
 
         Added points leave the claim of the envelope alone; other attacks may also open gaps.
         """
-        return self.claim() if threat.kind == "added" else self.open()
+        return self.claim if threat.kind == "added" else self.open()
 
     def changeable(self, threat: Threat, among: Mask, *, opens: bool) -> tuple[float, Mask]:
         """Return the area in m² that an attack can change at most, and which cells (cells, cells) it may change.

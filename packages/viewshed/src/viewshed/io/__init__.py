@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from viewshed._files import write_atomic
 from viewshed.geometry import Rigid
 from viewshed.io._columns import FILE_FRAMES, Columns, Given, file_frame_named, sweep_of
-from viewshed.io._input import InputFile, open_input
+from viewshed.io._input import open_input
 from viewshed.io.formats import FORMATS, Format, all_formats, format_named, format_of
 from viewshed.io.index import IndexEntry, read_index
 from viewshed.sensors import LidarModel, lidar_model
@@ -53,9 +53,10 @@ def read_sweep(
         ValueError: the file is not a sweep, or an argument is wrong.
         ImportError: the format needs an extra that is not installed.
     """
-    given = _given(sensor, file_frame, sensor_height_m, attitude, world_from_sensor)
-    with open_input(path) as source:
-        return next(_sweeps(source, format, given))
+    return next(read_sweeps(
+        path, format=format, sensor=sensor, file_frame=file_frame, sensor_height_m=sensor_height_m, attitude=attitude,
+        world_from_sensor=world_from_sensor,
+    ))  # fmt: skip
 
 
 def read_sweeps(
@@ -69,32 +70,17 @@ def read_sweeps(
     world_from_sensor: Rigid | None = None,
 ) -> Iterator[Sweep]:
     """Yield every complete sweep in a file; arguments and errors are those of :func:`read_sweep`."""
-    given = _given(sensor, file_frame, sensor_height_m, attitude, world_from_sensor)
-    with open_input(path) as source:
-        yield from _sweeps(source, format, given)
-
-
-def _given(
-    sensor: str | LidarModel | None,
-    file_frame: str | Rigid | None,
-    sensor_height_m: float | None,
-    attitude: ArrayLike | None,
-    world_from_sensor: Rigid | None,
-) -> Given:
-    return Given(
+    given = Given(
         lidar_model(sensor) if isinstance(sensor, str) else sensor,
         None if file_frame is None else file_frame_named(file_frame),
         sensor_height_m, attitude, world_from_sensor,
     )  # fmt: skip
-
-
-def _sweeps(source: InputFile, name: str, given: Given) -> Iterator[Sweep]:
-    if name == "auto":
-        name = format_of(source)
-    elif name not in all_formats():
-        raise ValueError(f"format must be auto or one of {', '.join(all_formats())}, got {name!r}")
-    for columns in all_formats()[name].read(source, given.frame):
-        yield sweep_of(columns, source, given)
+    with open_input(path) as source:
+        name = format_of(source) if format == "auto" else format
+        if name not in all_formats():
+            raise ValueError(f"format must be auto or one of {', '.join(all_formats())}, got {name!r}")
+        for columns in all_formats()[name].read(source, given.frame):
+            yield sweep_of(columns, source, given)
 
 
 def read_indexed(entry: IndexEntry) -> Sweep:

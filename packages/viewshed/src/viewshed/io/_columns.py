@@ -66,33 +66,20 @@ IDENTITY = FILE_FRAMES["sensor"]
 
 @dataclass(slots=True, eq=False)
 class Columns:
-    """Columns of one revolution (not frozen, which costs as much as opening a file).
+    """Columns of one revolution (not frozen, which costs as much as opening a file)."""
 
-    Attributes:
-        points: (N, 3) float32, meters, writable, in ``frame``.
-        intensity: (N,) float32, or None.
-        ring: (N,) beam index, 0 the lowest, or None.
-        laser: (N,) beam number in the file's own order, turned into ``ring`` by elevation, or None.
-        azimuth: (N,) float32 radians, counter-clockwise from x of ``frame``, or None.
-        time_s: (N,) float32 seconds since the start of the sweep, or None.
-        t_ns: time of the sweep in nanoseconds, or None.
-        model: beams as the file describes them, or None.
-        frame: what is still to be done: ``sensor_from_columns``.
-        saved: the other attributes of a Sweep that this package wrote, or None.
-        left_out: what was in the file and cannot be what its name says, one line each.
-    """
-
-    points: NDArray[np.float32]
-    intensity: NDArray[np.float32] | None = None
-    ring: NDArray[Any] | None = None
+    points: NDArray[np.float32]  # (N, 3) float32, meters, writable, in ``frame``
+    intensity: NDArray[np.float32] | None = None  # (N,) float32, or None
+    ring: NDArray[Any] | None = None  # (N,) beam index, 0 the lowest, or None
+    # (N,) beam number in the file's own order, turned into ``ring`` by elevation, or None
     laser: NDArray[np.int64] | None = None
-    azimuth: NDArray[np.float32] | None = None
-    time_s: NDArray[np.float32] | None = None
-    t_ns: int | None = None
-    model: LidarModel | None = None
-    frame: Rigid = IDENTITY
-    saved: Saved | None = None
-    left_out: tuple[str, ...] = ()
+    azimuth: NDArray[np.float32] | None = None  # (N,) float32 radians, counter-clockwise from x of ``frame``, or None
+    time_s: NDArray[np.float32] | None = None  # (N,) float32 seconds since the start of the sweep, or None
+    t_ns: int | None = None  # time of the sweep in nanoseconds, or None
+    model: LidarModel | None = None  # beams as the file describes them, or None
+    frame: Rigid = IDENTITY  # what is still to be done: ``sensor_from_columns``
+    saved: Saved | None = None  # the other attributes of a Sweep that this package wrote, or None
+    left_out: tuple[str, ...] = ()  # what was in the file and cannot be what its name says, one line each
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,32 +97,20 @@ class Saved:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Given:
-    """What the caller knows about a sweep; it goes before what the file says.
+    """What the caller knows about a sweep; it goes before what the file says."""
 
-    Attributes:
-        model: beams of the sensor, or None.
-        frame: ``sensor_from_file``, or None for the format's own.
-        sensor_height_m: mounting height, or None.
-        attitude: quaternion (w, x, y, z) of ``level_from_sensor``, or None.
-        world_from_sensor: pose, or None.
-    """
-
-    model: LidarModel | None = None
-    frame: Rigid | None = None
-    sensor_height_m: float | None = None
-    attitude: ArrayLike | None = None
-    world_from_sensor: Rigid | None = None
+    model: LidarModel | None = None  # beams of the sensor, or None
+    frame: Rigid | None = None  # ``sensor_from_file``, or None for the format's own
+    sensor_height_m: float | None = None  # mounting height, or None
+    attitude: ArrayLike | None = None  # quaternion (w, x, y, z) of ``level_from_sensor``, or None
+    world_from_sensor: Rigid | None = None  # pose, or None
 
 
 _NOTHING_SAVED = Saved()
 
 
 def sweep_of(columns: Columns, source: InputFile, given: Given) -> Sweep:
-    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of.
-
-    Raises:
-        ValueError: a column is not as a Sweep needs it, or no point is finite.
-    """
+    """Return the Sweep of a file's columns, in the sensor's frame; columns that were left out are warned of."""
     points, azimuth = columns.points, columns.azimuth
     saved = columns.saved or _NOTHING_SAVED
     if columns.frame is not IDENTITY and not is_identity(columns.frame):
@@ -215,9 +190,6 @@ def columns_of_table(table: Mapping[str, NDArray[Any]], frame: Rigid | None, *, 
     """Return Columns from lower-case names → (N,) numbers; ``ours`` says that this package wrote the file.
 
     Other programs mean many things by ring, azimuth and time: a column that cannot be what its name says is left out.
-
-    Raises:
-        ValueError: x, y or z is missing.
     """
     missing = [name for name in "xyz" if name not in table]
     if missing:
@@ -268,9 +240,6 @@ def number_columns(
     r"""Return the columns (rows,) float64 of text with ``width`` numbers a line, for ``wanted`` names → positions.
 
     Text takes two bytes a number and numpy eight, so it is read a part at a time and only wanted columns are kept.
-
-    Raises:
-        ValueError: there are fewer rows, a row has another width, or a word is not a number.
 
     >>> number_columns(b"1 2 nan\n", 0, 1, 3, {"y": 1})["y"].tolist()
     [2.0]

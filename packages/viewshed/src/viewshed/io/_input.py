@@ -41,11 +41,7 @@ class InputFile:
     head: bytes  # the first 64 bytes
 
     def content(self, limit_bytes: int | None = None) -> bytes:
-        """Return every byte of the stream.
-
-        Raises:
-            ValueError: there are more than ``limit_bytes``.
-        """
+        """Return every byte of the stream."""
         if limit_bytes is not None and self.size > limit_bytes:
             raise ValueError(f"must be at most {limit_bytes} bytes, got {self.size}")
         self.file.seek(0)
@@ -108,11 +104,7 @@ def _named(where: str, known: str | None, problem: object) -> str:
 
 
 def inside(root: str | os.PathLike[str], path: str | os.PathLike[str]) -> Path:
-    """Return a path whose links all stay below ``root``, as it was named.
-
-    Raises:
-        ValueError: the name or a link leads out of ``root``, or links lead in a circle.
-    """
+    """Return a path whose links all stay below ``root``, as it was named."""
     real_root, real_path = os.path.realpath(root), os.path.realpath(path)
     if real_path != real_root and not real_path.startswith(real_root.rstrip(os.sep) + os.sep):
         raise ValueError(f"{os.fspath(path)}: leads out of {os.fspath(root)}; refused")
@@ -132,12 +124,7 @@ def unpack_limit(packed_bytes: int) -> int:
 
 @contextmanager
 def open_input(path: str | os.PathLike[str]) -> Iterator[InputFile]:
-    """Open a file, unpacked if it is gzipped; whatever is raised while it is open becomes a line with its name.
-
-    Raises:
-        OSError: there is no such file, it cannot be read, or it is not a regular file.
-        ValueError: it is empty, its gzip content is damaged or too large, or anything inside the context was raised.
-    """
+    """Open a file, unpacked if it is gzipped; whatever is raised while it is open becomes a line with its name."""
     where = os.fspath(path)
     with errors_named(where):
         descriptor = os.open(where, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -208,11 +195,7 @@ def _check_unpacked(total: int, limit: int) -> None:
 
 
 def read_bounded(stream: BinaryIO, limit: int) -> bytes:
-    """Return everything in a stream.
-
-    Raises:
-        ValueError: it holds more than ``limit`` bytes.
-    """
+    """Return everything in a stream."""
     chunks: list[bytes] = []
     total = 0
     while chunk := stream.read(_CHUNK_BYTES):

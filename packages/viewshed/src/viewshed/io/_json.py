@@ -16,11 +16,7 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 def json_rows(source: InputFile) -> Iterator[dict[str, Any]]:
-    """Yield the objects of a JSON list of objects, in order; only a small part of the file is held at a time.
-
-    Raises:
-        ValueError: it is no such list, or is cut off; rows before the damage may have been yielded.
-    """
+    """Yield the objects of a JSON list of objects, in order; only a small part of the file is held at a time."""
     number = 0
     try:
         for rows in _lists(source):

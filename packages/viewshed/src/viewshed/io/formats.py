@@ -32,19 +32,12 @@ _PACKETS_TRIED = 200
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One file format.
+    """One file format."""
 
-    Attributes:
-        read: yields the columns of each revolution in a source; None as frame is the format's own.
-        suffixes: lower-case endings of file names, without ``.gz``; the first is the usual one.
-        begins: first bytes that tell the format, empty where it has none.
-        write: turns a sweep into the bytes of a file, or None where the format is only read.
-    """
-
-    read: Reader
-    suffixes: tuple[str, ...]
-    begins: tuple[bytes, ...] = ()
-    write: Writer | None = None
+    read: Reader  # yields the columns of each revolution in a source; None as frame is the format's own
+    suffixes: tuple[str, ...]  # lower-case endings of file names, without ``.gz``; the first is the usual one
+    begins: tuple[bytes, ...] = ()  # first bytes that tell the format, empty where it has none
+    write: Writer | None = None  # turns a sweep into the bytes of a file, or None where the format is only read
 
 
 FORMATS: dict[str, Format] = {

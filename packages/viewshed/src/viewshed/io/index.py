@@ -16,27 +16,16 @@ _ENTRIES_MAX = 50_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndexEntry:
-    """One file of an index.
+    """One file of an index."""
 
-    Attributes:
-        file: where it lies, inside the index's folder, links followed.
-        sensor: the sensor as the index describes it.
-        sensor_from_file: file coordinates → sensor frame.
-        sensor_height_m: mounting height, or None.
-        world_from_sensor: pose of the sensor frame, or None.
-        seq: name of the drive that the sweep belongs to, or None.
-        t: seconds, of the drive's own clock, or None.
-        points: rows that the index says the sweep has; None for a file that is not a sweep.
-    """
-
-    file: Path
-    sensor: str
-    sensor_from_file: Rigid
-    sensor_height_m: float | None = None
-    world_from_sensor: Rigid | None = None
-    seq: str | None = None
-    t: float | None = None
-    points: int | None = None
+    file: Path  # where it lies, inside the index's folder, links followed
+    sensor: str  # the sensor as the index describes it
+    sensor_from_file: Rigid  # file coordinates → sensor frame
+    sensor_height_m: float | None = None  # mounting height, or None
+    world_from_sensor: Rigid | None = None  # pose of the sensor frame, or None
+    seq: str | None = None  # name of the drive that the sweep belongs to, or None
+    t: float | None = None  # seconds, of the drive's own clock, or None
+    points: int | None = None  # rows that the index says the sweep has; None for a file that is not a sweep
 
 
 def read_index(path: str | os.PathLike[str]) -> list[IndexEntry]:

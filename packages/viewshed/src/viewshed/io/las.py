@@ -43,11 +43,7 @@ def read_las(source: InputFile, frame: Rigid | None) -> Iterator[Columns]:
 
 
 def _check_header(content: bytes) -> None:
-    """Check the lengths and counts that laspy would believe.
-
-    Raises:
-        ValueError: one cannot be.
-    """
+    """Check the lengths and counts that laspy would believe."""
     if len(content) < _HEADER_BYTES:
         raise ValueError(f"LAS header is cut off: it needs {_HEADER_BYTES} bytes, the file holds {len(content)}")
     major, minor = content[24:26]

@@ -24,33 +24,22 @@ _ROWS_MAX, _COLUMNS_MAX, _PIXELS_MAX = 512, 8192, 1 << 19  # 128 beams at 4096 c
 
 @dataclass(frozen=True, slots=True)
 class PacketLayout:
-    """The bytes of a lidar packet: a header, columns (a header, pixels, a footer each), a footer.
+    """The bytes of a lidar packet: a header, columns (a header, pixels, a footer each), a footer."""
 
-    Attributes:
-        pixel: bytes of a pixel; its first (or strongest) return is read.
-        range: type of the range at byte 0 of a pixel.
-        range_bits: how many of its bits are the range.
-        unit_mm: what one of the range stands for.
-        reflectivity: byte of the pixel where its reflectivity stands, one byte.
-        signal: byte where its signal stands, two bytes; None where it has none.
-        frame: byte of the packet and type of the revolution's number.
-        sender: bytes of the packet at which the number of the sensor's start (three bytes) and its serial number (five)
-            stand; None where it names no sender.
-        header, column_header, column_footer, footer: bytes.
-    """
-
-    pixel: int
-    range: str = "<u4"
-    range_bits: int = 19
-    unit_mm: int = 1
-    reflectivity: int = 4
-    signal: int | None = 6
-    frame: tuple[int, str] = (2, "<u2")
+    pixel: int  # bytes of a pixel; its first (or strongest) return is read
+    range: str = "<u4"  # type of the range at byte 0 of a pixel
+    range_bits: int = 19  # how many of its bits are the range
+    unit_mm: int = 1  # what one of the range stands for
+    reflectivity: int = 4  # byte of the pixel where its reflectivity stands, one byte
+    signal: int | None = 6  # byte where its signal stands, two bytes; None where it has none
+    frame: tuple[int, str] = (2, "<u2")  # byte of the packet and type of the revolution's number
+    # bytes of the packet at which the number of the sensor's start (three bytes) and its serial number (five) stand;
+    # None where it names no sender
     sender: tuple[int, int] | None = (4, 7)
-    header: int = 32
-    column_header: int = 12
-    column_footer: int = 0
-    footer: int = 32
+    header: int = 32  # bytes
+    column_header: int = 12  # bytes
+    column_footer: int = 0  # bytes
+    footer: int = 32  # bytes
 
 
 def _low_rate(pixel: int) -> PacketLayout:

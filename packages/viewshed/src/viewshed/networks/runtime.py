@@ -115,7 +115,7 @@ Call = Callable[[Mapping[str, NDArray[Any]], Sequence[str]], list[F32]]
 
 
 class OnnxRunner:
-    """Runs a network that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
+    """Runs a network that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote.
 
     With dropout off the graph that runs has no masks (:mod:`viewshed.networks.deterministic`); the one with masks is
     made when it is first run.
@@ -284,10 +284,26 @@ def _bytes_may_saturate() -> bool:
     return may_saturate(platform.machine(), cpu_info.read_text(encoding="utf-8") if cpu_info.exists() else "")
 
 
+MOST_BYTES = 8 << 30
+"""Memory of all networks that run in a process; more is an error of the run, whatever a file asks for."""
+
+
+@lru_cache(maxsize=1)
+def _limit_memory() -> None:
+    """Let all sessions take their memory from one pool of at most ``MOST_BYTES``."""
+    import onnxruntime
+
+    kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
+    limit = onnxruntime.OrtArenaCfg({"max_mem": MOST_BYTES})
+    onnxruntime.create_and_register_allocator(onnxruntime.OrtMemoryInfo("Cpu", *kind), limit)
+
+
 def _session(content: bytes, threads: int | None) -> Any:
     import onnxruntime
 
+    _limit_memory()
     options = onnxruntime.SessionOptions()
+    options.add_session_config_entry("session.use_env_allocators", "1")
     options.intra_op_num_threads = threads or 0
     options.log_severity_level = 3
     # Threads that wait for the next layer, or the next sweep, would take the cores from the rest of the estimate.

@@ -1,4 +1,4 @@
-"""What the detector does, measured: how surely it finds an object, how far off its boxes are, how often it errs.
+"""What the detector does, measured: how surely it finds an object, and how often it errs.
 
 Counted in simulated worlds with exact truth, by ``tools/fit_detector.py``; the counts travel with the package.
 """
@@ -15,13 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed import _core
 from viewshed._files import write_atomic
 from viewshed.arrays import F64
 from viewshed.detections import ObjectKind
-from viewshed.preprocess.evidence import TALLEST_BOX_M, expected_returns
-from viewshed.preprocess.leveling import LeveledSweep
-from viewshed.preprocess.no_return import beams_by_evidence
 
 Counts = NDArray[np.int64]
 
@@ -34,9 +30,6 @@ RETURNS = (0, 1, 2, 3, 5, 8, 12, 20, 35, 60, 120, 250)
 RANGE_M = (0.0, 10.0, 20.0, 30.0, 40.0, 55.0, 80.0)
 """Borders of the classes of range."""
 
-BLOCKED = (0.0, 0.25, 0.6, 1.0)
-"""Borders of the classes of the share of its beams that something nearer blocks."""
-
 _RETURNS_AT = np.array([0, 1, 2, 3.5, 6, 9.5, 15.5, 27, 47, 88, 180, 350])
 
 _RANGE_AT_M = (np.array(RANGE_M[:-1]) + np.array(RANGE_M[1:])) / 2
@@ -44,41 +37,32 @@ _RANGE_AT_M = (np.array(RANGE_M[:-1]) + np.array(RANGE_M[1:])) / 2
 _PRIOR = 8.0
 """A class counts as if this number of objects of the class that it is part of had been among its own."""
 
-_LEAST_STD_M = 0.05
-
 
 @dataclass(frozen=True, eq=False)
 class DetectionTable:
-    """Counts of a detector in worlds with exact truth; K = 5 kinds, R classes of returns, D of range, B of blocking.
+    """Counts of a detector in worlds with exact truth; K = 5 kinds, R classes of returns, D of range.
 
     Raises:
         ValueError: the shapes are not these, or counts contradict each other.
     """
 
-    found: Counts  # (K, R, D, B) objects that were detected: their center within 2 m (or a quarter of their length)
-    total: Counts  # (K, R, D, B) all objects
-    errors_m2: F64  # (K, D, 2) sum of the squared errors of their centers, along the line of sight and across it
-    matched: Counts  # (K, D) how many of them there are
+    found: Counts  # (K, R, D) objects that were detected: their center within 2 m (or a quarter of their length)
+    total: Counts  # (K, R, D) all objects
+    matched: Counts  # (K, D) detections of them
     false: Counts  # (K, D) detections that are no object, by the kind that they were called
     sweeps: int  # how many were looked at
     about: Mapping[str, Any]  # how it was made, for people
 
     def __post_init__(self) -> None:
         kinds, ranges = len(ObjectKind), len(RANGE_M) - 1
-        shape = kinds, len(RETURNS), ranges, len(BLOCKED) - 1
-        shapes = [array.shape for array in (self.found, self.total, self.errors_m2, self.matched, self.false)]
-        if shapes != [shape, shape, (kinds, ranges, 2), (kinds, ranges), (kinds, ranges)]:
+        shape = kinds, len(RETURNS), ranges
+        shapes = [array.shape for array in (self.found, self.total, self.matched, self.false)]
+        if shapes != [shape, shape, (kinds, ranges), (kinds, ranges)]:
             raise ValueError(f"the table must have classes of {shape}, got {shapes}; measure it again")
         if (self.found < 0).any() or (self.found > self.total).any() or self.sweeps < 1:
             raise ValueError("the table must count no more objects found than there are; measure it again")
 
-    def prob(
-        self,
-        expected_returns: NDArray[Any],
-        range_m: NDArray[Any],
-        kinds: NDArray[np.uint8],
-        blocked: NDArray[Any] | None = None,
-    ) -> F64:
+    def prob(self, expected_returns: NDArray[Any], range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> F64:
         """Return the probability (K,) that the detector finds each of K objects.
 
         Rarely seen classes lean on those that they are part of; between classes it is interpolated. It never falls
@@ -88,24 +72,15 @@ class DetectionTable:
             expected_returns: (K,) of :func:`viewshed.preprocess.evidence.expected_returns`, without the objects' own.
             range_m: (K,) horizontal ranges of the centers.
             kinds: (K,) of :class:`viewshed.detections.ObjectKind`.
-            blocked: (K,) shares of :func:`blocked_share`; without them the mean over all is meant.
         """
-        table = self._prob_of_all if blocked is None else self._prob_by_blocked
-        part = 0 if blocked is None else np.digitize(np.asarray(blocked), BLOCKED[1:-1])
+        table = self._prob
         returns = np.log2(1.0 + np.maximum(np.asarray(expected_returns, np.float64), 0.0))
         r, r_share = _between(returns, np.log2(1.0 + _RETURNS_AT))
         d, d_share = _between(np.asarray(range_m, np.float64), _RANGE_AT_M)
         kind = np.asarray(kinds, np.intp)
-        low = (1 - d_share) * table[kind, r, d, part] + d_share * table[kind, r, d + 1, part]
-        high = (1 - d_share) * table[kind, r + 1, d, part] + d_share * table[kind, r + 1, d + 1, part]
+        low = (1 - d_share) * table[kind, r, d] + d_share * table[kind, r, d + 1]
+        high = (1 - d_share) * table[kind, r + 1, d] + d_share * table[kind, r + 1, d + 1]
         result: F64 = (1 - r_share) * low + r_share * high
-        return result
-
-    def center_std_m(self, range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> F64:
-        """Return the standard deviation (K, 2) of detected centers, along the line of sight and across it, meters."""
-        d, share = _between(np.asarray(range_m, np.float64), _RANGE_AT_M)
-        kind = np.asarray(kinds, np.intp)
-        result: F64 = (1 - share)[:, None] * self._std_m[kind, d] + share[:, None] * self._std_m[kind, d + 1]
         return result
 
     def false_odds(self, range_m: NDArray[Any], kinds: NDArray[np.uint8]) -> F64:
@@ -115,28 +90,15 @@ class DetectionTable:
         result: F64 = (1 - share) * self._false_odds[kind, d] + share * self._false_odds[kind, d + 1]
         return result
 
-    @property
-    def false_per_sweep(self) -> F64:
-        """Mean number (K,) of false detections in a sweep, by the kind that they were called."""
-        result: F64 = self.false.sum(axis=1) / self.sweeps
-        return result
-
     @cached_property
-    def _prob_of_all(self) -> F64:
-        """(K, R, D, 1) probabilities whatever is blocked."""
+    def _prob(self) -> F64:
+        """(K, R, D) probabilities that an object is found."""
         # 1. By returns alone, of all kinds; then of each kind, and of each range of it.
         found, total = (counts.astype(np.float64) for counts in (self.found, self.total))
-        of_all = found.sum(axis=(0, 2, 3))[None], total.sum(axis=(0, 2, 3))[None]
+        of_all = found.sum(axis=(0, 2))[None], total.sum(axis=(0, 2))[None]
         by_returns = _rising(_leaning(*of_all, np.full(len(RETURNS), 0.5), 1.0), of_all[1] + 1.0)
-        by_kind = _leaning(found.sum(axis=(2, 3)), total.sum(axis=(2, 3)), by_returns)
-        by_range = _leaning(found.sum(axis=3), total.sum(axis=3), by_kind[:, :, None])
-        return _rising(by_range, total.sum(axis=3) + _PRIOR)[..., None]
-
-    @cached_property
-    def _prob_by_blocked(self) -> F64:
-        """(K, R, D, B) probabilities by what is blocked."""
-        prob = _leaning(self.found.astype(np.float64), self.total.astype(np.float64), self._prob_of_all)
-        return _rising(prob, self.total.astype(np.float64) + _PRIOR)
+        by_kind = _leaning(found.sum(axis=2), total.sum(axis=2), by_returns)
+        return _rising(_leaning(found, total, by_kind[:, :, None]), total + _PRIOR)
 
     @cached_property
     def _false_odds(self) -> F64:
@@ -148,22 +110,11 @@ class DetectionTable:
         result: F64 = share / (1.0 - share)
         return result
 
-    @cached_property
-    def _std_m(self) -> F64:
-        """(K, D, 2) deviations; a kind leans on all others, a range on the kind."""
-        matched = self.matched[..., None].astype(np.float64)
-        of_all = self.errors_m2.sum(axis=(0, 1)) / max(self.matched.sum(), 1)
-        of_kind = _leaning(self.errors_m2.sum(axis=1), matched.sum(axis=1), of_all)
-        variance = _leaning(self.errors_m2, matched, of_kind[:, None])
-        result: F64 = np.sqrt(np.maximum(variance, _LEAST_STD_M**2))
-        return result
-
     def save(self, path: Path) -> None:
         """Write it as JSON."""
         arrays = {name: getattr(self, name).tolist() for name in ("found", "total", "matched", "false")}
-        classes = {"returns": RETURNS, "range_m": RANGE_M, "blocked": BLOCKED}
-        errors = self.errors_m2.round(3).tolist()
-        content = {"about": dict(self.about), "classes": classes, "sweeps": self.sweeps, **arrays, "errors_m2": errors}
+        classes = {"returns": RETURNS, "range_m": RANGE_M}
+        content = {"about": dict(self.about), "classes": classes, "sweeps": self.sweeps, **arrays}
         write_atomic(path, (json.dumps(content) + "\n").encode())
 
     @classmethod
@@ -173,25 +124,13 @@ class DetectionTable:
         found, total, matched, false = (
             np.array(content[name], np.int64) for name in ("found", "total", "matched", "false")
         )
-        errors = np.array(content["errors_m2"], np.float64)
-        return cls(found, total, errors, matched, false, int(content["sweeps"]), content["about"])
+        return cls(found, total, matched, false, int(content["sweeps"]), content["about"])
 
 
 @lru_cache(maxsize=1)
 def detection_table() -> DetectionTable:
     """Return the table that travels with the package; it is read once."""
     return DetectionTable.load(SHIPPED)
-
-
-def blocked_share(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]]) -> F64:
-    """Return which share (K,) of the beams that aim at each box (K, 7) something nearer blocks; 1 where none aims."""
-    beams = beams_by_evidence(leveled, TALLEST_BOX_M)
-    azimuth, slope, depth_m = (beams.measured + beams.inferred).arrays
-    endless = _core.BeamsByAzimuth(azimuth, slope, np.full_like(depth_m, np.inf))
-    aimed = endless.expected_returns(np.ascontiguousarray(boxes, np.float32), leveled.sensor_height_m, True)
-    reaching = expected_returns(leveled, boxes, leave_out_own=True)
-    result: F64 = 1.0 - reaching / np.maximum(aimed, 1)
-    return result
 
 
 def _between(values: F64, at: F64) -> tuple[NDArray[np.intp], F64]:

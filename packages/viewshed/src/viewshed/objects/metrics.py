@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -118,21 +117,6 @@ class IdSwitches:
                     self.count += self._last.get(object_id, track_id) != track_id
                     self._last[object_id] = track_id
         return self.count
-
-
-def existence_error(existence: Sequence[float] | F64, is_object: Sequence[bool] | NDArray[np.bool_]) -> float:
-    """Return the expected calibration error of existence (T,), over ten bins of equal width, weighed by their tracks.
-
-    NaN without tracks.
-    """
-    prob, true = np.asarray(existence, np.float64), np.asarray(is_object, np.float64)
-    if prob.shape != true.shape or prob.ndim != 1:
-        raise ValueError(f"existence and is_object must have one shape (T,), got {prob.shape} and {true.shape}")
-    if not len(prob):
-        return float("nan")
-    bins = np.minimum((10 * prob).astype(np.intp), 9)
-    gap = np.bincount(bins, prob, 10) - np.bincount(bins, true, 10)
-    return float(np.abs(gap).sum() / len(prob))
 
 
 def _distances(tracks: Points, truths: Points, cutoff_m: float, order: float, columns: int = 2) -> F64:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +87,7 @@ class ObjectStream:
     ) -> None:
         self._detector = Detector() if detector is None else detector
         self._tamper, self._clock = tamper, clock
-        self._model = stream_model() if model is None else model
+        self._model = model
         self._agents: dict[str, _Agent] = {}
         self._agent("")  # what is not installed is reported now
         self.reset()
@@ -154,10 +152,3 @@ class ObjectStream:
         agent = self._agents.get(name) or _Agent(SingleFusion(self._model))
         remember(self._agents, name, agent)
         return agent
-
-
-@lru_cache(maxsize=1)
-def stream_model() -> EvidenceModel:
-    """Return the shipped model: of benign drives with the package's detector (``tools/fit_object_stream.py``)."""
-    with resources.as_file(resources.files("viewshed.objects").joinpath("object_stream.json")) as path:
-        return EvidenceModel.load(path)

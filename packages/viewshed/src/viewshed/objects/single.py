@@ -329,6 +329,6 @@ def _sentence(tracks: Tracks, k: int, why: Explanation, look: _Look, e_value: fl
 
 @lru_cache(maxsize=1)
 def shipped_model() -> EvidenceModel:
-    """Return the shipped model, calibrated on simulated drives (docs/fusion.md)."""
+    """Return the shipped model: of benign drives with the package's detector (``tools/fit_fusion.py``)."""
     with resources.as_file(resources.files("viewshed.objects").joinpath("single.json")) as path:
         return EvidenceModel.load(path)

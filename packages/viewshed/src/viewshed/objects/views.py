@@ -148,26 +148,22 @@ class GridView(_NoOdds):
     mean of these cells.
     """
 
-    def __init__(
-        self, estimate: FovEstimate, t_s: float, *, hard: bool = False, detectable: float = ALWAYS_FOUND
-    ) -> None:
+    def __init__(self, estimate: FovEstimate, t_s: float, detectable: float = ALWAYS_FOUND) -> None:
         """Make the view of an estimate; where it has no pose, tracks are in its ``level`` frame.
 
         Args:
             estimate: of the sweep's field of view.
             t_s: time of the sweep.
-            hard: take cells as visible or not by the estimate's threshold, instead of their probability.
             detectable: probability that an object in view is found.
         """
         self.t_s, self.in_world = t_s, estimate.world_from_level is not None
         self._level_from_tracks = _level_from_tracks(estimate.world_from_level)
         self._estimate, self._detectable = estimate, detectable
-        self._prob = estimate.visible().astype(np.float32) if hard else estimate.visible_prob
 
     def visible(self, boxes: F64) -> F64:
         """Return the probability (K,) of the cells before each box; 0 outside the grid."""
         level, grid = moved_boxes(boxes, self._level_from_tracks), self._estimate.grid
-        return _core.visible_before(self._prob, *grid.origin_m, grid.cell_m, level)
+        return _core.visible_before(self._estimate.visible_prob, *grid.origin_m, grid.cell_m, level)
 
     def detectable(self, boxes: F64, kinds: Kinds) -> F64:
         """Return the same probability (K,) for each box."""
@@ -188,7 +184,6 @@ class BeamView:
         *,
         found: DetectionProb | None = None,
         odds: FalseOdds | None = None,
-        min_returns: int = CAR.min_returns,
     ) -> None:
         """Make the view of a leveled sweep; where it has no pose, tracks are in its ``level`` frame.
 
@@ -199,13 +194,12 @@ class BeamView:
                 of the package's detector.
             odds: false detections of that detector, from range and kind; None is that of the package's detector too,
                 or where ``found`` is given unknown. A view without them is worse than none: it believes clutter.
-            min_returns: returns from which on an object counts as seen.
         """
         world_from_level = leveled.world_from_level
         self.t_s, self.in_world = t_s, world_from_level is not None
         table = detection_table()
         self._odds = table.false_odds if found is None and odds is None else odds
-        self._leveled, self._found, self._min_returns = leveled, found or table.prob, min_returns
+        self._leveled, self._found = leveled, found or table.prob
         self._level_from_tracks = _level_from_tracks(world_from_level)
         self._counted = np.zeros((0, 7)), np.zeros(0)
 
@@ -243,7 +237,7 @@ class BeamView:
         return counts[: len(level)]
 
     def _visible(self, counts: F64) -> F64:
-        return probability_of_visible(counts.astype(np.float32), self._min_returns).astype(np.float64)
+        return probability_of_visible(counts.astype(np.float32), CAR.min_returns).astype(np.float64)
 
 
 def hidden_within(view: View, boxes: F64, within_m: F64) -> F64:

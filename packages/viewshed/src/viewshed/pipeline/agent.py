@@ -32,35 +32,23 @@ _LONGEST_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """What became of one sweep; or, with STALE caution and a number that was answered before, that none came since.
+    """What became of one sweep; or, with STALE caution and a number that was answered before, that none came since."""
 
-    Attributes:
-        agent: whose it was.
-        number: of the sweep among all that were put in, from 0.
-        leveled: the sweep; None where it could not be decoded.
-        estimate: what it sees, without what the reaction withdraws; None where it could not be had.
-        report: what the monitor says; None without one, or without an estimate.
-        reaction: how far the view is trusted.
-        speed_mps: from which a vehicle stops within what is seen free ahead of it; 0 without an estimate, or if STALE.
-        notes: what was noticed on the way (a clock that jumps, say), a sentence each.
-        refused: why there is no estimate; empty where there is one.
-        latency_s: from putting the sweep in to its answer.
-        objects: detections and explained tracks, by the estimate before anything was withdrawn; None where they are
-            not wanted, or failed: a note says why.
-        put_s: when the sweep was put in, on the clock of :func:`time.perf_counter`.
-    """
-
-    agent: str
-    number: int
-    leveled: LeveledSweep | None
-    estimate: FovEstimate | None
-    report: StreamReport | None
-    reaction: ReactionState
+    agent: str  # whose it was
+    number: int  # of the sweep among all that were put in, from 0
+    leveled: LeveledSweep | None  # the sweep; None where it could not be decoded
+    estimate: FovEstimate | None  # what it sees, without what the reaction withdraws; None where it could not be had
+    report: StreamReport | None  # what the monitor says; None without one, or without an estimate
+    reaction: ReactionState  # how far the view is trusted
+    # from which a vehicle stops within what is seen free ahead of it; 0 without an estimate, or if STALE
     speed_mps: float
-    notes: tuple[str, ...]
-    refused: str
-    latency_s: float
+    notes: tuple[str, ...]  # what was noticed on the way (a clock that jumps, say), a sentence each
+    refused: str  # why there is no estimate; empty where there is one
+    latency_s: float  # from putting the sweep in to its answer
+    # detections and explained tracks, by the estimate before anything was withdrawn; None where they are not wanted, or
+    # failed: a note says why
     objects: SeenObjects | None = None
+    # when the sweep was put in, on the clock of :func:`time.perf_counter`
     put_s: float = field(default_factory=time.perf_counter)
 
     @property
@@ -71,34 +59,20 @@ class Answer:
 
 @dataclass(slots=True, eq=False)
 class Agent:
-    """What a pipeline remembers of an agent; each step of the pipeline changes what it alone uses.
+    """What a pipeline remembers of an agent; each step of the pipeline changes what it alone uses."""
 
-    Attributes:
-        name: of the agent.
-        heard_s: when it was heard last.
-        history: its earlier sweeps that help an estimate; None for none.
-        monitor: what watches its sweeps, or None.
-        objects: what follows its objects, or None.
-        last_ns: time of its last sweep.
-        sensor: what was identified of its last sweep's sensor, which is looked at first.
-        rest: what it holds while it stands still, without poses.
-        reaction: the last one.
-        newest: its newest answer.
-        seen_s: when the sweep of its newest estimate was put in; inf where there is none yet.
-        puts_s: when its last sweeps with an answer were put in.
-    """
-
-    name: str
-    heard_s: float = 0.0
-    history: SweepBuffer | None = None
-    monitor: StreamMonitor | None = None
-    objects: ObjectStream | None = None
-    last_ns: int | None = None
-    sensor: SensorId = UNIDENTIFIED
-    rest: Rest = field(default_factory=Rest)
-    reaction: ReactionState = field(default_factory=ReactionState)
-    newest: Answer | None = None
-    seen_s: float = math.inf
+    name: str  # of the agent
+    heard_s: float = 0.0  # when it was heard last
+    history: SweepBuffer | None = None  # its earlier sweeps that help an estimate; None for none
+    monitor: StreamMonitor | None = None  # what watches its sweeps, or None
+    objects: ObjectStream | None = None  # what follows its objects, or None
+    last_ns: int | None = None  # time of its last sweep
+    sensor: SensorId = UNIDENTIFIED  # what was identified of its last sweep, which is looked at first
+    rest: Rest = field(default_factory=Rest)  # what it holds while it stands still, without poses
+    reaction: ReactionState = field(default_factory=ReactionState)  # the last one
+    newest: Answer | None = None  # its newest answer
+    seen_s: float = math.inf  # when the sweep of its newest estimate was put in; inf where there is none yet
+    # when its last sweeps with an answer were put in
     puts_s: deque[float] = field(default_factory=lambda: deque(maxlen=6))
 
     @property

@@ -77,13 +77,9 @@ class Inbox(Generic[Item]):
 
 @dataclass(slots=True)
 class RateLimit:
-    """Leaves out sweeps that come sooner after the one before of their agent than a rate allows.
+    """Leaves out sweeps that come sooner after the one before of their agent than a rate allows."""
 
-    Attributes:
-        rate_hz: sweeps of an agent that are wanted in a second of their own time; 0 for all.
-    """
-
-    rate_hz: float
+    rate_hz: float  # sweeps of an agent that are wanted in a second of their own time; 0 for all
     _last_ns: dict[str, int] = field(default_factory=dict, repr=False)
 
     def takes(self, agent: str, t_ns: int | None) -> bool:

@@ -12,26 +12,17 @@ from viewshed.pipeline.reactions import ReactionRules
 class Profile:
     """The settings of a pipeline.
 
-    Attributes:
-        method: name of an estimator.
-        grid: name in :data:`viewshed.grid.GRIDS`.
-        history: earlier sweeps of a sensor that help, where poses are known.
-        monitor: whether the stream is watched.
-        rules: how caution rises and falls.
-        rate_hz: sweeps of a sensor that are estimated in a second; 0 for all of them.
-        certify: the threat whose certificate an alarm falls back to; None for none.
-
     Raises:
         ValueError: a number is negative.
     """
 
-    method: str
-    grid: str
-    history: int
-    monitor: bool
-    rules: ReactionRules
-    rate_hz: float
-    certify: Threat | None = None
+    method: str  # name of an estimator
+    grid: str  # name in :data:`viewshed.grid.GRIDS`
+    history: int  # earlier sweeps of a sensor that help, where poses are known
+    monitor: bool  # whether the stream is watched
+    rules: ReactionRules  # how caution rises and falls
+    rate_hz: float  # sweeps of a sensor that are estimated in a second; 0 for all of them
+    certify: Threat | None = None  # the threat whose certificate an alarm falls back to; None for none
 
     def __post_init__(self) -> None:
         if self.history < 0 or not self.rate_hz >= 0.0:

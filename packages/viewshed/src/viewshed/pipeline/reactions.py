@@ -40,39 +40,27 @@ class Caution(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """What was found in one sweep, as far as reactions need it.
+    """What was found in one sweep, as far as reactions need it."""
 
-    Attributes:
-        degraded: the view is worse than usual, there is none, or an object of it is suspicious.
-        inconsistent: something is impossible in this sweep, or in the stream.
-        accused: a center of many agents accuses this one: nothing of its view holds that it alone saw now.
-        suspect: (SECTORS,) bool, where; nowhere where that is not known.
-        stale: the view is too old to be claimed, whatever else was found in it.
-    """
-
-    degraded: bool = False
-    inconsistent: bool = False
-    accused: bool = False
+    degraded: bool = False  # the view is worse than usual, there is none, or an object of it is suspicious
+    inconsistent: bool = False  # something is impossible in this sweep, or in the stream
+    accused: bool = False  # a center of many agents accuses this one: nothing of its view holds that it alone saw now
+    # (SECTORS,) bool, where; nowhere where that is not known
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
-    stale: bool = False
+    stale: bool = False  # the view is too old to be claimed, whatever else was found in it
 
 
 @dataclass(frozen=True, slots=True)
 class ReactionRules:
     """When caution changes.
 
-    Attributes:
-        recover_sweeps: calm sweeps in a row after which caution falls by one step.
-        widen_sectors: sectors on both sides of a suspect one that are not trusted either.
-        most_suspect: share of all sectors that may be suspect while the others are still trusted.
-
     Raises:
         ValueError: a number is out of range.
     """
 
-    recover_sweeps: int = 10
-    widen_sectors: int = 1
-    most_suspect: float = 0.5
+    recover_sweeps: int = 10  # calm sweeps in a row after which caution falls by one step
+    widen_sectors: int = 1  # sectors on both sides of a suspect one that are not trusted either
+    most_suspect: float = 0.5  # share of all sectors that may be suspect while the others are still trusted
 
     def __post_init__(self) -> None:
         if self.recover_sweeps < 1 or self.widen_sectors < 0 or not 0.0 <= self.most_suspect <= 1.0:
@@ -83,19 +71,13 @@ class ReactionRules:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReactionState:
-    """What is remembered from sweep to sweep.
+    """What is remembered from sweep to sweep."""
 
-    Attributes:
-        caution: now.
-        calm: sweeps in a row that ask for less caution.
-        suspect: (SECTORS,) bool, sectors of all alarms since caution was last below WIDEN.
-        of_sweeps: caution that the sweeps ask for, whatever their age, where ``caution`` is STALE.
-    """
-
-    caution: Caution = Caution.KEEP
-    calm: int = 0
+    caution: Caution = Caution.KEEP  # now
+    calm: int = 0  # sweeps in a row that ask for less caution
+    # (SECTORS,) bool, sectors of all alarms since caution was last below WIDEN
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
-    of_sweeps: Caution = Caution.KEEP
+    of_sweeps: Caution = Caution.KEEP  # caution that the sweeps ask for, whatever their age, where ``caution`` is STALE
 
 
 RULES = ReactionRules()
@@ -164,20 +146,14 @@ def withdraw(
 class Vehicle:
     """How a vehicle stops; a car unless its own numbers are given.
 
-    Attributes:
-        front_m: from the sensor to the front of the vehicle; what lies nearer need not be seen.
-        half_width_m: half of the width of the lane that must be free.
-        delay_s: until the brakes act.
-        braking_mps2: how hard it brakes.
-
     Raises:
         ValueError: a number is out of range.
     """
 
-    front_m: float = 4.0
-    half_width_m: float = 1.25
-    delay_s: float = 0.5
-    braking_mps2: float = 3.0
+    front_m: float = 4.0  # from the sensor to the front of the vehicle; what lies nearer need not be seen
+    half_width_m: float = 1.25  # half of the width of the lane that must be free
+    delay_s: float = 0.5  # until the brakes act
+    braking_mps2: float = 3.0  # how hard it brakes
 
     def __post_init__(self) -> None:
         finite = all(

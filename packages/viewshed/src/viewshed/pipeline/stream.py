@@ -63,25 +63,16 @@ _PATIENCE_S, _PUBLISH_PATIENCE_S = 60.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a pipeline did so far.
+    """What a pipeline did so far."""
 
-    Attributes:
-        answered: sweeps with an estimate.
-        dropped: sweeps that newer ones of their agent replaced before their turn.
-        refused: how many sweeps had no estimate, by reason.
-        latencies: median, 99 % quantile and worst latency, in words.
-        busy_cores: cores that the process kept busy on average since the first sweep.
-        objects: how long detecting, tracking and explaining objects took, and how often it failed; empty without it.
-        unpublished: how many answers were not published, by reason.
-    """
-
-    answered: int
-    dropped: int
-    refused: dict[str, int]
-    latencies: str
-    busy_cores: float
+    answered: int  # sweeps with an estimate
+    dropped: int  # sweeps that newer ones of their agent replaced before their turn
+    refused: dict[str, int]  # how many sweeps had no estimate, by reason
+    latencies: str  # median, 99 % quantile and worst latency, in words
+    busy_cores: float  # cores that the process kept busy on average since the first sweep
+    # how long detecting, tracking and explaining objects took, and how often it failed; empty without it
     objects: str = ""
-    unpublished: dict[str, int] = field(default_factory=dict)
+    unpublished: dict[str, int] = field(default_factory=dict)  # how many answers were not published, by reason
 
     def line(self) -> str:
         """Return all of it in one line."""
@@ -113,26 +104,16 @@ class _Step:
 
 @dataclass(slots=True, eq=False)
 class _Stage(Generic[Item]):
-    """One thread of a pipeline: it takes items, does something with each, and hands it on.
+    """One thread of a pipeline: it takes items, does something with each, and hands it on."""
 
-    Attributes:
-        name: what it does.
-        take: waits for the next item; None where there will be no more.
-        do: what is done with an item; it may take ``patience_s`` once the pipeline closes.
-        hand_on: takes the item then; it may wait.
-        end: is called when no more items come.
-        begun_s: when it began with the item at hand; inf where there is none.
-        left: whether it took too long and nobody waits for it any more.
-    """
-
-    name: str
-    take: Callable[[], Item | None]
-    do: Callable[[Item], Item]
-    hand_on: Callable[[Item], object]
-    end: Callable[[], None] = lambda: None
+    name: str  # what it does
+    take: Callable[[], Item | None]  # waits for the next item; None where there will be no more
+    do: Callable[[Item], Item]  # what is done with an item; it may take ``patience_s`` once the pipeline closes
+    hand_on: Callable[[Item], object]  # takes the item then; it may wait
+    end: Callable[[], None] = lambda: None  # is called when no more items come
     patience_s: float = _PATIENCE_S
-    begun_s: float = math.inf
-    left: bool = False
+    begun_s: float = math.inf  # when it began with the item at hand; inf where there is none
+    left: bool = False  # whether it took too long and nobody waits for it any more
     thread: Thread = field(default_factory=Thread)
 
 

@@ -3,7 +3,8 @@
 Ground does not move. Where a sweep sees none, it takes the height that an earlier one of its stream saw there, with a
 deviation that has grown with time and distance, while both agree nearby on ground that both see; heights in between are
 filled from both. Where they disagree the present sweep is believed, and what was carried over is dropped. The height of
-the sensor is that of the last sweeps where a single one differs, unless its returns speak for its own.
+the sensor is that of the last sweeps where a single one differs, unless its returns speak for its own. Of a sensor at
+rest it is one number: the one that most of the last estimates are near to.
 
 Each sweep hands on what it carries over; none refers to the sweeps before it.
 
@@ -38,6 +39,9 @@ HEIGHT_OFF_M = 0.15
 
 SUPPORT_KEPT = 0.8
 """Least part of the present support at the height carried over; with less the carrier did change its height."""
+
+REST_OFF_M = 0.02
+"""At rest a height is set aside for the likeliest one if it is off by more than this."""
 
 STD_PER_ROOT_S, STD_PER_ROOT_M = 0.05, 0.01
 """Growth in meters of the deviation of ground carried over: with the root of seconds and of meters driven."""
@@ -112,7 +116,7 @@ def hold(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid | N
     Raises:
         ValueError: one of them has no pose, and ``now_from_before`` is not given.
     """
-    at_height, held = _at_held_height(leveled, before)
+    at_height, held = _at_held_height(leveled, before, at_rest=now_from_before is not None)
     if leveled.sweep.planar is not None:  # sees no ground
         return replace(leveled, held=held)
     if now_from_before is None:
@@ -142,7 +146,7 @@ def _seconds(leveled: LeveledSweep, before: LeveledSweep) -> float:
     return _APART_S if now_ns is None or before_ns is None else abs(now_ns - before_ns) / 1e9
 
 
-def _at_held_height(leveled: LeveledSweep, before: LeveledSweep) -> tuple[LeveledSweep, Held]:
+def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) -> tuple[LeveledSweep, Held]:
     """Return a sweep leveled at the height that the stream holds where its own is off, and what it hands on."""
     own_m, reach_m = _estimated_heights(leveled), reach_of_sweep(leveled)
     earlier_m = _estimated_heights(before) if before.held is None else before.held.heights_m
@@ -150,18 +154,27 @@ def _at_held_height(leveled: LeveledSweep, before: LeveledSweep) -> tuple[Levele
     if model is None or model.reach_m is None:
         reach_m = max(reach_m, reach_of_sweep(before))
     held = Held((*earlier_m, *own_m)[-HEIGHTS:], reach_m)
-    if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < FEWEST_HEIGHTS:
+    if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < (1 if at_rest else FEWEST_HEIGHTS):
         return leveled, held
-    usual_m = float(np.median(held.heights_m))
-    if abs(usual_m - leveled.sensor_height_m) <= HEIGHT_OFF_M:
+    usual_m = _likeliest_height(held.heights_m, before) if at_rest else float(np.median(held.heights_m))
+    if abs(usual_m - leveled.sensor_height_m) <= (REST_OFF_M if at_rest else HEIGHT_OFF_M):
         return leveled, held
     # Level again as if the height were known. The sweep itself goes on not to say it.
     again = level(
         leveled.sweep.replace(sensor_height_m=usual_m), BevGrid(1, leveled.ground.half_extent_m), leveled.sensor_id
     )
-    if again.ground.support < SUPPORT_KEPT * leveled.ground.support:
+    if not at_rest and again.ground.support < SUPPORT_KEPT * leveled.ground.support:
         return leveled, held
     return replace(again, sweep=leveled.sweep), replace(held, is_height_held=True)
+
+
+def _likeliest_height(heights_m: Sequence[float], before: LeveledSweep) -> float:
+    """Return the one height of a sensor at rest: that with the most estimates around it, of as many the earlier one."""
+    estimates = np.array(heights_m)
+    candidates = np.array([before.sensor_height_m, *np.sort(estimates)])
+    near = np.abs(estimates - candidates[:, None]) <= HEIGHT_OFF_M
+    best = int(np.argmax(near.sum(axis=1)))
+    return float(candidates[best] if best == 0 else np.median(estimates[near[best]]))
 
 
 def _estimated_heights(leveled: LeveledSweep) -> tuple[float, ...]:

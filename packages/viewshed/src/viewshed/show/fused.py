@@ -7,6 +7,7 @@ import html
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from textwrap import wrap
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,8 @@ TRUSTED, DOUBTED, DISTRUSTED, QUIET = (20, 140, 40), (235, 150, 0), (214, 39, 40
 CONTRADICTION_NATS = 3.0
 """Two views of which a comparison is as rare as this contradict each other."""
 
-_BOX_M, _LINE = 2.0, 20
+_LINE, _LETTERS = 20, 54
+"""Pixels between lines of words, and the most letters of one."""
 
 
 def color_of(trust: float) -> Color:
@@ -106,12 +108,13 @@ def fused_picture(done: Round) -> bytes:
     shown = picture.reported | picture.believed
     top += _LINE // 2
     page.text((left, top), f"{int(picture.believed.sum())} of {int(shown.sum())} objects believed", 9)
-    for one, other, what in pairs[:12]:
-        top += _LINE
-        page.text((left, top), f"{picture.agents[one]} contradicts {picture.agents[other]}: {what}", 8)
-    for line in done.sentences():
-        top += _LINE
-        page.text((left, top), line[:64], 8, bold=True)
+    words = [
+        (f"{picture.agents[one]} contradicts {picture.agents[other]}: {what}", False) for one, other, what in pairs
+    ]
+    for sentence, bold in [*words[:12], *((line, True) for line in done.sentences())]:
+        for line in wrap(sentence, _LETTERS):
+            top += _LINE
+            page.text((left, top), line, 8, bold=bold)
     top = SIDE + MARGIN - 2 * _LINE
     legend = (("believed", TRUSTED), ("in doubt", DOUBTED), ("not believed; contradiction", DISTRUSTED))
     for line_number, (word, color) in enumerate(legend):
@@ -125,7 +128,7 @@ def fused_page(rounds: Sequence[Round], pictures: Sequence[bytes], title: str) -
     agents = sorted({agent for done in rounds for agent in done.picture.agents})
     times_s = [done.picture.t_s for done in rounds]
     width, height, begin, end = 720.0, 160.0, times_s[0], max(times_s[-1], times_s[0] + 1e-3)
-    lines = []
+    lines, ends = [], list[tuple[float, str]]()
     for number, agent in enumerate(agents):
         places = [
             (width * (done.picture.t_s - begin) / (end - begin),
@@ -133,11 +136,14 @@ def fused_page(rounds: Sequence[Round], pictures: Sequence[bytes], title: str) -
             for done in rounds if agent in done.picture.agents
         ]  # fmt: skip
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-        hue = 360 * number // max(len(agents), 1)
-        lines.append(
-            f'<polyline points="{path}" fill="none" stroke="hsl({hue} 70% 40%)" stroke-width="2"/>'
-            f'<text x="{width + 6}" y="{places[-1][1]:.0f}" fill="hsl({hue} 70% 40%)">{html.escape(agent)}</text>'
-        )
+        color = f"hsl({360 * number // len(agents)} 70% 40%)"
+        lines.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
+        ends.append((places[-1][1], f'fill="{color}">{html.escape(agent)}</text>'))
+    # Names stand at the ends of their lines, one below the other where these meet.
+    below = -np.inf
+    for row, name in sorted(ends):
+        below = max(row, below + 15.0)
+        lines.append(f'<text x="{width + 6}" y="{below:.0f}" {name}')
     sources = json.dumps([base64.b64encode(each).decode() for each in pictures])
     return f"""<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>
 <style>body{{font:14px sans-serif;margin:16px}}img{{max-width:100%}}input{{width:720px}}svg{{overflow:visible}}</style>

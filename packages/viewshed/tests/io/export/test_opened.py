@@ -13,11 +13,12 @@ import pytest
 import shapely
 import yaml
 from numpy.typing import NDArray
+from tests.io.export.readers import fov_of_geojson
 from tests.io.export.test_export import random_estimate
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.geometry import Rigid
-from viewshed.io.export import fov_from_geojson, to_geojson, to_occupancy_grid, write_export
+from viewshed.io.export import to_geojson, to_occupancy_grid, write_export
 from viewshed.io.export.nav2 import NOTHING_KNOWN
 
 HAMBURG = Rigid.from_yaw(0.4, (566_000.0, 5_930_000.0, 12.0))
@@ -131,7 +132,7 @@ def test_geojson_in_a_reference_system_keeps_to_rfc_7946() -> None:
         for part in shapely.get_parts(polygon):  # section 3.1.6: the exterior ring is counterclockwise, holes clockwise
             assert part.exterior.is_ccw
             assert not any(hole.is_ccw for hole in part.interiors)
-    back = fov_from_geojson(made)
+    back = fov_of_geojson(made)
     assert (back.state == estimate.state).all()
     assert back.world_from_level is not None
 

@@ -61,9 +61,9 @@ def test_tum_poses_are_matched_by_time_and_interpolated(tmp_path: Path) -> None:
     text = f"1000000000.0 0 0 0 0 0 0 1\n1000000001.0 4 2 0 0 0 {half} {half}\n"
     poses = PoseFile.read(written(tmp_path, text))
     files = [tmp_path / "x.pcd"]
-    placed = poses.place_sweep(SWEEP.replace(t_ns=1_000_000_000 * S + S // 2), files[0], 0, files)
-    np.testing.assert_allclose(placed.world_from_sensor.translation, [2.0, 1.0, 0.0], atol=1e-6)
-    assert placed.world_from_sensor.yaw == pytest.approx(np.pi / 4)
+    placed = poses.place_sweep(SWEEP.replace(t_ns=1_000_000_000 * S + S // 4), files[0], 0, files)
+    np.testing.assert_allclose(placed.world_from_sensor.translation, [1.0, 0.5, 0.0], atol=1e-6)
+    assert placed.world_from_sensor.yaw == pytest.approx(np.pi / 8)
     # A file's own name tells the time where the sweep does not.
     named = poses.place_sweep(SWEEP, tmp_path / "lidar_1000000001000000.pcd", 0, files)
     assert named.t_ns == 1_000_000_001 * S

@@ -1,8 +1,6 @@
 """Archive: a data set in Parquet shards with a manifest, read frame by frame.
 
 An archive as a recording: whoever reads it as one gets its sweeps, and nothing of its truth.
-
-ArchiveFrames: an archive as arrays for training; works with torch's DataLoader and needs no torch.
 """
 
 from __future__ import annotations
@@ -16,11 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from viewshed.fov.visibility import CAR, Target
-from viewshed.geometry import Rigid, rotation_from_quaternion
-from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed_lab.data.archive.schema import Layout, Manifest, ShardFacts
 from viewshed_lab.data.archive.shard import Shard, damage_of
@@ -278,48 +272,6 @@ class ArchiveSource:
     def notes(self) -> tuple[str, ...]:
         """Return nothing: an archive lacks nothing."""
         return ()
-
-
-Arrays = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class ArchiveFrames:
-    """An archive as a map-style data set: ``len(frames)`` and ``frames[i]``, in any number of processes."""
-
-    archive: Archive  # the archive, or one of its splits
-    target: Target = CAR  # whose visibility is wanted
-
-    def __len__(self) -> int:
-        return len(self.archive)
-
-    def __getitem__(self, index: int) -> Arrays:
-        """Return one frame as writable arrays (cells, cells) of its own.
-
-        ``counts``, int32: returns in each cell; ``visible``, bool: the truth; ``known``, bool: where it is known.
-
-        Raises:
-            IndexError: there is no such frame.
-            ValueError: its shard is damaged, or the truth was not made for the target.
-            OSError: its shard cannot be read.
-        """
-        sample = self.archive[index]
-        sweep, truth = sample.sweep, sample.truth
-        return {
-            "counts": truth.grid.count(sweep.points, level_from_sensor(sweep, truth.grid)),
-            "visible": truth.visible(self.target),
-            "known": np.array(sample.known),
-        }
-
-
-def level_from_sensor(sweep: Sweep, grid: BevGrid) -> Rigid:
-    """Return the transform to the ``level`` frame: from attitude and height where both are known, else estimated."""
-    attitude, height_m = sweep.known_attitude, sweep.sensor_height_m
-    if attitude is None or height_m is None:
-        from viewshed.preprocess.leveling import level  # slow to import, and few sweeps need it
-
-        return level(sweep, grid).level_from_sensor
-    return Rigid(rotation_from_quaternion(attitude), np.array([0.0, 0.0, height_m]))
 
 
 class _Archives:

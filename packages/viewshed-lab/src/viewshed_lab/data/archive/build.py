@@ -2,7 +2,7 @@
 
 :func:`build_archive` is for data sets that can be planned: every shard is a job, the jobs run anywhere in any order,
 and the bytes are the same. While it runs, the manifest says ``"complete": false`` and lists what is finished, so that a
-run that was stopped goes on where it was. :class:`ArchiveWriter` is for samples of any origin.
+run that was stopped goes on where it was. :func:`write_archive` is for samples of any origin.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, groupby, islice
 from typing import Any
 
 from viewshed_lab._jobs import Engine
@@ -210,79 +210,37 @@ def _read_problems(store: Storage) -> dict[str, tuple[str, ...]]:
     return {}
 
 
-class ArchiveWriter:
-    """Writes samples into a new archive, shard by shard; :meth:`close` writes the manifest.
-
-    Samples of one scene should follow each other: a shard holds one scene. Nothing can be read before ``close``.
+def write_archive(
+    place: str | os.PathLike[str],
+    samples: Iterable[Sample],
+    recipe: Mapping[str, Any],
+    frames_per_shard: int = FRAMES_PER_SHARD,
+) -> Archive:
+    """Return the archive that ``samples`` were written to, one after the other; those of one scene follow each other.
 
     Args:
         place: a folder or a URI that is empty.
-        recipe: how the samples were made, as plain values, for the manifest.
-        frames_per_shard: at most.
-
-    Raises:
-        ValueError: the place is not empty, or ``frames_per_shard`` is below 1.
-    """
-
-    def __init__(
-        self, place: str | os.PathLike[str], recipe: Mapping[str, Any], frames_per_shard: int = FRAMES_PER_SHARD
-    ) -> None:
-        if frames_per_shard < 1:
-            raise ValueError(f"frames_per_shard must be at least 1, got {frames_per_shard}")
-        self._store = Storage.of(place)
-        if self._store.names():
-            raise ValueError(f"{self._store.place} must be empty; choose another place")
-        self._recipe = dict(recipe)
-        self._frames_per_shard = frames_per_shard
-        self._pending: list[Sample] = []
-        self._shards: list[ShardFacts] = []
-        self._layout: Layout | None = None
-
-    def add(self, sample: Sample) -> None:
-        """Take one sample; a full shard is written.
-
-        Raises:
-            ValueError: its scene is empty or its truth differs in grid, targets or definitions from those before.
-            OSError: the shard cannot be written.
-        """
-        layout = Layout.of(sample.truth)
-        self._layout = self._layout or layout
-        if layout != self._layout:
-            raise ValueError(f"truth must have the layout of the archive, {self._layout}, got {layout}")
-        last = self._pending[-1] if self._pending else sample
-        if (sample.scene, sample.split) != (last.scene, last.split) or len(self._pending) >= self._frames_per_shard:
-            self._flush()
-        self._pending.append(sample)
-
-    def close(self) -> Archive:
-        """Write what is left and the manifest, and return the archive.
-
-        Raises:
-            ValueError: there was no sample.
-            OSError: a file cannot be written.
-        """
-        self._flush()
-        if self._layout is None:
-            raise ValueError("an archive must have at least one sample, got none")
-        manifest = Manifest(self._recipe, self._layout, tuple(self._shards))
-        manifest.write(self._store)
-        return Archive(self._store, manifest)
-
-    def _flush(self) -> None:
-        if self._pending:
-            name = f"shard-{len(self._shards):05d}.parquet"
-            self._shards.append(write_shard(self._store, name, self._pending))
-            self._pending = []
-
-
-def write_archive(place: str | os.PathLike[str], samples: Iterable[Sample], recipe: Mapping[str, Any]) -> Archive:
-    """Return the archive that ``samples`` were written to; see :class:`ArchiveWriter`.
+        samples: of any origin.
+        recipe: how they were made, as plain values, for the manifest.
+        frames_per_shard: at most; a shard holds one scene.
 
     Raises:
         ValueError: the place is not empty, there are no samples, or they differ in grid, targets or definitions.
         OSError: a file cannot be written.
     """
-    writer = ArchiveWriter(place, recipe)
-    for sample in samples:
-        writer.add(sample)
-    return writer.close()
+    store, shards, layout = Storage.of(place), list[ShardFacts](), None
+    if store.names():
+        raise ValueError(f"{store.place} must be empty; choose another place")
+    for _, same_scene in groupby(samples, lambda sample: (sample.split, sample.scene)):
+        scene = iter(same_scene)
+        for first in scene:
+            layout = layout or Layout.of(first.truth)
+            if Layout.of(first.truth) != layout:
+                raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(first.truth)}")
+            frames = chain([first], islice(scene, frames_per_shard - 1))
+            shards.append(write_shard(store, f"shard-{len(shards):05d}.parquet", frames))
+    if layout is None:
+        raise ValueError("an archive must have at least one sample, got none")
+    manifest = Manifest(dict(recipe), layout, tuple(shards))
+    manifest.write(store)
+    return Archive(store, manifest)

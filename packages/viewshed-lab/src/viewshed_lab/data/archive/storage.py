@@ -122,11 +122,6 @@ class Storage:
         """Return the names of all files but those left half written, sorted; [] where the place is not there."""
         return [name for name in self._listed() if not _is_draft(name)]
 
-    def size(self, name: str) -> int:
-        """Return the length of a file in bytes."""
-        with self.open(name) as file:
-            return int(file.size())
-
     def delete(self, *names: str) -> None:
         """Remove files, several at a time: an object store answers one request in the time of many."""
 

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from viewshed import _core
 from viewshed.arrays import F32, Mask
 from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
-from viewshed.preprocess.ego_vehicle import EGO_BOX_M, EGO_HEIGHTS_M
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed_lab.data.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
@@ -38,6 +38,9 @@ DEFINITIONS: tuple[Definition, ...] = ("probe", "farthest", "first_blocker")
 """For which of them a label can say where it is known; it holds the masks of all."""
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
+
+EGO_BOX_M, EGO_HEIGHTS_M = (_core.EGO_LENGTH_M, _core.EGO_WIDTH_M), (_core.LEAST_EGO_HEIGHT_M, _core.MOST_EGO_HEIGHT_M)
+"""Half length and half width of the vehicle below the sensor, and heights of a sensor at which one is assumed."""
 
 MANY_BEAMS = 50
 """A target that more beams reach is seen whatever the ground and the missing beams."""

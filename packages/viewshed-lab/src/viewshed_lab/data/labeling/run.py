@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.preprocess.sensor_identification import infer_sensor
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.source import SweepRef, SweepSource, open_index
+from viewshed.recordings.read.source import RecordingSource, SweepReader, SweepRef, SweepSource
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
@@ -46,7 +47,7 @@ class Origin:
             OSError: it cannot be read.
         """
         if self.kind == "index":
-            return open_index(self.place)
+            return _open_index(self.place)
         if self.kind == "archive" or (self.kind == "auto" and ("://" in self.place or is_archive(Path(self.place)))):
             return ArchiveSource.open(self.place)
         return open_source(self.place, self.kind)
@@ -168,3 +169,44 @@ class _Reader:
         if self.origin.sensor == "auto":
             return infer_sensor(sweep.points, sweep.ring)[0]
         return None if self.origin.sensor == "none" else lidar_model(self.origin.sensor)
+
+
+def _open_index(index: str) -> SweepSource:
+    """Return the sweeps that an index names; those of one drive are a scene, each other one its own."""
+    place = Path(index).absolute()
+    drives: dict[str, list[IndexEntry]] = {}
+    for entry in read_index(index):
+        if entry.points:
+            drives.setdefault(_scene_of(entry, place.resolve().parent), []).append(entry)
+    if not drives:
+        raise ValueError(f"{index} must name at least one sweep, got none")
+    return RecordingSource(place, _Index({name: sorted(entries, key=_time_of) for name, entries in drives.items()}))
+
+
+class _Index(SweepReader):
+    """The sweeps of an index by drive."""
+
+    def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
+        self._drives = drives
+        self.scenes = {
+            scene: [SweepRef(scene, k, str(entry.file), _t_ns_of(entry), key=str(k)) for k, entry in enumerate(entries)]
+            for scene, entries in drives.items()
+        }
+
+    def read(self, ref: SweepRef) -> Sweep:
+        """Return a sweep with what the index tells about it."""
+        return read_indexed(self._drives[ref.scene][ref.index])
+
+
+def _scene_of(entry: IndexEntry, folder: Path) -> str:
+    """Return the drive and sensor of an entry, or its own name where it belongs to no drive."""
+    name = entry.file.relative_to(folder).as_posix()
+    return name if entry.seq is None else f"{entry.seq} ({entry.sensor})"
+
+
+def _t_ns_of(entry: IndexEntry) -> int | None:
+    return None if entry.t is None else round(entry.t * 1e6) * 1000
+
+
+def _time_of(entry: IndexEntry) -> tuple[float, str]:
+    return (0.0 if entry.t is None else entry.t, str(entry.file))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from time import thread_time_ns
 from typing import Any
 
 import numpy as np
@@ -42,11 +43,18 @@ GROUPS = {
 }
 """Lies under each heading of the targets."""
 
+WITNESSED, WITNESS_BINS = ("removed", "moved"), (0.0, 0.5, 1.5, np.inf)
+"""Lies about objects that are there, and how many honest agents report such an object, on average over time."""
+
 SHOWN = "fabricate"
 """The lie of the picture."""
 
 TARGETS = {"fabricated": 0.97, "moved": 0.96, "pose": 0.94, "removed": 0.90, "stale": 0.88, "over-claim": 0.85}
 """AUROC."""
+
+
+ROUND_MS = 8
+"""Milliseconds that a round of five agents should take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +63,7 @@ class AgentsResults:
 
     plan: AgentsPlan  # of the study
     results: Results[AgentsPlan]  # of its runs
+    round_ms: list[float] = field(default_factory=list)  # processor time of each round of the pictures
 
     def runs(self, split: str) -> list[Run]:
         """Return the runs of a split, by the numbers of their scenes."""
@@ -164,6 +173,24 @@ class AgentsResults:
         ]
         return Table(("questions", *groups), rows)
 
+    def witnesses_table(self) -> Table:
+        """Return what is found of objects that were removed and moved, by how many honest agents report them."""
+        rows = []
+        for name in WITNESSED:
+            runs = self.of(*GROUPS[name])
+            if not runs:
+                continue
+            most = np.array([max(run.witnesses, default=0.0) for run in runs])
+            every = np.concatenate([run.witnesses for run in runs])
+            for low, high in pairwise(WITNESS_BINS):
+                some = [run for run, count in zip(runs, most, strict=True) if low <= count < high]
+                share = float(((every >= low) & (every < high)).mean())
+                words = f"{low:g} or more" if np.isinf(high) else f"{low:g} to {high:g}"
+                area = self.area(some) if some else float("nan")
+                rows.append([name, words, format_rate(share), str(len(some)), format_rate(area)])
+        header = ("lie", "honest agents that report the object", "share of the objects", "runs by their best", "AUROC")
+        return Table(header, rows)
+
     def picture(self, folder: Path, case: str) -> Picture:
         """Return the last time of the first test scene in a case."""
         honest = HonestModel.from_json((folder / HONEST_MODEL).read_text("utf-8"))
@@ -171,7 +198,9 @@ class AgentsResults:
         liars, said = SceneCases(scene, (self.plan.seed, "test", 0), honest, compared=False).said(case)
         center = CommandCenter(scene.agents, honest=honest)
         for t_s, reports in zip(scene.times_s.tolist(), said, strict=True):
+            begun_ns = thread_time_ns()
             last = center.add(t_s, reports)
+            self.round_ms.append((thread_time_ns() - begun_ns) / 1e6)
         accused = self.limits.accused(last.verdicts.answers, last.elevated, self.rate)
         done = Round(last, accused, self.limits.disputed(last.verdicts, accused, self.rate))
         who = ", ".join(scene.agents[number] for number in liars.numbers) if liars else "nobody"
@@ -286,6 +315,8 @@ def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:
     about = facts(
         plan=f"{plan.name}: {plan.about}", seed=str(plan.seed),
         sensors=f"{', '.join(plan.sensors)}; tested with {', '.join(plan.test_sensors)}", scenes=scenes,
+        round=f"{np.median(found.round_ms):.0f} ms of a core for {plan.moving + plan.roadside} agents, median of"
+        f" {len(found.round_ms)}; wanted: {ROUND_MS:g} ms",
         commits=commits(results),
     )  # fmt: skip
     return page.files("agents.md", about)

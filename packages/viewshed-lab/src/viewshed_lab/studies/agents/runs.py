@@ -18,7 +18,7 @@ from viewshed.geometry import Rigid
 from viewshed.objects.metrics import gospa
 from viewshed.objects.views import GridView
 from viewshed_lab.data.drive import SEEN_RETURNS
-from viewshed_lab.studies.agents.lies import FABRICATED_SIZE_M, LIES, Liars
+from viewshed_lab.studies.agents.lies import LIES, Liars
 from viewshed_lab.studies.agents.plan import ONSET_S, POSE_NOISE, STATED
 from viewshed_lab.studies.agents.published import PublishedTrust
 from viewshed_lab.studies.agents.scenes import Scene
@@ -50,15 +50,15 @@ class Run:
     case: str  # ``HONEST`` or a lie
     liars: list[int]  # numbers of the agents that lied
     victim: int  # of a lie about another one, or -1
-    answers: list[list[list[float]]]  # [T][A][4] what speaks against each agent by ``QUESTIONS``, in nats
+    answers: list[list[list[float]]]  # [T][A][5] what speaks against each agent by ``QUESTIONS``
     doubt: list[float]  # [T] of all
     trust: list[list[float]]  # [T][A]
     published_trust: list[list[float]]  # [T][A], of the published formulas
     suspects: list[list[int]]  # [T][A] 0 or 1
     gospa: dict[str, list[float]]  # by center, [T] meters
     touched: list[float]  # [T] objects, or share of the area, that the liars changed
-    # other honest agents that see the places which were lied about, on average; NaN for lies about views
-    overlap: float
+    # (J,) of each object lied about how many honest agents report it where it is, on average over time
+    witnesses: list[float]
 
 
 @dataclass(slots=True)
@@ -104,9 +104,11 @@ class SceneCases:
             centers["no trust"] = CommandCenter(agents, honest=self.honest, trusting=True)
         distances: dict[str, list[float]] = {name: [] for name in CENTERS}
         answers, doubt, trust, suspects, published_trust = [], [], [], [], []
-        published = PublishedTrust()
+        published, witnesses = PublishedTrust(), list[list[int]]()
         for time, reports in enumerate(said):
             truth = seen_objects(scene, time)
+            if liars is not None and liars.places is not None:
+                witnesses.append(_witnesses(liars.places, self._reports[time], liars.numbers))
             for name, center in centers.items():
                 picture = center.add(float(scene.times_s[time]), reports)
                 xy_m, now = picture.tracks.boxes[:, :2], picture.reported
@@ -126,7 +128,7 @@ class SceneCases:
             case, list(liars.numbers) if liars else [], liars.victim if liars else -1, _rounded(answers),
             _rounded(doubt), _rounded(trust), _rounded(published_trust), np.array(suspects, int).tolist(),
             {name: _rounded(values) for name, values in distances.items()},
-            liars.touched if liars else [], overlap_of(scene, liars) if liars else float("nan"),
+            liars.touched if liars else [], _rounded(np.mean(witnesses, axis=0) if witnesses else []),
         )  # fmt: skip
 
 
@@ -137,17 +139,14 @@ def _misplaced(report: AgentReport, error: F64, *, stated: bool) -> AgentReport:
     return replace(moved, pose_std=POSE_STD) if stated else moved
 
 
-def overlap_of(scene: Scene, liars: Liars) -> float:
-    """Return how many other agents see the places that were lied about last, on average; NaN where there are none."""
-    if liars.places is None or not len(liars.places):
-        return float("nan")
-    boxes = np.zeros((len(liars.places), 7))
-    boxes[:, :2], boxes[:, 3:6] = liars.places[:, :2], FABRICATED_SIZE_M
-    see = [
-        GridView(report.estimate, 0.0).visible(boxes) * (report.range_m(boxes) < FAR_M)
-        for number, report in enumerate(scene.reports(len(scene.times_s) - 1)) if number not in liars.numbers
-    ]  # fmt: skip
-    return float(np.sum(see, axis=0).mean())
+def _witnesses(places: F64, honest: Sequence[AgentReport], liars: Sequence[int]) -> list[int]:
+    """Return how many agents other than the liars detect something at each place (J, 2 or more) of the world."""
+    count = np.zeros(len(places), np.int64)
+    for number, report in enumerate(honest):
+        if number not in liars:
+            away = np.linalg.norm(places[:, None, :2] - report.in_world.boxes[None, :, :2], axis=2)
+            count += away.min(axis=1, initial=np.inf) < FOUND_M
+    return count.tolist()
 
 
 def seen_objects(scene: Scene, time: int) -> F64:

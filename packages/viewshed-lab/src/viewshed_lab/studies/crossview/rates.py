@@ -96,9 +96,42 @@ class CrossViewRow:
     dropped_share: float
 
 
-def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules) -> SeenColumns:
-    """Return the columns that ``others`` know about the view of ``a``; all need poses and times."""
-    found = [columns for b in others for columns in [_columns_of_pair(a, b, others, rules)] if len(columns)]
+@dataclass(frozen=True, slots=True, eq=False)
+class _TallColumns:
+    """What one sweep sees that is as tall as the target, and who sees it as well."""
+
+    sweep: LeveledSweep
+    feet: NDArray[np.float64]  # (M, 3) on the ground, in the sweep's ``level`` frame
+    # sweeps of another time, each with which of the columns (M,) it sees too
+    witnesses: Sequence[tuple[LeveledSweep, NDArray[np.bool_]]]
+
+    @classmethod
+    def of(cls, b: LeveledSweep, scene: Sequence[LeveledSweep], rules: CrossViewRules) -> _TallColumns:
+        """Return the columns of one sweep of a scene; all sweeps need poses and times."""
+        xy, witnesses = _tall_columns(b, rules), list[tuple[LeveledSweep, NDArray[np.bool_]]]()
+        for c in (c for c in scene if _seconds_apart(b, c) >= rules.static_s):
+            body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
+            in_b = _between(b, c) @ c.points[body]
+            witnesses.append((c, _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy, rules.near_m) > 0))
+        return cls(b, np.column_stack([xy, b.ground.at(xy)]), witnesses)
+
+    def known_to(self, a: LeveledSweep, rules: CrossViewRules) -> NDArray[np.float64]:
+        """Return the columns (M, 2), in A's level frame, that stand still: seen at the time of A, or twice."""
+        static = np.full(len(self.feet), _seconds_apart(a, self.sweep) <= rules.together_s)
+        for c, sees in self.witnesses:
+            if c is not a:
+                static |= sees
+        if not static.any():
+            return np.empty((0, 2))
+        columns: NDArray[np.float64] = (_between(a, self.sweep) @ self.feet[static])[:, :2]
+        range_a = np.hypot(columns[:, 0], columns[:, 1])
+        return columns[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+
+
+def _columns_of(a: LeveledSweep, scene: Sequence[_TallColumns], rules: CrossViewRules) -> SeenColumns:
+    """Return the columns that the other sweeps of a scene know about the view of ``a``."""
+    others = [tall.sweep for tall in scene if tall.sweep is not a]
+    found = [xy for tall in scene if tall.sweep is not a for xy in [tall.known_to(a, rules)] if len(xy)]
     if not found:
         return SeenColumns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
     # Places on a lattice of 0.25 m, each once.
@@ -112,26 +145,6 @@ def columns_of(a: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossView
     known = (seen | clear) & (aimed >= rules.coverage)
     passes = (through >= 2) & (through >= rules.through_share * aimed) & ~seen
     return SeenColumns(xy[known], seen[known], passes[known])
-
-
-def _columns_of_pair(
-    a: LeveledSweep, b: LeveledSweep, others: Sequence[LeveledSweep], rules: CrossViewRules
-) -> NDArray[np.float64]:
-    """Return the columns (M, 2) that ``b`` and another sweep of ``others`` see, in A's level frame."""
-    xy_b = _tall_columns(b, rules)
-    witnesses = [c for c in others if _seconds_apart(b, c) >= rules.static_s]
-    static = np.full(len(xy_b), _seconds_apart(a, b) <= rules.together_s)
-    if not len(xy_b) or not (witnesses or static.any()):
-        return np.empty((0, 2))
-    a_from_b = _between(a, b)
-    for c in witnesses:
-        body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
-        in_b = _between(b, c) @ c.points[body]
-        static |= _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy_b, rules.near_m) > 0
-    xyz = np.column_stack([xy_b, b.ground.at(xy_b)])
-    columns: NDArray[np.float64] = (a_from_b @ xyz[static])[:, :2]
-    range_a = np.hypot(columns[:, 0], columns[:, 1])
-    return columns[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
 
 
 def _standing(
@@ -192,7 +205,9 @@ def _aimed_and_through(
     """Return how many returned beams of ``a`` aim at each column, and how many of them end well behind it."""
     beams = a.beams()
     order = np.argsort(beams.azimuth, kind="stable")
-    azimuth, slope, depth = beams.azimuth[order], beams.slope[order], beams.depth_m[order]
+    # In double precision, as what is looked up: else each look-up would convert all beams.
+    azimuth = beams.azimuth[order].astype(np.float64)
+    slope, depth = beams.slope[order], beams.depth_m[order]
     ground = a.ground.at(xy) - a.sensor_height_m
     aimed, through = np.zeros(len(xy), np.intp), np.zeros(len(xy), np.intp)
     for n, (x, y) in enumerate(xy):
@@ -224,10 +239,11 @@ def crossview_truth(
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, SeenColumns]] = []
     for sweeps in sequences:
-        levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
-        for k, a in enumerate(levels):
+        rules, levels = CrossViewRules(), [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
+        scene = [_TallColumns.of(b, levels, rules) for b in levels]
+        for a in levels:
             on_step(f"truth of sweep {len(truth) + 1}")
-            truth.append((a.sweep, columns_of(a, levels[:k] + levels[k + 1 :], CrossViewRules())))
+            truth.append((a.sweep, _columns_of(a, scene, rules)))
     return truth
 
 

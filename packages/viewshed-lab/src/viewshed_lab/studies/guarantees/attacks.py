@@ -20,7 +20,7 @@ from viewshed.fov.visibility import CAR
 from viewshed.grid import BevGrid
 from viewshed.guarantees.certificate import certify
 from viewshed.guarantees.envelope import Envelope, Given, Threat
-from viewshed.preprocess.leveling import NULL_RANGE_M, level
+from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -109,18 +109,8 @@ class Victim:
 
     def envelope_of(self, sweep: Sweep) -> Envelope:
         """Return the envelope of an attacked sweep."""
-        model, own = self.given.model, self.envelope
-        nearest_m = _core.nearest_returns(
-            sweep.points,
-            sweep.ring,
-            self.given.rotation.astype(np.float32),
-            np.tan(model.elevation).astype(np.float32),
-            model.origin_m.astype(np.float32),
-            model.azimuth_columns,
-            max(NULL_RANGE_M, model.min_range_m),
-            model.max_range_m,
-        )
-        return Envelope.within(own.grid, own.target, own.sent, nearest_m)
+        own = self.envelope
+        return Envelope.within(own.grid, own.target, own.sent, self.given.nearest_returns(sweep))
 
 
 def own_victim(sweep: Sweep, grid: BevGrid) -> Victim:
@@ -204,7 +194,7 @@ def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random
         spread = rng.integers(0, 200) if threat.kind == "added" or how == "random" else 0
         added = rng.normal(0.0, rng.uniform(1.0, 25.0), (0 if threat.kind == "dropped" else spread, 3))
         after = victim.envelope_of(victim.attacked(beams, far, added.astype(np.float32)))
-        opened_m2 = float((after.claim() & among).sum()) * clean.grid.cell_area_m2
+        opened_m2 = float((after.claim & among).sum()) * clean.grid.cell_area_m2
         tally.tried += 1
         tally.violations += int(opened_m2 > bound_m2 or _certifies_wrongly(after, clean, threat))
         if number % _CHECKED == 0:
@@ -218,10 +208,10 @@ def try_attacks(victim: Victim, words: str, how: str, count: int, rng: np.random
 def _certifies_wrongly(after: Envelope, clean: Envelope, threat: Threat) -> bool:
     """Return whether the certified part of an attacked envelope has a cell that the clean one does not claim."""
     if threat.kind == "wedge":
-        _, changes = after.changeable(threat, after.claim(), opens=False)
-        certified = after.claim() & ~changes
+        _, changes = after.changeable(threat, after.claim, opens=False)
+        certified = after.claim & ~changes
     else:
-        certified = after.claim() & after.open(int(threat.amount))
+        certified = after.claim & after.open(int(threat.amount))
     return bool((certified & ~clean.reference(threat)).any())
 
 
@@ -246,7 +236,7 @@ def try_all(victim: Victim, beams_at_once: int, limit: int, tally: Tally) -> Non
     for beams in islice(combinations(np.unique(victim.beam), beams_at_once), limit):
         sweep = victim.attacked(np.array(beams), np.full(len(beams), np.inf, np.float32), np.zeros((0, 3), np.float32))
         after = victim.envelope_of(sweep)
-        opened_m2 = float((after.claim() & among).sum()) * clean.grid.cell_area_m2
+        opened_m2 = float((after.claim & among).sum()) * clean.grid.cell_area_m2
         best_m2 = max(best_m2, opened_m2)
         tally.tried += 1
         tally.violations += int(opened_m2 > bound_m2 or _certifies_wrongly(after, clean, threat))

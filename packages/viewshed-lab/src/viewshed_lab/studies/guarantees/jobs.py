@@ -27,8 +27,10 @@ from viewshed_lab.studies.guarantees.driving import CASES, Drive, certified_spee
 from viewshed_lab.studies.guarantees.scenes import (
     GRID,
     adapted_of,
+    attacked_of,
     broken_of,
     certificates_of,
+    costs_of,
     counts_of,
     guaranteed_of,
     own_scene,
@@ -54,6 +56,7 @@ class Sizes:
     queries: int
     calibration: int
     report: int
+    attacked: int
     development: int
     attacks: int
     toys: int
@@ -62,9 +65,9 @@ class Sizes:
 
 
 SIZES = {
-    "tiny": Sizes(2, 2, 1, 10, 100, 4, 0, 1, 1, 10, 0),
-    "small": Sizes(65, 20, 8, 60, 300, 400, 60, 20, 80, 80, 20),
-    "full": Sizes(65, 65, 40, 200, 600, 1000, 60, 50, 160, 80, 200),
+    "tiny": Sizes(2, 2, 1, 10, 100, 4, 1, 0, 1, 1, 10, 0),
+    "small": Sizes(65, 20, 8, 60, 300, 400, 40, 60, 20, 80, 80, 20),
+    "full": Sizes(65, 65, 40, 200, 600, 1000, 200, 60, 50, 160, 80, 200),
 }
 
 
@@ -91,9 +94,14 @@ def run_study(folder: Path, sizes: Sizes, on_line: Callable[[str], None]) -> Non
         for target, calibration in calibrations.items():
             estimate, _ = counts_of(scene, target, number)
             found[target] = guaranteed_of(
-                scene, target, estimate, calibration.mask(estimate, scene.leveled.ground, ALPHA, DELTA)
+                scene, target, estimate, calibration.guaranteed(estimate, scene.leveled.ground, ALPHA, DELTA)
             )
         _add(folder, "report", number, found)
+    for number in _left(folder, "costs", 1, on_line):
+        _add(folder, "costs", number, costs_of(calibrations["car"]))
+    for number in _left(folder, "attacked", sizes.attacked, on_line):
+        line = attacked_of(own_scene("report", number), number, calibrations["car"], sizes.queries)
+        _add(folder, "attacked", number, line)
     for number in _left(folder, "attacks", sizes.attacks + sizes.toys, on_line):
         _add(folder, "attacks", number, attack_scene(number, sizes))
     for number in _left(folder, "speeds", sizes.drives, on_line):
@@ -180,9 +188,8 @@ def _share_of(scene: SceneCounts, path: Calibration, step: int) -> tuple[float, 
     """Return the false share of a step's claim and the part it keeps of what the default rightly claims."""
     if step < 0:
         return 0.0, 0.0
-    levels, bands = np.searchsorted(THRESHOLDS, path.path[step]), np.arange(len(BANDS_M) - 1)
-    std = int(np.searchsorted(GROUND_STDS_M, path.stds_m[step]))
-    right, false = (float(counts[std, bands, levels].sum()) for counts in (scene.right, scene.false))
+    at = path.stds[step], np.arange(path.levels.shape[1]), path.levels[step]
+    right, false = (float(counts[at].sum()) for counts in (scene.right, scene.false))
     return false / max(right + false, 1.0), right / max(float(scene.right[-1, :, 0].sum()), 1.0)
 
 

@@ -16,7 +16,7 @@ from scipy.stats import beta
 
 from viewshed.fov.estimate import FovEstimate
 from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, lower_bound
+from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, THRESHOLDS, lower_bound
 from viewshed.guarantees.envelope import Threat
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts
@@ -39,6 +39,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
         attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]),
         worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
         broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
+        attacked=_attacked(lines["attacked"]), costs=_costs(lines["costs"]),
         development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
         picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
         speeds=_speeds(lines["speeds"]), filled=_filled(lines["speeds"]), certified=CERTIFIED,
@@ -65,6 +66,8 @@ _PARTS = (
     "calibration",
     "development",
     "report",
+    "attacked",
+    "costs",
     "attacks",
     "survey",
     "driving",
@@ -165,8 +168,35 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
                 "≤ .020 / ≤ .150", format_rates(over, under), over <= 0.02 and under <= 0.15,
             ))  # fmt: skip
     rows += _aims_of_driving(lines["driving"])
+    rows += _aims_of_costs(lines["costs"])
     words_of = {True: "met", False: "missed", None: "not shown"}
     return Table(["aim", "wanted", "measured", ""], [[*row[:3], words_of[row[3]]] for row in rows]) if rows else None
+
+
+def _aims_of_costs(lines: list[Line]) -> list[Aim]:
+    """Return the rows of what a sweep costs at the fastest: the slowest certificate and the guaranteed mask."""
+    if not lines:
+        return []
+    costs = {name: [found[0] for found in of.values()] for name, of in lines[0].items() if name != "number"}
+    masks, slowest = costs.pop("guaranteed mask"), np.max(list(costs.values()), axis=0)
+    return [
+        ("slowest certificate, HDL-32E / HDL-64E", "≤ 5 / ≤ 8 ms", f"{slowest[0]:.1f} / {slowest[1]:.1f} ms",
+         bool((slowest <= (5.0, 8.0)).all())),
+        ("guaranteed mask, HDL-32E / HDL-64E", "≤ .5 ms", f"{masks[0]:.2f} / {masks[1]:.2f} ms", max(masks) <= 0.5),
+    ]  # fmt: skip
+
+
+def _costs(lines: list[Line]) -> Table | None:
+    """Return what a sweep costs in milliseconds."""
+    if not lines:
+        return None
+    costs = {name: of for name, of in lines[0].items() if name != "number"}
+    heads = [f"{sensor}, {points:,} points, ms" for sensor, (_, _, points) in costs["added"].items()]
+    rows = [
+        [name, *(f"{median:.2f} (fastest {fastest:.2f})" for fastest, median, _ in of.values())]
+        for name, of in costs.items()
+    ]
+    return Table(["of a sweep, median of 40", *heads], rows)
 
 
 def _aims_of_driving(lines: list[Line]) -> list[Aim]:
@@ -359,7 +389,9 @@ def _masks(folder: Path, lines: list[Line]) -> Table | None:
         calibration = calibration_of(folder, target)
         found = [line[target] for line in lines]
         broken, default = (sum(one[key] > ALPHA for one in found) for key in ("false_share", "default_false_share"))
-        thresholds = ", ".join(format_rate(float(t)) for t in calibration.path[calibration.step(ALPHA, DELTA)])
+        thresholds = ", ".join(
+            format_rate(float(t)) for t in THRESHOLDS[calibration.levels[calibration.step(ALPHA, DELTA)]]
+        )
         rows.append([
             target, thresholds, format_interval(broken / len(found), _interval(broken, len(found))),
             format_rate(default / len(found)), format_rate(float(np.mean([one["recall"] for one in found]))),
@@ -367,6 +399,24 @@ def _masks(folder: Path, lines: list[Line]) -> Table | None:
         ])  # fmt: skip
     header = ["target", "thresholds by range band", "scenes with a false share above α", "the default alone",
               "recall of the truth", "kept of what the default rightly claims"]  # fmt: skip
+    return Table(header, rows)
+
+
+def _attacked(lines: list[Line]) -> Table | None:
+    """Return what is false of a guaranteed mask, a car, and of the default's claim, by the attack on the sweep."""
+    if not lines:
+        return None
+    rows = []
+    for attack in (name for name in lines[0] if name != "number"):
+        row = [attack]
+        for claim in ("guaranteed", "default"):
+            right, false, _ = np.array([line[attack][claim] for line in lines]).T
+            broken = int((false / np.maximum(right + false, 1e-9) > ALPHA).sum())
+            row += [format_interval(broken / len(lines), _interval(broken, len(lines))),
+                    format_rate(float(false.sum() / (right + false).sum()))]  # fmt: skip
+        rows.append(row)
+    header = ["attack", "scenes with a false share above α", "false share of the whole claim",
+              "the default alone: scenes", "false share"]  # fmt: skip
     return Table(header, rows)
 
 
@@ -525,12 +575,12 @@ def _picture(number: int = 1) -> Picture:
     leveled = level(sweep, GRID)
     estimate, after = default_estimator(clean.target).estimate(leveled), victim.envelope_of(sweep)
     panels = {
-        "envelope without attack": clean.claim(),
-        "150 beams replaced": after.claim(),
+        "envelope without attack": clean.claim,
+        "150 beams replaced": after.claim,
         "final claim, certified against 5": certify(
             leveled, estimate, Threat("replaced", 5), victim.given
         ).certified_visible,
-        "opened by the attack": after.claim() & ~clean.open(),
+        "opened by the attack": after.claim & ~clean.open(),
     }
     figure = Figure((12.5, 3.4), dpi=90, layout="constrained")
     FigureCanvasAgg(figure)

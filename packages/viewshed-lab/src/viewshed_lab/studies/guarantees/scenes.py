@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import count
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,7 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
-from viewshed.guarantees.certificate import ADDED, certify, without
+from viewshed.guarantees.certificate import ADDED, Certificate, certify, without
 from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -27,9 +30,11 @@ from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
 from viewshed_lab.data.wild import WildScene
+from viewshed_lab.sim import cast, junction
 from viewshed_lab.studies.crossview.page import posed_scenes
 from viewshed_lab.studies.crossview.rates import evaluate_crossview
 from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
+from viewshed_lab.threats.attacks import ATTACKS, Attack
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
 FRAME = 11
@@ -43,6 +48,14 @@ THREATS = ("added", "replaced:5", "window:5", "window:20", "replaced:150", "wedg
 
 WITHSTOOD = ("window:5", "window:20", "replaced:150")
 """Threats whose certified part an attacker who adapts is set on."""
+
+ON_MASK = {
+    "far wall": ATTACKS["far_wall_clean"](), "removal": ATTACKS["removal_aimed"](),
+    "removal and far wall": ATTACKS["removal_and_far_wall_clean"](), "relay": ATTACKS["relay"](),
+    "ghost wall": ATTACKS["ghost_wall_clean"](), "150 on beams of a wedge": ATTACKS["wedge_cluster"](150),
+    "150 on beams anywhere": ATTACKS["uniform_on_beams"](150),
+}  # fmt: skip
+"""Attacks on a mask of a promised error, none of which looks at it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,16 +130,45 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
             certificate = certify(leveled, estimate, threat, given)
             # What is certified by the envelope alone, whatever an estimator claims.
             gain_m2, _ = envelope.changeable(threat, ~envelope.reference(threat), opens=True)
-            _, spent = envelope.changeable(threat, envelope.claim(), opens=False)
+            _, spent = envelope.changeable(threat, envelope.claim, opens=False)
             found[f"{name} | {words}"] = {
-                "envelope": areas(envelope.claim(), visible, scene.known),
+                "envelope": areas(envelope.claim, visible, scene.known),
                 "reference": areas(envelope.reference(threat), visible, scene.known),
-                "certified envelope": areas(envelope.claim() & ~spent, visible, scene.known),
+                "certified envelope": areas(envelope.claim & ~spent, visible, scene.known),
                 "final": areas(certificate.claim, visible, scene.known),
                 "certified": areas(certificate.certified_visible, visible, scene.known),
                 "gain_m2": gain_m2, "over_claim_m2": certificate.over_claim_m2,
             }  # fmt: skip
     return found
+
+
+def costs_of(calibration: Calibration, repeats: int = 40) -> dict[str, Any]:
+    """Return milliseconds (fastest, median) of each certificate and of a guaranteed mask, by sensor, at a junction."""
+    found: dict[str, Any] = {}
+    for sensor in ("HDL-32E", "HDL-64E"):
+        leveled = level(cast(lidar_model(sensor), junction(), 1.8, rng=np.random.default_rng(36)), GRID)
+        estimate = default_estimator(TARGETS["car"]).estimate(leveled)
+        jobs: dict[str, Callable[[], object]] = {
+            words: partial(certify, leveled, estimate, Threat.parse(words)) for words in THREATS
+        }
+        turned = (
+            replace(Given.of(leveled), rotation=Rigid.from_quaternion((1.0, 0.001 * step, 0.0, 0.0)).rotation)
+            for step in count()
+        )
+        jobs["added, another attitude each sweep"] = partial(_certify_next, leveled, estimate, turned)
+        jobs["guaranteed mask"] = partial(calibration.guaranteed, estimate, leveled.ground)
+        for name, job in jobs.items():
+            times_ms = []
+            for _ in range(repeats):
+                start_s = perf_counter()
+                job()
+                times_ms.append(1000 * (perf_counter() - start_s))
+            found.setdefault(name, {})[sensor] = [min(times_ms), float(np.median(times_ms)), len(leveled.sweep)]
+    return found
+
+
+def _certify_next(leveled: LeveledSweep, estimate: FovEstimate, given: Iterator[Given]) -> Certificate:
+    return certify(leveled, estimate, ADDED, next(given))
 
 
 def counts_of(scene: Scene, target: str, number: int) -> tuple[FovEstimate, SceneCounts]:
@@ -188,7 +230,9 @@ def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = Fa
 
 def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Kept:
     """Return an estimator's mask of the error that a calibration promises with a confidence."""
-    return Kept(estimator, lambda leveled, estimate: calibration.mask(estimate, leveled.ground, confidence=confidence))
+    return Kept(
+        estimator, lambda leveled, estimate: calibration.guaranteed(estimate, leveled.ground, confidence=confidence)
+    )
 
 
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
@@ -227,7 +271,8 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
         there = leveled.world_from_level @ np.dstack([GRID.centers, ground_m.astype(np.float64)])
         error_m = there[..., 2] - survey.at(there)
         claims = {"default": estimate.visible()} | {
-            name: one.mask(estimate, leveled.ground, confidence=confidence) for name, (one, confidence) in masks.items()
+            name: one.guaranteed(estimate, leveled.ground, confidence=confidence)
+            for name, (one, confidence) in masks.items()
         }
         surveyed, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
         behind = behind_boxes(leveled, boxes, ground_m, TARGETS["car"])
@@ -264,6 +309,25 @@ def behind_boxes(leveled: LeveledSweep, boxes: Sequence[ObjectBox], ground_m: F3
         enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
         behind |= ((enters > 0.0) & (enters < leaves) & (leaves < 1.0)).all(axis=0)
     return behind
+
+
+def attacked_of(scene: Scene, number: int, calibration: Calibration, queries: int) -> dict[str, Any]:
+    """Return right, false and visible m² of the default's claim and of its guaranteed mask, by the attack on a sweep.
+
+    The last attack is found by asking the mask.
+    """
+    sweep, default = scene.leveled.sweep, default_estimator(TARGETS["car"])
+    asked = OverClaim(guaranteed(default, calibration, 0.9))
+    tried: dict[str, Attack | None] = {"none": None, **ON_MASK}
+    tried["150 on beams, by asking the mask"] = BlackBox(asked, 150, queries, placement="largest_hidden_area")
+    found = {}
+    for name, attack in tried.items():
+        rng = np.random.Generator(np.random.PCG64(number))
+        leveled = level(sweep if attack is None else attack.apply(sweep, rng).sweep, GRID)
+        estimate = default.estimate(leveled)
+        claims = {"default": estimate.visible(), "guaranteed": calibration.guaranteed(estimate, leveled.ground)}
+        found[name] = {of: areas(claim, scene.visible["car"], scene.known) for of, claim in claims.items()}
+    return found
 
 
 def adapted_of(scene: Scene, number: int, queries: int) -> dict[str, Any]:
@@ -313,7 +377,7 @@ def broken_of(scene: Scene) -> dict[str, Any]:
     found = {}
     for name, one in cases.items():
         certificate = certify(leveled, estimate, ADDED, one)
-        envelope = Envelope.of(leveled, one, GRID, target).claim()
+        envelope = Envelope.of(leveled, one, GRID, target).claim
         found[name] = [*areas(certificate.certified_visible, scene.visible["car"], scene.known),
                        *areas(envelope, scene.visible["car"], scene.known)[:2]]  # fmt: skip
     return found

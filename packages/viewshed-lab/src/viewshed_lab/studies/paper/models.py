@@ -46,7 +46,7 @@ def load_runner(path: Path, device: str = "cpu") -> Runner:
         from viewshed.networks.runtime import OnnxRunner
 
         return OnnxRunner(path, threads=1)
-    from viewshed.networks.unet_torch import TorchRunner, load_weights
+    from viewshed_lab.training.unet_torch import TorchRunner, load_weights
 
     return TorchRunner(*load_weights(path.with_name(CHECKPOINT)), device)
 
@@ -152,7 +152,7 @@ def _planned_config(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
         ringless_share=0.0, past_share=0.0, width=plan.width, depth=plan.depth, fold=1, dropout=plan.dropout,
         loss=plan.loss, learning_rate=plan.learning_rate,
         schedule=plan.schedule, batch=plan.batch, epochs=plan.epochs, patience=plan.patience,
-        frames_per_epoch=plan.frames_per_epoch, fresh=False, versions=plan.versions,
+        frames_per_epoch=plan.frames_per_epoch, versions=plan.versions,
         mirrored=plan.mirrored, precision=plan.precision, workers=plan.workers,
         threshold=setting.threshold, seed=plan.seed, inputs=("counts",), counts=plan.counts,
         max_range_m=setting.max_range_m, heights_m=setting.heights_m,

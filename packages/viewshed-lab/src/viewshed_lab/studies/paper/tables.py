@@ -9,7 +9,7 @@ import numpy as np
 
 from viewshed.metrics import ConfusionCounts
 from viewshed_lab.data.drive import OBJECT_KINDS
-from viewshed_lab.data.simulated import ScenePlan, observe_frame, world_of
+from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
 from viewshed_lab.studies.cases import DEFAULT
 from viewshed_lab.studies.deviation.page import monitor_table as table_of_monitor
 from viewshed_lab.studies.deviation.page import rows_of
@@ -82,7 +82,7 @@ def object_table(results: PaperResults) -> Table:
             objects = [index for index, thing in enumerate(things) if thing.kind in OBJECT_KINDS]
             there.append(len(objects))
             for agent in range(preset.agents):
-                met = np.bincount(np.maximum(observe_frame(plan, agent).scan.thing, -1).ravel() + 1, minlength=2)[1:]
+                met = np.bincount(np.maximum(scan_frame(plan, agent)[0].thing, -1).ravel() + 1, minlength=2)[1:]
                 seen.append(sum(int(index < len(met) and met[index] >= LEAST_BEAMS) for index in objects))
         rows.append([domain, f"{np.mean(seen):.1f}", f"{np.mean(there):.1f}", str(len(there))])
     return Table(["domain", f"met by {LEAST_BEAMS} beams or more, an agent", "in a scene", "scenes"], rows)

@@ -147,14 +147,10 @@ def evaluate(tracked: Sequence[TrackedMoment], model: EvidenceModel) -> Outcome:
         explained = fusion.explain(*one.observed)
         _note_forgeries(outcome, moment, forged, follower)
         follower.note(one, outcome.occluded)
-        for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
-            returned[number] = moment.t_s
+        recent = _returned_lately(moment, returned)
         _note_accusations(outcome, one, explained, last, np.array(model.limits))
         if moment.report is not None:
             _note_alarms(outcome, one)
-        recent = np.array(
-            [moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool
-        )
         tracks = one.observed[0]
         trusted = explained.trusted()
         both = (tracks.boxes[tracks.confirmed], trusted.boxes)
@@ -186,18 +182,19 @@ def tracks_of_objects(tracked: Iterable[TrackedMoment]) -> set[int]:
     return {number for number, more in balance.items() if more > 0}
 
 
-def tracking_gospa_m(tracked: Iterable[TrackedMoment]) -> float:
-    """Return the mean GOSPA of a drive in meters, of confirmed tracks without fusion."""
+def tracking_gospa_m(moments: Sequence[Moment], centers: Iterable[F64]) -> float:
+    """Return the mean GOSPA of a drive in meters, of the tracks (N, 2 or more) that are shown after each sweep."""
     returned, found = dict[int, float](), list[float]()
-    for one in tracked:
-        moment, tracks = one.moment, one.observed[0]
-        for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
-            returned[number] = moment.t_s
-        recent = np.array(
-            [moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool
-        )
-        found.append(compare(tracks.boxes[tracks.confirmed], moment, recent))
+    for moment, shown in zip(moments, centers, strict=True):
+        found.append(compare(shown, moment, _returned_lately(moment, returned)))
     return float(np.mean(found[ATTACKED_FROM:]))
+
+
+def _returned_lately(moment: Moment, returned: dict[int, float]) -> NDArray[np.bool_]:
+    """Return which objects (M,) gave enough returns lately, and note those that do now in ``returned``."""
+    for number in moment.truth.numbers[moment.truth.returns >= COUNTED_RETURNS].tolist():
+        returned[number] = moment.t_s
+    return np.array([moment.t_s - returned.get(n, -np.inf) <= RECENT_S for n in moment.truth.numbers.tolist()], bool)
 
 
 @dataclass(slots=True)

@@ -13,16 +13,13 @@ from viewshed_lab.data.simulated import ScenePlan
 from viewshed_lab.sim.lidar.weather import CONDITIONS
 from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
-from viewshed_lab.studies.tracks.drives import DETECTORS, FOVS, HZ
+from viewshed_lab.studies.tracks.drives import FOVS, HZ
 from viewshed_lab.studies.tracks.lidar_level import LIDAR_ATTACKS
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 
 STEPS = ("count", "limit", "test", "lidar", "page")
 """Count evidence, take limits, attack detections, attack sweeps, write the page: no drive is in two of the first three.
 Sweeps are attacked on the drives of ``test``."""
-
-LIDAR_DETECTOR = "perception"
-"""The detector that looks at attacked sweeps."""
 
 BENIGN_CASE = "benign"
 
@@ -48,15 +45,15 @@ class TracksPlan(Plan):
     worlds: tuple[str, ...]  # kinds of world, in turn
     sensors: tuple[str, ...]  # beam tables
     conditions: tuple[str, ...]  # weather
-    detectors: tuple[str, ...]  # of ``DETECTORS``
     fovs: tuple[str, ...]  # fields of view, of ``FOVS``
     attacks: tuple[str, ...]  # names of ``OBJECT_ATTACKS``
-    lidar_attacks: tuple[str, ...]  # names of ``LIDAR_ATTACKS``; they need the detector of the package
+    lidar_attacks: tuple[str, ...]  # names of ``LIDAR_ATTACKS``
     objects: int  # that are forged at a time
     seconds: float  # of a drive; attacks begin after two
     count: int  # drives that evidence is counted on
     limit: int  # drives that limits are from
     test: int  # drives that are attacked, of each sensor and weather
+    lidar: int  # of these, those whose sweeps are attacked as well
     accused: float  # share of honest tracks that are accused
     seed: int  # of all that is random
 
@@ -64,16 +61,13 @@ class TracksPlan(Plan):
         check_names("preset", (self.preset,), preset_names())
         check_names("worlds", self.worlds, WORLDS, once=True)
         check_names("conditions", self.conditions, CONDITIONS, once=True)
-        check_names("detectors", self.detectors, DETECTORS, once=True)
         check_names("lidar_attacks", self.lidar_attacks, LIDAR_ATTACKS)
-        if self.lidar_attacks and LIDAR_DETECTOR not in self.detectors:
-            raise ValueError(f"detectors must hold {LIDAR_DETECTOR} where sweeps are attacked, got {self.detectors}")
         check_names("fovs", self.fovs, FOVS, once=True)
         check_names("attacks", self.attacks, OBJECT_ATTACKS)
         for sensor in self.sensors:
             lidar_model(sensor)
         check_seed("seed", self.seed)
-        self.check_at_least(1, "objects", "count", "limit", "test")
+        self.check_at_least(1, "objects", "count", "limit", "test", "lidar")
         if not 0.0 < self.accused < 1.0:
             raise ValueError(f"accused must lie in (0, 1), got {self.accused}")
         if not 1.0 <= self.seconds <= 600.0:
@@ -84,22 +78,16 @@ class TracksPlan(Plan):
         return [key for step in STEPS[:-1] for key in self.drive_keys(step)]
 
     def drive_keys(self, step: str) -> list[JobKey]:
-        """Return the drives of a step by name: step, detector, sensor, weather, number, and the attack on sweeps."""
+        """Return the drives of a step by name: step, sensor, weather, number, and the attack on sweeps."""
         places = [(sensor, weather) for sensor in self.sensors for weather in self.conditions]
-        tested = [(*place, str(number)) for number in range(self.test) for place in places]
-        if step == "test":
-            return [(step, detector, *drive) for detector in self.detectors for drive in tested]
-        if step == "lidar":
-            return [(step, LIDAR_DETECTOR, *drive, attack) for attack in self.lidar_attacks for drive in tested]
-        drives = getattr(self, step)
-        return [
-            (step, detector, *places[number % len(places)], str(number))
-            for detector in self.detectors for number in range(drives)
-        ]  # fmt: skip
+        if step in ("count", "limit"):
+            return [(step, *places[n % len(places)], str(n)) for n in range(getattr(self, step))]
+        tested = [(step, *place, str(number)) for number in range(getattr(self, step)) for place in places]
+        return tested if step == "test" else [(*drive, attack) for attack in self.lidar_attacks for drive in tested]
 
     def scene(self, key: JobKey) -> ScenePlan:
         """Return the scene of a drive: a world of its own."""
-        step, _, sensor, weather, number = key[:5]
+        step, sensor, weather, number = key[:4]
         first = {"count": 0, "limit": self.count}.get(step, self.count + self.limit)
         place = first + int(number)
         world = self.worlds[place % len(self.worlds)]

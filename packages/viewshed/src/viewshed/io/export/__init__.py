@@ -17,21 +17,19 @@ from viewshed.io.export import cpm, geojson, geotiff, nav2, osi, ros
 from viewshed.io.export import npz as archive
 from viewshed.io.export.cpm import claimed_by_cpm, to_cpm
 from viewshed.io.export.crs import crs_of
-from viewshed.io.export.geojson import fov_from_geojson, to_geojson
+from viewshed.io.export.geojson import to_geojson
 from viewshed.io.export.geotiff import to_geotiff
 from viewshed.io.export.npz import read_npz, to_npz, write_npz
-from viewshed.io.export.osi import polygons_of_osi, to_osi
+from viewshed.io.export.osi import to_osi
 from viewshed.io.export.ros import (
-    fov_from_grid_map,
-    fov_from_occupancy_grid,
     to_grid_map,
     to_occupancy_grid,
     to_occupancy_grids,
 )
 
 __all__ = [
-    "EXPORTERS", "Exporter", "claimed_by_cpm", "format_of_content", "format_of_path", "fov_from_geojson",
-    "fov_from_grid_map", "fov_from_occupancy_grid", "polygons_of_osi", "read_npz", "to_cpm", "to_geojson",
+    "EXPORTERS", "Exporter", "claimed_by_cpm", "format_of_content", "format_of_path",
+    "read_npz", "to_cpm", "to_geojson",
     "to_geotiff", "to_grid_map", "to_npz", "to_occupancy_grid", "to_occupancy_grids", "to_osi", "write_export",
     "write_npz",
 ]  # fmt: skip
@@ -39,22 +37,15 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Exporter:
-    """How one format is made.
+    """How one format is made."""
 
-    Attributes:
-        function: estimate to a JSON-serializable dictionary, or to bytes.
-        suffix: usual end of a file's name.
-        mark: what the first bytes of its files hold, and those of no other format.
-        states: how the four cell states map.
-        in_crs: the same with the name of the reference system of the world frame; None where the format has none.
-        image: picture that lies beside a YAML file, which begins with its name; None where there is none.
-    """
-
-    function: Callable[[FovEstimate], dict[str, Any] | bytes]
-    suffix: str
-    mark: bytes
-    states: str
+    function: Callable[[FovEstimate], dict[str, Any] | bytes]  # estimate to a JSON-serializable dictionary, or to bytes
+    suffix: str  # usual end of a file's name
+    mark: bytes  # what the first bytes of its files hold, and those of no other format
+    states: str  # how the four cell states map
+    # the same with the name of the reference system of the world frame; None where the format has none
     in_crs: Callable[[FovEstimate, str], dict[str, Any] | bytes] | None = None
+    # picture that lies beside a YAML file, which begins with its name; None where there is none
     image: Callable[[FovEstimate], bytes] | None = None
 
     def check_crs(self, crs: str | None) -> None:

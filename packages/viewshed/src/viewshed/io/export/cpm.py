@@ -15,8 +15,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely import Polygon
 
+from viewshed import _core
 from viewshed.arrays import Mask
-from viewshed.fov._star_polygons import free_ranges, star_vertices
 from viewshed.fov.estimate import FovEstimate
 from viewshed.fov.polygons import (
     BINS,
@@ -25,6 +25,7 @@ from viewshed.fov.polygons import (
     blind_spot,
     bounding_box,
     deepest_point,
+    free_ranges,
     mask_of_polygon,
     sectors_of_mask,
     vertices_of,
@@ -191,7 +192,7 @@ def _polygons(mask: Mask, grid: BevGrid, vertices: int, whole_cells: bool) -> li
     ranges = free_ranges(filled, grid, apex, BINS, margin_m=_MARGIN_M, whole_cells=whole_cells)
     blind = bounding_box(hole, grid).buffer(_MARGIN_M, join_style="mitre") if hole is not None and hole.any() else None
     largest = max(float(mask.sum()), 1.0) * grid.cell_area_m2
-    star = _dearest(lambda price: _pieces(star_vertices(ranges, price), apex, blind), vertices, largest)
+    star = _dearest(lambda price: _pieces(_core.star_vertices(ranges, price), apex, blind), vertices, largest)
     islands = _dearest(lambda price: _islands(mask, grid, price, whole_cells), vertices, largest)
     return max(star, islands, key=_total_area)
 
@@ -220,7 +221,7 @@ def _islands(mask: Mask, grid: BevGrid, price_m2: float, whole_cells: bool) -> l
     for _ in range(_MAX_ISLANDS):
         apex = _whole_cm(deepest_point(left, grid))
         ranges = free_ranges(left, grid, apex, BINS // 4, margin_m=_MARGIN_M, whole_cells=whole_cells)
-        found = _pieces(star_vertices(ranges, price_m2), apex, None)
+        found = _pieces(_core.star_vertices(ranges, price_m2), apex, None)
         if sum(piece.area - price_m2 * vertices_of(piece) for piece in found) <= 0.0:
             break
         for piece in found:

@@ -61,11 +61,6 @@ def to_wgs84(polygon: BaseGeometry, system: CRS) -> BaseGeometry:
     return shapely.transform(polygon, lambda xy: _moved(xy, system, _WGS84))
 
 
-def from_wgs84(polygon: BaseGeometry, system: CRS) -> BaseGeometry:
-    """Return a polygon of longitudes and latitudes in meters of a reference system."""
-    return shapely.transform(polygon, lambda xy: _moved(xy, _WGS84, system))
-
-
 def _moved(xy: NDArray[np.float64], source: CRS | str, target: CRS | str) -> NDArray[np.float64]:
     """Return points (N, 2) of one reference system in another one."""
     from rasterio import Env

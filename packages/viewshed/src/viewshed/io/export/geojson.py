@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,11 +10,10 @@ import shapely
 from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
-from viewshed.fov.estimate import Basis, CellState, FovEstimate
-from viewshed.fov.polygons import local_crs, mask_of_polygon, polygon_of_mask
+from viewshed.fov.estimate import CellState, FovEstimate
+from viewshed.fov.polygons import local_crs, polygon_of_mask
 from viewshed.geometry import Rigid
-from viewshed.grid import BevGrid
-from viewshed.io.export.crs import crs_named, from_wgs84, to_wgs84
+from viewshed.io.export.crs import crs_named, to_wgs84
 
 if TYPE_CHECKING:
     from rasterio.crs import CRS
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
 STATES = (
     "one MultiPolygon each: `free`, `surface`, `hidden`, `unknown`; and `visible`, the cells at or above the threshold"
 )
-
-_BASIS = tuple(field.name for field in fields(Basis))
-"""Properties of each feature that say what the estimate rests on; absent where that is not known."""
 
 
 def to_geojson(estimate: FovEstimate, threshold: float | None = None, *, crs: str | None = None) -> dict[str, Any]:
@@ -96,42 +92,3 @@ def _flat(pose: Rigid) -> list[float]:
     """Return the six numbers of the pose's x, y and yaw that shapely wants."""
     c, s = float(np.cos(pose.yaw)), float(np.sin(pose.yaw))
     return [c, -s, s, c, float(pose.translation[0]), float(pose.translation[1])]
-
-
-def fov_from_geojson(collection: dict[str, Any]) -> FovEstimate:
-    """Return the estimate in a collection of :func:`to_geojson`: states exact, probability 1 where visible, else 0.
-
-    Raises:
-        ValueError: a layer or a member of this package is missing.
-    """
-    try:
-        where = collection["viewshed:grid"]
-        grid = BevGrid(where["cells"], where["half_extent_m"], (where["offset_m"][0], where["offset_m"][1]))
-        frame = collection["viewshed:frame"]
-        matrix, crs = frame["world_from_level"], frame.get("crs")
-        pose = None if matrix is None else Rigid.from_matrix(matrix)
-        system = None if crs is None else crs_named(crs, pose)
-        features = {feature["properties"]["layer"]: feature for feature in collection["features"]}
-        masks = {layer: _mask(feature["geometry"], pose, grid, system) for layer, feature in features.items()}
-        state = np.zeros(grid.shape, np.uint8)
-        for value in CellState:
-            state[masks[value.name.lower()]] = value
-        about = features["visible"]["properties"]
-        return FovEstimate(
-            grid, masks["visible"].astype(np.float32), state,
-            method=about["method"], world_from_level=pose, t_ns=about["t_ns"], agent=about["agent"],
-            basis=Basis(**{name: about[name] for name in _BASIS}) if "reach_m" in about else None,
-        )  # fmt: skip
-    except (KeyError, IndexError, TypeError) as error:
-        raise ValueError(f"collection must come from to_geojson, {error!r} is missing or wrong") from error
-
-
-def _mask(geometry: dict[str, Any], pose: Rigid | None, grid: BevGrid, system: CRS | None) -> Any:
-    polygon = shapely.geometry.shape(geometry)
-    polygon = polygon if system is None else from_wgs84(polygon, system)
-    back = polygon if pose is None else affine_transform(polygon, _flat(_upright(pose).inverse()))
-    return mask_of_polygon(back, grid)
-
-
-def _upright(pose: Rigid) -> Rigid:
-    return Rigid.from_yaw(pose.yaw, (pose.translation[0], pose.translation[1], 0.0))

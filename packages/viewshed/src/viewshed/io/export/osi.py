@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import shapely
-from shapely import MultiPolygon, Polygon
 
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.polygons import polygon_of_mask
@@ -43,15 +41,3 @@ def to_osi(estimate: FovEstimate, threshold: float | None = None) -> dict[str, A
 
 def _vectors(ring: Any) -> list[dict[str, float]]:
     return [{"x": x, "y": y, "z": 0.0} for x, y in shapely.get_coordinates(ring)[:-1].tolist()]
-
-
-def polygons_of_osi(message: dict[str, Any]) -> dict[str, MultiPolygon]:
-    """Return the polygons of a message of :func:`to_osi` by layer, meters in ``level``."""
-    parts: dict[str, list[Polygon]] = {"visible": [], "hidden": [], "unknown": []}
-    for entry in message["polygons"]:
-        parts[entry["layer"]].append(Polygon(_xy(entry["outer"]), [_xy(ring) for ring in entry["inner"]]))
-    return {layer: MultiPolygon(polygons) for layer, polygons in parts.items()}
-
-
-def _xy(ring: list[dict[str, float]]) -> Any:
-    return np.array([[point["x"], point["y"]] for point in ring])

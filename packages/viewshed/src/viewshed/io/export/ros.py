@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.fov.estimate import CellState, FovEstimate
-from viewshed.grid import BevGrid
 
 OCCUPANCY_STATES = (
     "`occupancy`, for costmaps: FREE 0, SURFACE 100, HIDDEN and UNKNOWN -1; "
@@ -94,30 +93,6 @@ def _visibility(estimate: FovEstimate) -> NDArray[np.int8]:
     return np.where(estimate.state == CellState.UNKNOWN, np.int8(-1), percent)
 
 
-def fov_from_occupancy_grid(state: dict[str, Any], visibility: dict[str, Any]) -> FovEstimate:
-    """Return the estimate in the two layers: states exact, probability to the half percent, 0 where UNKNOWN.
-
-    Raises:
-        ValueError: a grid is not square or its data have another length, or a state is none of those written.
-    """
-    info, origin = state["info"], state["info"]["origin"]["position"]
-    half_m = 0.5 * info["resolution"] * info["width"]
-    grid = BevGrid(info["width"], half_m, (origin["x"] + half_m, origin["y"] + half_m))
-    values, percent = (_square(message, grid) for message in (state, visibility))
-    same = values[..., None] == _STATE_VALUES
-    if not same.any(axis=-1).all():
-        raise ValueError(f"state must be of {_STATE_VALUES.tolist()}, got {values[~same.any(axis=-1)][0]}")
-    prob = np.maximum(percent, 0).astype(np.float32) / np.float32(100)
-    return FovEstimate(grid, prob, same.argmax(axis=-1).astype(np.uint8), t_ns=_t_ns(state["header"]))
-
-
-def _square(message: dict[str, Any], grid: BevGrid) -> NDArray[np.int8]:
-    info, data = message["info"], np.asarray(message["data"], np.int8)
-    if info["width"] != info["height"] or data.shape != (grid.cells**2,):
-        raise ValueError(f"grid must be square with {grid.cells**2} cells, got {info['width']} × {info['height']}")
-    return data.reshape(grid.shape).T
-
-
 def to_grid_map(estimate: FovEstimate) -> dict[str, Any]:
     """Return a grid_map_msgs/GridMap (dict) in the ``level`` frame with layers visible_prob, state and, if any, std.
 
@@ -155,34 +130,6 @@ def _multi_array(values: NDArray[np.float32]) -> dict[str, Any]:
     return {"layout": {"dim": dim, "data_offset": 0}, "data": values[::-1, ::-1].ravel(order="F").tolist()}
 
 
-def fov_from_grid_map(message: dict[str, Any]) -> FovEstimate:
-    """Return the estimate in a message of :func:`to_grid_map`: probability, deviation and states exact.
-
-    Raises:
-        ValueError: a layer is missing, or the map is not square.
-    """
-    info, center = message["info"], message["info"]["pose"]["position"]
-    cells = message["data"][0]["layout"]["dim"][0]["size"]
-    layers = dict(zip(message["layers"], (_matrix(layer, cells) for layer in message["data"]), strict=True))
-    if not {"visible_prob", "state"} <= layers.keys():
-        raise ValueError(f"layers must include visible_prob and state, got {message['layers']}")
-    std = layers.get("std")
-    return FovEstimate(
-        BevGrid(cells, 0.5 * info["length_x"], (center["x"], center["y"])),
-        layers["visible_prob"],
-        layers["state"].astype(np.uint8),
-        std=None if std is None else np.where(std == _MISSING, np.float32(np.nan), std),
-        t_ns=_t_ns(message["header"]),
-    )
-
-
-def _matrix(layer: dict[str, Any], cells: int) -> NDArray[np.float32]:
-    data = np.asarray(layer["data"], np.float32)
-    if data.shape != (cells * cells,):
-        raise ValueError(f"a layer must have {cells * cells} values, got {data.size}")
-    return data.reshape((cells, cells), order="F")[::-1, ::-1]
-
-
 def _header(estimate: FovEstimate) -> dict[str, Any]:
     return {"stamp": _stamp(estimate), "frame_id": f"{estimate.agent}/level"}
 
@@ -190,11 +137,6 @@ def _header(estimate: FovEstimate) -> dict[str, Any]:
 def _stamp(estimate: FovEstimate) -> dict[str, int]:
     seconds, nanoseconds = divmod(estimate.t_ns or 0, 1_000_000_000)
     return {"sec": seconds, "nanosec": nanoseconds}
-
-
-def _t_ns(header: dict[str, Any]) -> int | None:
-    stamp = header["stamp"]
-    return int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"]) or None
 
 
 def _pose(x: float, y: float) -> dict[str, dict[str, float]]:

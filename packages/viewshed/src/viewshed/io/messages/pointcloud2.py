@@ -101,11 +101,7 @@ def _sweep(points: NDArray[np.float32], columns: Mapping[str, NDArray[Any]], dro
 
 
 def _table(cloud: PointCloud2) -> NDArray[Any]:
-    """Return the points as a structured array (height, width), a view of the message's data.
-
-    Raises:
-        ValueError: a field leaves its point, a point its row, or a row the data; or x, y or z is missing.
-    """
+    """Return the points as a structured array (height, width), a view of the message's data."""
     order = ">" if cloud.is_bigendian else "<"
     fields = {field.name.lower(): field for field in cloud.fields if field.count <= 1 and field.datatype in _KINDS}
     missing = [name for name in "xyz" if name not in fields]

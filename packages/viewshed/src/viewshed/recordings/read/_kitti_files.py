@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,57 +111,36 @@ def _date_ns(text: str, place: Path) -> int:
         raise ValueError(f"{place}: must be dates and times, got {text[:40]!r}") from error
 
 
-class PoseTrack(Protocol):
-    """The poses of one drive or sequence."""
-
-    def world_from_velodyne(self, key: str) -> Rigid:
-        """Return the pose of the sweep with this number; an error where it has none, or a damaged one."""
-        ...
+PoseTrack = Callable[[str], Rigid]
+"""Returns ``world_from_velodyne`` of the sweep with a number; an error where it has no pose, or a damaged one."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CameraTrack:
-    """Poses of one sequence of KITTI odometry, in the LiDAR's frame at the first sweep."""
+def camera_track(root: Path, place: Path, calibration: Path) -> PoseTrack:
+    """Return the poses of one sequence of KITTI odometry, in the LiDAR's frame at the first sweep.
 
-    place: Path  # the file of poses
-    lines: Sequence[str]  # its lines, each the pose of the left camera in the camera's frame at the first sweep
-    camera_from_velodyne: Rigid  # calibration
-
-    @classmethod
-    def read(cls, root: Path, place: Path, calibration: Path) -> CameraTrack:
-        """Return the track in a file of poses."""
-        return cls(place, text_lines(root, place), rigid_named(root, calibration, "Tr"))
-
-    def world_from_velodyne(self, key: str) -> Rigid:
-        """Return the pose of the sweep with this number."""
-        text = _line_of(self.lines, int(key), self.place)
-        first_from_camera = rigid_of_line(text, f"{self.place}, line {int(key) + 1}")
-        return self.camera_from_velodyne.inverse() @ first_from_camera @ self.camera_from_velodyne
+    The lines of the file ``place`` are those of the left camera in the camera's frame at the first sweep.
+    """
+    return partial(_pose_by_camera, place, text_lines(root, place), rigid_named(root, calibration, "Tr"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InertialTrack:
-    """Poses of one drive of KITTI raw."""
+def _pose_by_camera(place: Path, lines: Sequence[str], camera_from_velodyne: Rigid, key: str) -> Rigid:
+    first_from_camera = rigid_of_line(_line_of(lines, int(key), place), f"{place}, line {int(key) + 1}")
+    return camera_from_velodyne.inverse() @ first_from_camera @ camera_from_velodyne
 
-    root: Path  # the recording
-    folder: Path  # the records, named by the numbers of the sweeps
-    first: NDArray[np.float64]  # the record (6,) where the world has its origin: the first that can be read
-    imu_from_velodyne: Rigid  # calibration
 
-    @classmethod
-    def read(cls, root: Path, drive: Path) -> InertialTrack:
-        """Return the track of a drive."""
-        calibration = drive.parent / "calib_imu_to_velo.txt"
-        texts = named_texts(root, calibration)
-        rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
-        translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
-        folder = drive / "oxts" / "data"
-        first = _first_readable(root, folder)
-        return cls(root, folder, first, rigid_of(rotation, translation, str(calibration)).inverse())
+def inertial_track(root: Path, drive: Path) -> PoseTrack:
+    """Return the poses of one drive of KITTI raw; the world has its origin at the first record that can be read."""
+    calibration = drive.parent / "calib_imu_to_velo.txt"
+    texts = named_texts(root, calibration)
+    rotation = numbers_of(texts.get("R", ""), 9, f"{calibration}, R").reshape(3, 3)
+    translation = numbers_of(texts.get("T", ""), 3, f"{calibration}, T")
+    folder = drive / "oxts" / "data"
+    imu_from_velodyne = rigid_of(rotation, translation, str(calibration)).inverse()
+    return partial(_pose_by_imu, root, folder, _first_readable(root, folder), imu_from_velodyne)
 
-    def world_from_velodyne(self, key: str) -> Rigid:
-        """Return the pose of the sweep with this number."""
-        return world_from_imu(_read_oxts(self.root, self.folder / f"{key}.txt"), self.first) @ self.imu_from_velodyne
+
+def _pose_by_imu(root: Path, folder: Path, first: NDArray[np.float64], imu_from_velodyne: Rigid, key: str) -> Rigid:
+    return world_from_imu(_read_oxts(root, folder / f"{key}.txt"), first) @ imu_from_velodyne
 
 
 def _first_readable(root: Path, folder: Path) -> NDArray[np.float64]:

@@ -10,11 +10,11 @@ from sys import intern
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.geometry import Rigid
 from viewshed.io._input import one_line
 from viewshed.recordings.read._nuscenes_tables import floats_of, rows_of_table
 from viewshed.recordings.read.source import ObjectBox
-from viewshed.recordings.read.tf_tree import slerp
+from viewshed.recordings.read.tf_tree import between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,9 +63,7 @@ class Annotations:
 
     def _mixed(self, old: int, new: int, share: float) -> ObjectBox:
         earlier, later = self._box(old), self._box(new)
-        center = (1 - share) * earlier.center + share * later.center
-        one, other = (quaternion_from_rotation(box.world_from_box.rotation) for box in (earlier, later))
-        return replace(later, world_from_box=Rigid.from_quaternion(slerp(one, other, share), center))
+        return replace(later, world_from_box=between(earlier.world_from_box, later.world_from_box, share))
 
     def _box(self, row: int) -> ObjectBox:
         instance = self.instances[row]

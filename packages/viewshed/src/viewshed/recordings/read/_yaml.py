@@ -33,11 +33,6 @@ def read_yaml(path: Path) -> Any:
     """Return the first document of a YAML file as dicts, lists, text, numbers, booleans and None.
 
     Whole numbers of more than 18 digits are floats; objects of Python and of other unknown tags are None.
-
-    Raises:
-        ValueError: it is no YAML, is too large or too deep, or refers to itself.
-        ImportError: the extra ``opv2v`` is not installed.
-        OSError: it cannot be read.
     """
     yaml = load_pyyaml()
     with open_input(path) as source:

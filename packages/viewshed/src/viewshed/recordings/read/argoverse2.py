@@ -21,7 +21,7 @@ from viewshed.io import read_sweep
 from viewshed.io._columns import FILE_FRAMES
 from viewshed.io._input import inside, open_input
 from viewshed.io.argoverse import read_feather
-from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage
 from viewshed.sweep import Sweep
 
 SWEEPS, POSES, BOXES = "sensors/lidar", "city_SE3_egovehicle.feather", "annotations.feather"
@@ -31,14 +31,13 @@ _SIZE = ("length_m", "width_m", "height_m")
 _MOST_BYTES = 256_000_000
 
 
-class Argoverse2:
+class Argoverse2(SweepReader):
     """One log, or a folder of logs; each is a scene, whose world is the city."""
 
     def __init__(self, place: Path) -> None:
         logs = logs_in(place)
         self.root = place
         self.problems: list[str] = []
-        self.notes = ()
         self.scenes: dict[str, Sequence[SweepRef]] = {log.name: self._refs(log) for log in logs}
         self._tables: dict[Path, dict[str, NDArray[Any]] | None] = {}
 

@@ -15,7 +15,7 @@ import contextlib
 import io
 import sqlite3
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -351,14 +351,6 @@ def _ros1_errors() -> Iterator[None]:
         raise ValueError(f"is damaged or cut off: {one_line(error)}") from error
 
 
-def _stored(packed: bytes, limit: int) -> bytes:
-    return packed
-
-
-def _bunzip2(packed: bytes, limit: int) -> bytes:
-    return bz2.BZ2Decompressor().decompress(packed, limit)
-
-
 def _unlz4(packed: bytes, limit: int) -> bytes:
     with needed_for("reading a bag packed by lz4"):
         from lz4.frame import LZ4FrameDecompressor
@@ -383,7 +375,10 @@ def _unzstd(packed: bytes, limit: int) -> bytes:
         raise ValueError(str(error)) from error
 
 
-_UNPACKERS = {"": _stored, "bz2": _bunzip2, "lz4": _unlz4, "zstd": _unzstd}
+_UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
+    "": lambda packed, _: packed, "bz2": lambda packed, limit: bz2.BZ2Decompressor().decompress(packed, limit),
+    "lz4": _unlz4, "zstd": _unzstd,
+}  # fmt: skip
 """What unpacks a chunk to a bounded number of bytes, by the name of the packing."""
 
 

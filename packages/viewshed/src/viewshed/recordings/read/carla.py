@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
 from viewshed.io._input import inside, one_line, open_input
-from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.sensors import MAX_RINGS, LidarModel
 from viewshed.sweep import Sweep
 
@@ -294,13 +294,12 @@ class _Scene:
     actors: Actors | None
 
 
-class CarlaRecording:
+class CarlaRecording(SweepReader):
     """A recording, or a folder of recordings; each is a scene."""
 
     def __init__(self, scenes: Mapping[str, _Scene], problems: Sequence[str]) -> None:
         self._scenes = scenes
         self.problems = problems
-        self.notes = ()
         self.scenes = {name: _refs_of(name, scene) for name, scene in scenes.items()}
 
     @classmethod

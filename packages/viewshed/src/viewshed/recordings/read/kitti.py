@@ -11,8 +11,8 @@ from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
 from viewshed.io._input import inside, one_line
 from viewshed.recordings.read._kitti_boxes import FILE, Tracklets, read_labels
-from viewshed.recordings.read._kitti_files import CameraTrack, InertialTrack, PoseTrack, times_of
-from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage
+from viewshed.recordings.read._kitti_files import PoseTrack, camera_track, inertial_track, times_of
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl64e"
@@ -22,14 +22,13 @@ SENSOR_HEIGHT_M = 1.73
 """Height of the LiDAR above the ground (https://www.cvlibs.net/datasets/kitti/setup.php)."""
 
 
-class _Kitti:
+class _Kitti(SweepReader):
     """What the three layouts share: sweeps named by numbers, with KITTI's beams and height, and perhaps poses."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self.scenes: dict[str, tuple[SweepRef, ...]] = {}
         self.problems: list[str] = []
-        self.notes = ()
         self._tracks: dict[str, PoseTrack] = {}
 
     def read(self, ref: SweepRef) -> Sweep:
@@ -39,10 +38,6 @@ class _Kitti:
             world_from_sensor=self._pose(ref),
         )  # fmt: skip
         return sweep if ref.t_ns is None else sweep.replace(t_ns=ref.t_ns)
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return None: nobody annotated objects."""
-        return None
 
     def _add_scene(self, name: str, folder: Path, stamps: Path | None = None, *, seconds: bool = False) -> None:
         """Add the sweeps of a folder, in the order of their times where all have one, else of their numbers."""
@@ -66,7 +61,7 @@ class _Kitti:
         if ref.scene not in self._tracks:
             return None
         try:
-            return self._tracks[ref.scene].world_from_velodyne(ref.key)
+            return self._tracks[ref.scene](ref.key)
         except (ValueError, OSError) as error:
             raise ValueError(one_line(f"{ref.file}: has no pose: {error}")) from error
 
@@ -85,7 +80,7 @@ class KittiRaw(_Kitti):
         for drive in drives:
             points = drive / "velodyne_points"
             self._add_scene(drive.name, points / "data", points / "timestamps.txt")
-            self._add_poses(drive.name, drive.name, partial(InertialTrack.read, self.root, drive))
+            self._add_poses(drive.name, drive.name, partial(inertial_track, self.root, drive))
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the objects of the drive's tracklets; None where it has no such file."""
@@ -115,7 +110,7 @@ class KittiOdometry(_Kitti):
             candidates = (place / "poses" / f"{sequence.name}.txt", sequence / "poses.txt")
             for poses in [file for file in candidates if file.is_file()][:1]:
                 what, calibration = f"sequence {sequence.name}", sequence / "calib.txt"
-                self._add_poses(sequence.name, what, partial(CameraTrack.read, place, poses, calibration))
+                self._add_poses(sequence.name, what, partial(camera_track, place, poses, calibration))
 
 
 class KittiObject(_Kitti):

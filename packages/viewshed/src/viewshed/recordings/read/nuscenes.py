@@ -9,7 +9,7 @@ from viewshed.io import FILE_FRAMES, read_sweep
 from viewshed.io._input import inside, one_line
 from viewshed.recordings.read._nuscenes_boxes import Annotations
 from viewshed.recordings.read._nuscenes_tables import NuscenesTables, PoseTable
-from viewshed.recordings.read.source import ObjectBox, SweepRef
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef
 from viewshed.sweep import Sweep
 
 SENSOR = "hdl32e"
@@ -18,7 +18,7 @@ SENSOR = "hdl32e"
 _TABLE = "sample_data.json"
 
 
-class Nuscenes:
+class Nuscenes(SweepReader):
     """One version of nuScenes, in the folder of its tables; ``samples`` and ``sweeps`` lie beside it.
 
     The ego frame lies on the ground, so the height of the sensor is that of its calibration.
@@ -26,7 +26,6 @@ class Nuscenes:
 
     def __init__(self, folder: Path) -> None:
         self.problems: list[str] = []
-        self.notes = ()
         self._folder = folder
         self._tables = NuscenesTables.read(folder, self.problems)
         self._annotations: Annotations | None = None

@@ -15,7 +15,7 @@ from viewshed.io import read_sweep
 from viewshed.io._input import inside
 from viewshed.recordings.read._yaml import load_pyyaml, read_yaml
 from viewshed.recordings.read.carla import box_of_carla, lidar_described, mirrored, rigid_of_carla
-from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage, numbers_in, read_optional
+from viewshed.recordings.read.source import ObjectBox, SweepReader, SweepRef, note_damage, numbers_in, read_optional
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
@@ -39,13 +39,12 @@ class _Scenario:
     roadside_lidar: LidarModel | None
 
 
-class Opv2v:
+class Opv2v(SweepReader):
     """Scenarios with their agents; a scene is a scenario, agents have the names of their folders."""
 
     def __init__(self, scenarios: Mapping[str, _Scenario], problems: Sequence[str]) -> None:
         self._scenarios = scenarios
         self.problems = problems
-        self.notes = ()
         self.scenes = {name: _refs_of(name, scenario) for name, scenario in scenarios.items()}
 
     @classmethod

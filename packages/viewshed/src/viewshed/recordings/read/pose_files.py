@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid, quaternion_from_rotation
+from viewshed.geometry import Rigid
 from viewshed.io._input import open_input
 from viewshed.recordings.read._kitti_files import rigid_named, rigid_of, world_from_imu
-from viewshed.recordings.read.tf_tree import TransformBuffer
+from viewshed.recordings.read.tf_tree import between
 from viewshed.sweep import Sweep
 
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
@@ -123,8 +123,17 @@ class PoseFile:
                 has_all = set(_DEVIATION_COLUMNS) <= set(words)
                 deviations = [words.index(name) for name in _DEVIATION_COLUMNS] if has_all else []
             elif any(words):
-                found.append(_numbers_in(words, columns, f"line {number}"))
-                spread.append(_deviations_in(words, deviations, f"line {number}"))
+                place, deviation_m = (_floats_in(words, each, f"line {number}") for each in (columns, deviations))
+                if not np.isfinite(place).all() or abs(place[1]) >= 89.0:
+                    raise ValueError(
+                        f"line {number}: latitude must lie in (-89, 89) degrees and all be finite, got {place}"
+                    )
+                if not all(0.0 <= each < np.inf for each in deviation_m):
+                    raise ValueError(
+                        f"line {number}: standard deviations must be finite and not negative, got {deviation_m}"
+                    )
+                found.append(place)
+                spread.append(deviation_m or [np.nan] * 3)
         if not found:
             raise ValueError("must have places, got no line with numbers")
         order = np.argsort([row[0] for row in found], kind="stable")
@@ -236,17 +245,8 @@ class PoseFile:
         if times_ns[after] - times_ns[after - 1] > _GAP_NS:
             gap_s = (times_ns[after] - times_ns[after - 1]) / 1e9
             raise ValueError(f"the sweep at {t_ns / 1e9:.3f} s lies in a gap of {gap_s:.1f} s of {self.place.name}")
-        return self._between(after, within_ns, times_ns)
-
-    def _between(self, after: int, t_ns: int, times_ns: NDArray[np.int64]) -> Rigid:
-        """Return the pose at a time between a pose and the one before it."""
-        buffer = TransformBuffer()
-        for row in (after - 1, after):
-            pose = self.poses[row]
-            turn = quaternion_from_rotation(pose.rotation)
-            buffer.add("world", "sensor", int(times_ns[row]), pose.translation, turn)
-        found = buffer.lookup("world", "sensor", t_ns)
-        return self.poses[after] if found is None else found
+        share = (within_ns - times_ns[after - 1]) / (times_ns[after] - times_ns[after - 1])
+        return between(self.poses[after - 1], self.poses[after], float(share))
 
     def _covariance_at(self, t_ns: int, times_ns: NDArray[np.int64]) -> NDArray[np.float64] | None:
         """Return the covariance (6, 6) of the pose nearest to a time, of its place alone; None where none is stated."""
@@ -256,25 +256,8 @@ class PoseFile:
         return np.diag([*deviation_m**2, 0.0, 0.0, 0.0]) if np.isfinite(deviation_m).all() else None
 
 
-def _deviations_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
-    """Return the standard deviations (3,) in a line of places, NaN where its table has none."""
-    if not columns:
-        return [np.nan] * 3
-    row = _floats_in(words, columns, where)
-    if not (np.isfinite(row).all() and min(row) >= 0.0):
-        raise ValueError(f"{where}: standard deviations must be finite and not negative, got {row}")
-    return row
-
-
-def _numbers_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
-    """Return time and place (4,) in a line of places."""
-    row = _floats_in(words, columns, where)
-    if not np.isfinite(row).all() or abs(row[1]) >= 89.0:
-        raise ValueError(f"{where}: latitude must lie in (-89, 89) degrees and all be finite, got {row}")
-    return row
-
-
 def _floats_in(words: Sequence[str], columns: Sequence[int], where: str) -> list[float]:
+    """Return the numbers of some columns of a line of places."""
     try:
         return [float(words[column]) for column in columns]
     except (ValueError, IndexError) as error:

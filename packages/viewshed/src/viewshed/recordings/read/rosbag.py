@@ -25,7 +25,7 @@ from viewshed.io.messages.packets import UNREAD, sweep_of_ouster, sweep_of_velod
 from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
-from viewshed.recordings.read.source import ObjectBox, SweepRef, note_damage
+from viewshed.recordings.read.source import SweepReader, SweepRef, note_damage
 from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer
 from viewshed.sweep import Sweep
 
@@ -426,7 +426,7 @@ def _cached_decoder(metadata: str) -> OusterDecoder:
     return OusterDecoder(OusterMetadata.parse(metadata))
 
 
-class BagRecording:
+class BagRecording(SweepReader):
     """One bag or several, from :meth:`open`; each is a scene, each topic with sweeps an agent.
 
     One pass over a bag lists its clouds and takes its transforms; the clouds themselves are read when they are needed.
@@ -481,10 +481,6 @@ class BagRecording:
         if kind in OUSTER:
             return sweep_of_ouster(messages, _cached_decoder(bag.metadata[ref.sensor]))
         return _SWEEP_OF[kind](messages[0])
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return None: bags hold no annotations that are read."""
-        return None
 
     def _file(self, bag: Bag) -> BagFile:
         """Return the opened bag; only one is kept open, and none that another process opened."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
-from viewshed.io import IndexEntry, read_index, read_indexed
 from viewshed.io._input import errors_named, one_line
 from viewshed.sweep import Sweep
 
@@ -108,31 +107,20 @@ class SweepSource(Protocol):
         ...
 
 
-class SweepReader(Protocol):
+class SweepReader(ABC):
     """What one layout says of a recording that :class:`RecordingSource` has opened; errors may be of any type."""
 
-    @property
-    def scenes(self) -> Mapping[str, Sequence[SweepRef]]:
-        """Scene → its sweeps, in the order of :meth:`SweepSource.refs`."""
-        ...
+    scenes: Mapping[str, Sequence[SweepRef]]  # scene → its sweeps, in the order of :meth:`SweepSource.refs`
+    problems: Sequence[str] = ()  # the lines of :meth:`SweepSource.damage`; reading may add to them
+    notes: Sequence[str] = ()  # the lines of :meth:`SweepSource.notes`
 
-    @property
-    def problems(self) -> Sequence[str]:
-        """The lines of :meth:`SweepSource.damage`; reading may add to them."""
-        ...
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """The lines of :meth:`SweepSource.notes`."""
-        ...
-
+    @abstractmethod
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep."""
-        ...
 
     def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
         """Return the annotated objects at the time of a sweep; None where nobody annotated it."""
-        ...
+        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,58 +217,6 @@ def _tried(
             raise
         on_damage(scene, str(error))
         return None
-
-
-def open_index(index: str | os.PathLike[str]) -> SweepSource:
-    """Return the sweeps that an index names; those of one drive are a scene, each other one its own.
-
-    Raises:
-        ValueError: it is no index, or names no sweep.
-        OSError: it cannot be read.
-    """
-    place = Path(index).absolute()
-    drives: dict[str, list[IndexEntry]] = {}
-    for entry in read_index(index):
-        if entry.points:
-            drives.setdefault(_scene(entry, place.resolve().parent), []).append(entry)
-    if not drives:
-        raise ValueError(f"{index} must name at least one sweep, got none")
-    return RecordingSource(place, _Index({name: sorted(entries, key=_time) for name, entries in drives.items()}))
-
-
-class _Index:
-    """The sweeps of an index by drive."""
-
-    def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
-        self._drives = drives
-        self.problems = ()
-        self.notes = ()
-        self.scenes = {
-            scene: [SweepRef(scene, k, str(entry.file), _t_ns(entry), key=str(k)) for k, entry in enumerate(entries)]
-            for scene, entries in drives.items()
-        }
-
-    def read(self, ref: SweepRef) -> Sweep:
-        """Return a sweep with what the index tells about it."""
-        return read_indexed(self._drives[ref.scene][ref.index])
-
-    def boxes(self, ref: SweepRef) -> tuple[ObjectBox, ...] | None:
-        """Return None: an index has no boxes."""
-        return None
-
-
-def _scene(entry: IndexEntry, folder: Path) -> str:
-    """Return the drive and sensor of an entry, or its own name where it belongs to no drive."""
-    name = entry.file.relative_to(folder).as_posix()
-    return name if entry.seq is None else f"{entry.seq} ({entry.sensor})"
-
-
-def _t_ns(entry: IndexEntry) -> int | None:
-    return None if entry.t is None else round(entry.t * 1e6) * 1000
-
-
-def _time(entry: IndexEntry) -> tuple[float, str]:
-    return (0.0 if entry.t is None else entry.t, str(entry.file))
 
 
 _DAMAGE_LINES_MAX = 1000

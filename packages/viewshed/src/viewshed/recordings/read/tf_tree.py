@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid
+from viewshed.geometry import Rigid, quaternion_from_rotation
 
 WORLDS = ("map", "odom", "world", "earth")
 """Frames that are taken as the world, the first that the sensor hangs from."""
@@ -33,6 +33,17 @@ def slerp(one: NDArray[np.float64], other: NDArray[np.float64], share: float) ->
         angle = np.arccos(abs(cosine))
         mixed = (np.sin((1 - share) * angle) * one + np.sin(share * angle) * near) / np.sin(angle)
     return np.asarray(mixed / np.linalg.norm(mixed), np.float64)
+
+
+def between(before: Rigid, after: Rigid, share: float) -> Rigid:
+    """Return the transform at ``share`` in [0, 1] of the way, at constant speed and rate of turn.
+
+    >>> between(Rigid.identity(), Rigid.from_yaw(1.0, (4.0, 0.0, 0.0)), 0.25).translation.tolist()
+    [1.0, 0.0, 0.0]
+    """
+    one, other = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
+    where = (1 - share) * before.translation + share * after.translation
+    return Rigid.from_quaternion(slerp(one, other, share), where)
 
 
 @dataclass(slots=True, eq=False)

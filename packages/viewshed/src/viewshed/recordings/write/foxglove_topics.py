@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,7 +19,7 @@ from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.pointcloud2 import cloud_table
 from viewshed.monitor.report import sector_corners
 from viewshed.recordings.write.bag_writers import Schema
-from viewshed.recordings.write.moment import MAP, Moment, ObjectTruth, Severity
+from viewshed.recordings.write.moment import MAP, Moment, Severity
 from viewshed.recordings.write.ros_topics import rigid_of_box
 
 LAYERS = ("visibility", "state", "doubt")
@@ -103,9 +103,7 @@ def _stamp(t_ns: int) -> Any:
 
 
 def _pose(rigid: Rigid) -> Any:
-    fox = foxglove_types()
-    x, y, z = rigid.translation.tolist()
-    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turn(rigid))
+    return foxglove_types().Pose(position=_vector(rigid.translation), orientation=_turn(rigid))
 
 
 def _turn(rigid: Rigid) -> Any:
@@ -116,16 +114,13 @@ def _turn(rigid: Rigid) -> Any:
 def _transforms(moment: Moment) -> Any:
     """Return all transforms, those that stand still as well: a viewer may come later."""
     fox = foxglove_types()
-    made = []
-    for each in (*moment.static_transforms(), *moment.transforms()):
-        x, y, z = each.parent_from_child.translation.tolist()
-        made.append(
-            fox.FrameTransform(
-                timestamp=_stamp(moment.t_ns), parent_frame_id=each.parent, child_frame_id=each.child,
-                translation=fox.Vector3(x=x, y=y, z=z), rotation=_turn(each.parent_from_child),
-            )
-        )  # fmt: skip
-    return fox.FrameTransforms(transforms=made)
+    return fox.FrameTransforms(transforms=[
+        fox.FrameTransform(
+            timestamp=_stamp(moment.t_ns), parent_frame_id=each.parent, child_frame_id=each.child,
+            translation=_vector(each.parent_from_child.translation), rotation=_turn(each.parent_from_child),
+        )
+        for each in (*moment.static_transforms(), *moment.transforms())
+    ])  # fmt: skip
 
 
 def _cloud(moment: Moment) -> Any:
@@ -177,7 +172,7 @@ def _entities(moment: Moment) -> list[Any]:
         fox.SceneEntity(timestamp=stamp, frame_id=moment.level_frame, id="suspect", triangles=triangles),
     ]
     if moment.truth is not None:
-        cubes = [_cube(each) for each in moment.truth.objects]
+        cubes = [_cube(each.world_from_box, each.size_m, _OBJECT) for each in moment.truth.objects]
         made.append(fox.SceneEntity(timestamp=stamp, frame_id=MAP, id="objects", cubes=cubes))
     return made
 
@@ -217,9 +212,7 @@ def _tracks_entity(tracks: ShownTracks, stamp: Any, frame: str) -> Any:
 
 
 def _box_cube(box: NDArray[np.float64], color: tuple[float, float, float, float]) -> Any:
-    fox = foxglove_types()
-    x, y, z = box[3:6].tolist()
-    return fox.CubePrimitive(pose=_pose(rigid_of_box(box)), size=fox.Vector3(x=x, y=y, z=z), color=_color(color))
+    return _cube(rigid_of_box(box), box[3:6], color)
 
 
 def _points(corners: NDArray[np.float64]) -> list[Any]:
@@ -232,10 +225,13 @@ def _color(rgba: tuple[float, float, float, float]) -> Any:
     return foxglove_types().Color(r=r, g=g, b=b, a=a)
 
 
-def _cube(each: ObjectTruth) -> Any:
-    fox = foxglove_types()
-    x, y, z = each.size_m
-    return fox.CubePrimitive(pose=_pose(each.world_from_box), size=fox.Vector3(x=x, y=y, z=z), color=_color(_OBJECT))
+def _cube(world_from_box: Rigid, size_m: Iterable[float], color: tuple[float, float, float, float]) -> Any:
+    return foxglove_types().CubePrimitive(pose=_pose(world_from_box), size=_vector(size_m), color=_color(color))
+
+
+def _vector(xyz: Iterable[float]) -> Any:
+    x, y, z = map(float, xyz)
+    return foxglove_types().Vector3(x=x, y=y, z=z)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from viewshed.recordings.write.bag_writers import BagWriter, Schema, check_bag_name, open_bag_writer
+from viewshed.recordings.write.bag_writers import Schema, check_bag_name, open_bag_writer
 from viewshed.recordings.write.moment import Moment
 from viewshed.recordings.write.ros_topics import RosTable
 
@@ -39,31 +39,16 @@ def open_recorder(path: Path, schemas: str = "ros") -> Iterator[Record]:
         from viewshed.recordings.write.foxglove_topics import foxglove_messages, foxglove_types
 
         foxglove_types()  # what is not installed is reported before anything is read
-        with open_bag_writer(path, profile="") as bag:
 
-            def record(moment: Moment) -> None:
-                for topic, schema, raw in foxglove_messages(moment):
-                    bag.write(topic, schema, moment.t_ns, raw)
+        def messages(moment: Moment) -> Iterator[tuple[str, Schema, bytes, bool]]:
+            return ((*message, False) for message in foxglove_messages(moment))
 
-            yield record
-        return
-    is_ros1 = path.suffix.lower() == ".bag"
-    table = RosTable(ros1=is_ros1)
-    with open_bag_writer(path) as bag:
-        yield _RosRecord(bag, table, "ros1" if is_ros1 else "cdr")
+    else:
+        messages = RosTable(ros1=path.suffix.lower() == ".bag").of
+    with open_bag_writer(path, profile="ros2" if schemas == "ros" else "") as bag:
 
+        def record(moment: Moment) -> None:
+            for topic, schema, raw, latched in messages(moment):
+                bag.write(topic, schema, moment.t_ns, raw, latched=latched)
 
-class _RosRecord:
-    """Writes moments as ROS messages."""
-
-    def __init__(self, bag: BagWriter, table: RosTable, encoding: str) -> None:
-        self._bag, self._table, self._encoding = bag, table, encoding
-        self._schemas: dict[str, Schema] = {}
-
-    def __call__(self, moment: Moment) -> None:
-        for topic, message, latched in self._table.of(moment):
-            kind, messages = message.__msgtype__, self._table.messages
-            if kind not in self._schemas:
-                definition = b"" if self._encoding == "ros1" else messages.definition(kind).encode()
-                self._schemas[kind] = Schema(kind, "ros2msg", self._encoding, definition)
-            self._bag.write(topic, self._schemas[kind], moment.t_ns, messages.encode(message), latched=latched)
+        yield record

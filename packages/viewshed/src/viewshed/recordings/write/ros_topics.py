@@ -51,6 +51,7 @@ from viewshed.grid import BevGrid
 from viewshed.io.export.ros import visibility_layer
 from viewshed.io.messages.laserscan import scan_of_sweep
 from viewshed.io.messages.pointcloud2 import cloud_table
+from viewshed.recordings.write.bag_writers import Schema
 from viewshed.recordings.write.moment import MAP, Moment, ObjectTruth, Transform
 from viewshed.sweep import Sweep
 
@@ -177,8 +178,8 @@ class RosMessages:
         return Encoded(POLYGON, empty[:-4] + len(points).to_bytes(4, "little") + points.tobytes())
 
     def transforms(self, transforms: list[Transform], t_ns: int) -> Any:
-        """Return transforms."""
-        return self.make(TF, transforms=[
+        """Return transforms; None for none."""
+        return None if not transforms else self.make(TF, transforms=[
             self.make(
                 "geometry_msgs/msg/TransformStamped", header=self.header(t_ns, each.parent), child_frame_id=each.child,
                 transform=self.make(
@@ -248,32 +249,27 @@ class RosMessages:
 
     def lies(self, moment: Moment) -> Any:
         """Return a status for each accusation and dispute of the round that a moment ended; None for none."""
-        if moment.round is None or not moment.round.sentences():
+        done = moment.round
+        if done is None:
             return None
-        agents = moment.round.numbers()["agents"]
-        return self.make(DIAGNOSTICS, header=self.header(moment.round.t_ns, ""), status=[
-            self.make(
-                "diagnostic_msgs/msg/DiagnosticStatus", level=1, name="viewshed: command_center", message=sentence,
-                values=[
-                    self.make("diagnostic_msgs/msg/KeyValue", key=f"trust of {name}", value=f"{each['trust']:.3f}")
-                    for name, each in agents.items()
-                ],
-            )
-            for sentence in moment.round.sentences()
-        ])  # fmt: skip
+        values = {f"trust of {name}": f"{each['trust']:.3f}" for name, each in done.numbers()["agents"].items()}
+        return self._statuses(done.sentences(), done.t_ns, values, level=1, name="viewshed: command_center")
 
     def diagnostics(self, moment: Moment, sentences: list[str]) -> Any:
         """Return a status for each sentence, the answer's numbers with each; None for no sentence."""
-        if not sentences:
-            return None
-        values = [self.make("diagnostic_msgs/msg/KeyValue", key=k, value=v) for k, v in moment.numbers().items()]
-        return self.make(DIAGNOSTICS, header=self.header(moment.t_ns, ""), status=[
-            self.make(
-                "diagnostic_msgs/msg/DiagnosticStatus", level=int(moment.verdict()), name=f"viewshed: {moment.agent}",
-                message=sentence, hardware_id=moment.sensor_frame, values=values,
-            )
-            for sentence in sentences
-        ])  # fmt: skip
+        about = {
+            "level": int(moment.verdict()),
+            "name": f"viewshed: {moment.agent}",
+            "hardware_id": moment.sensor_frame,
+        }
+        return self._statuses(sentences, moment.t_ns, moment.numbers(), **about)
+
+    def _statuses(self, sentences: list[str], t_ns: int, numbers: dict[str, str], **about: Any) -> Any:
+        """Return a status for each sentence, with the same numbers; None for no sentence."""
+        kind, pair = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"
+        values = [self.make(pair, key=key, value=value) for key, value in numbers.items()]
+        status = [self.make(kind, message=sentence, values=values, **about) for sentence in sentences]
+        return self.make(DIAGNOSTICS, header=self.header(t_ns, ""), status=status) if status else None
 
     def text(self, value: object) -> Any:
         """Return a value as JSON in a String."""
@@ -325,11 +321,6 @@ def _tracks(ros: RosMessages, moment: Moment) -> Any:
     return None if tracks is None else ros.tracks(tracks, moment.t_ns, moment.tracks_frame)
 
 
-def _explained(ros: RosMessages, moment: Moment) -> Any:
-    explained = moment.explained()
-    return None if explained is None else ros.text(explained)
-
-
 def _joint_tracks(ros: RosMessages, moment: Moment) -> Any:
     done = moment.round
     return None if done is None else ros.tracks(tracks_of_center(done.picture), done.t_ns, MAP)
@@ -344,22 +335,12 @@ def _joint_view(ros: RosMessages, moment: Moment) -> Any:
     return ros.grid(visibility_layer(estimate, "visibility"), estimate.grid, done.t_ns, MAP, pose)
 
 
-def _tf(ros: RosMessages, moment: Moment) -> Any:
-    transforms = moment.transforms()
-    return ros.transforms(transforms, moment.t_ns) if transforms else None
-
-
-def _tf_static(ros: RosMessages, moment: Moment) -> Any:
-    transforms = moment.static_transforms()
-    return ros.transforms(transforms, moment.t_ns) if transforms else None
-
-
 TOPICS = (
     Topic("/agent_names", lambda ros, m: m.truth and ros.text(list(m.truth.mounts)), latched=True),
     Topic("/attacked_agents", lambda ros, m: ros.text(m.attacked) if m.truth or m.attacked else None, latched=True),
     Topic("/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.objects, m.t_ns), per_time=True),
-    Topic("/tf_static", _tf_static, latched=True),
-    Topic("/tf", _tf),
+    Topic("/tf_static", lambda ros, m: ros.transforms(m.static_transforms(), m.t_ns), latched=True),
+    Topic("/tf", lambda ros, m: ros.transforms(m.transforms(), m.t_ns)),
     Topic("/{agent}/state", lambda ros, m: ros.odometry(m)),
     Topic("/{agent}/lidar/data", lambda ros, m: ros.returns(m.sweep, m.t_ns, m.sensor_frame)),
     Topic("/{agent}/lidar/object_truth", lambda ros, m: m.truth and ros.boxes(m.truth.seen, m.t_ns)),
@@ -370,7 +351,7 @@ TOPICS = (
     Topic("/{agent}/lidar/alarms", lambda ros, m: ros.diagnostics(m, m.alarms())),
     Topic("/{agent}/lidar/detections", _detections),
     Topic("/{agent}/lidar/tracks", _tracks),
-    Topic("/{agent}/lidar/explained", _explained),
+    Topic("/{agent}/lidar/explained", lambda ros, m: None if (rows := m.explained()) is None else ros.text(rows)),
     Topic("/metrics/{agent}", lambda ros, m: ros.text(dict(m.metrics)) if m.metrics else None),
     Topic("/metrics/{agent}/gospa", lambda ros, m: ros.number(m.metrics["gospa_m"]) if m.metrics else None),
     Topic("/command_center/tracks", _joint_tracks),
@@ -401,11 +382,12 @@ class RosTable:
     """The messages of moments, in the order of :data:`TOPICS`; each latched message once."""
 
     def __init__(self, *, ros1: bool) -> None:
-        self.messages = RosMessages(ros1=ros1)
+        self._messages, self._encoding = RosMessages(ros1=ros1), "ros1" if ros1 else "cdr"
         self._sent_ns: dict[str, int] = {}
+        self._schemas: dict[str, Schema] = {}
 
-    def of(self, moment: Moment) -> Iterator[tuple[str, Any, bool]]:
-        """Yield topic, message and whether it is latched, of all that a moment tells."""
+    def of(self, moment: Moment) -> Iterator[tuple[str, Schema, bytes, bool]]:
+        """Yield topic, schema, bytes and whether it is latched, of all that a moment tells."""
         for topic in TOPICS:
             name = ros_name(topic.name.format(agent=moment.agent))
             if topic.latched or topic.per_time:
@@ -413,6 +395,13 @@ class RosTable:
                 if self._sent_ns.get(name) == now_ns:
                     continue
                 self._sent_ns[name] = now_ns
-            message = topic.make(self.messages, moment)
+            message = topic.make(self._messages, moment)
             if message is not None:
-                yield name, message, topic.latched
+                schema = self._schema(message.__msgtype__)
+                yield name, schema, self._messages.encode(message), topic.latched
+
+    def _schema(self, kind: str) -> Schema:
+        if kind not in self._schemas:
+            definition = b"" if self._encoding == "ros1" else self._messages.definition(kind).encode()
+            self._schemas[kind] = Schema(kind, "ros2msg", self._encoding, definition)
+        return self._schemas[kind]

@@ -45,49 +45,31 @@ _LONGEST_CM = 32_767
 
 @dataclass(frozen=True, slots=True)
 class AgentTrust:
-    """What a center of many agents thinks of one.
+    """What a center of many agents thinks of one."""
 
-    Attributes:
-        agent: its name.
-        trust: probability that it is honest.
-        accused: whether it lies, by the center's limits.
-        disputed: whether it or another one lies.
-        forged: whether somebody is known to forge what it sends.
-    """
-
-    agent: str
-    trust: float
-    accused: bool = False
-    disputed: bool = False
-    forged: bool = False
+    agent: str  # its name
+    trust: float  # probability that it is honest
+    accused: bool = False  # whether it lies, by the center's limits
+    disputed: bool = False  # whether it or another one lies
+    forged: bool = False  # whether somebody is known to forge what it sends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """A sweep as it is shown.
 
-    Attributes:
-        name: of the sweep, for people.
-        estimate: what it could see.
-        leveled: the sweep that the estimate was made from; None draws no points.
-        report: what a monitor says of it, or None where there is none.
-        detections: objects of this sweep, in ``level``; None where nobody looked for them.
-        tracks: in ``level``; None where objects are not followed.
-        trust: of a center in each agent; empty without one.
-        lies: what the center says of agents that contradict each other, a sentence each.
-
     Raises:
         ValueError: the report's cells are on another grid than the estimate.
     """
 
-    name: str
-    estimate: FovEstimate
-    leveled: LeveledSweep | None = None
-    report: IntegrityReport | None = None
-    detections: Detections | None = None
-    tracks: ShownTracks | None = None
-    trust: tuple[AgentTrust, ...] = ()
-    lies: tuple[str, ...] = ()
+    name: str  # of the sweep, for people
+    estimate: FovEstimate  # what it could see
+    leveled: LeveledSweep | None = None  # the sweep that the estimate was made from; None draws no points
+    report: IntegrityReport | None = None  # what a monitor says of it, or None where there is none
+    detections: Detections | None = None  # objects of this sweep, in ``level``; None where nobody looked for them
+    tracks: ShownTracks | None = None  # in ``level``; None where objects are not followed
+    trust: tuple[AgentTrust, ...] = ()  # of a center in each agent; empty without one
+    lies: tuple[str, ...] = ()  # what the center says of agents that contradict each other, a sentence each
 
     def __post_init__(self) -> None:
         grid = None if self.report is None else self.report.grid
@@ -97,15 +79,10 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class PackedFrame:
-    """A frame as a page holds it.
+    """A frame as a page holds it."""
 
-    Attributes:
-        about: names and numbers, ready for JSON.
-        data: the arrays of this module, deflated without a header.
-    """
-
-    about: Mapping[str, Any]
-    data: bytes
+    about: Mapping[str, Any]  # names and numbers, ready for JSON
+    data: bytes  # the arrays of this module, deflated without a header
 
 
 def pack_frame(frame: Frame) -> PackedFrame:

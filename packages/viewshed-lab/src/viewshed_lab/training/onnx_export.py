@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from viewshed._files import write_atomic
 from viewshed.networks.card import NetworkCard
-from viewshed.networks.unet_torch import Stage, UNet
 from viewshed.networks.weights import CARD_KEY, with_checksum
+from viewshed_lab.training.unet_torch import Stage, UNet
 
 _OPSET, _IR = 17, 9
 

@@ -62,7 +62,7 @@ class ChannelsLastGraph:
 
 
 def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastGraph:
-    """Return the graph of a model that :func:`viewshed.networks.onnx_export.export_onnx` wrote, rewritten.
+    """Return the graph of a model that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote, rewritten.
 
     The first encoder stage and the last decoder stage of a network that folds nothing run on blocks of 2 × 2 cells:
     they have so few channels that four times the products, of longer rows, take half of the time.
@@ -262,7 +262,7 @@ def quantize_network(
     and what follows it, stays in float32. The card says so among the facts of the training.
 
     Args:
-        content: of a file that :func:`viewshed.networks.onnx_export.export_onnx` wrote.
+        content: of a file that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote.
         name: stands for it in messages.
         frames: maps (channels, cells, cells) as :meth:`NetworkCard.maps_of` returns them, at least one; the more they
             are like what the network will see, the better.

@@ -13,9 +13,9 @@ from tests.networks.made import card, drawn
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import INT8
-from viewshed.networks.onnx_export import export_onnx
-from viewshed.networks.quantize import quantize_network
 from viewshed.networks.runtime import OnnxRunner
+from viewshed_lab.training.onnx_export import export_onnx
+from viewshed_lab.training.quantize import quantize_network
 
 SHAPES = [
     UNetShape(8, 2, 0.3, 3, 2), UNetShape(4, 3, 0.1), UNetShape(4, 1, 0.0, 2, 4), UNetShape(8, 3, 0.2, 4),

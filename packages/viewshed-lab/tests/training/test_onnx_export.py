@@ -13,10 +13,10 @@ from tests.networks.older import with_second_head
 
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION, NetworkCard
-from viewshed.networks.onnx_export import export_onnx, onnx_model
 from viewshed.networks.runtime import OnnxRunner, load_runner
-from viewshed.networks.unet_torch import TorchRunner
 from viewshed.networks.weights import with_checksum
+from viewshed_lab.training.onnx_export import export_onnx, onnx_model
+from viewshed_lab.training.unet_torch import TorchRunner
 
 SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
 CUDA = "CUDAExecutionProvider"

@@ -11,7 +11,7 @@ from torch import Tensor
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import FORMAT_VERSION
 from viewshed.networks.mc_dropout import mean_and_deviation, mean_and_std
-from viewshed.networks.unet_torch import TorchRunner, UNet, load_weights, save_weights
+from viewshed_lab.training.unet_torch import TorchRunner, UNet, load_weights, save_weights
 
 
 def _by_the_book(module: UNet, x: Tensor, dropped: set[tuple[int, int]]) -> Tensor:

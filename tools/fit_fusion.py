@@ -1,12 +1,9 @@
-"""Fit what evidence is worth where the package's own detector finds the objects: ``python tools/fit_object_stream.py``.
+"""Fit what evidence about tracks is worth, with the package's detector: ``python tools/fit_fusion.py``.
 
-``single.json`` is calibrated with a detector by tables, whose boxes stand where the objects do. Those of
-``viewshed.objects`` move as the car that they are about is seen from another side, and a limit for the one accuses
-honest tracks of the other. This fits tables and limits on benign simulated drives that go through
-``viewshed.objects.object_stream``: even ones for the tables, odd ones for the limits; then it counts, on more drives,
-how many honest tracks are accused by either, and how many forged objects (three fabricated, or three removed) are
-named within a second, and how many are not shown. Writes object_stream.json of
-``viewshed.objects``, prints the table.
+Tables and limits are from benign simulated drives that go through ``viewshed.objects.object_stream``: even ones for the
+tables, odd ones for the limits. Then it counts, on more drives, how many honest tracks are accused, how many forged
+objects (three fabricated, or three removed) are named within a second, and how many are not shown. Writes single.json
+of ``viewshed.objects``, prints the table.
 """
 
 from __future__ import annotations
@@ -22,7 +19,7 @@ from viewshed import load_estimator
 from viewshed.detections import Detections
 from viewshed.objects.calibration import count_drive, highest_e_values, limits_of, model_of_counts
 from viewshed.objects.evidence import EvidenceCounts, EvidenceModel
-from viewshed.objects.object_stream import ObjectStream, SeenObjects, stream_model
+from viewshed.objects.object_stream import ObjectStream, SeenObjects
 from viewshed.objects.sensor_view import Observed
 from viewshed.objects.single import shipped_model
 from viewshed.preprocess.leveling import LeveledSweep, level
@@ -32,7 +29,7 @@ from viewshed_lab.data.drive import drive_plan, drive_sweeps
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.threats.adversary import Adversary
 
-PLACE = Path(__file__).resolve().parents[1] / "packages/viewshed/src/viewshed/objects/object_stream.json"
+PLACE = Path(__file__).resolve().parents[1] / "packages/viewshed/src/viewshed/objects/single.json"
 
 WORLDS, SENSORS = ("street", "junction", "parking"), ("hdl32e", "os1_64", "vlp32c", "hdl64e")
 
@@ -130,7 +127,7 @@ def _forged_at_first(attack: str, honest: Detections, seen: SeenObjects) -> dict
 
 def main() -> None:
     """Fit where it is wanted, check, and print the table."""
-    parser = argparse.ArgumentParser(prog="fit_object_stream.py", description=__doc__)
+    parser = argparse.ArgumentParser(prog="fit_fusion.py", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep the shipped model, and only check it")
     parser.add_argument("--drives", type=int, default=16, help="benign drives, half of them for limits")
     parser.add_argument("--checks", type=int, default=6, help="further drives on which accusations are counted")
@@ -138,19 +135,15 @@ def main() -> None:
     chosen = parser.parse_args()
     if not chosen.keep:
         fit(chosen.drives, chosen.seconds).save(PLACE)
-        stream_model.cache_clear()
+        shipped_model.cache_clear()
     checks = range(chosen.drives, chosen.drives + chosen.checks)
-    models = {"object_stream.json": stream_model(), "single.json": shipped_model()}
-    rows = []
-    for name, model in models.items():
-        over, count = accused_share(checks, chosen.seconds, model)
-        cells = [f"{over / count:.3f} ({over} of {count})"]
-        for attack in ("fabricate_static", "remove_trajectory"):
-            named, hidden, total = found_share(checks, START_S + 1.2, attack, model)
-            cells += [f"{named / max(total, 1):.2f}", f"{hidden / max(total, 1):.2f}", str(total)]
-        rows.append([f"`{name}`", *cells])
-    header = ["model", "honest tracks accused", "fabricated: named", "not shown", "of", "removed: named"]
-    print(table([*header, "not shown", "of"], rows))
+    over, count = accused_share(checks, chosen.seconds, shipped_model())
+    row = [f"{over / count:.3f} ({over} of {count})"]
+    for attack in ("fabricate_static", "remove_trajectory"):
+        named, hidden, total = found_share(checks, START_S + 1.2, attack, shipped_model())
+        row += [f"{named / max(total, 1):.2f}", f"{hidden / max(total, 1):.2f}", str(total)]
+    header = ["honest tracks accused", "fabricated: named", "not shown", "of", "removed: named", "not shown", "of"]
+    print(table(header, [row]))
 
 
 def fit(drives: int, seconds: float) -> EvidenceModel:
