@@ -32,7 +32,7 @@ constexpr double MOST_BACKWARD = 0.03;
 constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
 
 // First and last rings of less than this share of the others' size are joined to their neighbor.
-constexpr double STRAY_RING = 0.02;
+constexpr double STRAY_RING = 0.01;
 
 // The slope changes from one ring to the next between returns that lie so far before and after the seam: a ring may begin one
 // or two returns beside it.

@@ -116,11 +116,12 @@ def test_returns_where_the_sensor_did_not_point_at_their_time_are_impossible(sha
     direction = np.sort(rng.uniform(-np.pi, np.pi, 9000))
     moved = rng.random(9000) < share
     at = direction + np.where(moved, rng.uniform(0.5, 2.5, 9000), 0.0)
-    points = np.column_stack([20.0 * np.cos(at), 20.0 * np.sin(at), rng.uniform(-1.6, 2.0, 9000)])
+    height_m = rng.uniform(-1.6, 2.0, 9000)
+    points = np.column_stack([20.0 * np.cos(at), 20.0 * np.sin(at), height_m]).astype(np.float32)
     sweep = Sweep(points, t_ns=0, time_s=(0.1 * (direction + np.pi) / (2 * np.pi)).astype(np.float32))
     assert any("did not point at their time" in one for one in impossible_reasons(level(sweep, GRID))) == called
     # Two heads that point apart share one clock: times tell nothing.
-    behind = sweep.replace(points=points * np.where(np.arange(9000) % 2, 1.0, -1.0)[:, None])
+    behind = sweep.replace(points=points * np.where(np.arange(9000) % 2, np.float32(1), np.float32(-1))[:, None])
     assert share_out_of_time(behind) > MOST_OUT
     assert not any("at their time" in one for one in impossible_reasons(level(behind, GRID)))
 

@@ -47,9 +47,11 @@ def mixed_pixels(leveled: LeveledSweep) -> tuple[NDArray[np.intp], NDArray[np.in
         lower, upper = np.minimum(before, after) + BETWEEN_M, np.maximum(before, after) - BETWEEN_M
         mixed = edge & (range_m > lower) & (range_m < upper)
     sector = np.arange(range_m.shape[1]) * SECTORS // range_m.shape[1]
-    counts = [np.bincount(sector, mask.sum(axis=0), SECTORS).astype(np.intp) for mask in (edge, mixed)]
-    edges, between = (sum(np.roll(count, step) for step in (-1, 0, 1)) for count in counts)
-    return edges, between
+    edges, between = (
+        np.sum([np.roll(np.bincount(sector, mask.sum(axis=0), SECTORS), step) for step in (-1, 0, 1)], axis=0)
+        for mask in (edge, mixed)
+    )
+    return edges.astype(np.intp), between.astype(np.intp)
 
 
 def tried(plan: MonitorPlan) -> dict[str, tuple[int, float, float]]:
