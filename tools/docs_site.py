@@ -273,6 +273,17 @@ def methods() -> str:
     return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
 
 
+def doubts() -> str:
+    """Return F1 and AUROC of the doubt of the default and of the network on other worlds, from the page in the wild."""
+    part = _known("the maker's beam table")
+    rows = []
+    for method in ("shadow_map", "viewnet"):
+        agreement, beyond = re.findall(rf"^\| {method} \|.*$", part, re.MULTILINE)[:2]
+        f1, auroc = agreement.split(" | ")[4].split(" ")[0], beyond.split(" | ")[5].split(" / ")[1]
+        rows.append((f"`{method}`", f1, auroc))
+    return table(("method", "F1", "AUROC of the doubt"), rows)
+
+
 def figures() -> str:
     """Return the table of the README: what is asked, by which command, how well, on what, what was given, and where."""
     wild, ring, alone = "wild", _known("ring, time and intensity"), _known("points alone")
@@ -341,7 +352,7 @@ def _precision(part: str) -> str:
 GENERATED: dict[str, Callable[[], str]] = {
     make.__name__: make
     for make in (
-        command_table, attacks, corruptions, defenses, worlds, materials, weather, sensors, methods, figures
+        command_table, attacks, corruptions, defenses, worlds, materials, weather, sensors, methods, doubts, figures
     )
 }  # fmt: skip
 

@@ -88,7 +88,6 @@ for each in workers: each.join()
 
 # Calls with an array that another thread writes meanwhile: right values, then one that is far out of range.
 WRITTEN = {
-    "sensing_reach": ("_core.sensing_reach(range_m, isolated, rows, 80.0)", "rows", 2**30),
     "beam_slopes": ("_core.beam_slopes(points, range_m, 1.7, isolated, rows)", "rows", 2**30),
     "interpolate": ("_core.interpolate(ground_m, node, part, part)", "node", 2**30),
     "claims": (

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "depth_images.hpp"
@@ -10,7 +9,6 @@
 #include "grid.hpp"
 #include "height_map.hpp"
 #include "no_return.hpp"
-#include "reach.hpp"
 #include "sensor_id.hpp"
 
 namespace viewshed {
@@ -22,8 +20,6 @@ constexpr float LOW_M = 0.3f, HIGH_M = 3.0f;
 
 // Columns of a revolution where the sensor is not known.
 constexpr std::size_t DEFAULT_COLUMNS = 1024;
-
-constexpr double NONE = std::numeric_limits<double>::infinity();
 
 // The rings (N,) of a sweep, its own or recovered ones, and its sensor; none of either where nothing shows it.
 struct Identity {
@@ -43,7 +39,8 @@ Identity identify(const SweepInput& sweep, const SensorModel* expected) {
     const auto at = std::find(sensors.begin(), sensors.end(), expected);
     SensorId found = identify_sensor(sweep.points, sweep.ring, model == nullptr ? nullptr : &model->beams, sweep.infers_sensor,
                                      {at == sensors.end() ? NO_SENSOR : int(at - sensors.begin()), nullptr});
-    return {std::move(found.ring), sweep.ring, found.sensor == NO_SENSOR ? model : sensors[std::size_t(found.sensor)]};
+    if (found.sensor == OTHER_BEAMS && found.ring) return {std::move(found.ring), sweep.ring, nullptr};
+    return {std::move(found.ring), sweep.ring, found.sensor < 0 ? model : sensors[std::size_t(found.sensor)]};
 }
 
 // Where the beams of a range image point, and what of it says which beams are missing.
@@ -110,12 +107,10 @@ LostBeams lost_beams(const std::optional<NoReturnBeams>& beams) {
     return {some(beams->azimuth), some(beams->slope), {some(beams->depth_m), some(beams->early_m), some(beams->late_m)}};
 }
 
-// How far the sensor sees a dark target: by its table, else by its returns.
-double reach_of(const SweepLevel& at, const SensorModel* model, std::size_t count) {
-    if (model != nullptr && model->reach_m) return *model->reach_m;
-    const Buffer<bool> none(at.image ? 0 : count, false);
-    const View1<const bool> isolated = at.image ? View1<const bool>(at.image->isolated) : View1<const bool>(none);
-    return sensing_reach(at.level.range_m, isolated, at.level.rows, model == nullptr ? NONE : model->max_range_m);
+// How far the sensor sees a dark target.
+double reach_of(const SensorModel* model) {
+    if (model == nullptr) return USUAL_REACH_M;
+    return model->reach_m.value_or(std::min(USUAL_REACH_M, model->max_range_m));
 }
 
 CellWindows windows_of(const BevGrid& grid, const Target& target) {
@@ -174,7 +169,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     if (refine_ground_) refine_ground_(sweep, at);
     // 3. Beams by what is known of their depth, and how far the sensor sees.
     const SplitBeams split = split_beams(sweep, unleveled, identity, at, target_.height_m);
-    const double reach_m = reach_of(at, model, sweep.points.rows);
+    const double reach_m = reach_of(sweep.model == nullptr ? model : sweep.model);
     // 4. The evidence of each cell.
     const std::size_t cells = grid_.size();
     Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);

@@ -33,9 +33,9 @@ constexpr int EVEN_NODES = 7;
 // Slope of the steepest patch (50°): the side of a cutting. Steepest patch (17°) that needs no ground at its foot.
 constexpr double STEEPEST = 1.2, EVEN_SLOPE = 0.3;
 
-// Such a patch may lie this far from what the nodes nearer to the sensor predict, or up to this far above it if it is this
-// large: a terrace, and neither the roof of a car nor a ceiling or a deck, which may be all that is seen behind things.
-constexpr double EVEN_STEP_M = 0.5, LEVEL_STEP_M = 1.5, LEVEL_M2 = 40.0;
+// Such a patch may lie this far from what the nodes nearer to the sensor predict: the roof of a car, a ceiling or a deck lies
+// farther above it.
+constexpr double EVEN_STEP_M = 0.5;
 
 // A patch that climbs from accepted ground is a slope if it is this large, and not the front of a car, and meets that ground
 // to within this.
@@ -377,9 +377,8 @@ Walk::Kind Walk::kind_of(std::ptrdiff_t i, std::ptrdiff_t j, double step, double
         const bool is_floor = even || (flat ? agrees(i, j) : step < -LOWER_M);
         return is_floor && !is_buried(at) ? Kind::below : Kind::refused;
     }
-    const bool is_level = gentle && step <= LEVEL_STEP_M && patches_.area_m2(at) >= LEVEL_M2;
-    const bool is_slope = !is_level && even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
-    return is_level || is_slope ? Kind::patch : Kind::refused;
+    const bool is_slope = even && patches_.area_m2(at) >= FACE_M2 && meets(i, j, a, b);
+    return is_slope ? Kind::patch : Kind::refused;
 }
 
 // Whether the low points of two of the eight nodes around (i, j) are about as high as its own.

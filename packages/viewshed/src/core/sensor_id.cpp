@@ -640,7 +640,10 @@ const std::vector<const SensorModel*>& inferable_sensors() {
 SensorId identify_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring, const BeamTable* table,
                          bool is_inferred, Expected expected) {
     if (points.rows == 0 || (ring && (table != nullptr || !is_inferred))) return {};
-    if (table != nullptr) return {beams_of_sensor(points, *table), NO_SENSOR};
+    if (table != nullptr) {
+        if (auto beams = beams_of_sensor(points, *table)) return {std::move(beams), NO_SENSOR};
+        return {identify_by_points(points, BeamTables{}, Expected{}).ring, OTHER_BEAMS};
+    }
     if (!is_inferred) return {rings_of_points(points), NO_SENSOR};
     return ring ? identify_by_rings(points, *ring, inferable_tables(), expected.sensor)
                 : identify_by_points(points, inferable_tables(), expected);

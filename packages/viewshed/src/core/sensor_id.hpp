@@ -9,7 +9,7 @@
 namespace viewshed {
 
 // No sensor explains a cloud.
-constexpr int NO_SENSOR = -1;
+constexpr int NO_SENSOR = -1, OTHER_BEAMS = -2;
 
 // The sensors that may be inferred; they are meant by their number in it.
 const std::vector<const SensorModel*>& inferable_sensors();
@@ -33,7 +33,8 @@ struct Expected {
 
 // The rings of points (N, 3) that have none or whose sensor is not known, and the sensor where it may be inferred.
 //
-// With a table, of a sensor that is known, its beams. Else the sensor that the rings (N,) agree with; of bare points first the
+// With a table, of a sensor that is known, its beams; rings that are none of them, with OTHER_BEAMS, where the points gather
+// elsewhere. Else the sensor that the rings (N,) agree with; of bare points first the
 // rings that their order or their elevations show. None of these where nothing shows them. A sensor that is expected is looked
 // at first, on a small sample: where that leaves no doubt, no other is looked at. A layout that is expected counts the rings,
 // and nothing else is looked at, where those of the order go together with it, or the returns gather at its elevations.

@@ -18,6 +18,9 @@ struct SensorModel {
     bool fires_rings, is_inferred;
 };
 
+// Up to which range in meters a sensor sees a dark target where no table tells: the median of the shipped ones.
+constexpr double USUAL_REACH_M = 85.0;
+
 // All of them, in the order of their keys.
 const std::vector<SensorModel>& shipped_sensors();
 

@@ -83,6 +83,6 @@ def test_doubt_is_larger_beside_an_edge_and_never_says_that_the_other_answer_is_
     assert across[0] == across[-1] == 0.0
     assert across[16] < doubt[5, 5] < 0.3  # what nothing around confirms is in the most doubt
     rng = np.random.default_rng(0)
-    noise = FovEstimate(BevGrid(32, 8.0), rng.random((32, 32)), np.zeros((32, 32), np.uint8)).doubt()
+    noise = FovEstimate(BevGrid(32, 8.0), rng.random((32, 32), np.float32), np.zeros((32, 32), np.uint8)).doubt()
     assert noise.min() > 0.0
     assert noise.max() == 0.5

@@ -60,17 +60,55 @@ def test_what_is_certified_was_visible_without_the_attack(seed: int, threat: Thr
     assert opened_m2 <= clean.changeable(threat, ~reference, opens=True)[0]
 
 
-def test_bound_is_attained() -> None:
-    # One wall hides a cell; an attacker with exactly the beams that it lacks opens it, and no more than it.
+def certified_after(depth: NDArray[Any], threat: Threat) -> NDArray[np.bool_]:
+    one = toy.leveled(toy.sweep_of(depth))
+    return certify(one, EVERYTHING, threat, Given.of(one, grade=0.0)).certified_visible
+
+
+def test_an_attack_that_is_set_on_one_cell() -> None:
+    # A cell lacks one beam. An attacker with so many opens it, and no more; with more of its beams it is not certified.
     depth = toy.scene(np.random.default_rng(5))
     clean = toy.envelope(toy.sweep_of(depth))
-    lacking = np.where(clean.open(), 0, CAR.min_returns - clean.margins)
     one = np.zeros(toy.GRID.shape, bool)
-    one[np.unravel_index(np.argmin(np.where(lacking > 0, lacking, 1000)), lacking.shape)] = True
-    needed = int(lacking[one][0])
-    assert clean.changeable(Threat("replaced", needed), one, opens=True)[0] == toy.GRID.cell_area_m2
-    if needed > 1:
-        assert clean.changeable(Threat("replaced", needed - 1), one, opens=True)[0] == 0.0
+    one[tuple(np.argwhere(clean.margins == CAR.min_returns - 1)[0])] = True
+    assert clean.changeable(Threat("replaced", 1), one, opens=True)[0] == toy.GRID.cell_area_m2
+    blocking = []
+    for beam in np.argwhere(np.isfinite(depth)):
+        nearest_m = clean.nearest_m.copy()
+        nearest_m[beam[1], beam[0] :: 90] = np.inf
+        if Envelope.within(toy.GRID, CAR, clean.sent, nearest_m).margins[one] > clean.margins[one]:
+            blocking.append(beam)
+    for count in range(1, len(blocking) + 1):
+        after = depth.copy()
+        after[tuple(np.transpose(blocking[:count]))] = np.inf
+        assert toy.envelope(toy.sweep_of(after)).open()[one]
+        for kind in ("replaced", "window", "dropped"):
+            assert not certified_after(after, Threat(kind, count))[one]
+    assert len(blocking) >= 2
+
+
+def test_one_beam_opens_a_gap_that_had_beams_to_spare() -> None:
+    # So what is certified against other threats than added points lies in the open cells, not in the envelope's claim.
+    depth, gaps = toy.scene(np.random.default_rng(5)), 0
+    clean, threat = toy.envelope(toy.sweep_of(depth)), Threat("replaced", 1)
+    for beam in np.argwhere(np.isfinite(depth))[::4]:
+        after = depth.copy()
+        after[tuple(beam)] = np.inf
+        certified = certified_after(after, threat)
+        assert not (certified & ~clean.reference(threat)).any()
+        gaps += int((certified & ~clean.claim).sum())
+    assert gaps > 0
+
+
+def test_a_wedge_anywhere() -> None:
+    # Six columns wide, it touches seven wherever it does not begin with one.
+    for seed in range(3):
+        depth = toy.scene(np.random.default_rng(seed))
+        reference = toy.envelope(toy.sweep_of(depth)).open()
+        for start in range(90):
+            after = depth.copy()
+            after[(start + np.arange(7)) % 90] = np.inf
+            assert not (certified_after(after, Threat("wedge", 24.0)) & ~reference).any()
 
 
 def leveled(**known: Any) -> LeveledSweep:

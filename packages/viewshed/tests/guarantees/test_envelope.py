@@ -31,7 +31,7 @@ def tilted(deg: float) -> Any:
 @pytest.mark.parametrize(
     ("tilt_deg", "grade", "model", "grid"),
     [(0.0, 0.0, toy.TOY, toy.GRID), (0.0, 0.03, toy.TOY, toy.GRID), (4.0, 0.0, toy.TOY, toy.GRID),
-     (3.0, 0.01, toy.TOY, WIDE), (0.0, 0.0, MANY, toy.GRID)],
+     (3.0, 0.01, MANY, WIDE), (0.0, 0.0, MANY, toy.GRID)],
 )  # fmt: skip
 def test_as_the_checker_counts(tilt_deg: float, grade: float, model: LidarModel, grid: BevGrid) -> None:
     rng, checker = np.random.default_rng(3), brute_force
@@ -44,7 +44,7 @@ def test_as_the_checker_counts(tilt_deg: float, grade: float, model: LidarModel,
     )
     assert theirs.max() >= 20
     # float32 against float64: a beam on the edge of a window or of a target
-    assert (ours.margins != theirs).mean() < 0.008
+    assert (ours.margins != theirs).mean() < 0.016
     assert np.abs(ours.margins - theirs).max() <= 12
     closed_m = _core.without_gaps(ours.nearest_m)
     assert np.array_equal(ours.claim, Envelope.within(grid, CAR, ours.sent, closed_m).open())

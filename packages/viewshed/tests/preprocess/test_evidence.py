@@ -19,7 +19,7 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import Target, poisson_table
 from viewshed.preprocess.evidence import BeamEvidence, beam_evidence
 from viewshed.preprocess.history import History
-from viewshed.preprocess.leveling import Held, LeveledSweep, level
+from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.preprocess.reach import reach_of_sweep
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_lab.data.presets import preset_named
@@ -171,7 +171,8 @@ def test_beams_that_aim_are_counted_whatever_their_depth() -> None:
     xy = 3.0 * np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     points = np.concatenate([np.column_stack([xy, np.full(360, SENSOR_M + 3.0 * slope)]) for slope in slopes])
     leveled, grid = made_level(points.astype(np.float32), HeightMap.flat(40.0)), BevGrid(36, 18.0)
-    leveled = replace(leveled, held=Held((), 20.0))
+    near = LidarModel("near", np.arctan(slopes), 360, max_range_m=20.0)
+    leveled = replace(leveled, sensor_id=replace(leveled.sensor_id, model=near))
     evidence = beam_evidence(leveled, grid, CAR)
     r = (np.floor(np.hypot(*np.moveaxis(grid.centers, -1, 0)) / grid.cell_m) + 0.5) * grid.cell_m
     # A slope within a bin of the histogram (1/256) of the foot or the top may count in part.

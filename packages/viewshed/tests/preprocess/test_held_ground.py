@@ -1,4 +1,4 @@
-"""What a stream holds: ground that only earlier sweeps saw, the sensor's height, its reach; and how soon it lets go."""
+"""What a stream holds: ground that only earlier sweeps saw, the sensor's height; and how soon it lets go."""
 
 import gc
 from collections.abc import Callable
@@ -23,7 +23,6 @@ from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.held_ground import Rest, hold, hold_over
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep, level
-from viewshed.preprocess.reach import reach_of_sweep
 from viewshed_lab.sim.observe import Setting, observe
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Agent, World
@@ -170,35 +169,6 @@ def test_a_height_that_is_given_is_no_matter_of_the_stream() -> None:
     assert held.sensor_height_m == 2.4
     assert not held.held.is_height_held
     assert len(held.held.heights_m) == 3
-
-
-def test_the_reach_without_a_table_is_the_greatest_of_the_stream() -> None:
-    def bare(far_m: float, number: int) -> LeveledSweep:
-        """Returns on level ground, the farthest ones at ``far_m``; no sensor is known."""
-        azimuth = np.linspace(-np.pi, np.pi, 600, endpoint=False)
-        range_m = np.linspace(3.0, far_m, 40)[:, None]
-        points = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), 0 * range_m * azimuth - HEIGHT_M], -1)
-        sweep = Sweep(
-            points.reshape(-1, 3).astype(np.float32),
-            world_from_sensor=Rigid.from_yaw(0.0, (0, 0, HEIGHT_M)),
-            t_ns=number,
-        )
-        return level(sweep.replace(infer_sensor=False), GRID)
-
-    far, near, middle = bare(60.0, 0), bare(30.0, 1), bare(45.0, 2)
-    assert reach_of_sweep(far) > reach_of_sweep(middle) > reach_of_sweep(near)
-    assert [reach_of_sweep(one) for one in hold_over([far, near, middle])] == [reach_of_sweep(far)] * 3
-    assert reach_of_sweep(hold_over([near, middle, near])[-1]) == reach_of_sweep(middle)
-    # A new stream begins anew.
-    buffer = SweepBuffer(every_s=0.0)
-    for one in (far, near):
-        history = buffer.history(one)
-        buffer.add(one if history is None else history.now)
-    before = replace(near, sweep=near.sweep.replace(t_ns=-5))
-    assert buffer.history(before) is None
-    buffer.add(before)
-    history = buffer.history(near)
-    assert reach_of_sweep(history.now) == reach_of_sweep(near)
 
 
 @pytest.mark.parametrize("make", [ShadowMap, MajorityVote])

@@ -195,3 +195,18 @@ def test_a_gap_is_filled_from_both_sides_across_the_seam_as_elsewhere(middle: fl
     assert (from_middle > 0).sum() == (from_middle < 0).sum() == 16
     assert (np.abs(from_middle) > np.deg2rad(3.9)).all()
     assert np.allclose(filled.depth_m, 1.8 / -np.tan(MODEL.elevation[5]), rtol=0.02)
+
+
+def test_a_table_that_does_not_explain_the_points_takes_nothing_from_what_they_show() -> None:
+    bare = _without(_grazing(), FULL).replace(ring=None, model=None)
+    bare = bare.select(np.random.default_rng(1).permutation(len(bare)))
+    wrong = LidarModel(
+        "wrong", np.deg2rad(np.linspace(-19, 19, 70)), azimuth_columns=400, min_range_m=0.5, max_range_m=250.0
+    )
+    told = level(bare.replace(model=wrong), GRID)
+    assert told.sensor_id.model is None
+    shown, besides = beams_by_evidence(level(bare, GRID), 1.5).inferred, beams_by_evidence(told, 1.5).inferred
+    assert len(shown.depth_m) > 100
+    for one, other in zip(shown.arrays, besides.arrays, strict=True):
+        assert np.array_equal(one, other)
+    assert np.array_equal(ShadowMap(GRID).estimate(bare).state, ShadowMap(GRID).estimate(told).state)

@@ -283,7 +283,8 @@ def tracks(
 @study_app.command()
 def wild(
     preset: Annotated[
-        str, typer.Option(help="Size of the study: tiny, small (the development set), sealed.")
+        str,
+        typer.Option(help="Size of the study: tiny, hard (hard places, drawn), small (the development set), sealed."),
     ] = "small",
     out: Out = None,
     workers: Workers = None,

@@ -188,8 +188,9 @@ def trust_of_agents(scenes: int) -> Rows:
                 of_agents, believed = published.add(naive, reports)
                 trust.append(np.stack([picture.verdicts.trust, of_agents]))
                 truth = seen_objects(scene, time)[:, :2]
-                boxes, confirmed = naive.tracks.boxes, naive.tracks.confirmed
-                shown = (picture.tracks.boxes[picture.believed], boxes[believed], boxes[confirmed])
+                boxes, now = naive.tracks.boxes, naive.reported
+                ours_now = picture.tracks.boxes[picture.believed & picture.reported]
+                shown = (ours_now, boxes[believed & now], boxes[naive.tracks.confirmed & now])
                 apart.append([gospa(each[:, :2], truth).distance_m for each in shown])
             after = round(ONSET_S * plan.hz)
             least = np.min(trust[after:], axis=0)
@@ -229,7 +230,8 @@ CASES: dict[str, tuple[Callable[[int], Rows], str]] = {
     "Trust of many agents": (
         trust_of_agents,
         "Four cars and a mast; detections are forged as published. The published trust has the same tracks and the mask"
-        " of the same estimate as its polygon. The publication reports no figures that compare.",
+        " of the same estimate as its polygon. GOSPA is of the tracks that somebody reports at the time. The"
+        " publication reports no figures that compare.",
     ),
 }
 """By title: what runs, and what it is."""

@@ -75,6 +75,8 @@ BeamTable checked_table(View1<const double> given_elevation, View1<const double>
 
 // What Python calls: arrays are checked here, whatever hands them in.
 void bind_sensor_id(nb::module_& m) {
+    m.attr("OTHER_BEAMS") = OTHER_BEAMS;
+    m.attr("USUAL_REACH_M") = USUAL_REACH_M;
     m.def(
         "identify_sensor",
         [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m, bool is_inferred,
@@ -99,8 +101,9 @@ void bind_sensor_id(nb::module_& m) {
         "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "is_inferred"_a, "expected"_a, "held_elevation"_in,
         "held_origin_m"_in,
         "The ring of each point (N, 3), or None where they are its own or nothing shows them, and the number of the sensor that "
-        "is inferred, -1 for none; of rings that no table explains the layout that counts them, elevation and origin_m "
-        "(rings,), or None, how many the points show, and whether the held one counts them. A table, or a held layout, of no beams is none.");
+        "is inferred, -1 for none, OTHER_BEAMS where the rings are no beams of the table; of rings that no table explains the "
+        "layout that counts them, elevation and origin_m (rings,), or None, how many the points show, and whether the held one "
+        "counts them. A table, or a held layout, of no beams is none.");
     m.def(
         "infer_sensor",
         [](Points points, std::optional<RingColumn> ring) {

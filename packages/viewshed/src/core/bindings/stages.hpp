@@ -16,7 +16,7 @@ LevelArrays level_arrays(LevelPoints&& level);
 
 // The files of bindings, in the order in which the module offers them.
 #define VIEWSHED_BINDINGS(bind)                                                                                     \
-    bind(range_image) bind(reach) bind(sensor_id) bind(ground) bind(held_ground) bind(leveling)                     \
+    bind(range_image) bind(sensor_id) bind(ground) bind(held_ground) bind(leveling)                                 \
     bind(level_sweep) bind(no_return) bind(grid) bind(height_map) bind(visibility) bind(evidence)                   \
     bind(guarantees) bind(boxes) bind(object_candidates) bind(shape_classifier) bind(history) bind(features)        \
     bind(mc_dropout) bind(ray_trace) bind(concave_hull) bind(polygons) bind(files) bind(temporal_evidence)          \

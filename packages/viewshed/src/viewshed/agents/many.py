@@ -60,7 +60,7 @@ KNOWN_REPORTS, KNOWN_RETURNS, STANDS = 3, 40.0, 0.5
 """An agent withholds an object that it does not report though it did so often, with more returns at last, and its view
 still holds more than this part of the surface. Its detector misses such an object once, hardly ever twice."""
 
-MOST_LOOKS = 8.0
+MOST_LOOKS = 4.0
 """Looks at which one object is withheld that count, those after the first."""
 
 LOOKED_AT = (13, 7)

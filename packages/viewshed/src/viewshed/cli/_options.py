@@ -285,7 +285,11 @@ def with_groups(command: Callable[..., None]) -> Callable[..., None]:
     The reference system is no such option: only commands that write maps have one.
     """
     signature, kind = inspect.signature(command, eval_str=True), inspect.Parameter.KEYWORD_ONLY
-    groups = {name: each.annotation for name, each in signature.parameters.items() if is_dataclass(each.annotation)}
+    groups: dict[str, type[Any]] = {
+        name: each.annotation
+        for name, each in signature.parameters.items()
+        if isinstance(each.annotation, type) and is_dataclass(each.annotation)
+    }
     if not groups:
         return command
     own = {name: _parameters(group) for name, group in groups.items()}

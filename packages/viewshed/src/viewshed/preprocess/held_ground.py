@@ -1,4 +1,4 @@
-"""What a stream carries over: ground that earlier sweeps saw, the sensor's height, and how far it sees.
+"""What a stream carries over: ground that earlier sweeps saw, and the sensor's height.
 
 Ground does not move. Where a sweep sees none, it takes the height that an earlier one of its stream saw there, with a
 deviation that has grown with time and distance, while both agree nearby on ground that both see; heights in between are
@@ -25,7 +25,6 @@ from viewshed.fov.height_map import HeightMap
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.preprocess.leveling import Held, LeveledSweep, level
-from viewshed.preprocess.reach import reach_of_sweep
 from viewshed.preprocess.streams import FORGET_S, why_anew
 
 HEIGHTS = 7
@@ -106,7 +105,7 @@ def _is_same_place(since_m: F32 | None, now_m: F32 | None) -> bool:
 
 
 def hold(leveled: LeveledSweep, before: LeveledSweep, now_from_before: Rigid | None = None) -> LeveledSweep:
-    """Return a sweep with what an earlier one of its stream holds: the sensor's height, ground, and reach.
+    """Return a sweep with what an earlier one of its stream holds: the sensor's height and ground.
 
     Args:
         leveled: the sweep.
@@ -148,12 +147,9 @@ def _seconds(leveled: LeveledSweep, before: LeveledSweep) -> float:
 
 def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) -> tuple[LeveledSweep, Held]:
     """Return a sweep leveled at the height that the stream holds where its own is off, and what it hands on."""
-    own_m, reach_m = _estimated_heights(leveled), reach_of_sweep(leveled)
+    own_m = _estimated_heights(leveled)
     earlier_m = _estimated_heights(before) if before.held is None else before.held.heights_m
-    model = leveled.sensor_id.model
-    if model is None or model.reach_m is None:
-        reach_m = max(reach_m, reach_of_sweep(before))
-    held = Held((*earlier_m, *own_m)[-HEIGHTS:], reach_m)
+    held = Held((*earlier_m, *own_m)[-HEIGHTS:])
     if leveled.sweep.sensor_height_m is not None or len(held.heights_m) < (1 if at_rest else FEWEST_HEIGHTS):
         return leveled, held
     usual_m = _likeliest_height(held.heights_m, before) if at_rest else float(np.median(held.heights_m))

@@ -44,7 +44,6 @@ class Held:
 
     # the sensor's heights above the ground that the last sweeps estimated, this one's last
     heights_m: tuple[float, ...]
-    reach_m: float  # the greatest reach that a sweep of the stream showed
     is_height_held: bool = False  # whether this sweep's own height was set aside for that of ``heights_m``
 
 

@@ -140,7 +140,9 @@ def _image_of_beams(leveled: LeveledSweep) -> RangeImage:
     if image is not None and image.pixels_are_beams:
         return image
     sweep, sensor_id = leveled.sweep, leveled.sensor_id
-    rings = recover_rings(sweep, sensor_id.model, sensor_id.ring)
+    # A table that does not explain the rings is none of them.
+    told = sweep if sensor_id.model is not None else sweep.replace(model=None)
+    rings = recover_rings(told, sensor_id.model, sensor_id.ring)
     return range_image_by_rings(sweep.points, rings, range_limits(sweep))
 
 

@@ -48,7 +48,7 @@ def identify_sensor(sweep: Sweep, before: SensorId = UNIDENTIFIED) -> SensorId:
     these rings agree with, if the sweep lets it be inferred; where there are no rings, one that explains points beside
     its beams as well, as those of a moving sensor are. Where no table does, rings come from the elevations at which the
     returns gather once the motion of the sensor is undone. None of this is guessed: a cloud that gathers at no
-    elevations has no rings, and rings that agree with no table have no sensor.
+    elevations has no rings, and rings that agree with no table have no sensor, not even the sweep's own one.
 
     A sensor that was identified ``before``, in the last sweep of the stream, is looked at first: about 2,000 returns
     confirm it, or all is done as without. It saves time and changes nothing else. Rings that no table explains are
@@ -71,6 +71,8 @@ def identify_sensor(sweep: Sweep, before: SensorId = UNIDENTIFIED) -> SensorId:
         sweep.points, sweep.ring, *table, sweep.infer_sensor, number,
         *(_NO_BEAMS if held is None else (held.elevation, held.origin_m)),
     )  # fmt: skip
+    if number == _core.OTHER_BEAMS and ring is not None:
+        return SensorId(ring, None)
     known = sensors[number] if number >= 0 else model
     if layout is None:
         # A sweep that shows no rings says nothing against those before it.

@@ -82,7 +82,9 @@ class TracksPlan(Plan):
         places = [(sensor, weather) for sensor in self.sensors for weather in self.conditions]
         if step in ("count", "limit"):
             return [(step, *places[n % len(places)], str(n)) for n in range(getattr(self, step))]
-        tested = [(step, *place, str(number)) for number in range(getattr(self, step)) for place in places]
+        tested: list[JobKey] = [
+            (step, *place, str(number)) for number in range(getattr(self, step)) for place in places
+        ]
         return tested if step == "test" else [(*drive, attack) for attack in self.lidar_attacks for drive in tested]
 
     def scene(self, key: JobKey) -> ScenePlan:

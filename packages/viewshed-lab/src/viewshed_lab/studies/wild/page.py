@@ -15,7 +15,7 @@ from viewshed_lab.studies.records import cells_of
 from viewshed_lab.studies.statistics import f1
 from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.studies.wild.evaluate import AS_TOLD, LADDER
-from viewshed_lab.studies.wild.figures import picture_of
+from viewshed_lab.studies.wild.figures import picture_of, reliability_of
 from viewshed_lab.studies.wild.plan import WildPlan
 from viewshed_lab.studies.wild.pool import Pool
 
@@ -47,6 +47,7 @@ def files_of(store: ResultStore[WildPlan]) -> dict[str, bytes]:
         "wild/page.md", domains=pool.names("domain"), targets=plan.targets, knowledge=knowledge, part=part, plan=plan,
         other=lambda domain, target, told=told: other.of(domain=domain, target=target, told=told),
         agreement=_agreement, beyond_f1=_beyond_f1, broken_down=_broken_down, ladder=_ladder, worst=_worst,
+        reliability=_reliability,
     )  # fmt: skip
     about = facts(
         plan=f"{plan.name}: {plan.about}", sets=", ".join(plan.sets), sweeps=str(len(results.facts)),
@@ -129,6 +130,13 @@ def _ladder(pool: Pool) -> Table | None:
     return Table(["the shadow map given", "precision / recall", "F1", "ground off", "of that claimed", "HIDDEN"], rows)
 
 
+def _reliability(pool: Pool) -> Picture:
+    """Return the picture of how well the probabilities of the judged methods are calibrated on other worlds."""
+    judged = pool.of(method=[name for name in JUDGED if name in pool.names("method")])
+    what = "share of cells that are visible, by the probability said, on other worlds"
+    return Picture(f"wild_{pool.names('domain')[0]}_reliability.png", reliability_of(judged), what)
+
+
 def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
     """Yield the worst scene of each of the worst styles for the last of the judged methods, and a picture of each."""
     judged = [name for name in JUDGED if name in pool.names("method")]
@@ -146,5 +154,5 @@ def _worst(plan: WildPlan, pool: Pool) -> Iterator[Table | Picture]:
         ],
     )  # fmt: skip
     for one in chosen.itertuples():
-        what = f"{one.scene}: exact ground, its error, true states, mistakes of {' and '.join(judged)}"
+        what = f"{one.scene}: exact ground, its error, a cut, true states, mistakes of {' and '.join(judged)}"
         yield Picture(f"wild_{one.domain}_{one.style}.png", picture_of(one, judged), what)
