@@ -70,7 +70,8 @@ GOOD: dict[str, dict[str, Any]] = {
         "half_m": 32.0, "before_heights_m": FLAT - F4(1.8), "before_std_m": FLAT + F4(0.1), "before_seen": SQUARE,
         "before_half_m": 32.0, "before_from_now": np.eye(2, 4, dtype=F4), "now_from_before": np.array([0, 0, 1, 0], F4),
         "variance_m2": 0.0025, "plane": (0.0, 0.0, -1.8), "height_m": 0.0},
-    "identify_sensor": {"points": POINTS, "ring": None, "is_inferred": True, "expected": -1} | TABLE,
+    "identify_sensor": {"points": POINTS, "ring": None, "is_inferred": True, "expected": -1,
+                        "held_elevation": TABLE["elevation"], "held_origin_m": TABLE["origin_m"]} | TABLE,
     "infer_sensor": {"points": POINTS, "ring": None}, "find_motion": {"points": POINTS},
     "recover_rings": {"points": POINTS, "ring": None, "columns": 1800} | TABLE,
     "undo_motion": {"points": POINTS, "x_m": 1.0, "y_m": 0.1, "z_m": 0.0, "seam": 0.0, "reference": 0.5},
@@ -171,7 +172,8 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     "fill_ground": [{"walked_m": FLAT * F4(NAN)}, {"plane": np.full(3, INF, F4)}],
     "held_ground": [{"before_heights_m": FLAT * F4(NAN)}, {"before_from_now": FLAT}, {"height_m": NAN},
                     {"plane": (0.0, 0.0)}],
-    "identify_sensor": [{"ring": np.zeros(N - 1, I2)}, {"expected": 99}, {"expected": -2}],
+    "identify_sensor": [{"ring": np.zeros(N - 1, I2)}, {"expected": 99}, {"expected": -2},
+                        {"held_origin_m": np.zeros(2)}, {"held_elevation": TABLE["elevation"][::-1].copy()}],
     "recover_rings": [{"ring": np.full(N, 4096, I2)}, {"columns": 0}],
     "infer_sensor": [{"ring": np.full(N, -2, I2)}],
     "match_beams": [{"elevation": TABLE["elevation"][::-1].copy()}, {"elevation": np.array([0.0, NAN]),
@@ -358,14 +360,18 @@ def boxes_met() -> Any:
     return found
 
 
-NO_TABLE = {"elevation": np.zeros(0), "origin_m": np.zeros(0)}
+NO_TABLE = {name: np.zeros(0) for name in ("elevation", "origin_m")}
+NOTHING_HELD = {name: np.zeros(0) for name in ("held_elevation", "held_origin_m")}
 SENSOR_CALLS: dict[str, Callable[[Any], Any]] = {
-    "identify_sensor": lambda points: call("identify_sensor", points=points, expected=0, **NO_TABLE),
+    "identify_sensor": lambda points: call("identify_sensor", points=points, expected=0, **NO_TABLE, **NOTHING_HELD),
     "identify_sensor by rings": lambda points: call(
-        "identify_sensor", points=points, ring=np.zeros(len(points), I2), expected=0, **NO_TABLE
+        "identify_sensor", points=points, ring=np.zeros(len(points), I2), expected=0, **NO_TABLE, **NOTHING_HELD
     ),
+    "identify_sensor by a layout": lambda points: call("identify_sensor", points=points, **NO_TABLE),
     "identify_sensor by a table": lambda points: call("identify_sensor", points=points),
-    "rings of points": lambda points: call("identify_sensor", points=points, is_inferred=False, **NO_TABLE),
+    "rings of points": lambda points: call(
+        "identify_sensor", points=points, is_inferred=False, **NO_TABLE, **NOTHING_HELD
+    ),
     "infer_sensor": lambda points: call("infer_sensor", points=points),
     "recover_rings": lambda points: call(
         "recover_rings", points=points, elevation=np.zeros(0), origin_m=np.zeros(0), columns=0

@@ -38,7 +38,7 @@ Identity identify(const SweepInput& sweep, const SensorModel* expected) {
     const auto& sensors = inferable_sensors();
     const auto at = std::find(sensors.begin(), sensors.end(), expected);
     SensorId found = identify_sensor(sweep.points, sweep.ring, model == nullptr ? nullptr : &model->beams, sweep.infers_sensor,
-                                     at == sensors.end() ? NO_SENSOR : int(at - sensors.begin()));
+                                     {at == sensors.end() ? NO_SENSOR : int(at - sensors.begin()), nullptr});
     if (found.sensor == OTHER_BEAMS && found.ring) return {std::move(found.ring), sweep.ring, nullptr};
     return {std::move(found.ring), sweep.ring, found.sensor < 0 ? model : sensors[std::size_t(found.sensor)]};
 }

@@ -34,6 +34,10 @@ constexpr std::size_t FEWEST_RINGS = 4, MOST_RINGS = 4096;
 // First and last rings of less than this share of the others' size are joined to their neighbor.
 constexpr double STRAY_RING = 0.01;
 
+// The slope changes from one ring to the next between returns that lie so far before and after the seam: a ring may begin one
+// or two returns beside it.
+constexpr std::size_t BESIDE = 2;
+
 // From a ring to the next one the slope nearly always rises, or nearly always falls: at their seams, and in the median.
 constexpr double ONE_WAY_AT_SEAMS = 0.7, ONE_WAY = 0.9;
 
@@ -129,6 +133,11 @@ Order order_rings(View2<const float> points, float start, float sense) {
     // 2. Follow them; most blocks of eight points hold no wrap.
     std::size_t last_start = 0;
     std::int32_t wraps = 0, rising = 0, falling = 0;
+    double last = 0.0;
+    const auto change_over = [&](std::size_t n) {
+        const std::size_t before = n > BESIDE ? n - 1 - BESIDE : 0, after = std::min(n + BESIDE, count - 1);
+        return double(slope_of(points[after])) - double(slope_of(points[before]));
+    };
     std::vector<Run>& runs = order.runs;
     runs.push_back({0, 0});
     for (std::size_t eight = 0; eight < marked.size(); eight += 8) {
@@ -137,16 +146,17 @@ Order order_rings(View2<const float> points, float start, float sense) {
         if (any == 0) continue;
         for (std::size_t n = eight; n < eight + 8; ++n) {
             if (marked[n] == 0) continue;
-            const double change = double(slope_of(points[n])) - double(slope_of(points[n - 1]));
             if (marked[n] == WRAPS) {
                 ++wraps;
-                rising += change > LEAST_STEP;
-                falling += change < -LEAST_STEP;
+                last = change_over(n);
+                rising += last > LEAST_STEP;
+                falling += last < -LEAST_STEP;
                 last_start = n;
             } else if (wraps > 0 && n - last_start < SOON) {
                 --wraps;
-                rising -= change < -LEAST_STEP;
-                falling -= change > LEAST_STEP;
+                rising -= last > LEAST_STEP;
+                falling -= last < -LEAST_STEP;
+                last = 0.0;
             } else {
                 continue;
             }

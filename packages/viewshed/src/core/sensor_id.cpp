@@ -34,6 +34,9 @@ constexpr double NEAR_SHARE = 0.25, MOST_OFF = 0.25 * DEGREE;
 constexpr double TYPICAL_SHARE = 0.1, LEAST_GAP = 0.3 * DEGREE;
 constexpr std::size_t FEWEST_OF_RING = 4;
 
+// Rings of a layout lie apart by this at least.
+constexpr double LEAST_APART = 0.05 * DEGREE;
+
 // Rings that are fewer than this share of a table's beams do not name it, nor clusters that are more than this, ...
 constexpr double LEAST_OF_TABLE = 0.5, MOST_OF_TABLE = 1.15;
 
@@ -368,6 +371,7 @@ struct OwnRings {
     std::size_t count;
     RingSource source;
     double sharpness = 1.0;
+    std::optional<BeamTable> clusters = std::nullopt;  // the elevations of clusters
 
     ShownRings shown() const { return {ring, count, source, sharpness}; }
 };
@@ -382,7 +386,7 @@ std::optional<OwnRings> rings_shown_by_clusters(const Directions& seen) {
     std::optional<ClusteredRings> found = rings_by_clusters(seen);
     if (!found) return std::nullopt;
     return OwnRings{std::move(found->rings.ring), found->rings.count, RingSource::ELEVATION_CLUSTERS,
-                    found->clusters.sharpness};
+                    found->clusters.sharpness, BeamTable(found->clusters.elevation, found->clusters.origin_m, 0)};
 }
 
 // The nearest beam of each return (N,), none where the returns do not gather at the beams.
@@ -418,6 +422,7 @@ struct Identified {
     double score = 0.0;
     std::optional<OwnRings> rings;
     std::optional<Directions> seen;  // what the points show, where that had to be looked at
+    std::optional<Buffer<std::int16_t>> counted;  // the rings by a layout that was expected; then nothing else was looked at
 };
 
 // Whether rings are surely those of an expected table, by the first of the sample.
@@ -432,7 +437,37 @@ Scored table_by_rings(View2<const float> points, const ShownRings& rings, const 
     return first.second >= SURE ? first : agreeing_table(rings, sample_by_ring(points, rings, OF_RINGS), tables);
 }
 
-Identified identify(View2<const float> points, const BeamTables& tables, int expected) {
+// The rings (N,) of an order counted by a layout; none where they do not go together.
+//
+// Where a beam meets the vehicle beside the seam an order misses a ring, or counts one more, and the rings above it are shifted:
+// most of those lie where the layout has them.
+std::optional<Buffer<std::int16_t>> counted_by_layout(View2<const float> points, const ShownRings& rings,
+                                                      const BeamTable& layout) {
+    const std::vector<double> origin_m(rings.count, 0.0);
+    const std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings, FIRST_OF_RINGS), origin_m);
+    const auto count = std::ptrdiff_t(rings.count), beams = std::ptrdiff_t(layout.rings());
+    std::ptrdiff_t most = 0, best = 0;
+    for (const std::ptrdiff_t shift : {0, -1, 1, -2, 2}) {
+        std::ptrdiff_t agreeing = 0;
+        for (std::ptrdiff_t r = std::max<std::ptrdiff_t>(0, -shift); r < std::min(count, beams - shift); ++r) {
+            const auto beam = std::size_t(r + shift);
+            agreeing += std::abs(elevation[std::size_t(r)] - layout.elevation[beam]) < NEAR_SHARE * layout.gap[beam];
+        }
+        if (agreeing > most) {
+            most = agreeing;
+            best = shift;
+        }
+    }
+    if (double(most) < LEAST_OF_TABLE * double(std::max(count, beams))) return std::nullopt;
+    Buffer<std::int16_t> counted(rings.ring.size);
+    for (std::size_t n = 0; n < counted.size(); ++n) {
+        const std::ptrdiff_t beam = rings.ring[n] + best;
+        counted[n] = std::int16_t(rings.ring[n] < 0 ? -1 : std::clamp<std::ptrdiff_t>(beam, 0, beams - 1));
+    }
+    return counted;
+}
+
+Identified identify(View2<const float> points, const BeamTables& tables, Expected expected) {
     Identified found;
     const auto agrees = [&](std::optional<OwnRings>& rings) {
         const auto [table, score] = table_by_rings(points, rings->shown(), tables);
@@ -443,12 +478,25 @@ Identified identify(View2<const float> points, const BeamTables& tables, int exp
     };
     // 1. The order of the points.
     std::optional<OwnRings> ordered = rings_shown_by_order(points);
-    if (ordered && expected != NO_SENSOR && is_surely(tables[expected], ordered->shown(), points)) {
-        return {expected, SURE, std::move(ordered), std::nullopt};
+    if (ordered && expected.sensor != NO_SENSOR && is_surely(tables[expected.sensor], ordered->shown(), points)) {
+        return {expected.sensor, SURE, std::move(ordered), std::nullopt};
     }
     if (ordered && agrees(ordered)) return found;
-    // 2. The elevations at which they gather.
+    if (found.rings && expected.layout) {
+        found.counted = counted_by_layout(points, found.rings->shown(), *expected.layout);
+        if (found.counted) return found;
+    }
+    // 2. The elevations at which they gather, those of the sweeps before first.
     found.seen = directions_of(points);
+    if (!found.rings && expected.layout) {
+        BeamMatch match = match_beams(found.seen->slope, found.seen->range_m, *expected.layout);
+        if (match.excess >= SHARP) {
+            std::optional<OwnRings> gathered = OwnRings{std::move(match.ring), expected.layout->rings(),
+                                                        RingSource::ELEVATION_CLUSTERS, match.excess, *expected.layout};
+            if (!agrees(gathered)) found.counted = std::move(found.rings->ring);
+            return found;
+        }
+    }
     std::optional<OwnRings> clustered = rings_shown_by_clusters(*found.seen);
     if (clustered && agrees(clustered)) return found;
     // 3. Where nothing shows rings, or clusters are blurred, a table may know what they do not: origins of its beams.
@@ -495,12 +543,26 @@ SensorId identify_by_rings(View2<const float> points, View1<const std::int16_t> 
     return {counted_as_beams(rings, seen.slope.data(), seen.range_m.data(), tables[table]), table};
 }
 
+// The layout of rings that no table explains: the elevations of clusters, or of an order that of each ring's returns. The
+// lowest ones of an order may meet the vehicle itself, and then stand in no order: each lies below the next at least.
+BeamTable layout_of(View2<const float> points, const OwnRings& rings) {
+    if (rings.clusters) return *rings.clusters;
+    std::vector<double> origin_m(rings.count, 0.0);
+    std::vector<double> elevation = ring_elevations(sample_by_ring(points, rings.shown(), OF_RINGS), origin_m);
+    double above = std::numbers::pi / 2;
+    for (std::size_t r = rings.count; r-- > 0;) {
+        above = elevation[r] < above - LEAST_APART ? elevation[r] : above - LEAST_APART;
+        elevation[r] = above;
+    }
+    return BeamTable(std::move(elevation), std::move(origin_m), 0);
+}
+
 // The rings and the table that bare points (N, 3) show; none where they show none.
-SensorId identify_by_points(View2<const float> points, const BeamTables& tables, int expected) {
+SensorId identify_by_points(View2<const float> points, const BeamTables& tables, Expected expected) {
     // 1. The rings that the points show, and the table that these agree with.
     Identified found = identify(points, tables, expected);
     // 2. In doubt the sensor moved: look again without the motion that blurred the elevations.
-    if (is_doubtful(found)) {
+    if (!found.counted && is_doubtful(found)) {
         std::optional<AtRest> at_rest = undo_motion_of(points);
         if (at_rest && at_rest->rings && is_better(*at_rest->rings, found.rings)) {
             found.seen = std::move(at_rest->seen);
@@ -511,8 +573,16 @@ SensorId identify_by_points(View2<const float> points, const BeamTables& tables,
         }
     }
     // 3. The rings as the table's beams. Clusters skip a beam that has no return: then the beams nearest to the returns.
+    if (found.counted) {
+        // Where the ground tilts the elevations of an order change slowly: the layout follows.
+        const std::size_t count = found.rings->count;
+        BeamTable layout = count == expected.layout->rings() ? layout_of(points, *found.rings) : *expected.layout;
+        return {std::move(found.counted), NO_SENSOR, std::move(layout), count, true};
+    }
     if (found.table == NO_SENSOR) {
-        return {found.rings ? std::optional(std::move(found.rings->ring)) : std::nullopt, NO_SENSOR};
+        if (!found.rings) return {};
+        BeamTable layout = layout_of(points, *found.rings);
+        return {std::move(found.rings->ring), NO_SENSOR, std::move(layout), found.rings->count};
     }
     const BeamTable& table = tables[found.table];
     if (found.rings && found.rings->count == table.rings() && !found.rings->shown().are_clusters()) {
@@ -568,21 +638,21 @@ const std::vector<const SensorModel*>& inferable_sensors() {
 }
 
 SensorId identify_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring, const BeamTable* table,
-                         bool is_inferred, int expected) {
+                         bool is_inferred, Expected expected) {
     if (points.rows == 0 || (ring && (table != nullptr || !is_inferred))) return {};
     if (table != nullptr) {
         if (auto beams = beams_of_sensor(points, *table)) return {std::move(beams), NO_SENSOR};
-        return {identify_by_points(points, {}, NO_SENSOR).ring, OTHER_BEAMS};
+        return {identify_by_points(points, BeamTables{}, Expected{}).ring, OTHER_BEAMS};
     }
     if (!is_inferred) return {rings_of_points(points), NO_SENSOR};
-    return ring ? identify_by_rings(points, *ring, inferable_tables(), expected)
+    return ring ? identify_by_rings(points, *ring, inferable_tables(), expected.sensor)
                 : identify_by_points(points, inferable_tables(), expected);
 }
 
 std::pair<int, double> infer_sensor(View2<const float> points, std::optional<View1<const std::int16_t>> ring) {
     const BeamTables& tables = inferable_tables();
     if (ring) return table_by_rings(points, rings_of_file(*ring), tables);
-    const Identified found = identify(points, tables, NO_SENSOR);
+    const Identified found = identify(points, tables, {});
     return {found.table, found.score};
 }
 

@@ -13,7 +13,8 @@ from tests.cli.commands import run
 
 from viewshed import load_estimator, read_sweep, write_sweep
 from viewshed.agents.registration import UNSTATED, PoseStd
-from viewshed.agents.rounds import Rounds
+from viewshed.agents.report import AgentReport
+from viewshed.agents.rounds import Round, Rounds
 from viewshed.cli._record import Center
 from viewshed.geometry import Rigid
 from viewshed.io.samples import junction_path
@@ -66,7 +67,12 @@ def test_a_center_takes_a_pose_to_be_as_certain_as_its_sweep_states(
     deviation: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = list[PoseStd]()
-    monkeypatch.setattr(Rounds, "add", lambda self, t_s, report: seen.append(report.pose_std) or [])
+
+    def add(self: Rounds, t_s: float, report: AgentReport) -> list[Round]:
+        seen.append(report.pose_std)
+        return []
+
+    monkeypatch.setattr(Rounds, "add", add)
     sweep = read_sweep(junction_path()).replace(
         t_ns=1, world_from_sensor=Rigid.identity(),
         pose_covariance=None if deviation is None else deviation**2 * np.eye(6),

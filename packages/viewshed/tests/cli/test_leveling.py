@@ -9,8 +9,8 @@ import viewshed
 from viewshed.cli import main
 from viewshed.io.export import read_npz
 from viewshed.io.samples import junction_path
-from viewshed.preprocess.sensor_identification import SensorId, identify_sensor
-from viewshed.sensors import LidarModel, lidar_model
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
+from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.sim import cast, junction
 
@@ -29,9 +29,9 @@ def identified(monkeypatch: pytest.MonkeyPatch, sweep_file: Path) -> list[int]:
     """The sizes of the sweeps whose sensor was identified, which leveling does once."""
     sizes: list[int] = []
 
-    def counting(sweep: Sweep, expected: LidarModel | None = None) -> SensorId:
+    def counting(sweep: Sweep, before: SensorId = UNIDENTIFIED) -> SensorId:
         sizes.append(len(sweep))
-        return identify_sensor(sweep, expected)
+        return identify_sensor(sweep, before)
 
     monkeypatch.setattr("viewshed.preprocess.leveling.identify_sensor", counting)
     return sizes

@@ -1,6 +1,7 @@
 """Degraded and impossible: against the own past and the beam table."""
 
 import numpy as np
+import pytest
 from tests.monitor.evidence.drives import GRID, YARD, look
 
 from viewshed.monitor.degraded import NOW_SWEEPS, PAST_SWEEPS, SensorState, against_table
@@ -31,6 +32,32 @@ def test_noise_of_another_sensor_is_not_held_against_the_table() -> None:
     for _ in range(PAST_SWEEPS + NOW_SWEEPS):
         sweep = _leveled(noisy)
         assert state.check(sweep, np.full((len(EVIDENCE), 72), 1.0, np.float32)) == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "usual", "spread", "now", "worse"),
+    [
+        ("isolated", 0.02, 0.002, 0.05, True),  # drizzle: far beyond what the share does by itself
+        ("isolated", 0.10, 0.03, 0.14, False),  # leaves all along
+        ("isolated", 0.001, 0.0001, 0.008, False),  # so few that they hide nothing
+        ("returns", 20000.0, 300.0, 15500.0, True),
+        ("returns", 20000.0, 3500.0, 15500.0, False),  # an open road and a street in turn
+        ("range_noise", 0.01, 0.001, 0.04, True),
+        ("range_noise", 0.01, 0.001, 0.02, False),  # noisier, and still a good sensor
+    ],
+)
+def test_a_number_is_held_against_how_far_it_goes_by_itself(
+    kind: str, usual: float, spread: float, now: float, worse: bool
+) -> None:
+    rng, sweep, state = np.random.default_rng(0), _leveled(look(YARD)), SensorState()
+    found: tuple[str, ...] = ()
+    for number in range(200 + NOW_SWEEPS):
+        evidence = np.full((len(EVIDENCE), 72), 0.01, np.float32)
+        evidence[list(EVIDENCE).index("returns")] = 20000.0
+        evidence[list(EVIDENCE).index(kind)] = now if number >= 200 else usual + spread * rng.standard_normal()
+        found = state.check(sweep, evidence)
+        assert number >= 200 or not found
+    assert (len(found) == 1) == worse
 
 
 def test_a_dead_beam_between_others_and_an_empty_direction() -> None:

@@ -11,6 +11,7 @@ from tests.monitor.evidence.drives import GRID, PLATE, YARD, look, sector_at
 from viewshed import Sweep
 from viewshed.monitor import Calibration, StreamMonitor
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
+from viewshed.monitor.impossible import MOST_OUT, impossible_reasons, share_out_of_time
 from viewshed.monitor.stream_monitor import ALONE, EvidenceStream, StreamReport
 from viewshed.monitor.tails import CALM_SWEEPS
 from viewshed.monitor.watch import MOST_HELD_SWEEPS, Watch
@@ -107,6 +108,22 @@ def test_empty_and_blinded_sweeps_are_alarms_even_alone() -> None:
         assert report.now.suspect.all()
         assert any(reason in one for one in report.now.reasons)
         assert not report.now.notes
+
+
+@pytest.mark.parametrize(("share", "called"), [(0.0, False), (0.01, False), (0.05, True), (0.2, True)])
+def test_returns_where_the_sensor_did_not_point_at_their_time_are_impossible(share: float, called: bool) -> None:
+    rng = np.random.default_rng(3)
+    direction = np.sort(rng.uniform(-np.pi, np.pi, 9000))
+    moved = rng.random(9000) < share
+    at = direction + np.where(moved, rng.uniform(0.5, 2.5, 9000), 0.0)
+    height_m = rng.uniform(-1.6, 2.0, 9000)
+    points = np.column_stack([20.0 * np.cos(at), 20.0 * np.sin(at), height_m]).astype(np.float32)
+    sweep = Sweep(points, t_ns=0, time_s=(0.1 * (direction + np.pi) / (2 * np.pi)).astype(np.float32))
+    assert any("did not point at their time" in one for one in impossible_reasons(level(sweep, GRID))) == called
+    # Two heads that point apart share one clock: times tell nothing.
+    behind = sweep.replace(points=points * np.where(np.arange(9000) % 2, np.float32(1), np.float32(-1))[:, None])
+    assert share_out_of_time(behind) > MOST_OUT
+    assert not any("at their time" in one for one in impossible_reasons(level(behind, GRID)))
 
 
 def test_one_sweep_alone_says_that_it_cannot_tell() -> None:

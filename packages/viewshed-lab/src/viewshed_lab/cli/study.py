@@ -153,23 +153,27 @@ def monitor(
 
     Example: viewshed study monitor --out study
     """
-    from viewshed.monitor import Calibration, StreamMonitor, save_calibration
+    from viewshed.monitor import Calibration, StreamMonitor, load_calibration, save_calibration
     from viewshed_lab.studies.monitor.page import files_of
     from viewshed_lab.studies.monitor.plan import MonitorPlan
     from viewshed_lab.studies.monitor.streams import read_streams, run_streams
     from viewshed_lab.studies.monitor.traces import call_trace
+    from viewshed_lab.studies.monitor.tried import tried
 
     plan, folder = MonitorPlan.load(preset), _folder(out, "monitor")
     if run:
         run_streams(plan, folder / "streams", typer.echo)
-    streams = list(read_streams(folder / "streams", "calibration"))
-    made = Calibration.fit(
-        [one.benign for one in streams], plan.hz, places=[one.style for one in streams],
-        facts={"per_hour": "6", "streams": f"{len(streams)} simulated, {plan.seconds:g} s each"},
-    )  # fmt: skip
-    save_calibration(made, folder / "monitor.npz")
+    calibrated = folder / "monitor.npz"
+    if run or not calibrated.exists():
+        streams = list(read_streams(folder / "streams", "calibration"))
+        fitted = Calibration.fit(
+            [one.benign for one in streams], plan.hz, places=[one.style for one in streams],
+            facts={"per_hour": "6", "streams": f"{len(streams)} simulated, {plan.seconds:g} s each"},
+        )  # fmt: skip
+        save_calibration(fitted, calibrated)
+    made = load_calibration(calibrated)
     called = [one for trace in traces or () for one in call_trace(trace, StreamMonitor(made))]
-    _show(page or folder, files_of(plan, made, read_streams(folder / "streams", "report"), called))
+    _show(page or folder, files_of(plan, made, read_streams(folder / "streams", "report"), called, tried(plan)))
 
 
 @study_app.command()

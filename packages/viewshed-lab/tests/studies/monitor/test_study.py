@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from viewshed import Sweep, write_sweep
+from viewshed import GRIDS, Sweep, write_sweep
 from viewshed.monitor import Calibration, StreamMonitor
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
+from viewshed.preprocess.leveling import level
+from viewshed.sensors import LidarModel
 from viewshed_lab.studies.monitor.page import files_of, judge, rate_interval, trace_page
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.studies.monitor.streams import ATTACKED_SWEEPS, Stream, StreamEvidence, measure_stream
 from viewshed_lab.studies.monitor.traces import call_trace
+from viewshed_lab.studies.monitor.tried import mixed_pixels, tried
 
 PLAN = replace(
     MonitorPlan.load("shipped"), seconds=3.0, attack_every_s=1.2, attacks=("blinded", "pose_spoof"),
@@ -49,9 +52,31 @@ def test_a_stream_is_measured_attacked_judged_and_kept(tmp_path: Path) -> None:
     blinded = [judged.attacked[k] for k, (name, _) in enumerate(kept.cases) if name == "blinded"]
     returns = list(EVIDENCE).index("returns")
     assert min(float(one[:, returns].min()) for one in blinded) > 3.0
-    text = files_of(PLAN, made, [kept], [])["monitor.md"].decode()
+    text = files_of(PLAN, made, [kept], [], {"removal": (3, 0.5, 0.0)})["monitor.md"].decode()
     assert "| parking | 0.0 |" in text
     assert "| pose_spoof | 2 |" in text
+    assert "| removal | 3 | 0.50 | 0.00 |" in text
+
+
+@pytest.mark.slow
+def test_spoofers_fire_when_the_sensor_points_there_and_mixed_pixels_are_counted_by_hand() -> None:
+    found = tried(replace(MonitorPlan.load("shipped"), attacks=("ghost_car", "removal", "relay", "drift")))
+    assert set(found) == {"ghost_car", "removal", "relay"}
+    assert [late for _, _, late in found.values()] == [0.0] * 3
+    assert min(cases for cases, _, _ in found.values()) >= 9
+    # A wall at 5 m before one at 7 m: of the five beams at its edges one returns between; each counts in three sectors.
+    azimuth, rings = np.deg2rad(np.arange(-179.5, 180.0)), np.arange(4)
+    range_m = np.where(np.abs(azimuth) < 0.5, 5.0, 7.0)
+    range_m[np.argmin(np.abs(azimuth - 0.5))] = 6.0
+    points = np.column_stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.zeros(360)])
+    every = np.concatenate([points + np.array([0.0, 0.0, 0.1 * ring]) for ring in rings])
+    model = LidarModel("by hand", np.arctan(0.1 * rings / 6.0), azimuth_columns=360)
+    sweep = Sweep(every, ring=np.repeat(rings, 360), model=model)
+    counts = mixed_pixels(level(sweep, GRIDS["road"]))
+    assert counts is not None
+    edges, between = counts
+    assert edges.sum() == 3 * 4 * 5
+    assert between.sum() == 3 * 4
 
 
 def test_intervals_of_rates_are_those_of_poisson_counts() -> None:

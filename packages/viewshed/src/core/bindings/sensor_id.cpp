@@ -80,21 +80,30 @@ void bind_sensor_id(nb::module_& m) {
     m.def(
         "identify_sensor",
         [](Points points, std::optional<RingColumn> ring, In1<double> elevation, In1<double> origin_m, bool is_inferred,
-           int expected) {
-            std::optional<BeamTable> table;
+           int expected, In1<double> held_elevation, In1<double> held_origin_m)
+            -> Tuple<std::optional<Out<std::int16_t>>, int, std::optional<Tuple<Out<double>, Out<double>>>, std::size_t, bool> {
+            std::optional<BeamTable> table, held;
             if (elevation.shape(0) > 0) table = checked_table(view(elevation), view(origin_m), 1);
+            if (held_elevation.shape(0) > 0) held = checked_table(view(held_elevation), view(held_origin_m), 1);
             require(expected >= NO_SENSOR && expected < int(inferable_sensors().size()),
                     "expected must be the number of a sensor, or -1");
             const auto known = checked_rings(ring, checked_count(points));
             SensorId found;
             without_lock([&] {
-                found = identify_sensor(OwnPoints(points), known, table ? &*table : nullptr, is_inferred, expected);
+                found = identify_sensor(OwnPoints(points), known, table ? &*table : nullptr, is_inferred,
+                                        {expected, held ? &*held : nullptr});
             });
-            return tuple_of(array_or_none(std::move(found.ring)), found.sensor);
+            std::optional<Tuple<Out<double>, Out<double>>> layout;
+            if (found.layout) layout = tuple_of(array_of(found.layout->elevation), array_of(found.layout->origin_m));
+            return tuple_of(array_or_none(std::move(found.ring)), found.sensor, std::move(layout), found.shown,
+                            found.is_held);
         },
-        "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "is_inferred"_a, "expected"_a,
+        "points"_in, "ring"_in.none(), "elevation"_in, "origin_m"_in, "is_inferred"_a, "expected"_a, "held_elevation"_in,
+        "held_origin_m"_in,
         "The ring of each point (N, 3), or None where they are its own or nothing shows them, and the number of the sensor that "
-        "is inferred, -1 for none, OTHER_BEAMS where the rings are no beams of the table. A table of no beams is none.");
+        "is inferred, -1 for none, OTHER_BEAMS where the rings are no beams of the table; of rings that no table explains the "
+        "layout that counts them, elevation and origin_m (rings,), or None, how many the points show, and whether the held one "
+        "counts them. A table, or a held layout, of no beams is none.");
     m.def(
         "infer_sensor",
         [](Points points, std::optional<RingColumn> ring) {

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from viewshed.monitor import DeviationMonitor, IntegrityReport, StreamMonitor
     from viewshed.monitor.stream_monitor import StreamReport
     from viewshed.preprocess.leveling import LeveledSweep
+    from viewshed.preprocess.sensor_identification import SensorId
     from viewshed.sweep import Sweep
 
 
@@ -260,13 +261,15 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> tuple[list
 
     from viewshed.monitor.stream_monitor import EvidenceStream
     from viewshed.preprocess.leveling import level
+    from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 
     streams: list[list[F32]] = []
     gaps_ns: list[int] = []
-    stream, scene, last_ns = EvidenceStream(), "", None
+    stream, scene, last_ns, sensor = EvidenceStream(), "", None, UNIDENTIFIED
     for seen in sources:
         try:
-            leveled = level(seen.sweep, grid)
+            leveled = level(seen.sweep, grid, sensor)
+            sensor = leveled.sensor_id
             if seen.scene != scene or stream.why_anew(leveled):
                 stream, scene, last_ns = EvidenceStream(), seen.scene, None
                 streams.append([])
@@ -322,16 +325,20 @@ class SweepRun:
     failures: Failures = field(default_factory=Failures)
     taken: set[str] = field(default_factory=set)
     scene: str = ""
+    sensor: SensorId | None = None
     estimator: Estimator | None = None
 
     def check(self, seen: Seen) -> tuple[LeveledSweep, StreamReport]:
         """Return the next sweep, leveled, and what the monitor says of it; each file or scene begins anew."""
         from viewshed.preprocess.leveling import level
+        from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 
         if seen.scene != self.scene:
             self.monitor.reset()
+            self.sensor = None
         self.scene = seen.scene
-        leveled = level(seen.sweep, self.grid)
+        leveled = level(seen.sweep, self.grid, self.sensor or UNIDENTIFIED)
+        self.sensor = leveled.sensor_id
         return leveled, self.monitor.check(leveled)
 
     def one(self, seen: Seen) -> None:

@@ -274,11 +274,12 @@ def _frames(
     """
     from viewshed.agents.legend import tracks_of_agent
     from viewshed.preprocess.leveling import level
+    from viewshed.preprocess.sensor_identification import UNIDENTIFIED
     from viewshed.show.view import Frame
 
     adversary = following.adversary()
     objects, center = following.object_stream(adversary), Center(adversary) if following.fuse else None
-    sensor, is_warm, seen = None, False, None
+    sensor, is_warm, seen = UNIDENTIFIED, False, None
     for named in sweeps:
         try:
             if not is_warm:
@@ -299,7 +300,7 @@ def _frames(
             continue
         if buffer is not None:
             buffer.add(leveled)
-        sensor = leveled.sensor_id.model
+        sensor = leveled.sensor_id
         report_doubts(leveled, named.name)
         line = f"{named.name}: {summary_line(estimate, elapsed_ms)}{f'; {findings}' if findings else ''}"
         line += "" if seen is None else objects_line(seen)

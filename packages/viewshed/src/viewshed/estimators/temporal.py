@@ -17,6 +17,7 @@ from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.held_ground import Rest
 from viewshed.preprocess.history import HISTORY_SWEEPS, History
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 from viewshed.preprocess.streams import AGENTS, FORGET_S, remember
 from viewshed.sweep import Sweep
 
@@ -185,12 +186,12 @@ def stream(
 def _leveled(sweeps: Iterable[Sweep], grid: BevGrid) -> Iterator[LeveledSweep]:
     """Yield the sweeps of a stream leveled, with what a sensor without poses holds while it stands still.
 
-    The sensor of each is first expected to be that of the one before.
+    The sensor of each is identified by that of the one before.
     """
-    sensor, rest = None, Rest()
+    sensor, rest = UNIDENTIFIED, Rest()
     for sweep in sweeps:
         leveled = leveled_on(sweep, grid, sensor)
-        sensor = leveled.sensor_id.model
+        sensor = leveled.sensor_id
         yield rest.hold(leveled)
 
 

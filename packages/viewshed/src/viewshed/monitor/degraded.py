@@ -18,11 +18,17 @@ from viewshed.preprocess.leveling import LeveledSweep
 NOW_SWEEPS, PAST_SWEEPS = 5, 20
 """Sweeps whose median is compared, and those before them that it needs."""
 
-FEWER, NOISIER, MORE_ISOLATED = 0.7, 1.6, 0.08
-"""A view is worse with less than this share of the returns, this factor of the noise, or so many more isolated."""
+FEWER, FEWEST = 0.8, 0.9
+"""A view is worse with less than this share of the usual returns, and of the fewest that there were before, ..."""
 
-LEAST_NOISE_M, NOISIEST = 0.05, 0.9
-"""Noise of range below this makes no view worse, nor below that of this share of the sweeps before."""
+NOISIER, LEAST_NOISE_M, NOISIEST = 1.6, 0.03, 0.9
+"""... with this factor of the noise that all but a tenth of the sweeps before had, if it is more than this, ..."""
+
+MORE_ISOLATED, LEAST_ISOLATED = 3.0, 0.01
+"""... or with isolated returns, of rain, snow or leaves, beyond so many times their upper spread, and this share."""
+
+RARE_SHARE = 0.02
+"""Sweeps before, on either side, beyond which a number goes by itself: the fewest returns, and the upper spread."""
 
 EMPTY_SECTORS = 6
 """Sectors in a row, 30°, of a sensor that turns all around, without any return."""
@@ -52,16 +58,25 @@ class SensorState:
         # A kind that abstained in all sweeps compares as false.
         with np.errstate(all="ignore"):
             now, past = _median(every[-NOW_SWEEPS:]), _median(every[:-NOW_SWEEPS])
-            # Noise is a world's as well: an open road has few surfaces, and bent ones.
-            noisiest = np.nanquantile(every[:-NOW_SWEEPS, 1], NOISIEST) if np.isfinite(past[1]) else np.nan
+            # All three are of a world as well: an open road has few surfaces, and bent ones.
+            before = every[:-NOW_SWEEPS]
+            fewest, noisiest, most = (
+                _quantile(before[:, k], share) for k, share in enumerate((RARE_SHARE, NOISIEST, 1.0 - RARE_SHARE))
+            )
         reasons = []
-        if now[0] < FEWER * past[0]:
+        if now[0] < min(FEWER * past[0], FEWEST * fewest):
             reasons.append(f"there are {now[0] / past[0]:.0%} of the returns that there were before")
         if now[1] > max(NOISIER * noisiest, LEAST_NOISE_M):
             reasons.append(f"ranges are {now[1] / max(past[1], 1e-6):.1f} times as noisy as before")
-        if now[2] > past[2] + MORE_ISOLATED:
+        if now[2] > past[2] + max(MORE_ISOLATED * (most - past[2]), LEAST_ISOLATED):
             reasons.append(f"{now[2]:.0%} of the returns are isolated, {past[2]:.0%} were before")
         return reasons
+
+
+def _quantile(numbers: F32, share: float) -> float:
+    """Return a quantile of the numbers (n,) that are known; NaN where none is."""
+    known = numbers[np.isfinite(numbers)]
+    return float(np.quantile(known, share)) if len(known) else np.nan
 
 
 def _median(numbers: F32) -> F32:

@@ -22,7 +22,14 @@ OUTSIDE = np.deg2rad(2.0)
 """Returns lie on no beam if they are so far above the highest or below the lowest one of the beam table."""
 
 OUTSIDE_SHARE = 0.02
-"""Share of returns on no beam, or beyond the sensor's range, that a bad mounting or clock does not explain."""
+"""Share of returns on no beam, out of their time or beyond the range, that a bad mounting or clock does not explain."""
+
+TIME_BINS, TIMED = 120, 2048
+"""Parts of a sweep by its times, and returns that are looked at; fewer tell nothing."""
+
+OUT_OF_TIME, CARRIED_M, MOST_OUT = np.deg2rad(5.0), 5.0, 0.25
+"""A return is out of its time where it lies so far from where the sensor pointed, more than a sensor that drives fast
+carries it in a revolution; where more than a share of the returns are, times do not tell where this sensor points."""
 
 
 def impossible_reasons(leveled: LeveledSweep) -> tuple[str, ...]:
@@ -35,7 +42,38 @@ def impossible_reasons(leveled: LeveledSweep) -> tuple[str, ...]:
     near = float((range_m < BLINDED_M).mean()) if len(range_m) else 0.0
     if near > BLINDED_SHARE:
         reasons.append(f"{near:.0%} of the returns lie within {BLINDED_M:g} m: the sensor is blinded or covered")
+    out_of_time = share_out_of_time(sweep)
+    if OUTSIDE_SHARE < out_of_time <= MOST_OUT:
+        reasons.append(f"{out_of_time:.0%} of the returns lie where the sensor did not point at their time")
     return (*reasons, *_off_table(sweep, range_m))
+
+
+def share_out_of_time(sweep: Sweep) -> float:
+    """Return the share of the returns that lie where a sensor that turns did not point at their time; 0 without times.
+
+    Where it points at a time is what most returns of that time say. Two heads, or times of another clock, tell nothing:
+    then most returns are out of their time.
+    """
+    if sweep.time_s is None or sweep.planar is not None or len(sweep) < TIMED:
+        return 0.0
+    # Drawn, for every other return may be of another head.
+    some = np.random.default_rng(0).integers(len(sweep), size=TIMED)
+    x, y, time_s = sweep.points[some, 0], sweep.points[some, 1], sweep.time_s[some].astype(np.float64)
+    range_m, azimuth = np.hypot(x, y), np.arctan2(y, x)
+    known, lasts_s = range_m > 1.0, float(np.ptp(time_s))
+    if not lasts_s > 0.0 or not known.any():
+        return 0.0
+    part = np.minimum((time_s - time_s.min()) * (TIME_BINS / lasts_s), TIME_BINS - 1).astype(np.intp)
+    off, weight = np.zeros(len(part)), known.astype(np.float64)
+    # The direction of each part, then without what lies far from it.
+    for near in (1.0, 0.3, 0.1):
+        pointing = np.bincount(part, weight * np.cos(azimuth), TIME_BINS) + 1j * np.bincount(
+            part, weight * np.sin(azimuth), TIME_BINS
+        )
+        off = np.abs(np.angle(np.exp(1j * azimuth) * np.conj(pointing[part])))
+        weight = known * (off < near)
+    allowed = OUT_OF_TIME + np.arctan2(CARRIED_M, range_m)
+    return float((off > allowed)[known].mean())
 
 
 def _off_table(sweep: Sweep, range_m: F32) -> list[str]:

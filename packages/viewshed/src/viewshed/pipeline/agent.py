@@ -17,8 +17,8 @@ from viewshed.monitor.stream_monitor import StreamMonitor, StreamReport
 from viewshed.pipeline.reactions import ReactionState
 from viewshed.preprocess.held_ground import Rest
 from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId
 from viewshed.preprocess.streams import AGENTS, FORGET_S, why_anew
-from viewshed.sensors import LidarModel
 
 if TYPE_CHECKING:  # tracks need scipy, which a robot that tracks nothing does without
     from viewshed.objects.object_stream import ObjectStream, SeenObjects
@@ -67,7 +67,7 @@ class Agent:
     monitor: StreamMonitor | None = None  # what watches its sweeps, or None
     objects: ObjectStream | None = None  # what follows its objects, or None
     last_ns: int | None = None  # time of its last sweep
-    sensor: LidarModel | None = None  # model of its last sweep's sensor, which is expected again
+    sensor: SensorId = UNIDENTIFIED  # what was identified of its last sweep, which is looked at first
     rest: Rest = field(default_factory=Rest)  # what it holds while it stands still, without poses
     reaction: ReactionState = field(default_factory=ReactionState)  # the last one
     newest: Answer | None = None  # its newest answer

@@ -388,14 +388,14 @@ class Pipeline:
             return replace(step, estimate=None, report=None, objects=None, refused=_in_one_line(error))
 
     def _level(self, step: _Step) -> _Step:
-        """Decode and level; the sensor of the agent's sweep before is expected again."""
+        """Decode and level; the sensor of the agent's sweep before is looked at first."""
         sweep = step.source() if callable(step.source) else step.source
         agent = step.agent
         if sweep.agent != agent.name:
             sweep = sweep.replace(agent=agent.name)
         note = agent.time_note(sweep.t_ns)
         leveled = leveled_on(sweep, self._estimator.grid, agent.sensor)
-        agent.sensor = leveled.sensor_id.model
+        agent.sensor = leveled.sensor_id
         leveled = agent.rest.hold(leveled)
         return replace(step, leveled=leveled, notes=(note,) if note else ())
 

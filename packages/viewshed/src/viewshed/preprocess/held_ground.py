@@ -156,7 +156,9 @@ def _at_held_height(leveled: LeveledSweep, before: LeveledSweep, at_rest: bool) 
     if abs(usual_m - leveled.sensor_height_m) <= (REST_OFF_M if at_rest else HEIGHT_OFF_M):
         return leveled, held
     # Level again as if the height were known. The sweep itself goes on not to say it.
-    again = level(leveled.sweep.replace(sensor_height_m=usual_m), BevGrid(1, leveled.ground.half_extent_m))
+    again = level(
+        leveled.sweep.replace(sensor_height_m=usual_m), BevGrid(1, leveled.ground.half_extent_m), leveled.sensor_id
+    )
     if not at_rest and again.ground.support < SUPPORT_KEPT * leveled.ground.support:
         return leveled, held
     return replace(again, sweep=leveled.sweep), replace(held, is_height_held=True)

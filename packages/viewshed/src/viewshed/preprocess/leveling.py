@@ -17,7 +17,6 @@ from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.preprocess.range_image import RangeImage, pixels_of
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
-from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 
 OBSTACLE_HEIGHTS_M = (0.3, 3.0)
@@ -95,22 +94,22 @@ class LeveledSweep:
         )
 
 
-def level(sweep: Sweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
+def level(sweep: Sweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> LeveledSweep:
     """Return ``sweep`` leveled, its ground estimated over the extent of ``grid``.
 
     The attitude is the sweep's own, else its pose's, else the sensor's z axis is taken as vertical unless the
     ground plane is steeper than 6°, which then is taken as the sensor's tilt. The height is the sweep's own, else
     the ground's below the sensor. Returns nearer than 0.5 m, farther than the sensor can see, or inside the box of
     a vehicle below the sensor (heights of 1.2 to 3 m) are left out, and so is clutter
-    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. A sensor that is
-    ``expected``, that of the sweep before, is only looked at first: the result is the same without.
+    (:mod:`viewshed.preprocess.range_image`) where the rings are known or can be identified. In a stream ``before`` is
+    what was identified of the sweep before: see :func:`identify_sensor`.
 
     A scan in one plane sees no ground: that is taken to be flat, 0.3 m below the sensor where the height is not known,
     and each of its returns is an obstacle.
     """
     if sweep.planar is not None:
         return _level_planar(sweep, grid)
-    sensor_id = identify_sensor(sweep, expected)
+    sensor_id = identify_sensor(sweep, before)
     pixels = pixels_of(sensor_id)
     attitude = sweep.known_attitude
     arrays, rotation, height_m, (heights_m, std_m, seen, plane, support), columns = _core.level_sweep(
@@ -144,7 +143,7 @@ def _level_planar(sweep: Sweep, grid: BevGrid) -> LeveledSweep:
     return LeveledSweep(sweep, points, range_m, azimuth, heights_m, rows, level_from_sensor, ground)
 
 
-def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel | None = None) -> LeveledSweep:
+def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, before: SensorId = UNIDENTIFIED) -> LeveledSweep:
     """Return ``sweep`` leveled for ``grid``, see :func:`level`; one that is leveled already is taken as it is.
 
     Raises:
@@ -152,7 +151,7 @@ def leveled_on(sweep: Sweep | LeveledSweep, grid: BevGrid, expected: LidarModel 
         ValueError: it was leveled for a smaller grid.
     """
     if isinstance(sweep, Sweep):
-        return level(sweep, grid, expected)
+        return level(sweep, grid, before)
     if not isinstance(sweep, LeveledSweep):
         raise TypeError(
             f"sweep must be a Sweep or a LeveledSweep, got {type(sweep).__name__}; make one with viewshed.Sweep(points)"

@@ -238,20 +238,22 @@ def test_odometry_is_a_pose_where_tf_has_none(tmp_path: Path, ros: Ros, write: W
 
 @KINDS
 def test_odometry_states_how_certain_the_pose_of_a_sensor_is(tmp_path: Path, ros: Ros, write: Write) -> None:
-    # The lidar stands 2 m ahead of the base, which faces left: a turn by .1 radians carries it by .2 m along x.
+    # The lidar stands 2 m ahead and 1 m left of the base, which faces left: a turn by .1 radians carries it by .2 m
+    # along x and by .1 m along y.
     stated = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.01])
     place, left = (10.0, 5.0, 0.0), (0.0, 0.0, TURN, TURN)
     source = open_source(write(tmp_path / "a", [
         ("/odom", 0, ros.odometry(S, "odom", "base_link", place, left, stated)),
         ("/odom", 1, ros.odometry(2 * S, "odom", "base_link", place, left)),
         ("/odom", 2, ros.odometry(3 * S, "odom", "base_link", place, left, -stated)),
-        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (2.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (2.0, 1.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
         *(("/points", n, ros.cloud(n * S)) for n in (1, 2, 3)),
     ]))  # fmt: skip
     found = [source.read(ref).pose_covariance for ref in source.refs("a")]
     assert found[0] is not None
-    np.testing.assert_allclose(found[0][:3, :3], np.diag([0.08, 0.09, 0.01]), atol=1e-9)
-    np.testing.assert_allclose(found[0][[0, 5], [5, 5]], [-0.02, 0.01], atol=1e-9)
+    place_m2 = [[0.08, 0.02, 0.0], [0.02, 0.1, 0.0], [0.0, 0.0, 0.01]]
+    np.testing.assert_allclose(found[0][:3, :3], place_m2, atol=1e-9)
+    np.testing.assert_allclose(found[0][[0, 1, 5], [5, 5, 5]], [-0.02, -0.01, 0.01], atol=1e-9)
     # What odometry leaves out in between is that of the message before: only one states a covariance here.
     np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-9)
     bare = write(

@@ -87,9 +87,13 @@ def rate_interval(alarms: int, hours: float) -> tuple[float, float]:
 
 
 def files_of(
-    plan: MonitorPlan, calibration: Calibration, report: Iterable[StreamEvidence], called: Sequence[Called]
+    plan: MonitorPlan,
+    calibration: Calibration,
+    report: Iterable[StreamEvidence],
+    called: Sequence[Called],
+    left_out: Mapping[str, tuple[int, float, float]],
 ) -> dict[str, bytes]:
-    """Return the page by the name of its file."""
+    """Return the page by the name of its file; ``left_out`` is what :func:`tried` gives."""
     judged = [judge(calibration, stream) for stream in report]
     if not judged:
         raise ValueError("a page needs streams to report on, got none; run the study")
@@ -102,7 +106,8 @@ def files_of(
     ).split("<!-- table -->")  # fmt: skip
     tables = [
         _places(calibration, judged), _groups(calibration, judged), _families(calibration, judged),
-        _reliability(calibration, judged), _left_out(calibration, judged), _clean(judged), _worsened(judged),
+        _reliability(calibration, judged), _left_out(calibration, judged), _tried(left_out), _clean(judged),
+        _worsened(judged),
         _traces(called) + "".join("\n\n" + strip for strip in _strips(called)),
     ]  # fmt: skip
     parts = [part for pair in zip(words, [*tables, ""], strict=True) for part in pair]
@@ -205,6 +210,12 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
         caught = np.mean([(one.max(axis=1) > own_limit).mean() for one in found])
         rows.append([name, f"{area:.3f}", f"{caught:.2f}"])
     return table(["left out", "onset AUROC, mean", f"caught in .5 s at {count / hours:.0f} an hour, mean"], rows)
+
+
+def _tried(found: Mapping[str, tuple[int, float, float]]) -> str:
+    """Return what evidence that was tried and left out says of each attack on development streams."""
+    rows = [[name, str(cases), f"{area:.2f}", f"{late:.2f}"] for name, (cases, area, late) in found.items()]
+    return table(["attack", "cases", "onset AUROC of mixed pixels", "share with returns out of their time"], rows)
 
 
 def _clean(judged: Sequence[Judged]) -> str:

@@ -17,6 +17,7 @@ from viewshed.grid import GRIDS
 from viewshed.io import read_sweep
 from viewshed.monitor import StreamMonitor
 from viewshed.preprocess.leveling import level
+from viewshed.preprocess.sensor_identification import UNIDENTIFIED
 from viewshed.sweep import Sweep
 
 SPOOFED = {"blackout": (130, 208, 544), "noise": (58, 325, 412)}
@@ -57,9 +58,10 @@ def trace_sweeps(archive: Path) -> Iterator[tuple[int, Sweep]]:
 def call_trace(archive: Path, monitor: StreamMonitor) -> list[Called]:
     """Return what a monitor says of each sweep of a trace."""
     name, watching = archive.name.removesuffix(".tar.xz"), monitor.fresh()
-    called = []
+    called, sensor = [], UNIDENTIFIED
     for number, sweep in trace_sweeps(archive):
-        report = watching.check(level(sweep, GRIDS["road"]))
+        leveled = level(sweep, GRIDS["road"], sensor)
+        report, sensor = watching.check(leveled), leveled.sensor_id
         now = report.now
         called.append(
             Called(

@@ -1,0 +1,104 @@
+"""Evidence that was tried and left out, measured on development streams, so that the page says why by a figure."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from viewshed.arrays import F64
+from viewshed.monitor.evidence import EARLIER_SWEEPS, SECTORS
+from viewshed.monitor.impossible import OUTSIDE_SHARE, share_out_of_time
+from viewshed.monitor.roc import auroc
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.sweep import Sweep
+from viewshed_lab.studies.monitor.plan import MonitorPlan
+from viewshed_lab.studies.monitor.streams import Stream
+from viewshed_lab.threats.attacks import ATTACKS, Knowledge
+
+STYLES = ("highway", "parking", "hall", "quay", "loft", "slope_town")
+DEVELOPMENT = 100
+"""Added to the seed of the plan: these streams are none of those to report on."""
+
+ATTACKED, SWEEPS = (10, 16, 22), 24
+"""Sweeps of a development stream that are attacked, and how many it has."""
+
+EARLIER = 8
+"""A replay shows the sweep so many before."""
+
+EDGE_M, BETWEEN_M = (0.3, 2.5), 0.1
+"""A beam is at an edge if those beside it end so far apart, and mixed if its return lies so far from either."""
+
+
+def mixed_pixels(leveled: LeveledSweep) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+    """Return how many beams of 15° about each sector (SECTORS,) are at an edge, and how many of them return between."""
+    image = leveled.range_image
+    if image is None:
+        return None
+    range_m = image.range_m
+    before, after = np.roll(range_m, 1, axis=1), np.roll(range_m, -1, axis=1)
+    with np.errstate(invalid="ignore"):
+        apart_m = np.abs(after - before)
+        edge = np.isfinite(range_m) & (apart_m > EDGE_M[0]) & (apart_m < EDGE_M[1])
+        lower, upper = np.minimum(before, after) + BETWEEN_M, np.maximum(before, after) - BETWEEN_M
+        mixed = edge & (range_m > lower) & (range_m < upper)
+    sector = np.arange(range_m.shape[1]) * SECTORS // range_m.shape[1]
+    edges, between = (
+        np.sum([np.roll(np.bincount(sector, mask.sum(axis=0), SECTORS), step) for step in (-1, 0, 1)], axis=0)
+        for mask in (edge, mixed)
+    )
+    return edges.astype(np.intp), between.astype(np.intp)
+
+
+def tried(plan: MonitorPlan) -> dict[str, tuple[int, float, float]]:
+    """Return of each attack: cases, AUROC of mixed pixels, and share of the sweeps with returns out of their time.
+
+    What is odd of mixed pixels in a sector is how rare so many or so few of its edges are, by the stream's own share,
+    beyond the rarest of the last five sweeps there; the strongest sector counts.
+    """
+    benign, attacked, late = list[float](), defaultdict[str, list[float]](list), defaultdict[str, list[bool]](list)
+    development = replace(plan, seed=plan.seed + DEVELOPMENT)
+    for style in STYLES:
+        stream = Stream(development, "report", style, 0)
+        sweeps = [stream.sweep(number) for number in range(SWEEPS)]
+        found = [mixed_pixels(level(sweep, stream.grid)) for sweep in sweeps]
+        counts = [one for one in found if one is not None]
+        if len(counts) < SWEEPS:
+            continue
+        share = sum(int(between.sum()) for _, between in counts) / sum(int(edges.sum()) for edges, _ in counts)
+        rare = [_rareness(edges, between, share) for edges, between in counts]
+        change = [_change(rare, number, rare[number]) for number in range(EARLIER_SWEEPS, SWEEPS)]
+        benign += change
+        for name, number, sweep in _attacks(stream, sweeps):
+            seen = mixed_pixels(level(sweep, stream.grid))
+            if seen is not None:
+                attacked[name].append(_change(rare, number, _rareness(*seen, share)))
+                late[name].append(share_out_of_time(sweep) > OUTSIDE_SHARE)
+    return {
+        name: (len(found), auroc(np.array(benign), np.array(found)), float(np.mean(late[name])))
+        for name, found in sorted(attacked.items())
+    }
+
+
+def _attacks(stream: Stream, sweeps: list[Sweep]) -> Iterator[tuple[str, int, Sweep]]:
+    for name in stream.plan.attacks:
+        for number in ATTACKED if name in ATTACKS else ():
+            known = Knowledge((sweeps[number - EARLIER],), half_extent_m=stream.grid.half_extent_m)
+            try:
+                yield name, number, ATTACKS[name](None, known).apply(sweeps[number], stream.rng(name, number)).sweep
+            except ValueError:  # it has no place in this sweep
+                continue
+
+
+def _rareness(edges: NDArray[np.intp], between: NDArray[np.intp], share: float) -> F64:
+    """Return -log10 of the chance (SECTORS,) of so few or so many returns between, of so many edges."""
+    few, many = stats.binom.cdf(between, edges, share), stats.binom.sf(between - 1, edges, share)
+    return np.asarray(-np.log10(np.maximum(np.minimum(few, many), 1e-12)), np.float64)
+
+
+def _change(rare: list[F64], number: int, now: F64) -> float:
+    return float(np.maximum(now - np.max(rare[number - EARLIER_SWEEPS : number], axis=0), 0.0).max())
