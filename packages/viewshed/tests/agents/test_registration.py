@@ -80,7 +80,7 @@ def test_reports_keep_all_but_their_poses() -> None:
 
 
 def test_a_pose_is_as_certain_as_its_sweep_states_and_its_turn_as_usual_where_only_a_place_is_stated() -> None:
-    sweep = Sweep(np.ones((1, 3)))
+    sweep = Sweep(np.ones((1, 3), np.float32))
     assert PoseStd.stated_by(sweep) == UNSTATED
     place = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.0])
     stated = PoseStd.stated_by(sweep.replace(pose_covariance=place))
