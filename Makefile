@@ -27,12 +27,12 @@ help:  ## list the commands
 demo: $(VENV)/.core  ## own environment, install, then estimate what a sensor sees in an embedded sample
 	$(BIN)/viewshed demo --out $(OUT)
 
-check: $(VENV)/.test  ## for each commit: lint, types, import contracts, the tests that are not slow (9 minutes)
-	@echo "make check: about 9 minutes on two cores of 2.5 GHz; the first run compiles for some more"
+check: $(VENV)/.test  ## for each commit: lint, types, import contracts, the tests that are not slow (6 minutes)
+	@echo "make check: about 6 minutes on two cores of 2.5 GHz; the first run compiles for some more"
 	@$(call timed,check,lint types imports quick)
 
-test: $(VENV)/.test  ## lint, types, import contracts, all tests and doctests (16 minutes)
-	@echo "make test: about 16 minutes on two cores of 2.5 GHz; the first run compiles for some more"
+test: $(VENV)/.test  ## lint, types, import contracts, all tests and doctests (10 minutes)
+	@echo "make test: about 10 minutes on two cores of 2.5 GHz; the first run compiles for some more"
 	@$(call timed,test,lint types imports unit)
 
 lint: $(VENV)/.test
