@@ -31,7 +31,7 @@ HISTORY_SWEEPS = 5
 class History:
     """What earlier sweeps saw, seen from the sensor now."""
 
-    # the sweep now, with the ground, height and reach that earlier ones hold; what is to be estimated
+    # the sweep now, with the ground and height that earlier ones hold; what is to be estimated
     now: LeveledSweep
     earlier: tuple[LeveledSweep, ...]  # the sweeps, any number of them, each with what those before it hold
     now_from_earlier: tuple[Rigid, ...]  # pose of the ``level`` frame of each in that of the sweep now
