@@ -213,6 +213,8 @@ def test_a_writer_refuses_what_does_not_fit(make_sample: MakeSample, tmp_path: P
     (tmp_path / "full" / "x").write_text("x")
     with pytest.raises(ValueError, match="must be empty"):
         write_archive(tmp_path / "full", [make_sample(0)], {})
+    with pytest.raises(ValueError, match="frames_per_shard must be at least 1, got 0"):
+        write_archive(tmp_path / "small", [make_sample(0)], {}, frames_per_shard=0)
 
 
 def test_the_same_samples_give_the_same_bytes(make_sample: MakeSample, tmp_path: Path) -> None:

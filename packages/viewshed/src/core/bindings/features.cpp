@@ -74,8 +74,7 @@ void bind_features(nb::module_& m) {
            In1<float> x_m, In1<float> y_m, float half_extent_m, std::size_t fold) {
             const std::size_t cells = x_m.shape(0), features = given.size();
             require(cells >= 1 && cells <= MOST_CELLS && features <= 64, "1 to 4096 cells, and up to 64 features");
-            require(y_m.shape(0) == cells && range_m.shape(0) == cells && range_m.shape(1) == cells &&
-                        bin.shape(0) == cells && bin.shape(1) == cells,
+            require(are_as_long(x_m, y_m, range_m) && range_m.shape(1) == cells && have_one_shape(range_m, bin),
                     "cell_range_m and cell_bin must have the grid's shape, x_m and y_m its side");
             require(fold <= cells && (fold == 0 || cells % fold == 0), "fold must divide the cells of a side");
             require(half_extent_m > 0.0f, "half_extent_m must be positive");

@@ -20,7 +20,7 @@ void bind_fov_code(nb::module_& m) {
            std::size_t column) {
             const std::size_t cells = state.shape(0);
             require_view(cells, row, column);
-            require(state.shape(1) == cells && level.shape(0) == cells && level.shape(1) == cells,
+            require(state.shape(1) == cells && have_one_shape(state, level),
                     "state and level must be square and of the same shape");
             require(deviation.shape(0) == deviation.shape(1) && (deviation.shape(0) == 0 || deviation.shape(0) == cells),
                     "deviation must have the shape of state, or (0, 0)");

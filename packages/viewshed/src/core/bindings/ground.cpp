@@ -73,7 +73,7 @@ void bind_ground(nb::module_& m) {
         "fill_ground",
         [](In2<float> walked_m, In2<bool> accepted, In1<float> plane, double half_m) {
             const std::size_t n = walked_m.shape(0);
-            require(walked_m.shape(1) == n && accepted.shape(0) == n && accepted.shape(1) == n,
+            require(walked_m.shape(1) == n && have_one_shape(walked_m, accepted),
                     "walked_m and accepted must be (n, n)");
             require_lattice(n, half_m);
             const Plane carrier = plane_of(plane);

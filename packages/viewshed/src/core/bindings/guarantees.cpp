@@ -35,8 +35,7 @@ void bind_guarantees(nb::module_& m) {
             [](TargetColumns* self, In2<float> range_m, In2<float> azimuth, std::size_t rings, std::size_t columns, double cell_m,
                double width_m, double farthest_m) {
                 const std::size_t rows = range_m.shape(0), cells = range_m.shape(1);
-                require(azimuth.shape(0) == rows && azimuth.shape(1) == cells,
-                        "range_m and azimuth must have one shape (cells, cells)");
+                require(have_one_shape(range_m, azimuth), "range_m and azimuth must have one shape (cells, cells)");
                 require(range_m.size() < (1u << 28), "cells must be fewer than 2^28");
                 require(rings >= 1 && rings <= 4096, "rings must lie in [1, 4096]");
                 require(columns >= 4 && columns <= 36000, "columns must lie in [4, 36000]");

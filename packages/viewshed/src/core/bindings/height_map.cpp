@@ -24,7 +24,7 @@ void bind_height_map(nb::module_& m) {
             const std::size_t nodes = heights_m.shape(0), count = node.shape(0);
             require(nodes >= 2 && nodes <= 16384 && heights_m.shape(1) == nodes,
                     "heights_m must have shape (nodes, nodes), 2 to 16384 of them");
-            require(down.shape(0) == count && right.shape(0) == count, "node, down and right must be as long");
+            require(are_as_long(node, down, right), "node, down and right must be as long");
             const Buffer<std::int32_t> before =
                 indices_of<std::int32_t>(view(node), 0, std::int32_t(nodes * nodes - nodes - 2), "node");
             Buffer<float> out(count);

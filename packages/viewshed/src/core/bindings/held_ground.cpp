@@ -22,8 +22,7 @@ void bind_held_ground(nb::module_& m) {
                 require(heights.shape(1) == n, "heights_m must be (n, n)");
                 require_lattice(n, half);
                 require_bounded(view(heights).flat(), "heights_m must be finite");
-                require(std.shape(0) == n && std.shape(1) == n && saw.shape(0) == n && saw.shape(1) == n,
-                        "std_m and seen must be (n, n) as heights_m");
+                require(have_one_shape(heights, std, saw), "std_m and seen must be (n, n) as heights_m");
             };
             require_ground(heights_m, std_m, seen, half_m);
             require_ground(before_heights_m, before_std_m, before_seen, before_half_m);

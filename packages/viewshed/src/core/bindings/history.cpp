@@ -43,7 +43,7 @@ void bind_history(nb::module_& m) {
         [](In2<float> image, In1<float> azimuth, In1<float> slope, In1<float> depth_m) {
             const std::size_t size = azimuth.shape(0);
             require(image.shape(0) == SLOPE_ROWS && image.shape(1) == AZIMUTHS, "image must be one of obstacle_image");
-            require(slope.shape(0) == size && depth_m.shape(0) == size, "azimuth, slope and depth_m must be as long");
+            require(are_as_long(azimuth, slope, depth_m), "azimuth, slope and depth_m must be as long");
             Buffer<float> out(size);
             end_at_obstacles(image.data(), azimuth.data(), slope.data(), depth_m.data(), size, out.data());
             return array(std::move(out));

@@ -58,7 +58,7 @@ void bind_leveling(nb::module_& m) {
         [](Points points, In1<float> range_m, float sensor_height_m, std::optional<In1<bool>> left_out,
            In1<std::int32_t> rows) {
             const std::size_t count = points.shape(0);
-            require(range_m.shape(0) == count && rows.shape(0) == count, "points, range_m and rows must be as long");
+            require(are_as_long(points, range_m, rows), "points, range_m and rows must be as long");
             View1<const bool> mask{nullptr, 0};
             Buffer<std::int32_t> of_point(count);  // not looked at without a mask
             if (left_out) {

@@ -141,8 +141,7 @@ void bind_no_return(nb::module_& m) {
             const Pixels pixels = pixels_of(ring, column, counts, std::nullopt, clutter);
             const RingAims aims{view(phase), view(elevation), view(origin_m), rotation.data()};
             require_aims(aims, counts.shape(0));
-            require(range_m.shape(0) == rows.shape(0) && height_m.shape(0) == rows.shape(0),
-                    "range_m, height_m and rows must be as long");
+            require(are_as_long(range_m, height_m, rows), "range_m, height_m and rows must be as long");
             std::optional<BeamColumns> beams;
             {
                 nb::gil_scoped_release unlocked;

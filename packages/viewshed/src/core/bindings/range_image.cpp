@@ -43,7 +43,7 @@ void bind_range_image(nb::module_& m) {
         [](In1<std::int16_t> ring, In1<bool> left_out, In1<std::int32_t> column, In2<std::uint8_t> counts) {
             const std::size_t count = ring.shape(0), rings = counts.shape(0), columns = counts.shape(1);
             require_image(rings, columns);
-            require(left_out.shape(0) == count && column.shape(0) == count, "ring, left_out and column must be as long");
+            require(are_as_long(ring, left_out, column), "ring, left_out and column must be as long");
             const Buffer<std::int16_t> own = indices_of<std::int16_t>(view(ring), -1, std::int16_t(rings - 1), "ring");
             auto kept = indices_of<std::int32_t>(view(column), -1, std::int32_t(columns - 1), "column");
             Buffer<std::uint8_t> fewer = copy_of(view(counts).flat());

@@ -45,8 +45,7 @@ std::size_t checked_count(const Points& points) {
 
 // Azimuth, slope and range columns as the stage keeps them.
 Directions directions_from(const In1<float>& azimuth, const In1<float>& slope, const In1<float>& range_m) {
-    require(azimuth.shape(0) == slope.shape(0) && range_m.shape(0) == slope.shape(0),
-            "azimuth, slope and range_m must be as long");
+    require(are_as_long(azimuth, slope, range_m), "azimuth, slope and range_m must be as long");
     Directions seen(slope.shape(0));
     std::copy_n(azimuth.data(), seen.size(), seen.azimuth.data());
     std::copy_n(slope.data(), seen.size(), seen.slope.data());

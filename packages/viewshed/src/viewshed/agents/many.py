@@ -218,7 +218,7 @@ class CommandCenter:
         nobody = np.repeat(_NOBODY[:, None], len(self.agents), axis=1)
         self._reported = {number: self._reported.get(number, nobody) for number in held}
         past = np.array([self._reported[number] for number in ids.tolist()]).reshape(-1, len(_NOBODY), len(self.agents))
-        said = object_reports(reports, columns, len(self.agents), tracks.boxes[reported], members, past)
+        said = object_reports(reports, columns, len(self.agents), tracks.boxes[reported], members, past[:, :4])
         # An agent that is silent now stays of its kind: it is judged by what it reported before.
         self._elevated[columns] = said.height[columns] > 0
         seconds = 0.5 if self._last_s is None else t_s - self._last_s
@@ -313,7 +313,7 @@ def object_reports(
         agents: how many there are.
         boxes: (J, 7) of the objects, in the world.
         members: (J, R) numbers of the agents' detections of them, -1 for none.
-        past: (J, 4 or 5, agents) how often each agent reported them before, how often in a row it did not since, how
+        past: (J, 4, agents) how often each agent reported them before, how often in a row it did not since, how
             much surface its view held there at its last report, and how many returns it had then.
         own: (J, R, 7) boxes that the agents report of them, NaN for none; None are those of ``members``.
     """

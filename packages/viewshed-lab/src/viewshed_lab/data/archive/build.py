@@ -228,6 +228,8 @@ def write_archive(
         ValueError: the place is not empty, there are no samples, or they differ in grid, targets or definitions.
         OSError: a file cannot be written.
     """
+    if frames_per_shard < 1:
+        raise ValueError(f"frames_per_shard must be at least 1, got {frames_per_shard}")
     store, shards, layout = Storage.of(place), list[ShardFacts](), None
     if store.names():
         raise ValueError(f"{store.place} must be empty; choose another place")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.io._input import open_input
 from viewshed.recordings.read._kitti_files import rigid_named, rigid_of, world_from_imu
-from viewshed.recordings.read.tf_tree import between
+from viewshed.recordings.read.tf_tree import between, nearest
 from viewshed.sweep import Sweep
 
 _KITTI_NUMBERS, _TUM_NUMBERS = 12, 8
@@ -252,7 +252,7 @@ class PoseFile:
         """Return the covariance (6, 6) of the pose nearest to a time, of its place alone; None where none is stated."""
         if self.deviations_m is None:
             return None
-        deviation_m = self.deviations_m[int(np.argmin(np.abs(times_ns - t_ns)))]
+        deviation_m = self.deviations_m[nearest(times_ns, t_ns)]
         return np.diag([*deviation_m**2, 0.0, 0.0, 0.0]) if np.isfinite(deviation_m).all() else None
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import struct
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -26,7 +26,7 @@ from viewshed.io.messages.pointcloud2 import sweep_of_cloud
 from viewshed.io.ouster_packets import OusterDecoder, OusterMetadata
 from viewshed.recordings.read.bag_files import BagFile, Message, bags_in, open_bag
 from viewshed.recordings.read.source import SweepReader, SweepRef, note_damage
-from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer
+from viewshed.recordings.read.tf_tree import WORLDS, TransformBuffer, nearest
 from viewshed.sweep import Sweep
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
@@ -117,8 +117,8 @@ class _Contents:
     clouds: list[_Cloud] = field(default_factory=list)
     transforms: TransformBuffer = field(default_factory=TransformBuffer)
     odometry: dict[str, list[Any]] = field(default_factory=dict)
-    # of each frame that odometry places: by the time, covariance (6, 6) of its pose where one is stated
-    covariances: dict[str, dict[int, F64]] = field(default_factory=dict)
+    # of each frame that odometry places with a covariance (6, 6): times, ascending, and these
+    covariances: dict[str, tuple[list[int], list[F64]]] = field(default_factory=dict)
     worlds: list[str] = field(default_factory=lambda: list(WORLDS))
     metadata: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -316,7 +316,7 @@ def _keep_topic(contents: _Contents, wanted: str, damage: list[str]) -> None:
 
 def _add_odometry(contents: _Contents, damage: list[str]) -> None:
     """Add odometry as a transform, where tf does not already place its child frame."""
-    placed: dict[str, str] = {}
+    placed, stated = dict[str, str](), defaultdict[str, dict[int, F64]](dict)
     for topic, messages in sorted(contents.odometry.items()):
         for odometry in messages:
             child = (odometry.child_frame_id or _ODOMETRY_CHILD).lstrip("/")
@@ -331,10 +331,13 @@ def _add_odometry(contents: _Contents, damage: list[str]) -> None:
                 covariance = np.array(odometry.pose.covariance, np.float64).reshape(6, 6)
                 # Zeros state nothing in ROS, nor does what is no covariance.
                 if covariance.any() and np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance)[0] >= -1e-9:
-                    contents.covariances.setdefault(child, {})[t_ns] = (covariance + covariance.T) / 2.0
+                    stated[child][t_ns] = (covariance + covariance.T) / 2.0
             except ValueError as error:
                 note_damage(damage, f"{topic}: {one_line(error)}; left out")
     contents.worlds = list(dict.fromkeys(contents.worlds))
+    for frame, of_times in stated.items():
+        times_ns = sorted(of_times)
+        contents.covariances[frame] = times_ns, [of_times[t_ns] for t_ns in times_ns]
 
 
 def _covariance(contents: _Contents, cloud: _Cloud, world: str | None, pose: Rigid | None) -> F64 | None:
@@ -345,12 +348,12 @@ def _covariance(contents: _Contents, cloud: _Cloud, world: str | None, pose: Rig
     vehicle = contents.transforms.lookup(world, placed, cloud.t_ns)
     if vehicle is None:
         return None
-    stated = contents.covariances[placed]
+    times_ns, stated = contents.covariances[placed]
     # A turn of the vehicle moves what stands beside its origin.
     x, y, z = pose.translation - vehicle.translation
     carried = np.eye(6)
     carried[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    return np.asarray(carried @ stated[min(stated, key=lambda t_ns: abs(t_ns - cloud.t_ns))] @ carried.T, np.float64)
+    return np.asarray(carried @ stated[nearest(times_ns, cloud.t_ns)] @ carried.T, np.float64)
 
 
 def _bag_of(root: Path, scene: str, path: Path, contents: _Contents, encoding: str, damage: list[str]) -> Bag:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,6 +44,16 @@ def between(before: Rigid, after: Rigid, share: float) -> Rigid:
     one, other = quaternion_from_rotation(before.rotation), quaternion_from_rotation(after.rotation)
     where = (1 - share) * before.translation + share * after.translation
     return Rigid.from_quaternion(slerp(one, other, share), where)
+
+
+def nearest(times_ns: Sequence[int] | NDArray[np.int64], t_ns: int) -> int:
+    """Return which of the ascending times is nearest to one, of two the earlier.
+
+    >>> nearest([10, 20, 30], 24), nearest([10, 20, 30], 25), nearest([10, 20, 30], 99)
+    (1, 1, 2)
+    """
+    late = min(bisect_left(times_ns, t_ns), len(times_ns) - 1)
+    return late - 1 if late and t_ns - times_ns[late - 1] <= times_ns[late] - t_ns else late
 
 
 @dataclass(slots=True, eq=False)
