@@ -268,7 +268,7 @@ def _measured(sources: _Source, grid: BevGrid, failures: Failures) -> tuple[list
     stream, scene, last_ns, sensor = EvidenceStream(), "", None, UNIDENTIFIED
     for seen in sources:
         try:
-            leveled = level(seen.sweep, grid, sensor)
+            leveled = level(seen.sweep, grid, sensor if seen.scene == scene else UNIDENTIFIED)
             sensor = leveled.sensor_id
             if seen.scene != scene or stream.why_anew(leveled):
                 stream, scene, last_ns = EvidenceStream(), seen.scene, None
