@@ -42,6 +42,7 @@ def robot() -> Iterator[Robot]:
 
 def test_nothing_is_published_before_it_is_active(robot: Robot) -> None:
     assert robot.state_now() == State.PRIMARY_STATE_UNCONFIGURED
+    assert not robot.transition(Transition.TRANSITION_DEACTIVATE)  # refused, and the node lives on
     assert robot.transition(Transition.TRANSITION_CONFIGURE)
     assert robot.state_now() == State.PRIMARY_STATE_INACTIVE
     robot.drive()

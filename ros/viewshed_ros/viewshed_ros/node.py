@@ -82,6 +82,13 @@ class FieldOfView(LifecycleNode):
 
     # Transitions of the lifecycle
 
+    def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:  # noqa: N802
+        """Refuse a transition that the state of now does not have: rclpy lets it end the process (its issue 1209)."""
+        if transition_id not in {possible[0] for possible in self._state_machine.available_transitions}:
+            self.get_logger().error(f"no transition {transition_id} from state {self._state_machine.current_state[1]}")
+            return TransitionCallbackReturn.FAILURE
+        return super()._LifecycleNodeMixin__change_state(transition_id)
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load what is needed and announce the topics."""
         try:
