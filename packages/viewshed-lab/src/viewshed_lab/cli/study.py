@@ -141,6 +141,7 @@ def deviation(
 def monitor(
     out: Out = None,
     preset: Annotated[str, typer.Option(help="Which streams: shipped.")] = "shipped",
+    workers: Workers = None,
     run: Run = True,
     page: Pages = None,
     traces: Annotated[
@@ -154,6 +155,7 @@ def monitor(
     Example: viewshed study monitor --out study
     """
     from viewshed.monitor import Calibration, StreamMonitor, load_calibration, save_calibration
+    from viewshed_lab._jobs import LocalEngine
     from viewshed_lab.studies.monitor.page import files_of
     from viewshed_lab.studies.monitor.plan import MonitorPlan
     from viewshed_lab.studies.monitor.streams import read_streams, run_streams
@@ -161,8 +163,7 @@ def monitor(
     from viewshed_lab.studies.monitor.tried import tried
 
     plan, folder = MonitorPlan.load(preset), _folder(out, "monitor")
-    if run:
-        run_streams(plan, folder / "streams", typer.echo)
+    failed = list(run_streams(plan, folder / "streams", LocalEngine(workers), typer.echo)) if run else []
     calibrated = folder / "monitor.npz"
     if run or not calibrated.exists():
         streams = list(read_streams(folder / "streams", "calibration"))
@@ -173,7 +174,9 @@ def monitor(
         save_calibration(fitted, calibrated)
     made = load_calibration(calibrated)
     called = [one for trace in traces or () for one in call_trace(trace, StreamMonitor(made))]
-    _show(page or folder, files_of(plan, made, read_streams(folder / "streams", "report"), called, tried(plan)))
+    report, benign = (read_streams(folder / "streams", part) for part in ("report", "benign"))
+    _show(page or folder, files_of(plan, made, report, benign, called, tried(plan)))
+    _require_all_done(failed)
 
 
 @study_app.command()

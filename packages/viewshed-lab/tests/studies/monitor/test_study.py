@@ -28,8 +28,9 @@ PLAN = replace(
 def test_the_plan_shares_no_style_and_names_each_stream_once() -> None:
     plan = MonitorPlan.load("shipped")
     keys = plan.stream_keys()
-    assert len(set(keys)) == len(keys) == 12 * len(plan.calibration) + 8 * len(plan.report)
-    assert {part for part, _, number in keys[: len(plan.calibration) + len(plan.report)]} == {"calibration", "report"}
+    assert len(set(keys)) == len(keys) == 45 * len(plan.calibration) + (8 + 45) * len(plan.report)
+    first = keys[: len(plan.calibration) + 2 * len(plan.report)]
+    assert {part for part, _, number in first if number == 0} == {"calibration", "report", "benign"}
     with pytest.raises(ValueError, match="must share no style, got street in both"):
         replace(plan, report=(*plan.report, "street"))
 
@@ -52,8 +53,8 @@ def test_a_stream_is_measured_attacked_judged_and_kept(tmp_path: Path) -> None:
     blinded = [judged.attacked[k] for k, (name, _) in enumerate(kept.cases) if name == "blinded"]
     returns = list(EVIDENCE).index("returns")
     assert min(float(one[:, returns].min()) for one in blinded) > 3.0
-    text = files_of(PLAN, made, [kept], [], {"removal": (3, 0.5, 0.0)})["monitor.md"].decode()
-    assert "| parking | 0.0 |" in text
+    text = files_of(PLAN, made, [kept], [kept], [], {"removal": (3, 0.5, 0.0)})["monitor.md"].decode()
+    assert "| parking | 0.1 |" in text
     assert "| pose_spoof | 2 |" in text
     assert "| removal | 3 | 0.50 | 0.00 |" in text
 

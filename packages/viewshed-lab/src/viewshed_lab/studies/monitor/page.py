@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
@@ -76,6 +76,12 @@ def judge(calibration: Calibration, stream: StreamEvidence) -> Judged:
     return Judged(stream, added(surprises), surprises, attacked)
 
 
+def _scores_alone(judged: Judged) -> Judged:
+    """Return a judged stream without its evidence and surprises."""
+    stream = replace(judged.stream, benign=judged.stream.benign[:0])
+    return replace(judged, stream=stream, surprises=judged.surprises[:0])
+
+
 def rate_interval(alarms: int, hours: float) -> tuple[float, float]:
     """Return the 95 % interval of an alarm rate an hour (Garwood, 1936).
 
@@ -90,28 +96,47 @@ def files_of(
     plan: MonitorPlan,
     calibration: Calibration,
     report: Iterable[StreamEvidence],
+    benign: Iterable[StreamEvidence],
     called: Sequence[Called],
     left_out: Mapping[str, tuple[int, float, float]],
 ) -> dict[str, bytes]:
-    """Return the page by the name of its file; ``left_out`` is what :func:`tried` gives."""
+    """Return the page by the name of its file.
+
+    Args:
+        plan: of the study.
+        calibration: that judges.
+        report: streams with attacks.
+        benign: streams without, that add to the rates of false alarms.
+        called: sweeps of public traces.
+        left_out: what :func:`tried` gives.
+
+    Raises:
+        ValueError: there are no streams with attacks.
+    """
     judged = [judge(calibration, stream) for stream in report]
     if not judged:
         raise ValueError("a page needs streams to report on, got none; run the study")
+    # Hours of surprises by sector would fill the memory, and only the scores are asked for.
+    every = [*judged, *(_scores_alone(judge(calibration, stream)) for stream in benign)]
     text = resources.files("viewshed_lab").joinpath("studies/monitor/page.md").read_text(encoding="utf-8")
-    minutes = sum(one.hours for one in judged) * 60.0
+    minutes = sum(one.hours for one in every) * 60.0
     words = text.format(
         places=len({one.stream.style for one in judged}), minutes=f"{minutes:.0f}",
         calibration_minutes=f"{calibration.hours * 60.0:.0f}", styles=", ".join(plan.calibration),
         promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
     ).split("<!-- table -->")  # fmt: skip
     tables = [
-        _places(calibration, judged), _groups(calibration, judged), _families(calibration, judged),
-        _reliability(calibration, judged), _left_out(calibration, judged), _tried(left_out), _clean(judged),
+        _places(calibration, every), _groups(calibration, every), _families(calibration, judged),
+        _reliability(calibration, every), _left_out(calibration, judged), _tried(left_out), _clean(every),
         _worsened(judged),
         _traces(called) + "".join("\n\n" + strip for strip in _strips(called)),
     ]  # fmt: skip
     parts = [part for pair in zip(words, [*tables, ""], strict=True) for part in pair]
-    about = facts(seed=str(plan.seed), plan=plan.name, streams=f"{len(judged)} of {plan.seconds:g} s to report on")
+    about = facts(
+        seed=str(plan.seed),
+        plan=plan.name,
+        streams=f"{len(judged)} of {plan.seconds:g} s with attacks, {len(every) - len(judged)} without",
+    )
     return {"monitor.md": page(TITLE, about, *(part.strip() for part in parts if part.strip())).encode()}
 
 

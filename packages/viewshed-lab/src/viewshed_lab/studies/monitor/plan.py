@@ -11,8 +11,10 @@ from viewshed_lab.sim.lidar.weather import CONDITIONS
 from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.plan import JobKey, Plan, check_names, check_seed
 
-PARTS = ("calibration", "report")
-"""No style, sensor family or mounting is in both; ``vlp16`` is."""
+PARTS = ("calibration", "report", "benign")
+"""Streams to calibrate on; to report on, with attacks; in the same places as these without, for rates of false alarms.
+
+No style, sensor family or mounting is in the first and the others; ``vlp16`` is."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +26,7 @@ class MonitorPlan(Plan):
         calibration_sensors, report_sensors: families of sensors, or beam tables, in turn.
         calibration_mountings, report_mountings: families of mountings, in turn; indoors that of a robot.
         conditions: weather and faults, in turn.
-        calibration_streams, report_streams: streams of each style.
+        calibration_streams, report_streams, benign_streams: streams of each style.
         seconds: of a stream.
         hz: sweeps a second.
         pose_noise_every: one stream of so many has noisy poses.
@@ -46,6 +48,7 @@ class MonitorPlan(Plan):
     conditions: tuple[str, ...]
     calibration_streams: int
     report_streams: int
+    benign_streams: int
     seconds: float
     hz: float
     pose_noise_every: int
@@ -54,22 +57,27 @@ class MonitorPlan(Plan):
     seed: int
 
     def __post_init__(self) -> None:
-        for part in PARTS:
+        for part in ("calibration", "report"):
             check_names(part, self.styles(part), WORLDS, once=True)
-            check_names(f"{part}_mountings", getattr(self, f"{part}_mountings"), wild_tables().mountings)
+            check_names(f"{part}_mountings", self.turns(part, "mountings"), wild_tables().mountings)
         both: Iterable[str] = set(self.calibration) & set(self.report)
         if both:
             raise ValueError(f"calibration and report must share no style, got {', '.join(sorted(both))} in both")
         check_names("conditions", self.conditions, CONDITIONS)
         check_seed("seed", self.seed)
         self.check_at_least(1, "calibration_streams", "report_streams", "pose_noise_every")
+        self.check_at_least(0, "benign_streams")
         if not (self.seconds > 0.0 and self.hz > 0.0 and self.attack_every_s > 0.0):
             raise ValueError("seconds, hz and attack_every_s must be positive")
 
     def styles(self, part: str) -> tuple[str, ...]:
         """Return the styles of a part."""
-        styles: tuple[str, ...] = getattr(self, part)
-        return styles
+        return self.calibration if part == "calibration" else self.report
+
+    def turns(self, part: str, kind: str) -> tuple[str, ...]:
+        """Return the sensors or the mountings of a part."""
+        names: tuple[str, ...] = getattr(self, f"{'calibration' if part == 'calibration' else 'report'}_{kind}")
+        return names
 
     def job_keys(self) -> list[JobKey]:
         """Return part, style and number of each stream: some of each style first."""

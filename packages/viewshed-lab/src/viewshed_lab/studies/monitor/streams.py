@@ -24,6 +24,7 @@ from viewshed.monitor.evidence import EVIDENCE, SECTORS, MonitoredSweep, measure
 from viewshed.monitor.stream_monitor import EvidenceStream
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
+from viewshed_lab._jobs import Engine
 from viewshed_lab.data.wild import wild_tables
 from viewshed_lab.sim.lidar.random_sensors import DrawnSensor, draw_sensor
 from viewshed_lab.sim.lidar.weather import CONDITIONS
@@ -94,7 +95,7 @@ class Stream:
         return self.plan.styles(self.part).index(self.style)
 
     def _turn(self, kind: str) -> str:
-        names: tuple[str, ...] = getattr(self.plan, f"{self.part}_{kind}")
+        names = self.plan.turns(self.part, kind)
         return names[(self._offset + self.number) % len(names)]
 
     def rng(self, *purpose: object) -> np.random.Generator:
@@ -357,14 +358,28 @@ def _touched_sectors(tampered: Tampered, clean: LeveledSweep, seen: LeveledSweep
     return touched
 
 
-def run_streams(plan: MonitorPlan, folder: Path, on_done: Callable[[str], None] = print) -> None:
-    """Measure all streams of a plan that are not in the folder yet, some of each style first."""
+def run_streams(
+    plan: MonitorPlan, folder: Path, engine: Engine, on_done: Callable[[str], None] = print
+) -> Iterator[str]:
+    """Measure all streams of a plan that are not in the folder yet, some of each style first.
+
+    Yields:
+        A line of each stream that failed.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    for part, style, number in plan.stream_keys():
-        path = folder / f"{part}-{style}-{number:02d}.npz"
-        if not path.exists():
-            measure_stream(Stream(plan, part, style, number)).save(path)
-            on_done(path.name)
+    every = (Stream(plan, *key) for key in plan.stream_keys())
+    jobs = [(one, path) for one in every if not (path := folder / f"{one.name}.npz").exists()]
+    for done in engine.run(_measure_and_save, jobs):
+        name = jobs[done.index][0].name
+        if done.error is None:
+            on_done(name)
+        else:
+            yield f"{name}: {done.error}"
+
+
+def _measure_and_save(job: tuple[Stream, Path]) -> None:
+    stream, path = job
+    measure_stream(stream).save(path)
 
 
 def read_streams(folder: Path, part: str) -> Iterator[StreamEvidence]:
