@@ -169,14 +169,18 @@ constexpr float PASSED_M = 1.5f;
 // Surfaces nearer than this fall silent as they come nearer still, and too many beams meet them.
 constexpr float LEAST_SILENCED_M = 2.0f;
 
+// A column in [-columns, 2 columns), turned around into [0, columns).
+int wrapped(int column, int columns) { return column < 0 ? column + columns : column < columns ? column : column - columns; }
+
 // Whether a surface at a range was at the beams about a column of a ring, as far to either side as it may have moved:
 // for what is farther than before, whether any of them saw as far.
 bool was_beside(const float* ring, int columns, int column, float range_m, float moved_m, bool is_near) {
+    const float column_rad = 2 * PI / float(columns);
     for (int side = -1; side <= 1; side += 2) {
         // What uncovers a beam is as near as those beside it, so the reach is by their range.
         for (int b = BESIDE + 1; b < columns / 4; ++b) {
-            const float other_m = ring[((column + side * b) % columns + columns) % columns];
-            const float reach_m = std::min(range_m, other_m) * float(b) * (2 * PI / float(columns));
+            const float other_m = ring[wrapped(column + side * b, columns)];
+            const float reach_m = std::min(range_m, other_m) * float(b) * column_rad;
             if (reach_m > PASSED_M) break;
             if (other_m < 1e6f && (is_near ? std::fabs(other_m - range_m) <= moved_m : other_m >= range_m - moved_m)) {
                 return true;
@@ -191,43 +195,61 @@ bool was_beside(const float* ring, int columns, int column, float range_m, float
 void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
                      const std::vector<float>& turned_columns, View1<float> nearer, View1<float> farther, View1<float> silent) {
     const auto columns = int(view.columns()), sectors = int(nearer.size);
+    // Divisions would take longer than the rest: turns in [0, columns), and a sector of each column.
+    std::vector<int> turned, sector_of(view.columns());
+    for (const float of_other : turned_columns) turned.push_back((int(std::lround(of_other)) % columns + columns) % columns);
+    for (int c = 0; c < columns; ++c) sector_of[std::size_t(c)] = c * sectors / columns;
     std::vector<int> returns(nearer.size, 0), near(nearer.size, 0), far(nearer.size, 0);
     std::vector<int> steady(nearer.size, 0), lost(nearer.size, 0);
+    std::vector<const float*> then(others.size());
     for (std::size_t r = 0; r < view.rings(); ++r) {
         const float* now = view.ring(r);
+        for (std::size_t k = 0; k < then.size(); ++k) then[k] = others[k]->ring(r);
+        // Call look(range) for the beams about a column in the other sweeps, the one in the middle first, until it is told enough.
+        const auto look_about = [&](int c, const auto& look) {
+            for (int side = 0; side <= BESIDE; ++side) {
+                for (std::size_t k = 0; k < then.size(); ++k) {
+                    const int middle = wrapped(c + turned[k], columns);
+                    if (look(then[k][wrapped(middle + side, columns)])) return;
+                    if (side > 0 && look(then[k][wrapped(middle - side, columns)])) return;
+                }
+            }
+        };
         for (int c = 0; c < columns; ++c) {
             const float range_m = now[c], moved_m = MOVED_M + MOVED_SHARE * range_m;
-            const bool is_return = range_m < 1e6f;
-            const auto s = std::size_t(c * sectors / columns);
-            // 1. The beams about it in the other sweeps: has one such a range, are all of those nearer or farther, did each return?
-            bool is_known = false, is_near = true, is_far = true, is_steady = true;
+            const auto s = std::size_t(sector_of[std::size_t(c)]);
+            // 1. A beam without a return: did all about it return?
+            if (!(range_m < 1e6f)) {
+                bool is_steady = true;
+                look_about(c, [&](float other_m) {
+                    is_steady = other_m < 1e6f && other_m > LEAST_SILENCED_M;
+                    return !is_steady;
+                });
+                steady[s] += is_steady;
+                lost[s] += is_steady;
+                continue;
+            }
+            // 2. A return: has a beam about it such a range, or are all of those nearer or farther?
+            bool is_known = false, is_near = true, is_far = true;
             int seen = 0;
-            for (std::size_t k = 0; k < others.size() && !is_known && (is_return || is_steady); ++k) {
-                const float* then = others[k]->ring(r);
-                const int middle = c + int(std::lround(turned_columns[k])) + columns;
-                for (int b = -BESIDE; b <= BESIDE; ++b) {
-                    const float other_m = then[(middle + b + columns) % columns];
-                    is_steady &= other_m < 1e6f && other_m > LEAST_SILENCED_M;
-                    if (!(other_m < 1e6f)) continue;
-                    ++seen;
-                    is_known |= std::fabs(other_m - range_m) <= moved_m;
-                    is_near &= other_m > range_m;
-                    is_far &= other_m < range_m;
+            look_about(c, [&](float other_m) {
+                if (!(other_m < 1e6f)) return false;
+                ++seen;
+                is_near &= other_m > range_m;
+                is_far &= other_m < range_m;
+                is_known = std::fabs(other_m - range_m) <= moved_m;
+                return is_known;
+            });
+            // 3. Nor may it, or what hid it, have passed by.
+            if (!is_known && seen > 0 && is_near != is_far) {
+                for (std::size_t k = 0; k < then.size() && !is_known; ++k) {
+                    is_known = was_beside(then[k], columns, wrapped(c + turned[k], columns), range_m, moved_m, is_near);
                 }
             }
-            // 2. Nor may it, or what hid it, have passed by.
-            if (is_return && !is_known && seen > 0 && is_near != is_far) {
-                for (std::size_t k = 0; k < others.size() && !is_known; ++k) {
-                    const int middle = c + int(std::lround(turned_columns[k]));
-                    is_known = was_beside(others[k]->ring(r), columns, middle, range_m, moved_m, is_near);
-                }
-            }
-            // 3. What that makes of it.
-            returns[s] += is_return;
-            near[s] += is_return && !is_known && seen > 0 && is_near;
-            far[s] += is_return && !is_known && seen > 0 && is_far;
-            steady[s] += is_return || is_steady;
-            lost[s] += !is_return && is_steady;
+            ++returns[s];
+            ++steady[s];
+            near[s] += !is_known && seen > 0 && is_near;
+            far[s] += !is_known && seen > 0 && is_far;
         }
     }
     const auto share = [](int count, int of) { return of >= LEAST_IN_SECTOR ? float(count) / float(of) : 0.0f; };
@@ -236,6 +258,53 @@ void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>&
         farther[s] = share(far[s], returns[s]);
         silent[s] = share(lost[s], steady[s]);
     }
+}
+
+std::array<int, 2> best_shift(View2<const std::uint8_t> now, View2<const std::uint8_t> before, int most) {
+    const int cells = int(now.rows), window = 2 * most + 1;
+    const auto around = [cells](int k) { return std::size_t((k % cells + cells) % cells); };
+    // 1. The cells of now with as many about them as a shift reaches, so that no sum has to go around.
+    const std::size_t width = std::size_t(cells + 2 * most);
+    std::vector<std::uint8_t> wide(width * width);
+    for (std::size_t i = 0; i < width; ++i) {
+        const std::uint8_t* row = now[around(int(i) - most)];
+        for (std::size_t j = 0; j < width; ++j) wide[i * width + j] = row[around(int(j) - most)];
+    }
+    // 2. Each cell of before votes for all shifts that bring a cell of now onto it.
+    std::vector<std::uint32_t> votes(std::size_t(window * window), 0);
+    for (int i = 0; i < cells; ++i) {
+        for (int j = 0; j < cells; ++j) {
+            if (!before[std::size_t(i)][j]) continue;
+            for (int down = 0; down < window; ++down) {
+                const std::uint8_t* row = &wide[std::size_t(i + down) * width + std::size_t(j)];
+                std::uint32_t* of_row = &votes[std::size_t(down * window)];
+                for (int across = 0; across < window; ++across) of_row[across] += row[across];
+            }
+        }
+    }
+    const int best = int(std::max_element(votes.begin(), votes.end()) - votes.begin());
+    return {best / window - most, best % window - most};
+}
+
+float range_noise(View2<const float> points, float step_share, float step_m, std::size_t least) {
+    std::vector<float> bends;
+    bends.reserve(points.rows);
+    float last_m = 0.0f, last_step_m = 0.0f;
+    bool was_smooth = false;
+    for (std::size_t n = 0; n < points.rows; ++n) {
+        const float* p = points[n];
+        const float range_m = std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]), this_step_m = range_m - last_m;
+        const bool is_smooth = n > 0 && std::fabs(this_step_m) < step_share * range_m + step_m;
+        if (is_smooth && was_smooth) bends.push_back(std::fabs(this_step_m - last_step_m));
+        last_m = range_m, last_step_m = this_step_m, was_smooth = is_smooth;
+    }
+    if (bends.size() < std::max(least, std::size_t{1})) return NOT_KNOWN;
+    // The quartile lies between two of the sorted values.
+    const double place = 0.25 * double(bends.size() - 1);
+    const auto low = bends.begin() + std::ptrdiff_t(place);
+    std::nth_element(bends.begin(), low, bends.end());
+    const float next = low + 1 < bends.end() ? *std::min_element(low + 1, bends.end()) : *low;
+    return *low + (next - *low) * float(place - std::floor(place));
 }
 
 namespace {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <vector>
 
 #include "arrays.hpp"
@@ -34,6 +35,14 @@ void find_repeats(const SweepView& view, const SweepView& other, View1<float> sh
 // columns; turned_columns is by how many columns the sensor turned since each.
 void find_new_ranges(const SweepView& view, const std::vector<const SweepView*>& others,
                      const std::vector<float>& turned_columns, View1<float> nearer, View1<float> farther, View1<float> silent);
+
+// The shift (down, across) in whole cells, each in [-most, most], that lays the cells of one sweep best on those of another;
+// both are square and go around at their edges. The first of the best.
+std::array<int, 2> best_shift(View2<const std::uint8_t> now, View2<const std::uint8_t> before, int most);
+
+// The lower quartile of second differences of range between returns that follow each other in this order on one surface, where
+// steps are less than step_share of the range and step_m; NaN where there are fewer than `least`.
+float range_noise(View2<const float> points, float step_share, float step_m, std::size_t least);
 
 // A correction of a pose: turn and shift, the information (3, 3) about them, the deviation of a return from its surface, and
 // how many returns were used.

@@ -206,6 +206,34 @@ void bind_temporal_evidence(nb::module_& m) {
             "Turn and shift (K, 3) that lay the obstacles on the surfaces of each of other views, the information about "
             "them (K, 3, 3), the deviation of a return in meters (K,), and how many were used (K,).");
 
+    m.def(
+        "best_shift",
+        [](In2<bool> now, In2<bool> before, int most) {
+            const std::size_t cells = now.shape(0);
+            require(cells >= 1 && cells <= 4096 && now.shape(1) == cells && have_one_shape(now, before),
+                    "now and before must have one shape (cells, cells), 1 to 4096 of them");
+            require(most >= 0 && std::size_t(most) <= cells / 2, "most must lie in [0, cells / 2]");
+            const auto bytes = [cells](const In2<bool>& mask) {
+                return View2<const std::uint8_t>{reinterpret_cast<const std::uint8_t*>(mask.data()), cells, cells};
+            };
+            std::array<int, 2> shift{};
+            without_lock([&] { shift = best_shift(bytes(now), bytes(before), most); });
+            return tuple_of(shift[0], shift[1]);
+        },
+        "now"_in, "before"_in, "most"_a,
+        "Shift (down, across) in cells, each in [-most, most], that lays cells of a sweep best on those of another; edges go "
+        "around, and the first of the best counts.");
+    m.def(
+        "range_noise",
+        [](Points points, float step_share, float step_m, std::size_t least) {
+            float noise_m = 0.0f;
+            without_lock([&] { noise_m = range_noise(view(points), step_share, step_m, least); });
+            return noise_m;
+        },
+        "points"_in, "step_share"_a, "step_m"_a, "least"_a,
+        "Lower quartile m of second differences of range between returns that follow each other on one surface; NaN where "
+        "there are fewer than `least`.");
+
     nb::class_<CellMemory>(m, "CellMemory", "The obstacles of the last seconds of a stream, in cells of the world.")
         .def(nb::init<>())
         .def("copy", [](const CellMemory& self) { return CellMemory(self); })

@@ -6,13 +6,13 @@ Each needs neither rings nor a pose. None means anything by itself: a monitor co
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.arrays import F32
+from viewshed import _core
+from viewshed.arrays import F32, Mask
 from viewshed.grid import BevGrid
 from viewshed.monitor.evidence.base import ABSTAINS, SECTORS, MonitoredSweep
 from viewshed.monitor.evidence.history import USUAL_GAP_S
@@ -57,11 +57,7 @@ def measure_range_noise(monitored: MonitoredSweep) -> F32:
     one surface. Sensors store returns in the order of firing, or ring by ring.
     """
     points = monitored.leveled.sweep.points
-    range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
-    steps = np.diff(range_m)
-    smooth = np.abs(steps) < _STEP_SHARE * range_m[1:] + _STEP_M
-    bends = np.abs(np.diff(steps))[smooth[1:] & smooth[:-1]]
-    return _everywhere(np.quantile(bends, 0.25) if len(bends) >= _LEAST_RETURNS else np.nan)
+    return _everywhere(_core.range_noise(points, _STEP_SHARE, _STEP_M, _LEAST_RETURNS))
 
 
 def measure_ground_roughness(monitored: MonitoredSweep) -> F32:
@@ -105,22 +101,17 @@ def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
     key = ("shift", ref(before))
     shift: NDArray[np.float64] | None = after.derived.get(key)
     if shift is None:
-        product = _spectrum_of(after) * np.conj(_spectrum_of(before))
-        overlap = np.roll(np.fft.irfft2(product, (_CELLS, _CELLS)), (_SHIFTS, _SHIFTS), (0, 1))
-        best = int(np.argmax(np.round(overlap[: 2 * _SHIFTS + 1, : 2 * _SHIFTS + 1])))
-        shift = (np.array(divmod(best, 2 * _SHIFTS + 1)) - _SHIFTS) * _CELL_M
-        after.derived[key] = shift
+        cells = [_obstacles_of(each) for each in (after, before)]
+        shift = after.derived[key] = np.array(_core.best_shift(*cells, _SHIFTS)) * _CELL_M
     return shift
 
 
-def _spectrum_of(leveled: LeveledSweep) -> NDArray[np.complexfloating[Any, Any]]:
-    """Return the Fourier transform of the cells (_CELLS, _CELLS) about the sensor that hold an obstacle return."""
-    spectrum: NDArray[np.complexfloating[Any, Any]] | None = leveled.derived.get(("obstacle_spectrum",))
-    if spectrum is None:
-        grid = BevGrid(_CELLS, _CELLS * _CELL_M / 2)
-        spectrum = np.fft.rfft2(leveled.obstacle_cells(grid).astype(np.float32))
-        leveled.derived[("obstacle_spectrum",)] = spectrum
-    return spectrum
+def _obstacles_of(leveled: LeveledSweep) -> Mask:
+    """Return the cells (_CELLS, _CELLS) about the sensor that hold an obstacle return."""
+    cells: Mask | None = leveled.derived.get(("obstacles_about",))
+    if cells is None:
+        cells = leveled.derived[("obstacles_about",)] = leveled.obstacle_cells(BevGrid(_CELLS, _CELLS * _CELL_M / 2))
+    return cells
 
 
 def _everywhere(value: float) -> F32:
