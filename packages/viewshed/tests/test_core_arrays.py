@@ -121,6 +121,8 @@ GOOD: dict[str, dict[str, Any]] = {
     "surface_cells": {"states": PLANE + U1(2), "nearest_m": 0.0, "farthest_m": 9.0} | CORNER,
     "mark_surfaces": {"seen_by": np.zeros((8, 8), np.uint32), "surfaces": RING, "pose": np.zeros(4), "cell_m": 0.5,
                       "bit": 2, "wide": True, "erase": False},
+    "best_shift": {"now": SQUARE, "before": HALF, "most": 4},
+    "range_noise": {"points": POINTS, "step_share": 0.03, "step_m": 0.05, "least": 1},
     "count_met": {"surfaces": RING, "headings": np.zeros(3), "x_m": np.zeros(5), "y_m": np.zeros(5), "cell_m": 0.5,
                   "seen_by": np.ones((8, 8), np.uint32), "own_bit": 2},
     "compare_view": {
@@ -145,7 +147,7 @@ ANY_LENGTH = {
     "star_vertices": ("ranges",), "beam_evidence": ("table",), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
     "count_met": ("surfaces", "headings", "x_m", "y_m"), "compare_view": ("blockers",), "compare_past": ("places",),
-    "decode_view": ("code",),
+    "decode_view": ("code",), "range_noise": ("points",),
 }  # fmt: skip
 """Function → arrays that may be of any length, whatever the others are."""
 

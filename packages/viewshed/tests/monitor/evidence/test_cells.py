@@ -129,6 +129,15 @@ def test_beams_that_fall_silent_are_found_on_the_ground_as_well() -> None:
     assert lost[sector_at(45.0)] == 0.0
 
 
+@pytest.mark.parametrize("silent", range(3))
+def test_beams_that_were_silent_in_any_of_three_sweeps_before_are_not_lost_now(silent: int) -> None:
+    stream = EvidenceStream()
+    for number in range(3):
+        sweep = look(YARD, number)
+        stream.add(leveled(_without(sweep, 90.0, 17.5) if number == silent else sweep))
+    assert measured(stream, "no_return", _without(look(YARD, 3), 90.0, 17.5))[sector_at(90.0)] == 0.0
+
+
 def test_where_a_turning_sweep_begins_no_beam_is_lost() -> None:
     # The sensor turns by 8.6° in a revolution, so 8.6° behind it are not looked at.
     stream = after(YARD, 5, 0.0)

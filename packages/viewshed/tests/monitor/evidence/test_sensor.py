@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.monitor.evidence.drives import YARD, look, measure
 
+from viewshed import _core
 from viewshed.monitor.evidence import EVIDENCE, SECTORS
 from viewshed.sweep import Sweep
 
@@ -50,3 +51,26 @@ def test_a_reason_says_unlike_before_where_less_is_as_suspicious_as_more() -> No
         name for name, kind in EVIDENCE.items() if kind.two_sided
     }
     assert nothing["isolated"] == "0.0% of the returns are isolated, unlike before"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_best_shift_is_that_of_the_circular_correlation(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before = rng.random((40, 40)) < 0.1
+    now = np.roll(before, (3 - seed, -2), (0, 1)) ^ (rng.random((40, 40)) < 0.05)
+    overlap = np.fft.irfft2(np.fft.rfft2(now) * np.conj(np.fft.rfft2(before)), (40, 40))
+    about = np.round(np.roll(overlap, (6, 6), (0, 1))[:13, :13])
+    assert _core.best_shift(now, before, 6) == tuple(np.array(divmod(int(about.argmax()), 13)) - 6) == (3 - seed, -2)
+
+
+@pytest.mark.parametrize("count", [7, 8, 500])
+def test_the_noise_of_range_is_a_quartile_of_second_differences(count: int) -> None:
+    rng = np.random.default_rng(count)
+    range_m = np.where(np.arange(count) % 50 < 25, 10.0, 20.0) + rng.normal(0.0, 0.02, count)
+    azimuth = np.linspace(0.0, 1.0, count)
+    points = (range_m[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth])).astype(np.float32)
+    steps = np.diff(np.linalg.norm(points, axis=1))
+    smooth = np.abs(steps) < 0.03 * range_m[1:] + 0.05
+    bends = np.abs(np.diff(steps))[smooth[1:] & smooth[:-1]]
+    assert _core.range_noise(points, 0.03, 0.05, 1) == pytest.approx(np.quantile(bends, 0.25), abs=1e-5)
+    assert np.isnan(_core.range_noise(points, 0.03, 0.05, len(bends) + 1))

@@ -21,7 +21,7 @@ NUMBERS: dict[str, tuple[int, float, float]] = {
     "frame_noise": (1, 0.00531843, 0.0308933),
     "nearer": (2, 0.0125579, 0.180833),
     "farther": (2, 0.0161076, 0.117917),
-    "no_return": (2, 0.0638889, 0.893333),
+    "no_return": (3, 0.0638889, 0.893333),
     "gone": (1, 0, 0),
     "out_of_nowhere": (2, 0.0177272, 0.448445),
     "jump": (1, 0, 0),

@@ -48,7 +48,7 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
              version=2),
     Evidence("no_return", history.measure_no_return, 0.1,
              "{value:.0%} of the beams at {degrees:.0f}° that returned in all sweeps before return nothing",
-             version=2),
+             version=3),
     # Standing surfaces and empty places of the last ten seconds.
     Evidence("gone", cells.measure_gone, 0.5,
              "{value:.1f} m of surfaces at {degrees:.0f}° that stood for seconds are gone, and beams pass there"),
