@@ -169,7 +169,7 @@ def _places(calibration: Calibration, judged: Sequence[Judged]) -> str:
 
 def _groups(calibration: Calibration, judged: Sequence[Judged]) -> str:
     groups: dict[str, list[Judged]] = {}
-    for key in ("sensor", "conditions", "poses"):
+    for key in ("sensor", "conditions", "speed", "poses"):
         for one in judged:
             groups.setdefault(f"{key}: {one.stream.facts[key]}", []).append(one)
     return table(_RATE_HEADER, _rate_rows(calibration, groups))

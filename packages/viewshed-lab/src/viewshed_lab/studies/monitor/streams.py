@@ -51,6 +51,9 @@ INDOOR = ("rooms", "corridors", "hall", "warehouse", "loft", "tunnel")
 POSE_NOISE = (0.1, np.deg2rad(0.2))
 """Standard deviations of noisy poses: of each axis in meters, and of the yaw."""
 
+SPEEDS = ((1.0, "less than 1 m/s"), (10.0, "1 to 10 m/s"))
+"""Classes of speed by their upper ends."""
+
 UPRIGHT = 0.3
 """Share of that in height."""
 
@@ -160,7 +163,7 @@ class StreamEvidence:
     Attributes:
         name: of the stream.
         style: of its world.
-        facts: sensor, conditions and poses.
+        facts: sensor, conditions, poses and speed.
         kinds: (E,) names of the evidence.
         benign: (T, E, SECTORS) of each sweep.
         cases: (C,) name of the attack, and its first sweep.
@@ -220,7 +223,7 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     every = round(plan.attack_every_s * plan.hz)
     sweeps, past, state, degraded = list[Sweep](), EvidenceStream(), SensorState(), list[bool]()
     benign, cases, attacked, touched = [], list[tuple[str, int]](), [], []
-    sensor = ""
+    places_m = list[NDArray[np.float64]]()
     for number in range(round(plan.seconds * plan.hz)):
         sweep = stream.sweep(number)
         # Two attacks branch off here, each of five sweeps; the next sweeps of the stream are made for them.
@@ -246,9 +249,10 @@ def measure_stream(stream: Stream) -> StreamEvidence:
         past.add(leveled)
         degraded.append(bool(state.check(leveled, benign[-1])))
         sweeps = [*sweeps, sweep][-REPLAYED_SWEEPS:]
-        sensor = stream.sensor
+        places_m.append(np.zeros(3) if sweep.world_from_sensor is None else sweep.world_from_sensor.translation)
     facts = {
-        "sensor": sensor, "conditions": stream.conditions, "poses": "noisy" if stream.has_noisy_poses else "exact"
+        "sensor": stream.sensor, "conditions": stream.conditions,
+        "poses": "noisy" if stream.has_noisy_poses else "exact", "speed": _speed(np.array(places_m), plan.hz),
     }  # fmt: skip
     shape = (ATTACKED_SWEEPS, len(EVIDENCE), SECTORS)
     corruptions = CORRUPTIONS if stream.part == "report" else ()
@@ -258,6 +262,13 @@ def measure_stream(stream: Stream) -> StreamEvidence:
         np.array(degraded, np.bool_),
         {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in corruptions},
     )  # fmt: skip
+
+
+def _speed(places_m: NDArray[np.float64], hz: float) -> str:
+    """Return how fast a sensor went, by its places (T, 3) one second from each other: noise of poses is no motion."""
+    each_second = places_m[:: round(hz)]
+    speed_mps = float(np.median(np.hypot(*np.diff(each_second[:, :2], axis=0).T))) if len(each_second) > 1 else 0.0
+    return next((words for most, words in SPEEDS if speed_mps < most), "10 m/s or more")
 
 
 def _worsens(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorState) -> bool:
