@@ -59,20 +59,21 @@ def share_out_of_time(sweep: Sweep) -> float:
     # Drawn, for every other return may be of another head.
     some = np.random.default_rng(0).integers(len(sweep), size=TIMED)
     x, y, time_s = sweep.points[some, 0], sweep.points[some, 1], sweep.time_s[some].astype(np.float64)
-    range_m, azimuth = np.hypot(x, y), np.arctan2(y, x)
+    range_m = np.hypot(x, y)
+    direction = (x + 1j * y) / np.maximum(range_m, 1e-3)
     known, lasts_s = range_m > 1.0, float(np.ptp(time_s))
     if not lasts_s > 0.0 or not known.any():
         return 0.0
     part = np.minimum((time_s - time_s.min()) * (TIME_BINS / lasts_s), TIME_BINS - 1).astype(np.intp)
-    off, weight = np.zeros(len(part)), known.astype(np.float64)
+    along, weight = np.zeros(len(part), np.complex128), known.astype(np.float64)
     # The direction of each part, then without what lies far from it.
     for near in (1.0, 0.3, 0.1):
-        pointing = np.bincount(part, weight * np.cos(azimuth), TIME_BINS) + 1j * np.bincount(
-            part, weight * np.sin(azimuth), TIME_BINS
+        pointing = np.bincount(part, weight * direction.real, TIME_BINS) + 1j * np.bincount(
+            part, weight * direction.imag, TIME_BINS
         )
-        off = np.abs(np.angle(np.exp(1j * azimuth) * np.conj(pointing[part])))
-        weight = known * (off < near)
-    allowed = OUT_OF_TIME + np.arctan2(CARRIED_M, range_m)
+        along = direction * np.conj(pointing / np.maximum(np.abs(pointing), 1e-9))[part]
+        weight = known * (along.real > np.cos(near))
+    off, allowed = np.abs(np.angle(along)), OUT_OF_TIME + np.arctan2(CARRIED_M, range_m)
     return float((off > allowed)[known].mean())
 
 
@@ -81,10 +82,10 @@ def _off_table(sweep: Sweep, range_m: F32) -> list[str]:
     model = sweep.model
     if model is None or model.shots is not None or sweep.planar is not None or not len(range_m):
         return []
-    elevation = np.arcsin(np.clip(sweep.points[:, 2] / np.maximum(range_m, 1e-3), -1.0, 1.0))
-    low, high = float(np.min(model.elevation)) - OUTSIDE, float(np.max(model.elevation)) + OUTSIDE
+    z_m = sweep.points[:, 2]
+    low, high = np.sin(np.min(model.elevation) - OUTSIDE), np.sin(np.max(model.elevation) + OUTSIDE)
     known = range_m > max(model.min_range_m, 2.0)  # nearer, the beams' own origins show
-    outside = float(((elevation < low) | (elevation > high))[known].mean()) if known.any() else 0.0
+    outside = float(((z_m < low * range_m) | (z_m > high * range_m))[known].mean()) if known.any() else 0.0
     beyond = float((range_m > 1.05 * model.max_range_m).mean())
     reasons = []
     if outside > OUTSIDE_SHARE:
