@@ -76,6 +76,11 @@ def test_what_is_no_mask_says_so() -> None:
     shares[3:, :40] = 0.2
     calibration, estimate = calibration_of(shares), scene(np.random.default_rng(0))[0]
     assert (calibration.guaranteed(estimate, GROUND) == (estimate.visible_prob >= THRESHOLDS[2])).all()
+    unsure = FovEstimate(
+        GRID, np.minimum(estimate.visible_prob, np.float32(0.4)), estimate.state, method=estimate.method
+    )
+    with pytest.warns(UserWarning, match="nothing of this sweep is guaranteed at alpha 0.05, delta 0.1: no claim"):
+        assert not calibration.guaranteed(unsure, GROUND).any()
     with pytest.raises(ValueError, match="nothing is guaranteed at alpha 0"):
         calibration.guaranteed(estimate, GROUND, 0.05, 0.01)
     for numbers in ((0.0, 0.1), (1.0, 0.1), (0.05, 0.0), (0.05, 1.0), (np.nan, 0.1), (0.05, 0.1, 1.0)):
@@ -91,6 +96,7 @@ def test_what_is_no_mask_says_so() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:nothing of this sweep")
 def test_the_promise_holds_for_new_scenes() -> None:
     # At confidence .9 one calibration in ten at most promises too much: more than 4 of 10, a chance of 1 in 600.
     rng, broken = np.random.default_rng(7), 0

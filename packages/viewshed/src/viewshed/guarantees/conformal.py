@@ -15,6 +15,7 @@ independent. The Clopper-Pearson bound of their share that is visible holds for 
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -159,7 +160,7 @@ class Calibration:
     def guaranteed(
         self, estimate: FovEstimate, ground: HeightMap, alpha: float = 0.05, delta: float = 0.1, confidence: float = 0.9
     ) -> Mask:
-        """Return the cells (cells, cells) whose false share is at most α in a share 1 - δ of scenes.
+        """Return the cells (cells, cells) whose false share is at most α in a share 1 - δ of scenes; warns if none is.
 
         Args:
             estimate: what is claimed.
@@ -181,7 +182,14 @@ class Calibration:
             )
         claim: Mask = estimate.visible_prob >= THRESHOLDS[self.levels[step]][band_of_cells(estimate.grid)]
         std_m = GROUND_STDS_M[self.stds[step]]
-        return claim if np.isinf(std_m) else claim & (ground_std(ground, estimate.grid) <= std_m)
+        if not np.isinf(std_m):
+            claim &= ground_std(ground, estimate.grid) <= std_m
+        if not claim.any():
+            warnings.warn(
+                f"nothing of this sweep is guaranteed at alpha {alpha:g}, delta {delta:g}: no claim is sure enough",
+                stacklevel=2,
+            )
+        return claim
 
     def guaranteed_at(self, estimate: FovEstimate, xy: FloatArray, confidence: float = 0.95) -> F64:
         """Return the lower bound (…,) of the probability that a target at points (…, 2+) of ``level`` is visible.
