@@ -226,7 +226,8 @@ def weather() -> str:
     """Return the weather and faults of the simulator by name."""
     from viewshed_lab.sim.lidar.weather import CONDITIONS
 
-    keys = ("extinction_per_m", "particles_per_m", "particle_reach", "wet", "noise")
+    names, clear = [field.name for field in fields(CONDITIONS["clear"])], CONDITIONS["clear"]
+    keys = [key for key in names if any(getattr(air, key) != getattr(clear, key) for air in CONDITIONS.values())]
     rows = [[f"`{name}`", *(f"{getattr(air, key):g}" for key in keys)] for name, air in CONDITIONS.items()]
     return table(("name", *(f"`{key}`" for key in keys)), rows)
 

@@ -194,6 +194,22 @@ def test_same_seed_same_image_and_a_beam_does_not_disturb_the_others(name: str, 
     assert changed.tolist() in ([], [[c, r]])
 
 
+def test_crosstalk_is_heard_where_it_comes_first_and_by_no_dead_beam() -> None:
+    model = lidar_model("hdl32e")
+    talk = replace(CLEAR, crosstalk_share=0.05, noise=0.0, mixed_share=0.0)
+    far, none = (measured(scan_of(model, depth, "plaster"), talk) for depth in (20.0, np.inf))
+    expected = 0.05 * (20.0 - model.min_range_m) / (model.max_range_m - model.min_range_m)
+    heard = (far.steps > 0) & (far.steps * far.step_m < 19.9)
+    assert heard.mean() == pytest.approx(expected, rel=0.1)
+    assert (none.steps > 0).mean() == pytest.approx(0.05, rel=0.05)
+    assert (none.intensity[none.steps > 0] > 0).all()
+    dead = replace(talk, dead_ring_share=0.3, lost_block_share=0.2)
+    alive = measured(scan_of(model, 20.0, "plaster"), replace(dead, crosstalk_share=0.0)).steps > 0
+    with_talk = measured(scan_of(model, 20.0, "plaster"), dead).steps > 0
+    assert not with_talk[~alive.any(axis=1)].any()
+    assert not with_talk[:, ~alive.any(axis=0)].any()
+
+
 def test_every_sensor_has_optics_and_its_step_reaches_its_range() -> None:
     from viewshed.sensors import sensor_names
 

@@ -115,7 +115,8 @@ def measure(
     The signal of a beam is that of the LiDAR equation for a surface that fills it,
     s = ρ f(θ) / 0.1 · (reach / r)² · exp(-2 α r), with f of Oren & Nayar (1994) towards the source; it is detected with
     probability 1 / (1 + s⁻⁴). Range noise is σ √(1 + 3 / s). Particles in the air are met at random before the surface
-    and win where their signal is the stronger one.
+    and win where their signal is the stronger one. Pulses of other sensors come at random times and win where they are
+    the first.
 
     Args:
         scan: exact stops of the beams.
@@ -130,15 +131,20 @@ def measure(
     shape = scan.depth_m.shape
     steps, intensity = np.zeros(shape, np.uint16), np.zeros(shape, np.uint8)
     step_m = step_of(model)
+    columns_alive, rings_alive = _alive(model, conditions, int(seed))
     measure_beams(
         Surfaces(scan.depth_m, scan.cos_incidence, scan.material, scan.thing),
         Tables(REFLECTIVITY, GLOSS, _facing(), _thresholds(), *air(optics, conditions, model.max_range_m)),
-        *_alive(model, conditions, int(seed)),
+        columns_alive,
+        rings_alive,
         _numbers(model, optics, conditions, step_m),
         seed,
         steps,
         intensity,
     )
+    if conditions.crosstalk_share > 0.0:
+        _hear_others(model, conditions, int(seed), steps, intensity)
+        steps[~columns_alive], steps[:, ~rings_alive] = 0, 0
     if model.fired is not None:  # particles return light to no shot that was not fired
         steps[~model.fired], intensity[~model.fired] = 0, 0
     return StoredSweep(
@@ -223,6 +229,20 @@ def _alive(model: LidarModel, conditions: Conditions, seed: int) -> tuple[NDArra
         first, width = rng.integers(len(columns)), round(len(columns) * conditions.dead_sector_deg / 360)
         columns[(first + np.arange(width)) % len(columns)] = False
     return columns, rings
+
+
+def _hear_others(
+    model: LidarModel, conditions: Conditions, seed: int, steps: NDArray[np.uint16], intensity: NDArray[np.uint8]
+) -> None:
+    """Let beams of an image (C, R) take pulses of other sensors for their own where these come first."""
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, 1])))
+    count = rng.binomial(steps.size, conditions.crosstalk_share)
+    beams = rng.choice(steps.size, count, replace=False)
+    range_m = rng.uniform(model.min_range_m, model.max_range_m, count)
+    heard, own = np.maximum(range_m / step_of(model), 1.0).astype(np.uint16), steps.reshape(-1)[beams]
+    first = (own == 0) | (heard < own)
+    steps.reshape(-1)[beams[first]] = heard[first]
+    intensity.reshape(-1)[beams[first]] = rng.integers(1, 100, int(first.sum()))
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")

@@ -9,7 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-_SHARES = ("missing_share", "dead_ring_share", "dead_sector_share", "lost_block_share", "mixed_share")
+_SHARES = (
+    "missing_share",
+    "crosstalk_share",
+    "dead_ring_share",
+    "dead_sector_share",
+    "lost_block_share",
+    "mixed_share",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +41,8 @@ class Conditions:
     dead_ring_share: float = 0.0  # share of the rings that are dead
     dead_sector_share: float = 0.0  # chance that one sector of the revolution is lost
     dead_sector_deg: float = 30.0  # width of that sector, in degrees
+    # share of the beams that take a pulse of another sensor for their own, which comes at any time and counts if first
+    crosstalk_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name in _SHARES:
@@ -56,8 +65,10 @@ CONDITIONS: dict[str, Conditions] = {
     "dense_fog": Conditions(extinction_per_m=0.06, particles_per_m=0.3, particle_reach=0.15, wet=0.7, noise=1.4),
     "snow": Conditions(extinction_per_m=0.0035, particles_per_m=0.02, particle_reach=0.2, wet=0.9, noise=1.2),
     "faulty": Conditions(missing_share=0.03, lost_block_share=0.01, dead_ring_share=0.02, dead_sector_share=0.2),
+    "crosstalk": Conditions(crosstalk_share=0.003),
 }
-"""By name: 10 and 50 mm/h of rain, fog with 200 m and 50 m of visibility, 2 mm/h of snow, and a worn sensor."""
+"""By name: 10 and 50 mm/h of rain, fog with 200 m and 50 m of visibility, 2 mm/h of snow, a worn sensor, and
+sensors of others near by."""
 
 
 def conditions_named(name: str) -> Conditions:

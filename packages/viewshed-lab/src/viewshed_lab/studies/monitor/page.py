@@ -20,14 +20,14 @@ from viewshed.monitor.score import Past, added, numbers_of
 from viewshed.monitor.tails import peaks_of
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.studies.monitor.plan import MonitorPlan
-from viewshed_lab.studies.monitor.streams import StreamEvidence
+from viewshed_lab.studies.monitor.streams import ONSETS, StreamEvidence
 from viewshed_lab.studies.monitor.traces import Called
 
 ASKED = (1.0, 6.0, 10.0)
 """False alarms an hour."""
 
-HONEST = ("fog", "stated_noise")
-"""Cases that are no attack: weather that begins, and poses whose noise begins and is stated."""
+HONEST = (*ONSETS, "stated_noise")
+"""Cases that are no attack: conditions that begin, and poses whose noise begins and is stated."""
 
 TITLE = "Alarms of streams"
 

@@ -48,6 +48,9 @@ REPLAYED_SWEEPS = 20
 
 INDOOR = ("rooms", "corridors", "hall", "warehouse", "loft", "tunnel")
 
+ONSETS = ("fog", "crosstalk")
+"""Conditions that begin within one sweep: weather, and another sensor that comes near."""
+
 POSE_NOISE = (0.1, np.deg2rad(0.2))
 """Standard deviations of noisy poses: of each axis in meters, and of the yaw."""
 
@@ -286,8 +289,8 @@ def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past:
     Raises:
         ValueError: the attack cannot be made of these sweeps.
     """
-    if name == "fog":
-        yield from (_as_a_whole(stream.sweep(first + k, "fog")) for k in range(len(clean)))
+    if name in ONSETS:
+        yield from (_as_a_whole(stream.sweep(first + k, name)) for k in range(len(clean)))
         return
     azimuth: float | None = None
     rng_of_all = stream.rng("attack", name, first)
