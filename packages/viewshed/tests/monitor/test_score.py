@@ -15,8 +15,8 @@ from viewshed.monitor.score import (
     Past,
     Reference,
     SurpriseScale,
-    added,
     numbers_of,
+    sector_scores,
 )
 
 
@@ -145,4 +145,6 @@ def test_one_kind_beyond_doubt_counts_and_several_count_more_in_one_place() -> N
     surprises = np.zeros((3, 2, SECTORS))
     surprises[:, 0, 10] = 5.0
     surprises[1, 1, 10] = surprises[2, 1, 50] = 4.0
-    assert added(surprises).tolist() == [3.5, 6.0, 3.5]
+    assert sector_scores(surprises, np.zeros(2, np.bool_)).max(axis=1).tolist() == [3.5, 6.0, 3.5]
+    # Numbers of the sensor's state change together: the largest whole, half of the other.
+    assert sector_scores(surprises, np.ones(2, np.bool_)).max(axis=1).tolist() == [3.5, 4.75, 3.5]

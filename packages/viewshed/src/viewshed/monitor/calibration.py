@@ -25,7 +25,17 @@ from numpy.typing import ArrayLike
 from viewshed._files import DAMAGED, read_arrays, write_atomic
 from viewshed.arrays import F32, F64
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidence
-from viewshed.monitor.score import BESIDE, MEMORY_SWEEPS, ONSET_SWEEPS, Past, SurpriseScale, added, numbers_of
+from viewshed.monitor.score import (
+    BESIDE,
+    MEMORY_SWEEPS,
+    OF_SENSOR,
+    ONSET_SWEEPS,
+    Past,
+    SurpriseScale,
+    numbers_of,
+    sector_scores,
+    two_sided,
+)
 from viewshed.monitor.tails import heights_of, peaks_of, shape_of
 
 Promise = Literal["expected", "confident"]
@@ -121,13 +131,17 @@ class Calibration:
         strongest = [np.fmax.reduce(one, axis=2) for one in changes]
         scale = base.changes if base is not None else SurpriseScale.fit(strongest)
         # 3. Scores, each by the streams of other places, and their peaks.
-        scores = [added(scale(one)) for one in changes]
+        of_sensor = two_sided(kinds)
+        scores = [sector_scores(scale(one), of_sensor).max(axis=1) for one in changes]
         if base is None and len(set(kept)) > 1:
             others = {
                 place: SurpriseScale.fit([one for one, where in zip(strongest, kept, strict=True) if where != place])
                 for place in set(kept)
             }
-            scores = [added(others[place](one)) for one, place in zip(changes, kept, strict=True)]
+            scores = [
+                sector_scores(others[place](one), of_sensor).max(axis=1)
+                for one, place in zip(changes, kept, strict=True)
+            ]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
         shape = base.shape if base is not None else shape_of(heights_of(peaks)[1])
         return cls(
@@ -138,7 +152,7 @@ class Calibration:
     def score(self, changes: F32) -> tuple[float, F32]:
         """Return the score of standardized changes (E, SECTORS), and the surprise (E, SECTORS) of each."""
         surprises = self.changes(changes[None])
-        return float(added(surprises)[0]), surprises[0]
+        return float(sector_scores(surprises, OF_SENSOR).max()), surprises[0]
 
     def p_value(self, score: float) -> float:
         """Return the share of benign sweeps that score as high at least, going on beyond the highest."""
@@ -295,7 +309,7 @@ def evidence_id(kinds: Mapping[str, Evidence]) -> str:
 EVIDENCE_ID = evidence_id(EVIDENCE)
 """Of the evidence of this version; other numbers void a calibration, a release does not."""
 
-NAME, FORMAT_VERSION = "stream", 6
+NAME, FORMAT_VERSION = "stream", 7
 
 SHIPPED = Path(__file__).parent / "monitors" / "simulated.npz"
 """The shipped calibration."""

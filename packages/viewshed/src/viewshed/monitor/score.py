@@ -42,6 +42,9 @@ PRIOR_SWEEPS = 20
 RARE = 1.5
 """Surprise from which evidence counts, and is a reason: one benign sweep in thirty."""
 
+TOGETHER = 0.5
+"""Share by which evidence of the sensor's state counts beside the rarest of it."""
+
 LEAST_SCALE = 0.2
 """The scale is at least that: evidence that is 0 in nearly all sweeps differs by less than a fifth of its grain."""
 
@@ -67,14 +70,18 @@ def numbers_of(evidence: NDArray[np.floating[Any]], kinds: Mapping[str, Evidence
     return np.where(count > 0.0, np.log1p(mean / grains_of(kinds)[:, None]), np.float32(np.nan)).astype(np.float32)
 
 
+def two_sided(kinds: Mapping[str, Evidence]) -> NDArray[np.bool_]:
+    """Return for which kinds (E,) less than before is as suspicious as more: those of the sensor's state."""
+    return np.array([kind.two_sided for kind in kinds.values()])
+
+
+OF_SENSOR = two_sided(EVIDENCE)
+"""Which kinds (E,) of ``EVIDENCE`` are of the sensor's state."""
+
+
 def grains_of(kinds: Mapping[str, Evidence]) -> F32:
     """Return the grains (E,) of kinds of evidence."""
     return np.array([kind.grain for kind in kinds.values()], np.float32)
-
-
-def two_sided(kinds: Mapping[str, Evidence]) -> NDArray[np.bool_]:
-    """Return for which kinds of evidence (E,) less than before is as suspicious as more."""
-    return np.array([kind.two_sided for kind in kinds.values()])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,13 +250,20 @@ def _knots(known: F32, peaks: Sequence[F32]) -> tuple[F32, F32]:
     return np.maximum.accumulate(values).astype(np.float32), np.maximum.accumulate(surprises).astype(np.float32)
 
 
-def added(surprises: NDArray[np.floating[Any]]) -> F32:
-    """Return the score (N,) of surprises (N, E, SECTORS): the most that a sector's are beyond ``RARE``, added up.
+def sector_scores(surprises: NDArray[np.floating[Any]], of_sensor: NDArray[np.bool_]) -> F32:
+    """Return the scores (…, SECTORS) of surprises (…, E, SECTORS): what they are beyond ``RARE``, added up.
 
-    NaN counts as none.
+    NaN counts as none. Kinds (E,) ``of_sensor`` change together on benign sweeps, as height and roughness do where the
+    ground is another: the largest counts whole, the others by ``TOGETHER``.
 
-    >>> added(np.array([[[1.5, 1.0], [0.0, 0.0]], [[4.0, 1.0], [2.5, 3.0]], [[np.nan, 9.0], [3.0, np.nan]]])).tolist()
-    [0.0, 3.5, 7.5]
+    >>> surprises = np.array([[[1.5, 1.0], [4.5, 2.5]], [[np.nan, 9.0], [3.0, np.nan]]])
+    >>> sector_scores(surprises, np.array([False, False])).tolist()
+    [[3.0, 1.0], [1.5, 7.5]]
+    >>> sector_scores(np.array([[[4.5], [3.5]]]), np.array([True, True])).tolist()
+    [[4.0]]
     """
     beyond = np.maximum(np.nan_to_num(surprises) - RARE, 0.0)
-    return np.asarray(beyond.sum(axis=1).max(axis=-1), np.float32)
+    state = beyond[..., of_sensor, :]
+    largest = state.max(axis=-2, initial=0.0)
+    rest = TOGETHER * (state.sum(axis=-2) - largest)
+    return np.asarray(beyond[..., ~of_sensor, :].sum(axis=-2) + largest + rest, np.float32)

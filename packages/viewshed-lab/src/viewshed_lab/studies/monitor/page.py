@@ -16,7 +16,7 @@ from viewshed.arrays import F32, F64
 from viewshed.monitor.calibration import Calibration, changes_of
 from viewshed.monitor.evidence import EVIDENCE
 from viewshed.monitor.roc import auroc
-from viewshed.monitor.score import Past, added, numbers_of
+from viewshed.monitor.score import OF_SENSOR, Past, numbers_of, sector_scores
 from viewshed.monitor.tails import peaks_of
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.studies.monitor.plan import MonitorPlan
@@ -73,7 +73,7 @@ def judge(calibration: Calibration, stream: StreamEvidence) -> Judged:
                 attacked[case, k] = calibration.changes(changes[None])[0]
                 branch.add(tampered)
         past.add(evidence)
-    return Judged(stream, added(surprises), surprises, attacked)
+    return Judged(stream, _scores(surprises), surprises, attacked)
 
 
 def _scores_alone(judged: Judged) -> Judged:
@@ -185,8 +185,8 @@ def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
 
 
 def _scores(surprises: F32) -> F32:
-    """Return the scores (C, K) of surprises (C, K, E, SECTORS)."""
-    return added(surprises.reshape(-1, *surprises.shape[2:])).reshape(surprises.shape[:2])
+    """Return the scores (…) of surprises (…, E, SECTORS)."""
+    return np.asarray(sector_scores(surprises, OF_SENSOR).max(axis=-1))
 
 
 def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
@@ -226,7 +226,7 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
     rows = []
     for name in ["none", *EVIDENCE]:
         kept = np.array([[kind != name] for kind in EVIDENCE])
-        benign = [added(one.surprises * kept) for one in judged]
+        benign = [_scores(one.surprises * kept) for one in judged]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in benign]))[::-1]
         own_limit = float(peaks[min(count, len(peaks) - 1)]) if len(peaks) else 0.0
         every = np.concatenate(benign)
