@@ -164,6 +164,8 @@ def monitor(
 
     plan, folder = MonitorPlan.load(preset), _folder(out, "monitor")
     failed = list(run_streams(plan, folder / "streams", LocalEngine(workers), typer.echo)) if run else []
+    for line in failed:
+        typer.echo(line, err=True)
     calibrated = folder / "monitor.npz"
     if run or not calibrated.exists():
         streams = list(read_streams(folder / "streams", "calibration"))

@@ -28,13 +28,11 @@ from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS, Evidenc
 from viewshed.monitor.score import (
     BESIDE,
     MEMORY_SWEEPS,
-    OF_SENSOR,
     ONSET_SWEEPS,
     Past,
     SurpriseScale,
     numbers_of,
     sector_scores,
-    two_sided,
 )
 from viewshed.monitor.tails import heights_of, peaks_of, shape_of
 
@@ -131,17 +129,13 @@ class Calibration:
         strongest = [np.fmax.reduce(one, axis=2) for one in changes]
         scale = base.changes if base is not None else SurpriseScale.fit(strongest)
         # 3. Scores, each by the streams of other places, and their peaks.
-        of_sensor = two_sided(kinds)
-        scores = [sector_scores(scale(one), of_sensor).max(axis=1) for one in changes]
+        scores = [sector_scores(scale(one)).max(axis=1) for one in changes]
         if base is None and len(set(kept)) > 1:
             others = {
                 place: SurpriseScale.fit([one for one, where in zip(strongest, kept, strict=True) if where != place])
                 for place in set(kept)
             }
-            scores = [
-                sector_scores(others[place](one), of_sensor).max(axis=1)
-                for one, place in zip(changes, kept, strict=True)
-            ]
+            scores = [sector_scores(others[place](one)).max(axis=1) for one, place in zip(changes, kept, strict=True)]
         peaks = np.sort(np.concatenate([peaks_of(one) for one in scores]).astype(np.float64))
         shape = base.shape if base is not None else shape_of(heights_of(peaks)[1])
         return cls(
@@ -152,7 +146,7 @@ class Calibration:
     def score(self, changes: F32) -> tuple[float, F32]:
         """Return the score of standardized changes (E, SECTORS), and the surprise (E, SECTORS) of each."""
         surprises = self.changes(changes[None])
-        return float(sector_scores(surprises, OF_SENSOR).max()), surprises[0]
+        return float(sector_scores(surprises).max()), surprises[0]
 
     def p_value(self, score: float) -> float:
         """Return the share of benign sweeps that score as high at least, going on beyond the highest."""

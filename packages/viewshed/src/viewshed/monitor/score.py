@@ -42,8 +42,8 @@ PRIOR_SWEEPS = 20
 RARE = 1.5
 """Surprise from which evidence counts, and is a reason: one benign sweep in thirty."""
 
-TOGETHER = 0.5
-"""Share by which evidence of the sensor's state counts beside the rarest of it."""
+TOGETHER = 1.5
+"""Exponent of the norm that puts surprises together."""
 
 LEAST_SCALE = 0.2
 """The scale is at least that: evidence that is 0 in nearly all sweeps differs by less than a fifth of its grain."""
@@ -71,12 +71,8 @@ def numbers_of(evidence: NDArray[np.floating[Any]], kinds: Mapping[str, Evidence
 
 
 def two_sided(kinds: Mapping[str, Evidence]) -> NDArray[np.bool_]:
-    """Return for which kinds (E,) less than before is as suspicious as more: those of the sensor's state."""
+    """Return for which kinds (E,) less than before is as suspicious as more."""
     return np.array([kind.two_sided for kind in kinds.values()])
-
-
-OF_SENSOR = two_sided(EVIDENCE)
-"""Which kinds (E,) of ``EVIDENCE`` are of the sensor's state."""
 
 
 def grains_of(kinds: Mapping[str, Evidence]) -> F32:
@@ -250,20 +246,15 @@ def _knots(known: F32, peaks: Sequence[F32]) -> tuple[F32, F32]:
     return np.maximum.accumulate(values).astype(np.float32), np.maximum.accumulate(surprises).astype(np.float32)
 
 
-def sector_scores(surprises: NDArray[np.floating[Any]], of_sensor: NDArray[np.bool_]) -> F32:
-    """Return the scores (…, SECTORS) of surprises (…, E, SECTORS): what they are beyond ``RARE``, added up.
+def sector_scores(surprises: NDArray[np.floating[Any]]) -> F32:
+    """Return the scores (…, SECTORS) of surprises (…, E, SECTORS): the norm of what they are beyond ``RARE``.
 
-    NaN counts as none. Kinds (E,) ``of_sensor`` change together on benign sweeps, as height and roughness do where the
-    ground is another: the largest counts whole, the others by ``TOGETHER``.
+    NaN counts as none. The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: kinds of
+    evidence change together on benign sweeps, as height and roughness do where the ground is another.
 
-    >>> surprises = np.array([[[1.5, 1.0], [4.5, 2.5]], [[np.nan, 9.0], [3.0, np.nan]]])
-    >>> sector_scores(surprises, np.array([False, False])).tolist()
-    [[3.0, 1.0], [1.5, 7.5]]
-    >>> sector_scores(np.array([[[4.5], [3.5]]]), np.array([True, True])).tolist()
-    [[4.0]]
+    >>> surprises = np.array([[[2.5, 1.0], [2.5, 9.5]], [[np.nan, 1.0], [3.5, np.nan]]])
+    >>> sector_scores(surprises).round(3).tolist()
+    [[1.587, 8.0], [2.0, 0.0]]
     """
     beyond = np.maximum(np.nan_to_num(surprises) - RARE, 0.0)
-    state = beyond[..., of_sensor, :]
-    largest = state.max(axis=-2, initial=0.0)
-    rest = TOGETHER * (state.sum(axis=-2) - largest)
-    return np.asarray(beyond[..., ~of_sensor, :].sum(axis=-2) + largest + rest, np.float32)
+    return np.asarray((beyond**TOGETHER).sum(axis=-2) ** (1.0 / TOGETHER), np.float32)

@@ -30,7 +30,7 @@ NUMBERS: dict[str, tuple[int, float, float]] = {
     "near_returns": (1, 0, 0),
     "range_noise": (1, 0.0143858, 0.0143858),
     "ground_roughness": (1, 0.0130753, 0.0130753),
-    "isolated": (1, 0.00338204, 0.00338204),
+    "isolated": (2, 0.00338204, 0.00338204),
 }
 """Of each evidence its version, and the mean and the largest number of all sectors where it does not abstain."""
 

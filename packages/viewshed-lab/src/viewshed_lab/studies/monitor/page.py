@@ -16,7 +16,7 @@ from viewshed.arrays import F32, F64
 from viewshed.monitor.calibration import Calibration, changes_of
 from viewshed.monitor.evidence import EVIDENCE
 from viewshed.monitor.roc import auroc
-from viewshed.monitor.score import OF_SENSOR, Past, numbers_of, sector_scores
+from viewshed.monitor.score import Past, numbers_of, sector_scores
 from viewshed.monitor.tails import peaks_of
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.studies.monitor.plan import MonitorPlan
@@ -186,7 +186,7 @@ def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
 
 def _scores(surprises: F32) -> F32:
     """Return the scores (…) of surprises (…, E, SECTORS)."""
-    return np.asarray(sector_scores(surprises, OF_SENSOR).max(axis=-1))
+    return np.asarray(sector_scores(surprises).max(axis=-1))
 
 
 def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
@@ -257,9 +257,12 @@ def _clean(judged: Sequence[Judged]) -> str:
 
 def _worsened(judged: Sequence[Judged]) -> str:
     """Return in what share of the streams a corruption of the highest severity makes the sensor degraded in .5 s."""
-    names = list(judged[0].stream.worsened)
-    shares = {name: float(np.mean([one.stream.worsened[name] for one in judged])) for name in names}
-    rows = [[name, f"{shares[name]:.2f}"] for name in names]
+    called: dict[str, list[bool]] = defaultdict(list)
+    for one in judged:
+        for name, found in one.stream.worsened.items():
+            called[name].append(found)
+    shares = {name: float(np.mean(found)) for name, found in called.items()}
+    rows = [[name, f"{share:.2f}"] for name, share in shares.items()]
     return table(["corruption, severity 5", "share called"], [*rows, ["mean", f"{np.mean([*shares.values()]):.2f}"]])
 
 

@@ -173,7 +173,7 @@ class StreamEvidence:
         attacked: (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps.
         touched: (C, SECTORS) bool, where returns were added or removed.
         degraded: (T,) bool, sweeps of which the monitor says that the sensor sees worse than it did.
-        worsened: whether it says so of a corruption that begins after them and lasts, by its name.
+        worsened: whether it says so of a corruption that begins after them and lasts, by its name, where made.
     """
 
     name: str
@@ -263,7 +263,11 @@ def measure_stream(stream: Stream) -> StreamEvidence:
         stream.name, stream.style, facts, tuple(EVIDENCE), np.stack(benign), tuple(cases),
         np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
         np.array(degraded, np.bool_),
-        {name: _worsens(stream, name, sweeps[-NOW_SWEEPS:], state) for name in corruptions},
+        {
+            name: found
+            for name in corruptions
+            if (found := _worsens(stream, name, sweeps[-NOW_SWEEPS:], state)) is not None
+        },
     )  # fmt: skip
 
 
@@ -274,11 +278,18 @@ def _speed(places_m: NDArray[np.float64], hz: float) -> str:
     return next((words for most, words in SPEEDS if speed_mps < most), "10 m/s or more")
 
 
-def _worsens(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorState) -> bool:
-    """Return whether a corruption of the highest severity makes a sensor degraded that goes on to measure sweeps."""
+def _worsens(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorState) -> bool | None:
+    """Return whether a corruption of the highest severity makes a sensor degraded that goes on to measure sweeps.
+
+    None where it cannot be made of them, as beams of a sensor without rings.
+    """
     state, rng, found = deepcopy(state), stream.rng("corruption", name), False
     for sweep in sweeps:
-        leveled = level(CORRUPTIONS[name](SEVEREST).apply(sweep, rng), stream.grid)
+        try:
+            corrupted = CORRUPTIONS[name](SEVEREST).apply(sweep, rng)
+        except ValueError:
+            return None
+        leveled = level(corrupted, stream.grid)
         found = bool(state.check(leveled, measure_all(MonitoredSweep(leveled))))
     return found
 

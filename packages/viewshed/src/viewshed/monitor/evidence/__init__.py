@@ -70,7 +70,8 @@ EVIDENCE: dict[str, Evidence] = {evidence.name: evidence for evidence in (
     Evidence("ground_roughness", sensor.measure_ground_roughness, 0.003,
              "ground returns lie {value:.3f} m from the ground, unlike before", two_sided=True),
     Evidence("isolated", sensor.measure_isolated, 0.02,
-             "{value:.1%} of the returns are isolated, unlike before", two_sided=True),
+             "{value:.1%} of the returns are isolated, unlike before", two_sided=True,
+             version=2),
 )}  # fmt: skip
 """By name, in the order of a score's rows."""
 

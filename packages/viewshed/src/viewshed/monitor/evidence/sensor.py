@@ -70,10 +70,13 @@ def measure_ground_roughness(monitored: MonitoredSweep) -> F32:
 def measure_isolated(monitored: MonitoredSweep) -> F32:
     """Return the share of isolated returns (SECTORS,), the same in all sectors; abstains where rings are not known.
 
-    No neighboring beam confirms them: noise, rain and free points, not surfaces.
+    No neighboring beam confirms them: noise, rain and free points, not surfaces. Where no table explains the rings that
+    the points show, as many are isolated as fall beside those, which differs from sweep to sweep.
     """
-    image = monitored.leveled.range_image
-    return ABSTAINS if image is None or not len(image.isolated) else _everywhere(image.isolated.mean())
+    image, layout = monitored.leveled.range_image, monitored.leveled.sensor_id.layout
+    if image is None or layout is not None or not len(image.isolated):
+        return ABSTAINS
+    return _everywhere(image.isolated.mean())
 
 
 def measure_jump(monitored: MonitoredSweep) -> F32:
