@@ -57,6 +57,9 @@ QUESTIONS = ("reports", "opened", "misplaced", "through", "withheld")
 much more its view opened at once than it closed; how its surfaces lie beside those of others; what it sees through; at
 how many looks it withholds objects that it reported and that its own view still holds."""
 
+TOGETHER = 1.5
+"""Exponent of the norm that puts answers together."""
+
 USUAL, LEAST_SPREAD = 0.9, 0.1
 """Share of honest agents whose answers are usual, and nats by which the others go beyond on average at least."""
 
@@ -429,14 +432,15 @@ class TrustLimits:
         return 1.0 / (len(self.score) + 1.0)
 
     def scores(self, answers: F64, elevated: Mask) -> F64:
-        """Return by how much the answers (A, 5) of each agent are beyond the usual ones of its kind, added up (A,).
+        """Return the norm (A,) of what the answers (A, 5) of each agent are beyond the usual ones of its kind.
 
-        Honest agents are unusual in one answer at a time, liars often in several. Of an agent whose answers are all
-        usual it is the one nearest to that, below 0.
+        The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: liars are often unusual in
+        several answers, honest agents at times. Where all answers are usual it is the one nearest to that, below 0.
         """
         kind = elevated.astype(np.intp)
         beyond = (answers - self.usual[kind]) / self.spread[kind]
-        return np.asarray(np.maximum(beyond, 0.0).sum(axis=1) + np.minimum(beyond.max(axis=1), 0.0))
+        norm = (np.maximum(beyond, 0.0) ** TOGETHER).sum(axis=1) ** (1.0 / TOGETHER)
+        return np.asarray(norm + np.minimum(beyond.max(axis=1), 0.0))
 
     def accused(self, answers: F64, elevated: Mask, rate: float) -> Mask:
         """Return who is accused (A,) by the answers of each (A, 5): somebody in this share of benign scenes.
