@@ -53,9 +53,9 @@ MOST_LIARS = 2
 """Agents that may lie together; never more than half of them."""
 
 QUESTIONS = ("reports", "opened", "misplaced", "through", "withheld")
-"""What may speak against an agent, each on a scale of its own, for the noise of one drowns another: evidence of its reports; by how
-much more its view opened at once than it closed; how its surfaces lie beside those of others; what it sees through; at
-how many looks it withholds objects that it reported and that its own view still holds."""
+"""What may speak against an agent, each on a scale of its own, for the noise of one drowns another: evidence of its
+reports; by how much more its view opened at once than it closed; how its surfaces lie beside those of others; what it
+sees through; at how many looks it withholds objects that it reported and that its own view still holds."""
 
 TOGETHER = 1.5
 """Exponent of the norm that puts answers together."""
