@@ -111,7 +111,9 @@ def test_what_one_invents_and_two_deny_is_not_believed_and_it_is_suspected() -> 
 def test_what_one_conceals_stays_and_it_is_suspected() -> None:
     said = [[CARS, CARS, CARS]] * 2 + [[CARS[:0], CARS, CARS]] * 8
     [*_, last] = run(said)
-    assert last.believed.sum() == 2
+    # Its own view holds something there; in the scenes of the model about half of what is denied so is no object.
+    assert len(last.existence) == 2
+    assert last.existence.min() > 0.4
     assert last.verdicts.evidence.argmax() == 0
 
 

@@ -53,9 +53,12 @@ MOST_LIARS = 2
 """Agents that may lie together; never more than half of them."""
 
 QUESTIONS = ("reports", "opened", "misplaced", "through", "withheld")
-"""What may speak against an agent, each by itself, for the noise of one drowns another: evidence of its reports; by how
-much more its view opened at once than it closed; how its surfaces lie beside those of others; what it sees through; at
-how many looks it withholds objects that it reported and that its own view still holds."""
+"""What may speak against an agent, each on a scale of its own, for the noise of one drowns another: evidence of its
+reports; by how much more its view opened at once than it closed; how its surfaces lie beside those of others; what it
+sees through; at how many looks it withholds objects that it reported and that its own view still holds."""
+
+TOGETHER = 1.5
+"""Exponent of the norm that puts answers together."""
 
 USUAL, LEAST_SPREAD = 0.9, 0.1
 """Share of honest agents whose answers are usual, and nats by which the others go beyond on average at least."""
@@ -380,8 +383,8 @@ class TrustLimits:
     """Accuses agents at a stated rate, calibrated on benign scenes.
 
     Answers to all ``QUESTIONS`` are put on one scale by those of honest agents, low or elevated, of benign scenes. The
-    unit is the scene: whoever is accused must stand higher on that scale, by any question, than anybody of nearly all
-    benign scenes does on the scale of the others (a jackknife: one scene moves the scale hardly). If the scene at hand
+    unit is the scene: whoever is accused must stand higher on that scale than anybody of nearly all benign scenes does
+    on the scale of the others (a jackknife: one scene moves the scale hardly). If the scene at hand
     is one like those (exchangeable), somebody is accused in at most the stated share of benign scenes, however the
     agents of one scene depend on each other.
     """
@@ -429,9 +432,15 @@ class TrustLimits:
         return 1.0 / (len(self.score) + 1.0)
 
     def scores(self, answers: F64, elevated: Mask) -> F64:
-        """Return the highest one (A,) of the answers (A, 5) of each agent, on the scale of those of its kind."""
+        """Return the norm (A,) of what the answers (A, 5) of each agent are beyond the usual ones of its kind.
+
+        The norm of the exponent ``TOGETHER`` is more than the largest and less than the sum: liars are often unusual in
+        several answers, honest agents at times. Where all answers are usual it is the one nearest to that, below 0.
+        """
         kind = elevated.astype(np.intp)
-        return np.asarray(((answers - self.usual[kind]) / self.spread[kind]).max(axis=1))
+        beyond = (answers - self.usual[kind]) / self.spread[kind]
+        norm = (np.maximum(beyond, 0.0) ** TOGETHER).sum(axis=1) ** (1.0 / TOGETHER)
+        return np.asarray(norm + np.minimum(beyond.max(axis=1), 0.0))
 
     def accused(self, answers: F64, elevated: Mask, rate: float) -> Mask:
         """Return who is accused (A,) by the answers of each (A, 5): somebody in this share of benign scenes.
