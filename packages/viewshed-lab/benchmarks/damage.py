@@ -98,8 +98,8 @@ DAMAGES = {
         "there is less than its sizes name",
     ),
     "no points": Damage(
-        lambda cloud: replace(cloud, width=0, row_step=0, data=cloud.data[:0]), "must have usable returns",
-        "a sensor that sees nothing: the monitor cannot say whether that is so",
+        lambda cloud: replace(cloud, width=0, row_step=0, data=cloud.data[:0]), "",
+        "a sensor that sees nothing: nothing is claimed, and the monitor alarms",
     ),
     "all NaN": Damage(_all_nan, "", "points that are no numbers are left out: none is left, and the monitor alarms"),
     "bytes the other way round": Damage(_swapped, "", "its numbers are noise, and no layout tells"),

@@ -87,7 +87,7 @@ class Robot:
         raise AssertionError(f"{client.srv_name} does not answer")
 
     def transition(self, number: int) -> bool:
-        """Ask for a transition; where its answer was lost, the second is a refusal, and the state says that it came about."""
+        """Ask for a transition; where its answer was lost, the second is a refusal, and the state tells."""
         succeeded = self.call(self.change, ChangeState.Request(transition=Transition(id=number))).success
         return bool(succeeded) or self.state_now() == GOALS[number]
 

@@ -253,7 +253,7 @@ def sector_scores(surprises: NDArray[np.floating[Any]]) -> F32:
     evidence change together on benign sweeps, as height and roughness do where the ground is another.
 
     >>> surprises = np.array([[[2.5, 1.0], [2.5, 9.5]], [[np.nan, 1.0], [3.5, np.nan]]])
-    >>> sector_scores(surprises).round(3).tolist()
+    >>> sector_scores(surprises).astype(float).round(3).tolist()
     [[1.587, 8.0], [2.0, 0.0]]
     """
     beyond = np.maximum(np.nan_to_num(surprises) - RARE, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from viewshed.arrays import F32, Mask
 from viewshed.monitor.calibration import Calibration
 from viewshed.monitor.evidence import EARLIER_SWEEPS, EVIDENCE, SECTORS
-from viewshed.monitor.score import Past, numbers_of, sector_scores
+from viewshed.monitor.score import RARE, Past, numbers_of
 from viewshed.monitor.tails import CALM_SWEEPS
 
 MOST_HELD_SWEEPS = 100
@@ -98,5 +98,5 @@ class Watch:
 
 def suspect_sectors(sectors: F32) -> Mask:
     """Return the mask (SECTORS,) of sectors whose surprises (E, SECTORS) add up to nearly as much as the highest's."""
-    scores = sector_scores(sectors)
-    return np.asarray(scores > max(float(scores.max()) - 1.0, 0.0), np.bool_)
+    beyond = np.maximum(np.nan_to_num(sectors) - RARE, 0.0).sum(axis=0)
+    return np.asarray(beyond > max(float(beyond.max()) - 1.0, 0.0), np.bool_)
