@@ -264,9 +264,9 @@ def measure_stream(stream: Stream) -> StreamEvidence:
         np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
         np.array(degraded, np.bool_),
         {
-            name: found
+            name: called
             for name in corruptions
-            if (found := _worsens(stream, name, sweeps[-NOW_SWEEPS:], state)) is not None
+            if (called := _worsens(stream, name, sweeps[-NOW_SWEEPS:], state)) is not None
         },
     )  # fmt: skip
 
