@@ -104,8 +104,8 @@ def _shift_m(before: LeveledSweep, after: LeveledSweep) -> NDArray[np.float64]:
     key = ("shift", ref(before))
     shift: NDArray[np.float64] | None = after.derived.get(key)
     if shift is None:
-        cells = [_obstacles_of(each) for each in (after, before)]
-        shift = after.derived[key] = np.array(_core.best_shift(*cells, _SHIFTS)) * _CELL_M
+        cells = _core.best_shift(_obstacles_of(after), _obstacles_of(before), _SHIFTS)
+        shift = after.derived[key] = np.array(cells, np.float64) * _CELL_M
     return shift
 
 
