@@ -182,7 +182,9 @@ def _profile_cost(name: str, profile: Profile, sweeps: Mapping[str, Sweep], coun
         with tempfile.TemporaryDirectory() as folder:
             _write({size: sweeps[size]}, Path(folder))
             command = [sys.executable, "-m", "benchmarks.robot_profile", name, f"{folder}/{size}.npz", str(count)]
-            done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
+            done = subprocess.run(
+                command, check=True, capture_output=True, text=True, cwd=ROOT / "packages/viewshed-lab"
+            )
         found = json.loads(done.stdout)
         cells += [f"{found['median_ms']:.1f}", f"{found['processor_ms']:.1f}"]
     return [*cells, f"{found['memory_mb']:.0f}"]
