@@ -34,7 +34,8 @@ from viewshed.sweep import Sweep
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.sim import cast, junction
 
-ROOT = Path(__file__).resolve().parents[3]
+HERE = Path(__file__).resolve().parents[1]
+ROOT = HERE.parents[1]
 PAGE = ROOT / "docs" / "results" / "robot.md"
 COSTMAP = PAGE.with_name("costmap.png")
 SEED = 20_261_123
