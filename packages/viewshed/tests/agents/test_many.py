@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 
 from viewshed.agents.honest import honest_model
-from viewshed.agents.many import (
-    AgentReport,
-    CommandCenter,
-    CommonPicture,
-    chances,
-    confirmed,
-    joint_fov,
-    match_agents,
-)
+from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, chances, confirmed, joint_fov, match_agents
 from viewshed.agents.trust import QUESTIONS
 from viewshed.agents.view_message import SensorFacts, ViewMessage
 from viewshed.detections import Detections

@@ -111,8 +111,7 @@ def test_a_center_of_one_agent_says_that_nobody_contradicts_it() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["a class that nobody knows", "views without objects", "one agent only", "agents that never overlap"],
+    "kind", ["a class that nobody knows", "views without objects", "one agent only", "agents that never overlap"]
 )
 def test_what_is_odd_is_noted_and_nobody_is_accused(kind: str) -> None:
     said, note = odd(kind)

@@ -12,14 +12,7 @@ from hypothesis import strategies as st
 from tests.agents import message_samples as samples
 
 from viewshed.agents import cbor
-from viewshed.agents.view_message import (
-    FIELDS,
-    MAX_BYTES,
-    MAX_DETECTIONS,
-    SensorFacts,
-    decode_message,
-    encode_message,
-)
+from viewshed.agents.view_message import FIELDS, MAX_BYTES, MAX_DETECTIONS, SensorFacts, decode_message, encode_message
 from viewshed.detections import Detections
 
 ROOT = Path(__file__).resolve().parents[4]
