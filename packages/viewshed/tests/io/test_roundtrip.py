@@ -100,18 +100,6 @@ def test_rows_keep_points_and_intensity(sweep: Sweep, tmp_path: Path) -> None:
         assert same(sweep.ring, back.ring)
 
 
-def test_nuscenes_file_is_in_nuscenes_frame(tmp_path: Path) -> None:
-    write_sweep(Sweep(np.array([[7.0, -2.0, 1.0]], np.float32), ring=np.array([4], np.int16)), tmp_path / "a.pcd.bin")
-    assert np.fromfile(tmp_path / "a.pcd.bin", "<f4").tolist() == [2.0, 7.0, 1.0, 0.0, 4.0]
-
-
-def test_kitti_file_is_rows_of_four_floats(tmp_path: Path) -> None:
-    write_sweep(
-        Sweep(np.array([[7.0, -2.0, 1.0]], np.float32), intensity=np.array([0.5], np.float32)), tmp_path / "a.bin"
-    )
-    assert np.fromfile(tmp_path / "a.bin", "<f4").tolist() == [7.0, -2.0, 1.0, 0.5]
-
-
 def test_written_files_replace_the_old_one_and_leave_nothing_else(tmp_path: Path) -> None:
     for name in ("a.bin", "a.bin"):
         write_sweep(Sweep(np.ones((3, 3), np.float32)), tmp_path / name)
