@@ -8,10 +8,9 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from tests.pipeline.test_stream import SMALL, alarming, at, shadow_map
+from tests.pipeline.test_stream import SMALL, alarming, at, estimator_of, shadow_map, waiting_estimator
 
 from viewshed import Sweep
-from viewshed.estimators import Estimator
 from viewshed.fov.estimate import FovEstimate
 from viewshed.pipeline import Answer, Caution, Pipeline, Statistics, reactions
 from viewshed.preprocess.leveling import LeveledSweep
@@ -43,17 +42,6 @@ class Failing:
         if isinstance(self.outcome, BaseException):
             raise self.outcome
         return self.outcome
-
-
-class Stub:
-    """An estimator whose ``estimate`` is a function."""
-
-    def __init__(self, estimate: Callable[..., Any]) -> None:
-        self.grid, self.estimate = shadow_map().grid, estimate
-
-
-def estimator_of(estimate: Callable[..., Any]) -> Estimator:
-    return cast(Estimator, Stub(estimate))
 
 
 def closed(pipeline: Pipeline) -> Statistics | BaseException:
@@ -122,6 +110,8 @@ def test_an_error_costs_its_sweep_and_no_other(place: str, monkeypatch: pytest.M
         assert refused.refused == "the cable is loose"
         assert refused.speed_mps == 0.0
         assert refused.reaction.caution >= Caution.ASK
+        assert {answer.reaction.caution for answer in answers if answer.number < THIRD} == {Caution.KEEP}
+        assert min(answer.reaction.caution for answer in answers if answer.number > THIRD) == Caution.ASK
         assert statistics.refused == {"the cable is loose": 1}
 
 
@@ -176,14 +166,8 @@ def test_a_publish_that_hangs_costs_the_answers_but_the_newest_and_closing_says_
 
 
 def test_an_estimator_that_hangs_is_left_behind_when_the_pipeline_closes() -> None:
-    free = threading.Event()
-
-    def estimate(leveled: LeveledSweep, history: object = None) -> FovEstimate:
-        free.wait(60)
-        return shadow_map().estimate(leveled)
-
-    free.set()
-    pipeline = Pipeline(estimator_of(estimate), lambda answer: None)
+    free, estimator = waiting_estimator()
+    pipeline = Pipeline(estimator, lambda answer: None)
     free.clear()
     pipeline._answering[1].patience_s = 0.3
     pipeline.put(at(0.0, TINY))
@@ -250,14 +234,8 @@ def test_an_estimator_that_dies_while_a_put_waits_for_room_wakes_it() -> None:
 def test_a_driver_may_use_its_buffer_again_once_put_returns() -> None:
     """Each sweep waits while the buffer is filled with the next one."""
     answers: list[Answer] = []
-    free = threading.Event()
-
-    def estimate(leveled: LeveledSweep, history: object = None) -> FovEstimate:
-        free.wait(10)
-        return shadow_map().estimate(leveled)
-
-    free.set()
-    pipeline = Pipeline(estimator_of(estimate), answers.append, waiting=9, lossless=True)
+    free, estimator = waiting_estimator()
+    pipeline = Pipeline(estimator, answers.append, waiting=9, lossless=True)
     free.clear()
     points, intensity = TINY.points.copy(), np.zeros(len(TINY), np.float32)
     for n in range(4):

@@ -3,14 +3,12 @@
 import threading
 import time
 from collections.abc import Callable
-from typing import cast
 
 import numpy as np
 import pytest
-from tests.pipeline.test_failures import TINY, Stub
-from tests.pipeline.test_stream import alarming, at, shadow_map
+from tests.pipeline.test_failures import TINY
+from tests.pipeline.test_stream import alarming, at, estimator_of, shadow_map
 
-from viewshed.estimators import Estimator
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.pipeline import Answer, Caution, Pipeline, speed_for_view
 from viewshed.preprocess.leveling import LeveledSweep
@@ -109,7 +107,7 @@ def test_an_answer_that_took_too_long_claims_nothing() -> None:
             time.sleep(0.5)
         return shadow_map().estimate(leveled)
 
-    with Pipeline(cast(Estimator, Stub(estimate)), answers.append, stale_after_s=0.4) as pipeline:
+    with Pipeline(estimator_of(estimate), answers.append, stale_after_s=0.4) as pipeline:
         slow.set()
         pipeline.put(at(0.0))
     assert len(answers) == 1
