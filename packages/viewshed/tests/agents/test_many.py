@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 
 from viewshed.agents.honest import honest_model
 from viewshed.agents.many import AgentReport, CommandCenter, CommonPicture, chances, confirmed, joint_fov, match_agents
+from viewshed.agents.rounds import Round
 from viewshed.agents.trust import QUESTIONS
-from viewshed.agents.view_message import SensorFacts, ViewMessage
+from viewshed.agents.view_message import MAX_DETECTIONS, SensorFacts, ViewMessage
 from viewshed.detections import Detections
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.geometry import Rigid
@@ -49,15 +51,19 @@ def report(estimate: FovEstimate, boxes: np.ndarray, *, standing: np.ndarray | N
 AGENTS = [view("a"), view("b", 4.0, -9.0, 0.5), view("c", -5.0, -4.0, 2.0)]
 
 
+NAMES = ("a", "b", "c")
+
+
+def follow(center: CommandCenter, said: list[list[AgentReport]]) -> list[CommonPicture]:
+    return [center.add(0.5 * number, reports) for number, reports in enumerate(said)]
+
+
 def run(said: list[list[np.ndarray]], *, trusting: bool = False) -> list[CommonPicture]:
     """Return the pictures of what three agents report, time after time."""
-    center = CommandCenter(("a", "b", "c"), trusting=trusting)
-    return [
-        center.add(
-            0.5 * time, [report(agent, boxes, standing=CARS) for agent, boxes in zip(AGENTS, reports, strict=True)]
-        )
-        for time, reports in enumerate(said)
+    reports = [
+        [report(agent, boxes, standing=CARS) for agent, boxes in zip(AGENTS, each, strict=True)] for each in said
     ]
+    return follow(CommandCenter(NAMES, trusting=trusting), reports)
 
 
 def test_what_all_report_is_one_track_each_and_believed() -> None:
@@ -80,12 +86,9 @@ def test_who_withholds_what_its_own_view_holds_is_told_by_how_long() -> None:
 
 
 def test_who_no_longer_holds_a_surface_withholds_nothing() -> None:
-    center = CommandCenter(("a", "b", "c"))
-    for time in range(9):
-        seen = CARS if time < 5 else CARS[:1]
-        said = [report(AGENTS[0], CARS), report(AGENTS[1], CARS), report(AGENTS[2], seen)]
-        answers = center.add(0.5 * time, said).verdicts.answers
-    assert not answers[:, QUESTIONS.index("withheld")].any()
+    honest = [report(agent, CARS) for agent in AGENTS]
+    last = follow(CommandCenter(NAMES), [honest] * 5 + [[*honest[:2], report(AGENTS[2], CARS[:1])]] * 4)[-1]
+    assert not last.verdicts.answers[:, QUESTIONS.index("withheld")].any()
 
 
 def test_what_one_invents_and_two_deny_is_not_believed_and_it_is_suspected() -> None:
@@ -134,8 +137,10 @@ def test_reports_of_strangers_doubles_and_the_past_are_refused() -> None:
     with pytest.raises(ValueError, match="one each"):
         center.add(0.0, [report(view("a"), CARS), report(view("a"), CARS)])
     center.add(1.0, [report(view("a"), CARS)])
-    with pytest.raises(ValueError, match="must rise"):
-        center.add(1.0, [report(view("a"), CARS)])
+    for t_s, words in ((1.0, "must rise"), (0.5, r"must rise, got 0\.500 s after 1\.000 s")):
+        with pytest.raises(ValueError, match=words):
+            center.add(t_s, [report(view("a"), CARS)])
+    assert len(center.add(1.5, [report(view("a"), CARS)]).tracks) == 2
     with pytest.raises(ValueError, match="must have a pose"):
         AgentReport(replace(view("a"), world_from_level=None), Detections.none())
 
@@ -206,9 +211,91 @@ def test_what_stands_on_a_deck_is_nothing_that_those_below_deny() -> None:
     raised = CARS + np.array([0.0, 0.0, 6.0, 0, 0, 0, 0]) + np.array([9.0, -9.0, 0, 0, 0, 0, 0])
     pose = Rigid(np.eye(3), np.array([2.0, 1.0, 6.0]))
     above = report(replace(view("c"), world_from_level=pose), raised)
-    center = CommandCenter(("a", "b", "c"))
-    for time in range(6):
-        picture = center.add(0.5 * time, [report(AGENTS[0], CARS), report(AGENTS[1], CARS), above])
+    picture = follow(CommandCenter(NAMES), [[report(AGENTS[0], CARS), report(AGENTS[1], CARS), above]] * 6)[-1]
     assert not picture.deniers.any()
     assert not picture.verdicts.suspects.any()
     assert picture.verdicts.trust.min() > 0.8
+
+
+def test_an_agent_that_appears_and_vanishes_each_second_harms_nobody() -> None:
+    honest = [report(agent, CARS) for agent in AGENTS]
+    said = [honest[: 3 if number // 2 % 2 else 2] for number in range(24)]
+    pictures = follow(CommandCenter(NAMES), said)
+    assert not any(picture.verdicts.suspects.any() for picture in pictures)
+    assert pictures[-1].believed.sum() == 2
+    assert (pictures[-1].verdicts.trust > 0.8).all()
+
+
+def test_who_sees_nothing_is_no_liar() -> None:
+    nothing = FovEstimate(
+        GRID, np.zeros(GRID.shape, np.float32), np.full(GRID.shape, CellState.UNKNOWN, np.uint8), agent="c",
+        world_from_level=Rigid.identity(),
+    )  # fmt: skip
+    said = [[report(AGENTS[0], CARS), report(AGENTS[1], CARS), AgentReport(nothing, Detections.none())]] * 8
+    last = follow(CommandCenter(NAMES), said)[-1]
+    assert not last.verdicts.suspects.any()
+    assert last.believed.sum() == 2
+
+
+def test_views_of_other_grids_are_put_together() -> None:
+    coarse = BevGrid(16, 32.0)
+    other = replace(
+        view("b"), grid=coarse, visible_prob=np.ones(coarse.shape, np.float32),
+        state=np.full(coarse.shape, CellState.FREE, np.uint8), std=None,
+    )  # fmt: skip
+    joint = joint_fov([view("a", visible=0.0), other], GRID, Rigid.identity())
+    assert (joint.surest == 1).all()
+    last = follow(CommandCenter(("a", "b")), [[report(view("a"), CARS), report(other, CARS)]] * 4)[-1]
+    assert last.believed.sum() == 2
+
+
+def test_no_report_is_an_answer_too() -> None:
+    pictures = follow(CommandCenter(NAMES), [[], [report(AGENTS[0], CARS)], [], []])
+    assert [len(picture.tracks) > 0 for picture in pictures][:2] == [False, True]
+    assert not pictures[-1].reporters.any()
+
+
+def test_as_many_objects_as_a_message_holds_take_a_bounded_time() -> None:
+    rng = np.random.default_rng(3)
+    flood = np.tile(CARS[:1], (MAX_DETECTIONS, 1))
+    flood[:, :2] = rng.uniform(-28.0, 28.0, (MAX_DETECTIONS, 2))
+    center = CommandCenter(NAMES)
+    said = [report(AGENTS[0], CARS), report(AGENTS[1], CARS), report(AGENTS[2], flood)]
+    center.add(0.0, said)
+    begin = time.process_time()
+    picture = center.add(0.5, said)
+    assert time.process_time() - begin < 2.0
+    assert len(picture.tracks) <= 2 * MAX_DETECTIONS
+
+
+ODD = (
+    "a class that nobody knows", "views without objects", "one agent only", "a center of one agent",
+    "agents that never overlap",
+)  # fmt: skip
+
+
+def odd(kind: str) -> tuple[list[AgentReport], str]:
+    """Return what three agents say where something is odd and nobody lies, and the note about it."""
+    said, apart = [report(agent, CARS) for agent in AGENTS], ""
+    match kind:
+        case "a class that nobody knows":
+            said[0] = replace(said[0], detections=replace(said[0].detections, kinds=np.full(len(CARS), 200, np.uint8)))
+        case "views without objects":
+            said = [report(agent, CARS[:0]) for agent in AGENTS]
+        case "one agent only" | "a center of one agent":
+            said, apart = said[:1], "a alone is heard: nobody contradicts it"
+        case "agents that never overlap":
+            said = [report(view(name, 500.0 * k), CARS + 500.0 * k * np.eye(7)[0]) for k, name in enumerate(NAMES)]
+            apart = "a, b, c: farther than 100 m from all others, so that nobody contradicts it"
+    return said, apart
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_what_is_odd_is_noted_and_nobody_is_accused(kind: str) -> None:
+    said, note = odd(kind)
+    center = CommandCenter(NAMES[:1] if kind == "a center of one agent" else NAMES)
+    done = [Round.of(picture) for picture in follow(center, [said] * 8)]
+    assert not any((each.accused | each.disputed).any() for each in done)
+    assert done[-1].sentences() == ([note] if note else [])
+    cars = {"views without objects": 0, "agents that never overlap": 6}
+    assert done[-1].picture.believed.sum() == cars.get(kind, 2)

@@ -1,13 +1,25 @@
-"""Reports as they come in: rounds end with the last agent, and what is late, unknown or new is told."""
+"""Reports as they come in: rounds end with the last agent, whatever clocks and delays are; what is odd is told."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from tests.agents.test_many import AGENTS, CARS, report
+import pytest
+from tests.agents.test_many import AGENTS, CARS, report, view
 
+from viewshed.agents.many import AgentReport
+from viewshed.agents.registration import PoseStd
 from viewshed.agents.rounds import Round, Rounds
+from viewshed.geometry import Rigid
+
+BEGIN_S, HZ = 1.76e9, 2.0
+
+GHOSTS = np.repeat(CARS[:1], 24, axis=0)
+GHOSTS[:, 0] += np.arange(24) % 12 * 5.0 - 35.0
+GHOSTS[:, 1] -= np.arange(24) // 12 * 7.0 + 10.0
 
 
 def heard(rounds: Rounds, said: list[tuple[float, int]]) -> list[list[Round]]:
@@ -54,12 +66,9 @@ def test_who_comes_in_is_told_and_time_that_goes_back_begins_anew() -> None:
 
 
 def test_who_contradicts_two_others_is_told() -> None:
-    ghosts = np.repeat(CARS[:1], 24, axis=0)
-    ghosts[:, 0] += np.arange(24) % 12 * 5.0 - 35.0
-    ghosts[:, 1] -= np.arange(24) // 12 * 7.0 + 10.0
     rounds, done = Rounds(), list[Round]()
     for time in range(20):
-        for agent, boxes in zip(AGENTS, (CARS, CARS, np.concatenate([CARS, ghosts])), strict=True):
+        for agent, boxes in zip(AGENTS, (CARS, CARS, np.concatenate([CARS, GHOSTS])), strict=True):
             done += rounds.add(0.5 * time, report(agent, boxes))
     last = done[-1]
     assert last.picture.verdicts.trust.argmin() == 2
@@ -76,3 +85,292 @@ def test_who_contradicts_two_others_is_told() -> None:
     # It lies about the middle of the agents, turned like the world, and holds the views of all.
     np.testing.assert_allclose(joint.world_from_grid.translation[:2], [-1 / 3, -13 / 3], atol=1e-9)
     np.testing.assert_array_equal(joint.world_from_grid.rotation, np.eye(3))
+
+
+# Clocks that differ, delays, who comes, goes, raises, jumps or lies.
+
+
+def fleet(count: int, liar: int | None = None) -> list[AgentReport]:
+    """Return the reports of agents on a circle that see the same cars; one invents more."""
+    out = []
+    for number, turn in enumerate(np.arange(count) * (2 * np.pi / count)):
+        estimate = view(f"agent{number:02}", 12.0 * np.cos(turn), 12.0 * np.sin(turn), turn)
+        out.append(report(estimate, CARS if number != liar else np.concatenate([CARS, GHOSTS])))
+    return out
+
+
+def at(said: AgentReport, x_m: float, std_m: float = 0.0) -> AgentReport:
+    """Return a report from another place."""
+    pose = Rigid(np.eye(3), np.array([x_m, 0.0, 0.0]))
+    return replace(said, estimate=replace(said.estimate, world_from_level=pose), pose_std=PoseStd(std_m))
+
+
+def follow(
+    rounds: Rounds, reports: list[AgentReport], clock_s: Callable[[int, int], float], *, times: int = 40,
+    jitter_s: float = 0.08, begin: int = 0,
+) -> list[Round]:  # fmt: skip
+    """Return the rounds of reports made at one time each, by clocks (agent, time) that are ahead, and delayed."""
+    rng, done = np.random.default_rng(7), list[Round]()
+    for time in range(begin, begin + times):
+        true_s = BEGIN_S + time / HZ
+        arrived_s = true_s + 0.02 + rng.uniform(0.0, jitter_s, len(reports))
+        for number in np.argsort(arrived_s).tolist():
+            done += rounds.add(true_s + clock_s(number, time), reports[number], float(arrived_s[number]))
+    return done + rounds.close()
+
+
+def full(done: list[Round], agents: set[str]) -> int:
+    """Return how many rounds hold all of some agents."""
+    return sum(agents <= {report.agent for report in each.reports} for each in done)
+
+
+@pytest.mark.parametrize(("count", "jitter_s"), [(3, 0.1), (5, 0.0), (10, 0.05)])
+def test_rounds_hold_all_agents_whatever_their_clocks_and_the_liar_is_found(count: int, jitter_s: float) -> None:
+    offsets_s, liar = np.linspace(-0.45, 0.45, count), count - 1
+    reports = fleet(count, liar)
+    done = follow(Rounds(), reports, lambda number, _: offsets_s[number], jitter_s=jitter_s)
+    assert full(done, {each.agent for each in reports}) >= 38
+    assert len(done) <= 42
+    trust = done[-1].picture.verdicts.trust
+    assert trust.argmin() == liar
+    assert (np.delete(trust, liar) > 0.5).all()
+    # Rounds have the center's time.
+    assert abs(done[-1].picture.t_s - (BEGIN_S + 39 / HZ)) < 0.2
+
+
+@pytest.mark.parametrize("offset_s", [-0.45, 0.15, 0.45])
+@pytest.mark.parametrize("named", [False, True])
+def test_one_clock_that_is_off_leaves_nobody_out(offset_s: float, named: bool) -> None:
+    reports = fleet(3)
+    rounds = Rounds(tuple(each.agent for each in reports) if named else ())
+    done = follow(rounds, reports, lambda number, _: offset_s * (number == 0))
+    assert full(done, {each.agent for each in reports}) >= 38
+    assert sum(bool(each.missing) for each in done) <= 2
+
+
+@pytest.mark.parametrize("delays_s", [(0.02, 0.13, 0.25), (0.2, 0.28, 0.45)])
+def test_right_clocks_with_delays_that_never_vary_are_put_together(delays_s: tuple[float, ...]) -> None:
+    reports, rounds, done = fleet(3), Rounds(), list[Round]()
+    for time in range(40):
+        for number, delay_s in enumerate(delays_s):
+            done += rounds.add(BEGIN_S + time / HZ, reports[number], BEGIN_S + time / HZ + delay_s)
+    assert full(done, {each.agent for each in reports}) >= 38
+
+
+@pytest.mark.parametrize("jump_s", [lambda rng: rng.uniform(-0.95, 0.45), lambda rng: rng.choice([-0.9, 0.45])])
+def test_who_makes_its_clock_jump_harms_nobody_else(jump_s: Callable[[np.random.Generator], float]) -> None:
+    reports, rng = fleet(5), np.random.default_rng(1)
+    done = follow(Rounds(), reports, lambda number, _: jump_s(rng) if number == 0 else 0.0)
+    assert full(done, {each.agent for each in reports[1:]}) >= 38
+    # It is missing where it is left out.
+    others = [each for each in done if len(each.reports) == 4]
+    assert others
+    assert all(each.missing == ("agent00",) for each in others)
+
+
+def test_who_reports_again_and_again_ends_no_round_of_others() -> None:
+    reports, rounds, done = fleet(3), Rounds(), list[Round]()
+    for time in range(40):
+        true_s = BEGIN_S + time / HZ
+        for delay_s, number in ((0.01, 0), (0.02, 1), (0.03, 0), (0.04, 0), (0.05, 2), (0.3, 0)):
+            done += rounds.add(true_s + delay_s, reports[number], true_s + delay_s + 0.01)
+    assert full(done, {"agent01", "agent02"}) >= 38
+
+
+def test_agents_of_ten_a_second_are_put_together() -> None:
+    reports, rounds, done = fleet(3), Rounds(), list[Round]()
+    rng = np.random.default_rng(2)
+    for time in range(40):
+        true_s = BEGIN_S + 0.1 * time
+        delays_s = 0.02 + rng.uniform(0.0, 0.03, 3)
+        for number in np.argsort(delays_s).tolist():
+            done += rounds.add(true_s + (0.4, 0.0, -0.3)[number], reports[number], true_s + delays_s[number])
+    assert full(done, {each.agent for each in reports}) >= 38
+
+
+def test_who_is_heard_and_left_out_is_an_alarm() -> None:
+    reports, rounds = fleet(3), Rounds()
+    follow(rounds, reports, lambda *_: 0.0, times=4)
+    done, notes = list[Round](), list[str]()
+    for time in (4, 5, 6):
+        done += rounds.add(BEGIN_S + time / HZ, reports[0], BEGIN_S + time / HZ + 0.02)
+        notes += rounds.notes
+    [last] = done
+    assert last.missing == ("agent01", "agent02")
+    assert last.numbers()["missing"] == ["agent01", "agent02"]
+    said = "agent01, agent02: heard lately and missing at "
+    assert [note[: len(said)] for note in notes] == [said]
+    assert last.sentences() == [
+        "agent01, agent02 heard lately and missing: they contradict nobody",
+        "agent00 alone is heard: nobody contradicts it",
+    ]
+
+
+def test_a_round_ends_by_the_centers_clock_without_a_report() -> None:
+    reports, rounds = fleet(2), Rounds()
+    follow(rounds, reports, lambda *_: 0.0, times=4)
+    assert rounds.add(BEGIN_S + 2.0, reports[0], BEGIN_S + 2.02) == []
+    assert rounds.close(BEGIN_S + 2.5) == []
+    assert [each.missing for each in rounds.close(BEGIN_S + 2.7)] == [("agent01",)]
+
+
+def test_more_agents_than_a_center_has_are_refused_and_it_goes_on() -> None:
+    reports, rounds = fleet(17), Rounds()
+    done = follow(rounds, reports, lambda *_: 0.0, times=3, jitter_s=0.0)
+    assert full(done, {each.agent for each in reports[:16]}) == 3
+    rounds.add(BEGIN_S + 2.0, reports[16], BEGIN_S + 2.0)
+    [note] = rounds.notes
+    assert note.startswith("agent16: agents must be at most 16, got one more; its report is left out")
+    # One that is silent for 10 s gives up its place, and the others keep theirs.
+    done = follow(rounds, reports[1:], lambda *_: 0.0, times=30, jitter_s=0.0, begin=5)
+    assert full(done[-5:], {each.agent for each in reports[1:]}) == 5
+    assert "agent00" not in done[-1].picture.agents
+    with pytest.raises(ValueError, match="agents must be at most 16, got 17; give"):
+        Rounds(tuple(each.agent for each in reports))
+
+
+def test_named_agents_have_a_place_however_long_they_are_silent() -> None:
+    reports = fleet(16)
+    rounds = Rounds(tuple(each.agent for each in reports))
+    follow(rounds, reports[:2], lambda *_: 0.0, times=60)
+    [last] = follow(rounds, reports, lambda *_: 0.0, times=1, begin=60)
+    assert full([last], {each.agent for each in reports}) == 1
+
+
+def test_a_report_that_raises_costs_its_round_alone() -> None:
+    reports, rounds = fleet(3), Rounds()
+    follow(rounds, reports, lambda *_: 0.0, times=3)
+    poison = replace(reports[0], own_box=np.zeros(1))
+    notes = []
+    for number, each in enumerate([poison, *reports[1:]]):
+        assert rounds.add(BEGIN_S + 1.5, each, BEGIN_S + 1.52 + 0.01 * number) == []
+        notes += rounds.notes
+    assert [note.split(" s fails")[0] for note in notes] == [f"the round of {BEGIN_S + 1.5:.2f}"]
+    done = follow(rounds, reports, lambda *_: 0.0, times=5, begin=4)
+    assert full(done, {each.agent for each in reports}) == 5
+
+
+def test_one_time_again_and_again_fills_no_memory() -> None:
+    reports, rounds = fleet(2), Rounds()
+    follow(rounds, reports, lambda *_: 0.0, times=2)
+    done = [len(rounds.add(BEGIN_S + 1.0, reports[0], BEGIN_S + 1.0)) for _ in range(200)]
+    assert sum(done) >= 1
+    assert len(rounds.close()) <= 64
+
+
+def test_who_comes_in_launders_nobodys_record() -> None:
+    reports, rounds = fleet(5, liar=2), Rounds()
+    before = follow(rounds, reports[:4], lambda *_: 0.0, times=20)[-1]
+    done = follow(rounds, reports, lambda *_: 0.0, times=2, begin=20)
+    trusted = [dict(zip(each.picture.agents, each.picture.verdicts.trust, strict=True)) for each in (before, done[0])]
+    assert before.picture.verdicts.trust.argmin() == 2
+    assert trusted[1]["agent02"] < 0.5
+    for agent, trust in trusted[0].items():
+        assert trusted[1][agent] == pytest.approx(trust, abs=0.1)
+    assert trusted[1]["agent04"] == pytest.approx(0.9, abs=0.1)
+    assert done[0].picture.verdicts.evidence.argmax() == 2
+
+
+def test_who_goes_leaves_the_records_of_others() -> None:
+    """Sixteen agents, one of them a liar; another one falls silent, and a new one takes its place."""
+    reports, rounds = fleet(17, liar=2), Rounds()
+    follow(rounds, reports[:16], lambda *_: 0.0, times=2, jitter_s=0.0)
+    before = follow(rounds, reports[1:16], lambda *_: 0.0, times=25, jitter_s=0.0, begin=2)[-1]
+    after = follow(rounds, reports[1:], lambda *_: 0.0, times=2, jitter_s=0.0, begin=27)[-1]
+    assert set(after.picture.agents) == {each.agent for each in reports[1:]}
+    trusted = [dict(zip(each.picture.agents, each.picture.verdicts.trust, strict=True)) for each in (before, after)]
+    assert min(trusted[0], key=trusted[0].__getitem__) == "agent02"
+    for agent in before.picture.agents[1:]:
+        assert trusted[1][agent] == pytest.approx(trusted[0][agent], abs=0.1)
+
+
+def refusals(rounds: Rounds, said: list[tuple[float, AgentReport]]) -> list[str]:
+    """Return the refusals of the reports of one agent, empty where one is taken."""
+    out = []
+    for t_s, each in said:
+        rounds.add(BEGIN_S + t_s, each, BEGIN_S + t_s + 0.02)
+        out += ["".join(note for note in rounds.notes if "left out" in note)]
+    return out
+
+
+def test_a_pose_ten_kilometers_away_and_back_is_refused() -> None:
+    [said], rounds = fleet(1), Rounds()
+    out = refusals(rounds, [(0.1 * n, at(said, 1e4 if n == 3 else 1.0 * n)) for n in range(6)])
+    assert [bool(note) for note in out] == [False, False, False, True, False, False]
+    assert out[3] == (
+        "agent00: its pose must be within 7.0 m of its last one (70 m/s and 3 standard deviations), got 9998.0 m;"
+        " check its localization; its report is left out"
+    )
+    [last] = rounds.add(BEGIN_S + 0.6, at(said, 6.0), BEGIN_S + 0.62)
+    assert last.numbers()["agents"]["agent00"]["refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("x_m", "std_m", "rule"),
+    [
+        (1e300, 0.0, "coordinates must be at most 1e+07 m, got 1e+300 m"),
+        (-2e7, 0.0, "coordinates must be at most 1e+07 m, got 2e+07 m"),
+        (0.0, 1e15, "the standard deviation of its place must be at most 1000 m, got 1e+15 m"),
+    ],
+)
+def test_a_place_that_is_none_is_refused(x_m: float, std_m: float, rule: str) -> None:
+    [said], rounds = fleet(1), Rounds()
+    out = refusals(rounds, [(0.1 * n, at(said, x_m, std_m)) for n in range(6)] + [(0.6, said)])
+    assert [bool(note) for note in out] == [True] * 6 + [False]
+    assert rule in out[0]
+
+
+def test_three_that_agree_begin_anew_and_others_do_not() -> None:
+    [said], rounds = fleet(1), Rounds()
+    # A receiver of satellites jumps by 300 m and drives on there.
+    assert [bool(note) for note in refusals(rounds, [(0.1 * n, at(said, 300.0 * (n > 2) + n)) for n in range(8)])] == [
+        False, False, False, True, True, False, False, False,
+    ]  # fmt: skip
+    # Here and there: no three agree.
+    there = [(1.0 + 0.1 * n, at(said, (-1e4, 1e4)[n % 2])) for n in range(8)]
+    assert all(refusals(rounds, there))
+    # What its covariance says is allowed for.
+    assert refusals(rounds, [(1.9, at(said, 300.0, 5.0)), (2.0, at(said, 330.0, 10.0))]) == ["", ""]
+
+
+def test_fast_agents_in_bursts_are_taken() -> None:
+    """At 69 m/s, five reports at once after half a second."""
+    [said], rounds = fleet(1), Rounds()
+    for n in range(50):
+        rounds.add(BEGIN_S + 0.1 * n, at(said, 6.9 * n), BEGIN_S + 0.5 * (n // 5) + 0.5)
+        assert not [note for note in rounds.notes if "pose" in note]
+
+
+def test_a_clock_that_runs_too_fast_buys_no_distance() -> None:
+    [said], rounds = fleet(1), Rounds()
+    out = []
+    for n in range(20):
+        rounds.add(BEGIN_S + 10.0 * n, at(said, (1.0, -1.0)[n % 2] * 300.0), BEGIN_S + 0.1 * n)
+        out += [note for note in rounds.notes if "pose" in note]
+    assert len(out) >= 9
+
+
+def test_who_is_refused_is_missing_and_counted() -> None:
+    reports, rounds = fleet(3), Rounds()
+    follow(rounds, reports, lambda *_: 0.0, times=4)
+    counts = Counter[tuple[str, ...]]()
+    for time in range(4, 8):
+        there = at(reports[2], 1e4 * (1 + time))
+        for number, each in enumerate([*reports[:2], there]):
+            done = rounds.add(BEGIN_S + time / HZ, each, BEGIN_S + time / HZ + 0.02 + 0.01 * number)
+            counts.update(each.missing for each in done)
+    assert counts == {("agent02",): 4}
+    assert done[-1].numbers()["agents"]["agent02"]["refused"] == 4
+    assert "agent02 (4 reports refused) heard lately and missing: they contradict nobody" in done[-1].sentences()
+
+
+def test_reports_of_one_time_are_put_together_by_the_same_rules() -> None:
+    reports, rounds = fleet(5, liar=2), Rounds()
+    for time in range(20):
+        before = rounds.together(time / HZ, reports[:4])
+    after = rounds.together(10.0, [*reports, at(reports[0], 1e300)])
+    assert rounds.notes[-1] == "agent04 came in: at the prior, the others keep their records"
+    assert rounds.notes[0].startswith("agent00: coordinates must be at most 1e+07 m, got 1e+300 m")
+    assert after.refused == {"agent00": 1}
+    assert after.picture.verdicts.trust[2] == pytest.approx(before.picture.verdicts.trust[2], abs=0.1)
+    assert rounds.together(10.5, [at(each, 1e300) for each in reports]) is None
