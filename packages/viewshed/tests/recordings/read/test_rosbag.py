@@ -16,7 +16,7 @@ import pyarrow as pa
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from tests.io.test_hostile_files import ros1_chunk, ros1_fields, ros1_indexes
+from tests.io.test_hostile_files import mcap_chunk, ros1_chunk, ros1_fields, ros1_indexes
 
 from viewshed.io import read_sweep
 from viewshed.recordings.read import open_source
@@ -33,6 +33,7 @@ CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "
 S = 1_000_000_000
 POINTS = np.array([[5.0, 3.0, -1.5], [8.0, -2.0, 0.5], [-4.0, 1.0, 0.25]], np.float32)
 TURN = 0.5**0.5  # cosine and sine of 45 degrees: a turn of 90
+UNTURNED, LEFT, NOTHING_STATED = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, TURN, TURN), np.zeros((6, 6))
 Entry = tuple[str, int, Any]
 Write = Callable[[Path, Iterable[Entry]], Path]
 
@@ -52,45 +53,44 @@ class Ros:
             store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
         return store
 
+    def make(self, kind: str, *values: Any) -> Any:
+        """Return a message of a kind, PACKAGE/NAME."""
+        return self.store.types[kind.replace("/", "/msg/")](*values)
+
     def header(self, t_ns: int, frame: str) -> Any:
-        types = self.store.types
-        stamp = types["builtin_interfaces/msg/Time"](t_ns // S, t_ns % S)
-        make = types["std_msgs/msg/Header"]
-        return make(0, stamp, frame) if self.one else make(stamp, frame)
+        stamp = self.make("builtin_interfaces/Time", t_ns // S, t_ns % S)
+        return self.make("std_msgs/Header", *((0,) if self.one else ()), stamp, frame)
 
     def cloud(self, t_ns: int, table: NDArray[Any] | None = None, frame: str = "lidar") -> Any:
-        types, codes = self.store.types, {"f4": 7, "f8": 8, "i2": 3, "u2": 4, "u4": 6}
-        if table is None:
-            table = _table(POINTS)
-        make = types["sensor_msgs/msg/PointField"]
-        named: dict[str, Any] = dict(table.dtype.fields or {})
-        fields = [make(name, kind[1], codes[kind[0].str[1:]], 1) for name, kind in named.items()]
-        data = np.frombuffer(table.tobytes(), np.uint8)
-        step = table.dtype.itemsize
-        return types[CLOUD](self.header(t_ns, frame), 1, len(table), fields, False, step, data.size, data, True)
+        table = _table(POINTS) if table is None else table
+        codes, named = {"f4": 7, "f8": 8, "i2": 3, "u2": 4, "u4": 6}, dict(table.dtype.fields or {})
+        fields = [
+            self.make("sensor_msgs/PointField", name, kind[1], codes[kind[0].str[1:]], 1)
+            for name, kind in named.items()
+        ]
+        data, step = np.frombuffer(table.tobytes(), np.uint8), table.dtype.itemsize
+        head = self.header(t_ns, frame)
+        return self.make("sensor_msgs/PointCloud2", head, 1, len(table), fields, False, step, data.size, data, True)
 
-    def tf(self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float]) -> Any:
-        types = self.store.types
-        moved = types["geometry_msgs/msg/Transform"](
-            types["geometry_msgs/msg/Vector3"](*where), types["geometry_msgs/msg/Quaternion"](*turn_xyzw)
-        )
-        stamped = types["geometry_msgs/msg/TransformStamped"](self.header(t_ns, parent), child, moved)
-        return types[TF]([stamped])
+    def tf(
+        self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float] = UNTURNED
+    ) -> Any:
+        vector, turn = self.make("geometry_msgs/Vector3", *where), self.make("geometry_msgs/Quaternion", *turn_xyzw)
+        moved = self.make("geometry_msgs/Transform", vector, turn)
+        stamped = self.make("geometry_msgs/TransformStamped", self.header(t_ns, parent), child, moved)
+        return self.make("tf2_msgs/TFMessage", [stamped])
 
     def odometry(
-        self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float],
-        covariance: NDArray[np.float64] | None = None,
+        self, t_ns: int, parent: str, child: str, where: Iterable[float], turn_xyzw: Iterable[float] = UNTURNED,
+        covariance: NDArray[np.float64] = NOTHING_STATED,
     ) -> Any:  # fmt: skip
-        stated = np.zeros(36) if covariance is None else covariance.ravel()
-        types = self.store.types
-        pose = types["geometry_msgs/msg/Pose"](
-            types["geometry_msgs/msg/Point"](*where), types["geometry_msgs/msg/Quaternion"](*turn_xyzw)
+        point, turn = self.make("geometry_msgs/Point", *where), self.make("geometry_msgs/Quaternion", *turn_xyzw)
+        pose = self.make(
+            "geometry_msgs/PoseWithCovariance", self.make("geometry_msgs/Pose", point, turn), covariance.ravel()
         )
-        zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-        return types[ODOMETRY](
-            self.header(t_ns, parent), child, types["geometry_msgs/msg/PoseWithCovariance"](pose, stated),
-            types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)),
-        )  # fmt: skip
+        twist = self.make("geometry_msgs/Twist", *[self.make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)] * 2)
+        twist = self.make("geometry_msgs/TwistWithCovariance", twist, np.zeros(36))
+        return self.make("nav_msgs/Odometry", self.header(t_ns, parent), child, pose, twist)
 
 
 ROS1, ROS2 = Ros(True), Ros(False)
@@ -129,12 +129,11 @@ def _write(writer: Any, store: Any, serialize: str, entries: Iterable[Entry]) ->
                 writer.write(connections[topic], t_ns, bytes(getattr(store, serialize)(message, kind)))
 
 
+MAGIC = b"\x89MCAP0\r\n"
+
+
 def _record(opcode: int, content: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(content)) + content
-
-
-def _text(text: str) -> bytes:
-    return struct.pack("<I", len(text.encode())) + text.encode()
 
 
 def write_mcap(path: Path, entries: Iterable[Entry], packing: str = "zstd") -> Path:
@@ -198,14 +197,13 @@ def test_poses_from_a_chain_of_transforms_by_hand(tmp_path: Path, ros: Ros, writ
     # map -> odom is 100 m east; odom -> base moves from x = 0 to x = 4 while it turns left by 90 degrees, in 1 s; the
     # lidar is 1 m ahead of the base and 2 m above it, turned left by 90 degrees. Half way: base at (102, 0), heading 45
     # degrees; the lidar's x axis points to 135 degrees and the lidar is at (102 + c, c, 2), c = cos 45 degrees.
-    unturned, left = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, TURN, TURN)
     entries: list[Entry] = [
-        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (1.0, 0.0, 2.0), left)),
-        ("/tf", 0, ros.tf(0, "map", "odom", (100.0, 0.0, 0.0), unturned)),
-        ("/tf", 1, ros.tf(0, "odom", "base_link", (0.0, 0.0, 0.0), unturned)),
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (1.0, 0.0, 2.0), LEFT)),
+        ("/tf", 0, ros.tf(0, "map", "odom", (100.0, 0.0, 0.0))),
+        ("/tf", 1, ros.tf(0, "odom", "base_link", (0.0, 0.0, 0.0))),
         ("/points", 2, ros.cloud(S // 2)),
-        ("/tf", 3, ros.tf(S, "map", "odom", (100.0, 0.0, 0.0), unturned)),
-        ("/tf", 4, ros.tf(S, "odom", "base_link", (4.0, 0.0, 0.0), left)),
+        ("/tf", 3, ros.tf(S, "map", "odom", (100.0, 0.0, 0.0))),
+        ("/tf", 4, ros.tf(S, "odom", "base_link", (4.0, 0.0, 0.0), LEFT)),
         ("/points", 5, ros.cloud(S)),
         ("/points", 6, ros.cloud(S + 1)),
     ]
@@ -223,9 +221,9 @@ def test_poses_from_a_chain_of_transforms_by_hand(tmp_path: Path, ros: Ros, writ
 @KINDS
 def test_odometry_is_a_pose_where_tf_has_none(tmp_path: Path, ros: Ros, write: Write) -> None:
     entries: list[Entry] = [
-        ("/odom", 0, ros.odometry(S, "start", "base_link", (10.0, 5.0, 0.0), (0.0, 0.0, TURN, TURN))),
-        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
-        ("/tf_static", 1, ros.tf(0, "base_footprint", "unrelated", (0.0, 0.0, 9.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/odom", 0, ros.odometry(S, "start", "base_link", (10.0, 5.0, 0.0), LEFT)),
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (0.0, 0.0, 1.5))),
+        ("/tf_static", 1, ros.tf(0, "base_footprint", "unrelated", (0.0, 0.0, 9.5))),
         ("/points", 1, ros.cloud(S)),
     ]
     source = open_source(write(tmp_path / "a", entries))
@@ -241,12 +239,12 @@ def test_odometry_states_how_certain_the_pose_of_a_sensor_is(tmp_path: Path, ros
     # The lidar stands 2 m ahead and 1 m left of the base, which faces left: a turn by .1 radians carries it by .2 m
     # along x and by .1 m along y.
     stated = np.diag([0.04, 0.09, 0.01, 0.0, 0.0, 0.01])
-    place, left = (10.0, 5.0, 0.0), (0.0, 0.0, TURN, TURN)
+    place = (10.0, 5.0, 0.0)
     source = open_source(write(tmp_path / "a", [
-        ("/odom", 0, ros.odometry(S, "odom", "base_link", place, left, stated)),
-        ("/odom", 1, ros.odometry(2 * S, "odom", "base_link", place, left)),
-        ("/odom", 2, ros.odometry(3 * S, "odom", "base_link", place, left, -stated)),
-        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (2.0, 1.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/odom", 0, ros.odometry(S, "odom", "base_link", place, LEFT, stated)),
+        ("/odom", 1, ros.odometry(2 * S, "odom", "base_link", place, LEFT)),
+        ("/odom", 2, ros.odometry(3 * S, "odom", "base_link", place, LEFT, -stated)),
+        ("/tf_static", 0, ros.tf(0, "base_link", "lidar", (2.0, 1.0, 1.5))),
         *(("/points", n, ros.cloud(n * S)) for n in (1, 2, 3)),
     ]))  # fmt: skip
     found = [source.read(ref).pose_covariance for ref in source.refs("a")]
@@ -257,15 +255,15 @@ def test_odometry_states_how_certain_the_pose_of_a_sensor_is(tmp_path: Path, ros
     # What odometry leaves out in between is that of the message before: only one states a covariance here.
     np.testing.assert_allclose(found[1:], [found[0]] * 2, atol=1e-9)
     bare = write(
-        tmp_path / "b", [("/odom", 0, ros.odometry(S, "odom", "lidar", place, left)), ("/points", 1, ros.cloud(S))]
+        tmp_path / "b", [("/odom", 0, ros.odometry(S, "odom", "lidar", place, LEFT)), ("/points", 1, ros.cloud(S))]
     )
     assert [open_source(bare).read(ref).pose_covariance for ref in open_source(bare).refs("b")] == [None]
 
 
 def test_the_footprint_tells_the_height(tmp_path: Path) -> None:
     entries: list[Entry] = [
-        ("/tf_static", 0, ROS2.tf(0, "base_footprint", "base_link", (0.0, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0))),
-        ("/tf_static", 1, ROS2.tf(0, "base_link", "lidar", (0.4, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))),
+        ("/tf_static", 0, ROS2.tf(0, "base_footprint", "base_link", (0.0, 0.0, 0.3))),
+        ("/tf_static", 1, ROS2.tf(0, "base_link", "lidar", (0.4, 0.0, 1.5))),
         ("/points", 1, ROS2.cloud(0)),
     ]
     [(_, sweep)] = each_sweep(open_source(write_ros2(tmp_path / "a", entries)))
@@ -275,11 +273,11 @@ def test_the_footprint_tells_the_height(tmp_path: Path) -> None:
 
 @KINDS
 def test_transforms_that_lead_in_a_circle_end_there(tmp_path: Path, ros: Ros, write: Write) -> None:
-    unturned, here = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    here = (0.0, 0.0, 0.0)
     circle = [("base_link", "lidar"), ("arm", "base_link"), ("lidar", "arm")]
     entries: list[Entry] = [
-        *(("/tf", at, ros.tf(S, parent, child, here, unturned)) for at, (parent, child) in enumerate(circle)),
-        ("/tf", 3, ros.tf(S, "map", "map", here, unturned)),
+        *(("/tf", at, ros.tf(S, parent, child, here)) for at, (parent, child) in enumerate(circle)),
+        ("/tf", 3, ros.tf(S, "map", "map", here)),
         ("/points", 4, ros.cloud(S)),
     ]
     source = open_source(write(tmp_path / "a", entries))
@@ -308,23 +306,17 @@ def test_topics_are_agents_and_come_in_the_order_of_their_stamps(tmp_path: Path,
 def test_an_mcap_chunk_that_claims_too_much_is_refused(tmp_path: Path) -> None:
     # 300 bytes of zstd that unpack to 3 MB of zeros: more than 200 times as many, and more than 1 MB
     for size, words in ((3_000_000, "bytes; refused"), (900_000, "is damaged")):
-        packed = bytes(pa.Codec("zstd").compress(bytes(size), asbytes=True))
-        head = struct.pack("<QQQI", 0, 0, size, 0) + _text("zstd") + struct.pack("<Q", len(packed))
-        (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + _record(0x06, head + packed) + _record(0x0F, bytes(4)))
+        (tmp_path / "a.mcap").write_bytes(mcap_chunk(bytes(size)) + _record(0x0F, bytes(4)))
         with pytest.raises(ValueError, match=words):
             open_source(tmp_path / "a.mcap")
 
 
 def test_many_chunks_that_add_up_to_too_much_are_refused(tmp_path: Path) -> None:
     # Each chunk of 900 kB is small enough by itself; forty of them unpack to 36 MB, from a file of 5 kB.
-    def chunk(number: int) -> bytes:
-        empty = _record(0x05, struct.pack("<HIQQ", 1, number, number, number) + bytes(900_000))
-        packed = bytes(pa.Codec("zstd").compress(empty, asbytes=True))
-        head = struct.pack("<QQQI", 0, 0, len(empty), 0) + _text("zstd") + struct.pack("<Q", len(packed))
-        return _record(0x06, head + packed)
-
-    channel = _record(0x04, struct.pack("<HH", 1, 0) + _text("/other") + _text("cdr") + struct.pack("<I", 0))
-    content = b"\x89MCAP0\r\n" + channel + b"".join(map(chunk, range(40))) + _record(0x0F, bytes(4))
+    empty = (struct.pack("<HIQQ", 1, number, number, number) + bytes(900_000) for number in range(40))
+    texts = b"".join(struct.pack("<I", len(text)) + text for text in (b"/other", b"cdr"))
+    content = MAGIC + _record(0x04, struct.pack("<HH", 1, 0) + texts + struct.pack("<I", 0))
+    content += b"".join(mcap_chunk(_record(0x05, each))[len(MAGIC) :] for each in empty) + _record(0x0F, bytes(4))
     (tmp_path / "a.mcap").write_bytes(content)
     limit = max(200 * len(content), 1_000_000)
     assert limit < 40 * 900_000
@@ -343,7 +335,7 @@ def test_a_packed_bag_is_a_recording(tmp_path: Path, ending: str) -> None:
 
 
 def test_records_that_only_keep_a_reader_busy_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + _record(0x85, b"") * 100_001)
+    (tmp_path / "a.mcap").write_bytes(MAGIC + _record(0x85, b"") * 100_001)
     with pytest.raises(ValueError, match="100001 records before byte 900008 hold no message"):
         open_source(tmp_path / "a.mcap")
 
@@ -480,7 +472,7 @@ def test_ros2_bags_need_no_metadata(tmp_path: Path) -> None:
 
 @KINDS
 def test_empty_topics_and_bags_without_clouds(tmp_path: Path, ros: Ros, write: Write) -> None:
-    pose = ros.odometry(0, "odom", "base_link", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    pose = ros.odometry(0, "odom", "base_link", (0.0, 0.0, 0.0))
     place = write(
         tmp_path / "a", [("/points", 1, ros.cloud(0, frame="base_link")), ("/none", 1, CLOUD), ("/o", 1, pose)]
     )
@@ -555,11 +547,9 @@ def _register(ros: Ros) -> dict[str, Any]:
 
 
 def _velodyne(ros: Ros, t_ns: int) -> Any:
-    types = _register(ros)
-    stamp = types["builtin_interfaces/msg/Time"](t_ns // S, t_ns % S)
-    make = types["velodyne_msgs/msg/VelodynePacket"]
-    packets = [make(stamp, np.frombuffer(each, np.uint8)) for each in sweep_files.vlp16_turns(turns=1.0)]
-    return types[VELODYNE](ros.header(t_ns, "lidar"), packets)
+    make, header = _register(ros)["velodyne_msgs/msg/VelodynePacket"], ros.header(t_ns, "lidar")
+    packets = [make(header.stamp, np.frombuffer(each, np.uint8)) for each in sweep_files.vlp16_turns(turns=1.0)]
+    return _register(ros)[VELODYNE](header, packets)
 
 
 def _scan(ros: Ros, t_ns: int, ranges: list[float]) -> Any:
@@ -576,7 +566,7 @@ def _ouster(ros: Ros, frames: int, kind: str) -> list[Any]:
 
 @KINDS
 def test_velodyne_scans_are_sweeps(tmp_path: Path, ros: Ros, write: Write) -> None:
-    at = ros.tf(0, "map", "lidar", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    at = ros.tf(0, "map", "lidar", (1.0, 2.0, 3.0))
     place = write(tmp_path / "a", [("/tf_static", 0, at), ("/packets", 1, _velodyne(ros, 5 * S))])
     [(ref, sweep)] = each_sweep(open_source(place))
     assert (ref.sensor, sweep.t_ns) == ("/packets", 5 * S)
@@ -586,10 +576,8 @@ def test_velodyne_scans_are_sweeps(tmp_path: Path, ros: Ros, write: Write) -> No
 
 @pytest.mark.parametrize(("ros", "write", "name"), [(ROS1, write_ros1, LIVOX[0]), (ROS2, write_mcap, LIVOX[1])])
 def test_livox_points_are_sweeps(tmp_path: Path, ros: Ros, write: Write, name: str) -> None:
-    types, rows = (
-        _register(ros),
-        [(0, 1.0, 2.0, -0.5, 10), (50_000_000, 0.0, 0.0, 0.0, 0), (99_000_000, 4.0, -3.0, 1.0, 255)],
-    )
+    types = _register(ros)
+    rows = [(0, 1.0, 2.0, -0.5, 10), (50_000_000, 0.0, 0.0, 0.0, 0), (99_000_000, 4.0, -3.0, 1.0, 255)]
     points = [types[f"{name}/msg/CustomPoint"](*row, 16, line) for line, row in enumerate(rows)]
     message = types[f"{name}/msg/CustomMsg"](ros.header(7 * S, "livox"), 7 * S, 3, 1, np.zeros(3, np.uint8), points)
     [(ref, sweep)] = each_sweep(open_source(write(tmp_path / "a", [("/livox/lidar", 1, message)])))
@@ -602,7 +590,7 @@ def test_livox_points_are_sweeps(tmp_path: Path, ros: Ros, write: Write, name: s
 
 @KINDS
 def test_laser_scans_are_sweeps_in_a_plane(tmp_path: Path, ros: Ros, write: Write) -> None:
-    footprint = ros.tf(0, "base_footprint", "laser", (0.2, 0.0, 0.18), (0.0, 0.0, 0.0, 1.0))
+    footprint = ros.tf(0, "base_footprint", "laser", (0.2, 0.0, 0.18))
     scan = _scan(ros, 3 * S, [2.0, np.inf, np.nan, 4.0])
     source = open_source(write(tmp_path / "a", [("/tf_static", 0, footprint), ("/scan", 1, scan)]))
     [(_, sweep)] = each_sweep(source)
@@ -673,9 +661,6 @@ def test_real_bags_of_packets_and_scans(real_data: Path) -> None:
     ]
     assert len(scans) == 178
     assert all(sweep.planar is not None and len(sweep) > 300 for sweep in scans)
-
-
-"""Real bags without returns (empty, packed, split, without index or metadata, services alone): what is said of each."""
 
 
 def test_packets_decoded_by_others_lie_at_the_same_points(real_data: Path) -> None:
