@@ -77,13 +77,9 @@ def test_axes_by_hand(tmp_path: Path, axes: str, file_point: Sequence[float]) ->
 
 def test_sweeps_come_in_the_order_of_time_and_survive_pickling(tmp_path: Path) -> None:
     still = (0.0,) * 6
-    folder = _recording(
-        tmp_path,
-        {
-            "b": {1: (_points(), (200, *still)), 2: (_points(), (100, *still))},
-            "a": {9: (_points(), (100, *still)), 3: (_points(), None)},
-        },
-    )
+    made = {"b": {1: (200, *still), 2: (100, *still)}, "a": {9: (100, *still), 3: None}}
+    frames = {agent: {frame: (_points(), pose) for frame, pose in poses.items()} for agent, poses in made.items()}
+    folder = _recording(tmp_path, frames)
     source = pickle.loads(pickle.dumps(open_source(folder)))  # noqa: S301
     refs = source.refs(tmp_path.name)
     assert [(ref.t_ns, ref.agent, ref.key) for ref in refs] == [
@@ -107,8 +103,7 @@ def test_actors_become_boxes_without_the_one_that_carries_the_sensor(tmp_path: P
     )
     source = open_source(folder)
     [ref] = source.refs("r")
-    boxes = source.boxes(ref)
-    [box] = boxes
+    [box] = source.boxes(ref)
     assert (box.category, box.track, box.size_m) == ("vehicle.audi.tt", "31", (4.0, 2.0, 1.5))
     np.testing.assert_allclose(box.center, [8.0, -3.0, 0.75])
     assert box.yaw == pytest.approx(-np.pi / 6)

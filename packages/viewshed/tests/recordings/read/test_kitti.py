@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.io import read_sweep
@@ -27,6 +28,13 @@ def made(seed: int, count: int = 200) -> bytes:
     return rng.normal((12, 3, -1, 0.4), (6, 4, 0.5, 0.1), (count, 4)).astype("<f4").tobytes()
 
 
+def numbers(array: NDArray[np.float64]) -> str:
+    return " ".join(map(repr, array.ravel().tolist()))
+
+
+TR = numbers(CAMERA_FROM_VELO.as_matrix()[:3])
+
+
 def oxts_line(world_from_imu: Rigid) -> str:
     """The record of a pose (east, north, up; meters from LATITUDE, LONGITUDE), by Mercator's formulas turned over."""
     east, north, up = world_from_imu.translation
@@ -34,16 +42,9 @@ def oxts_line(world_from_imu: Rigid) -> str:
     north0 = scale * np.arcsinh(np.tan(np.radians(LATITUDE)))
     latitude = np.degrees(np.arctan(np.sinh((north0 + north) / scale)))
     r = world_from_imu.rotation
-    roll, pitch = np.arctan2(r[2, 1], r[2, 2]), -np.arcsin(r[2, 0])
-    numbers = [
-        latitude,
-        LONGITUDE + np.degrees(east / scale),
-        ALTITUDE_M + up,
-        roll,
-        pitch,
-        np.arctan2(r[1, 0], r[0, 0]),
-    ]
-    return " ".join(f"{number:.15g}" for number in [*numbers, *[0.0] * 24]) + "\n"
+    place = latitude, LONGITUDE + np.degrees(east / scale), ALTITUDE_M + up
+    turn = np.arctan2(r[2, 1], r[2, 2]), -np.arcsin(r[2, 0]), np.arctan2(r[1, 0], r[0, 0])
+    return " ".join(f"{number:.15g}" for number in (*place, *turn, *[0.0] * 24)) + "\n"
 
 
 def write_raw(root: Path, sweeps: list[tuple[int, bytes, Rigid]], imu_from_velo: Rigid = IMU_FROM_VELO) -> Path:
@@ -58,10 +59,7 @@ def write_raw(root: Path, sweeps: list[tuple[int, bytes, Rigid]], imu_from_velo:
     times = "".join(f"2011-09-26 13:02:{25 + k // 10}.{k % 10}6438944{k % 7}\n" for k in range(count))
     (drive / "velodyne_points" / "timestamps.txt").write_text(times)
     velo = imu_from_velo.inverse()
-    rotation, translation = (
-        " ".join(map(repr, map(float, part.ravel()))) for part in (velo.rotation, velo.translation)
-    )
-    calibration = f"calib_time: 25-May-2012 16:47:16\nR: {rotation}\nT: {translation}\n"
+    calibration = f"calib_time: 25-May-2012 16:47:16\nR: {numbers(velo.rotation)}\nT: {numbers(velo.translation)}\n"
     (drive.parent / "calib_imu_to_velo.txt").write_text(calibration)
     return drive
 
@@ -146,6 +144,9 @@ def _put(name: str, text: str) -> Callable[[Path], object]:
     return lambda drive: (drive / name).write_text(text)
 
 
+OXTS = "oxts/data/0000000001.txt"
+
+
 def _drop(name: str) -> Callable[[Path], object]:
     return lambda drive: (drive / name).unlink()
 
@@ -154,18 +155,11 @@ def _drop(name: str) -> Callable[[Path], object]:
     ("damage", "line"),
     [
         (_cut("velodyne_points/data/0000000001.bin", 77), r"0001.bin: must hold rows of 4 float32"),
-        (_cut("velodyne_points/data/0000000001.bin", 0), r"0001.bin: the file is empty"),
-        (_drop("oxts/data/0000000001.txt"), r"0001.bin: has no pose: .*oxts/data/0000000001.txt: No such file"),
-        (
-            _put("oxts/data/0000000001.txt", "49.0 8.4 x 0 0 0"),
-            r"0001.bin: has no pose: .*0001.txt: must be 6 finite numbers",
-        ),
-        (_put("oxts/data/0000000001.txt", "49.0 8.4"), r"0001.bin: has no pose: .*0001.txt: must be 6 finite numbers"),
-        (
-            _put("oxts/data/0000000001.txt", "90.0 8 1 0 0 0"),
-            r"0001.bin: has no pose: .*0001.txt: latitude must lie in",
-        ),
-        (_cut("oxts/data/0000000001.txt", 0), r"0001.bin: has no pose: .*0001.txt: the file is empty"),
+        (_drop(OXTS), r"0001.bin: has no pose: .*oxts/data/0000000001.txt: No such file"),
+        (_put(OXTS, "49.0 8.4 x 0 0 0"), r"0001.bin: has no pose: .*0001.txt: must be 6 finite numbers"),
+        (_put(OXTS, "49.0 8.4"), r"0001.bin: has no pose: .*0001.txt: must be 6 finite numbers"),
+        (_put(OXTS, "90.0 8 1 0 0 0"), r"0001.bin: has no pose: .*0001.txt: latitude must lie in"),
+        (_cut(OXTS, 0), r"0001.bin: has no pose: .*0001.txt: the file is empty"),
     ],
 )
 def test_a_damaged_file_of_a_drive_costs_one_sweep(damage: Callable[[Path], object], line: str, drive: Path) -> None:
@@ -181,10 +175,7 @@ def test_a_damaged_file_of_a_drive_costs_one_sweep(damage: Callable[[Path], obje
         (_drop("../calib_imu_to_velo.txt"), r"calib_imu_to_velo.txt: No such file.*; the sweeps of .* have no poses"),
         (_put("../calib_imu_to_velo.txt", "R: 1 0 0"), r"calib_imu_to_velo.txt, R: must be 9 finite numbers"),
         (_put("../calib_imu_to_velo.txt", "R: 2 0 0 0 1 0 0 0 1\nT: 1 2 3"), r"velo.txt: rotation must be orthonormal"),
-        (
-            lambda drive: [file.unlink() for file in (drive / "oxts" / "data").iterdir()],
-            r"oxts/data: must hold the recor",
-        ),
+        (lambda drive: [file.unlink() for file in (drive / "oxts/data").iterdir()], r"oxts/data: must hold the recor"),
     ],
 )
 def test_a_drive_without_what_all_its_poses_need_is_read_without_poses(
@@ -227,11 +218,10 @@ def write_odometry(root: Path, sweeps: list[tuple[int, bytes, Rigid]], lines: in
     poses = {number: CAMERA_FROM_VELO @ pose @ CAMERA_FROM_VELO.inverse() for number, _, pose in sweeps}
     for number, content, _ in sweeps:
         (sequence / "velodyne" / f"{number:06d}.bin").write_bytes(content)
-    text = [poses.get(number, Rigid.identity()).as_matrix()[:3].ravel() for number in range(lines)]
-    (root / "poses" / "00.txt").write_text("".join(" ".join(map(repr, row.tolist())) + "\n" for row in text))
+    text = [numbers(poses.get(number, Rigid.identity()).as_matrix()[:3]) + "\n" for number in range(lines)]
+    (root / "poses" / "00.txt").write_text("".join(text))
     (sequence / "times.txt").write_text("".join(f"{0.1 * number:e}\n" for number in range(lines)))
-    tr = " ".join(map(repr, CAMERA_FROM_VELO.as_matrix()[:3].ravel().tolist()))
-    (sequence / "calib.txt").write_text(f"P0: 7.1e+02 0 6.0e+02 0 0 7.1e+02 1.8e+02 0 0 0 1 0\nTr: {tr}\n")
+    (sequence / "calib.txt").write_text(f"P0: 7.1e+02 0 6.0e+02 0 0 7.1e+02 1.8e+02 0 0 0 1 0\nTr: {TR}\n")
     return sequence
 
 
@@ -287,10 +277,9 @@ def write_objects(root: Path, contents: dict[str, bytes]) -> Path:
     part = root / "training"
     for name in ("velodyne", "calib", "label_2"):
         (part / name).mkdir(parents=True)
-    tr = " ".join(map(repr, CAMERA_FROM_VELO.as_matrix()[:3].ravel().tolist()))
     for key, content in contents.items():
         (part / "velodyne" / f"{key}.bin").write_bytes(content)
-        (part / "calib" / f"{key}.txt").write_text(f"P2: 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {tr}\n\n")
+        (part / "calib" / f"{key}.txt").write_text(f"P2: 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {TR}\n\n")
         (part / "label_2" / f"{key}.txt").write_text(
             "Car 0.00 0 -1.58 587.01 173.33 614.12 200.12 1.65 1.67 3.64 -0.65 1.71 46.70 -1.2707963267948966\n"
             "DontCare -1 -1 -10 503.89 169.71 590.61 190.13 -1 -1 -1 -1000 -1000 -1000 -10\n"
@@ -303,8 +292,7 @@ def test_a_label_is_a_box_in_the_sensors_frame(tmp_path: Path) -> None:
     write_objects(tmp_path, {"000007": made(7)})
     source = open_source(tmp_path)
     [ref] = source.refs("training")
-    boxes = source.boxes(ref)
-    [car] = boxes
+    [car] = source.boxes(ref)
     assert (car.category, car.size_m, car.track) == ("Car", (3.64, 1.67, 1.65), None)
     np.testing.assert_allclose(car.center, [46.70 + 0.33, 0.65 - 0.01, -(1.71 - 1.65 / 2 + 0.06)], atol=1e-9)
     assert car.yaw == pytest.approx(-0.3)  # -π/2 is straight ahead; more of ry is further to the right
@@ -320,10 +308,7 @@ def test_a_label_is_a_box_in_the_sensors_frame(tmp_path: Path) -> None:
         (_drop("label_2/000001.txt"), r"label_2/000001.txt: No such file"),
         (_put("label_2/000001.txt", "Car 0 0 0 1 2\n"), r"label_2/000001.txt, line 1: must be 14 finite numbers"),
         (_put("label_2/000001.txt", "Car" + " 0" * 14), r"label_2/000001.txt, line 1: size_m must be three positive"),
-        (
-            _put("calib/000001.txt", "R0_rect: 1 0 0 0 1 0 0 0 1\n"),
-            r"calib/000001.txt: must have a line Tr_velo_to_cam",
-        ),
+        (_put("calib/000001.txt", "R0_rect: 1 0 0 0 1 0 0 0 1\n"), r"000001.txt: must have a line Tr_velo_to_cam"),
         (_put("calib/000001.txt", "Tr_velo_to_cam: 1 0\n"), r"calib/000001.txt, R0_rect: must be 9 finite numbers"),
     ],
 )
@@ -451,6 +436,3 @@ def test_a_broken_file_of_tracklets_costs_the_boxes_alone(content: bytes, line: 
     assert len(lines_of(source)[0]) == 4
     with pytest.raises(ValueError, match=rf"^[^\n]*tracklet_labels.xml: {line}[^\n]*$"):
         source.boxes(source.refs(DRIVE)[0])
-
-
-# Real sweeps

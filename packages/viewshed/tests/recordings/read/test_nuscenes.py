@@ -132,8 +132,7 @@ def test_sweeps_come_back_in_time_order_with_poses_times_and_beams(tree: tuple[P
 def test_boxes_of_keyframes_are_in_the_world_with_length_along_the_heading(tree: tuple[Path, NuscenesTables]) -> None:
     source = open_source(tree[0])
     first, between, last, _ = source.refs("scene-0103")
-    boxes = source.boxes(first)
-    car, person = boxes
+    car, person = source.boxes(first)
     assert (car.category, car.track, car.size_m) == ("vehicle.car", "i0", (4.6, 1.9, 1.7))
     assert car.center.tolist() == [373.2, 1130.4, 0.8]
     assert abs(car.yaw) == pytest.approx(np.pi)
@@ -217,10 +216,7 @@ def _shift_a_number(tables: NuscenesTables) -> None:
             _change("sample_data", 2, "sample_token", "x"),
             r"^\|.*sample_data.json: .*597590.* no sample of a scene, 'x'",
         ),
-        (
-            _change("sample_data", 2, "timestamp", "soon"),
-            r"^\|.*sample_data.json: row 2 must have a whole number as 't",
-        ),
+        (_change("sample_data", 2, "timestamp", "soon"), r"^\|.*_data.json: row 2 must have a whole number as 't"),
         (_change("sample_data", 2, "filename", "../LIDAR_TOP"), r"103\|.* leads out of .*; refused"),
         (_change("sample_data", 2, "filename", "sweeps/LIDAR_TOP/gone.pcd.bin"), r"103\|.*gone.pcd.bin: No such file"),
         (_change("sample", 1, "scene_token", "x"), r"^\|.*sample.json: row 'sa1' names no row of scene.json, 'x'"),

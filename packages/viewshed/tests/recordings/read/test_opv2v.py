@@ -42,8 +42,7 @@ def test_vehicles_become_boxes(tmp_path: Path) -> None:
            "speed": 3.0}  # fmt: skip
     _frame(tmp_path / "s" / "641", 68, [[5, 3, 1]], lidar_pose=POSE, vehicles={304: car})
     source = open_source(tmp_path)
-    boxes = source.boxes(source.refs("s")[0])
-    [box] = boxes
+    [box] = source.boxes(source.refs("s")[0])
     np.testing.assert_allclose(box.center, [8.0, -3.5, 0.8], atol=1e-12)
     assert (box.size_m, box.track, box.category) == ((4.0, 2.0, 1.5), "304", "vehicle")
     assert box.yaw == pytest.approx(-np.pi / 2)
