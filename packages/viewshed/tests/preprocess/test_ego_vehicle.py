@@ -67,33 +67,19 @@ def beside(x_m: tuple[float, float], y_m: tuple[float, float], z_m: tuple[float,
     )
 
 
-@pytest.mark.parametrize(
-    "others",
-    [
-        pytest.param(beside((-2.5, 2.5), (1.4, 2.6), (-1.1, -0.3)), id="a car beside"),
-        pytest.param(
-            np.concatenate(
-                [beside((-2.5, 2.5), (1.4, 2.6), (-1.1, -0.3)), beside((-2.5, 2.5), (-2.6, -1.4), (-1.1, -0.3))]
-            ),
-            id="cars on both sides",
-        ),
-        pytest.param(
-            np.concatenate(
-                [beside((-0.9, 0.9), (2.0, 2.1), (-1.1, 1.5)), beside((-0.9, 0.9), (-2.1, -2.0), (-1.1, 1.5))]
-            ),
-            id="gate posts on both sides",
-        ),
-        pytest.param(beside((-0.2, 0.2), (1.5, 1.8), (-1.1, -0.1)), id="a person beside"),
-    ],
-)
-def test_others_beside_are_not_the_own_vehicle(others: F32) -> None:
-    assert _core.vehicle_heading(np.concatenate([others, STREET.points]), LEVEL) == 0.0
+PERSON = beside((-0.2, 0.2), (1.5, 1.8), (-1.1, -0.1))
+OTHERS = {
+    "a car beside": [beside((-2.5, 2.5), (1.4, 2.6), (-1.1, -0.3))],
+    "cars on both sides": [beside((-2.5, 2.5), y_m, (-1.1, -0.3)) for y_m in ((1.4, 2.6), (-2.6, -1.4))],
+    "gate posts on both sides": [beside((-0.9, 0.9), y_m, (-1.1, 1.5)) for y_m in ((2.0, 2.1), (-2.1, -2.0))],
+    "a person beside": [PERSON],
+    "a person beside the roof that is seen": [beside((-1.0, 1.0), (-0.6, 0.6), (-0.35, -0.3)), PERSON],
+}
 
 
-def test_a_person_beside_the_roof_that_is_seen_is_no_hood() -> None:
-    roof = beside((-1.0, 1.0), (-0.6, 0.6), (-0.35, -0.3))
-    person = beside((-0.2, 0.2), (1.5, 1.8), (-1.1, -0.1))
-    assert _core.vehicle_heading(np.concatenate([roof, person, STREET.points]), LEVEL) == 0.0
+@pytest.mark.parametrize("name", OTHERS)
+def test_others_beside_are_not_the_own_vehicle(name: str) -> None:
+    assert _core.vehicle_heading(np.concatenate([*OTHERS[name], STREET.points]), LEVEL) == 0.0
 
 
 def test_no_real_sweep_is_turned_and_nuscenes_turned_is_noticed(real_data: object) -> None:

@@ -208,6 +208,9 @@ CASES = (
 )
 
 
+EVERY, NONE = np.ones((4, 4), np.bool_), np.zeros((4, 4), np.bool_)
+
+
 def evidence_by_hand() -> BeamEvidence:
     grid, columns = BevGrid(4, 8.0), np.zeros((5, 16), np.float32)
     columns[:, : len(CASES)] = np.array([case for case, *_ in CASES], np.float32).T
@@ -216,7 +219,7 @@ def evidence_by_hand() -> BeamEvidence:
 
 
 def test_each_state_needs_its_beams() -> None:
-    evidence, every, none = evidence_by_hand(), np.ones((4, 4), np.bool_), np.zeros((4, 4), np.bool_)
+    evidence, every, none = evidence_by_hand(), EVERY, NONE
     claimed, denied, doubted, on_obstacles = (
         evidence.states(*masks).reshape(-1)[: len(CASES)].tolist()
         for masks in ((every, none, none), (none, every, none), (none, none, every), (every, none, every))
@@ -228,7 +231,7 @@ def test_each_state_needs_its_beams() -> None:
 
 
 def test_cells_that_late_ends_would_show_are_not_hidden() -> None:
-    evidence, every, none = evidence_by_hand(), np.ones((4, 4), np.bool_), np.zeros((4, 4), np.bool_)
+    evidence, every, none = evidence_by_hand(), EVERY, NONE
     late = replace(evidence, late=evidence.late + np.float32(5.0))
     assert (evidence.states(none, every, none) == HIDDEN).any()
     assert not (late.states(none, every, none) == HIDDEN).any()
@@ -236,10 +239,8 @@ def test_cells_that_late_ends_would_show_are_not_hidden() -> None:
 
 
 def test_claims_that_rest_on_inferred_beams_or_on_unsure_ground_are_counted() -> None:
-    evidence = evidence_by_hand()
-    every, none = np.ones((4, 4), np.bool_), np.zeros((4, 4), np.bool_)
-    first = none.copy()
-    first[0, 0] = True
+    evidence, every, none = evidence_by_hand(), EVERY, NONE
+    first = np.arange(16).reshape(4, 4) == 0
     node = np.arange(16, dtype=np.int32).reshape(4, 4)
     std_m = np.where(np.arange(16) == 1, 0.6, 0.1).astype(np.float32).reshape(4, 4)
     for visible, counted in ((every, (3, 1, 2)), (first, (1, 0, 0)), (none, (0, 0, 0))):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tests.preprocess.test_sensor_identification import SCENE
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
@@ -13,9 +14,8 @@ from viewshed.io import read_index, read_indexed, read_sweeps
 from viewshed.preprocess import leveling
 from viewshed.preprocess.sensor_identification import UNIDENTIFIED, SensorId, identify_sensor
 from viewshed.sensors import LidarModel, lidar_model
-from viewshed_lab.sim import Box, Scene, cast
+from viewshed_lab.sim import cast
 
-SCENE = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
 GRID = BevGrid(64, 32.0)
 
 

@@ -152,26 +152,11 @@ def test_the_faces_of_a_cutting_are_climbed() -> None:
     def relief(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.clip(0.84 * (np.abs(y) - 6.0), 0.0, 4.0) + 0.0 * x
 
-    model = LidarModel("dense", np.deg2rad(np.linspace(-25, 15, 64)), azimuth_columns=900, max_range_m=120.0)
-    leveled = _level(_met(relief, model))
+    leveled = _level(rings(relief, np.linspace(-25, 15, 64)))
     assert leveled.sensor_height_m == pytest.approx(1.8, abs=0.06)
     face = np.array([[x, side * y] for x in (-6.0, 0.0, 5.0) for y in (7.5, 8.5, 9.5) for side in (-1.0, 1.0)])
     assert np.abs(relief_errors(leveled, relief, face)).max() < 0.3
     assert np.abs(relief_errors(leveled, relief, face * [1.0, 0.3])).max() < 0.1
-
-
-def _met(relief: Relief, model: LidarModel) -> NDArray[np.float32]:
-    """Where the beams of a model, 1.8 m up, first meet ``relief``; none beyond 60 m."""
-    azimuth = -np.pi + np.arange(model.azimuth_columns) * model.azimuth_step
-    steps, found = np.arange(2.0, 60.0, 0.05), []
-    x, y = np.cos(azimuth)[:, None] * steps, np.sin(azimuth)[:, None] * steps
-    ground_m = relief(x, y)
-    for slope in np.tan(model.elevation):
-        below = slope * steps + 1.8 <= ground_m
-        rows = np.nonzero(below.any(axis=1))[0]
-        k = below[rows].argmax(axis=1)
-        found.append(np.stack([x[rows, k], y[rows, k], slope * steps[k]], axis=1))
-    return np.concatenate(found).astype(np.float32)
 
 
 @pytest.mark.parametrize(

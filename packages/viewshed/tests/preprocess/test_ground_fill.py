@@ -20,18 +20,19 @@ SEEN_STD_M, BEYOND_GROWTH, PLANE_M, TILT_M = 0.05, 0.01, 30.0, 20.0
 
 ROAD = GRIDS["road"]
 HEIGHT_M = 1.8
+HDL_32E_DEG = -30.67 + 1.333 * np.arange(23)
+"""Elevations of those rings of an HDL-32E that look down."""
 Relief = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
-def rings(relief: Relief, first: int = 0) -> NDArray[np.float32]:
-    """Returns of 32 rings (1.33° apart, as an HDL-32E's) where they first meet ``relief``; the sensor is at 0."""
+def rings(relief: Relief, elevation_deg: NDArray[np.float64] = HDL_32E_DEG) -> NDArray[np.float32]:
+    """Returns of rings where they first meet ``relief``, if within 63 m; the sensor is at 0."""
     azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
-    slopes = np.tan(np.deg2rad(-30.67 + 1.333 * np.arange(first, 23)))
     steps = np.arange(2.0, 63.0, 0.05)
-    found = []
-    for slope in slopes:
-        x, y = np.cos(azimuth)[:, None] * steps, np.sin(azimuth)[:, None] * steps
-        below = slope * steps + HEIGHT_M <= relief(x, y)
+    x, y = np.cos(azimuth)[:, None] * steps, np.sin(azimuth)[:, None] * steps
+    ground_m, found = relief(x, y), []
+    for slope in np.tan(np.deg2rad(elevation_deg)):
+        below = slope * steps + HEIGHT_M <= ground_m
         rows = np.nonzero(below.any(axis=1))[0]
         k = below[rows].argmax(axis=1)
         found.append(np.stack([x[rows, k], y[rows, k], slope * steps[k]], axis=1))

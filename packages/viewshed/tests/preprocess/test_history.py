@@ -159,11 +159,7 @@ def test_a_memory_keeps_the_last_sweeps_that_lie_apart(steps_s: list[float], swe
     kept: list[int] = []
     empty = level_of(NOTHING.replace(world_from_sensor=at(0, 0)))
     for t_s in times:
-        leveled = LeveledSweep(
-            empty.sweep.replace(t_ns=int(1e9 * t_s)), empty.points, empty.range_m, empty.azimuth, empty.height_m,
-            empty.rows, empty.level_from_sensor, empty.ground,
-        )  # fmt: skip
-        buffer.add(leveled)
+        buffer.add(replace(empty, sweep=empty.sweep.replace(t_ns=int(1e9 * t_s))))
         if not kept or int(1e9 * t_s) - kept[-1] >= every_s * 1e9:
             kept.append(int(1e9 * t_s))
     assert [leveled.sweep.t_ns for leveled in buffer._kept["ego"]] == kept[-sweeps:]

@@ -18,10 +18,6 @@ SWEEP = cast(MODEL, Scene((Box(15, 4, 1, 8, 3),)), 1.8)
 GRID = BevGrid(64, 32.0)
 
 
-def _without(kept: Mask, sweep: Sweep = SWEEP) -> Sweep:
-    return sweep.select(kept)
-
-
 def test_a_full_sweep_misses_nothing() -> None:
     assert len(no_return_beams(level(SWEEP, GRID), fill=False).azimuth) == 0
 
@@ -30,7 +26,7 @@ def test_the_beams_left_out_are_found_where_they_aimed() -> None:
     assert SWEEP.ring is not None
     azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
     gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.05)
-    missing = no_return_beams(level(_without(~gone), GRID), fill=False)
+    missing = no_return_beams(level(SWEEP.select(~gone), GRID), fill=False)
     assert len(missing.azimuth) == gone.sum()
     assert np.allclose(np.sort(missing.azimuth), np.sort(azimuth[gone]), atol=np.deg2rad(1.0))
     assert np.allclose(missing.slope, np.tan(MODEL.elevation[5]), atol=2e-3)
@@ -41,7 +37,7 @@ def test_fill_gives_the_depth_of_the_nearer_neighbor() -> None:
     assert SWEEP.ring is not None
     azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
     gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.03)
-    filled = no_return_beams(level(_without(~gone), GRID), fill=True)
+    filled = no_return_beams(level(SWEEP.select(~gone), GRID), fill=True)
     ground_m = 1.8 / -np.tan(MODEL.elevation[5])
     assert len(filled.depth_m) == gone.sum()
     assert np.allclose(filled.depth_m, ground_m, rtol=0.02)
@@ -91,14 +87,14 @@ def _grazing() -> Mask:
 
 def test_beams_at_ground_that_hardly_returns_went_as_far_as_that_ground() -> None:
     lost = ~_grazing()
-    beams = _explained(_without(~lost, FULL))
+    beams = _explained(FULL.select(~lost))
     open_ = np.abs(beams.azimuth + 1.4) < 0.2
     assert _of(beams, 15).sum() > 0.8 * lost.sum()
     assert np.median(beams.depth_m[open_]) == pytest.approx(LAST, rel=0.05)
 
 
 def test_early_ends_come_before_likely_ones_and_these_before_late_ones() -> None:
-    split = beams_by_evidence(level(_without(_grazing(), FULL), GRID), 1.5)
+    split = beams_by_evidence(level(FULL.select(_grazing()), GRID), 1.5)
     assert (split.early.depth_m <= split.inferred.depth_m).all()
     assert (split.inferred.depth_m <= split.late.depth_m).all()
     assert (split.early.depth_m < split.late.depth_m).any()
@@ -108,15 +104,15 @@ def test_early_ends_come_before_likely_ones_and_these_before_late_ones() -> None
 def test_nothing_is_claimed_behind_a_wall_that_swallows_light(gone_share: float) -> None:
     wall = (np.abs(FULL.points[:, 0] - 14.5) < 0.05) & (np.abs(FULL.points[:, 1] - 4) < 4.1)
     gone = wall & (np.random.default_rng(0).random(len(FULL)) < gone_share)
-    estimate = ShadowMap(GRID).estimate(_without(~gone, FULL))
+    estimate = ShadowMap(GRID).estimate(FULL.select(~gone))
     behind = GRID.centers[(GRID.centers[..., 0] > 17) & (np.abs(GRID.centers[..., 1] - 5) < 2)]
     assert (estimate.at(behind) >= 0.5).mean() < 0.05
-    assert (ShadowMap(GRID, no_return="max_range").estimate(_without(~gone, FULL)).at(behind) >= 0.5).mean() > 0.9
+    assert (ShadowMap(GRID, no_return="max_range").estimate(FULL.select(~gone)).at(behind) >= 0.5).mean() > 0.9
 
 
 def test_the_core_answers_as_the_formulas_do() -> None:
     """The mixture of the network, computed once more from its arrays in another way: by the sum of its shares."""
-    leveled = level(_without(_grazing(), FULL), GRID)
+    leveled = level(FULL.select(_grazing()), GRID)
     from viewshed_lab.training.no_return import arrays_of
 
     groups, split = no_return_groups(leveled, 1.5), beams_by_evidence(leveled, 1.5)
@@ -153,26 +149,26 @@ def test_the_core_answers_as_the_formulas_do() -> None:
 @pytest.mark.parametrize("ring", [4, 9, 15])
 def test_a_dead_ring_says_nothing(ring: int) -> None:
     assert FULL.ring is not None
-    beams = _explained(_without(FULL.ring != ring, FULL))
+    beams = _explained(FULL.select(FULL.ring != ring))
     assert not _of(beams, ring).any()
 
 
 def test_a_dropped_sector_says_nothing() -> None:
-    beams = _explained(_without(_grazing() & ~(np.abs(_azimuth(FULL) + 1.2) < 0.2), FULL))
+    beams = _explained(FULL.select(_grazing() & ~(np.abs(_azimuth(FULL) + 1.2) < 0.2)))
     assert _of(beams, 15).sum() > 100
     assert not (np.abs(beams.azimuth + 1.2) < 0.18).any()
 
 
 def test_a_hole_in_a_wall_is_wall() -> None:
     hole = (np.abs(_azimuth(FULL) - 0.2) < 0.026) & (FULL.ring >= 11) & (FULL.ring <= 13)
-    beams = _explained(_without(~hole, FULL))
+    beams = _explained(FULL.select(~hole))
     at_wall = np.abs(beams.azimuth - 0.2) < 0.04
     assert at_wall.sum() == hole.sum() >= 8
     assert np.allclose(beams.depth_m[at_wall] * np.cos(beams.azimuth[at_wall]), 14.5, atol=0.5)
 
 
 def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing() -> None:
-    sweep = _without(_grazing(), FULL)
+    sweep = FULL.select(_grazing())
     shuffled = sweep.select(np.random.default_rng(1).permutation(len(sweep))).replace(ring=None)
     bare = shuffled.replace(model=None)
     aside = bare.replace(points=bare.points + np.array([0.4, 0.2, 0.0], np.float32))  # not seen from the sensor
@@ -190,7 +186,7 @@ def test_a_gap_is_filled_from_both_sides_across_the_seam_as_elsewhere(middle: fl
     away = np.remainder(np.arctan2(flat.points[:, 1], flat.points[:, 0]) - middle + np.pi, 2 * np.pi) - np.pi
     gone = (flat.ring == 5) & (np.abs(away) < np.deg2rad(20))
     assert gone.sum() == 40
-    filled = no_return_beams(level(_without(~gone, flat), GRID), fill=True)
+    filled = no_return_beams(level(flat.select(~gone), GRID), fill=True)
     from_middle = np.remainder(filled.azimuth - middle + np.pi, 2 * np.pi) - np.pi
     assert (from_middle > 0).sum() == (from_middle < 0).sum() == 16
     assert (np.abs(from_middle) > np.deg2rad(3.9)).all()
@@ -198,7 +194,7 @@ def test_a_gap_is_filled_from_both_sides_across_the_seam_as_elsewhere(middle: fl
 
 
 def test_a_table_that_does_not_explain_the_points_takes_nothing_from_what_they_show() -> None:
-    bare = _without(_grazing(), FULL).replace(ring=None, model=None)
+    bare = FULL.select(_grazing()).replace(ring=None, model=None)
     bare = bare.select(np.random.default_rng(1).permutation(len(bare)))
     wrong = LidarModel(
         "wrong", np.deg2rad(np.linspace(-19, 19, 70)), azimuth_columns=400, min_range_m=0.5, max_range_m=250.0

@@ -92,14 +92,6 @@ def test_firing_order_is_not_taken_for_ring_order() -> None:
     assert (beams.ring == cloud.ring).all()
 
 
-def test_a_shuffled_cloud_without_model_has_the_rings_at_which_its_elevations_gather() -> None:
-    cloud = shuffled(cast(lidar_model("hdl32e")))
-    beams = recover_rings(Sweep(cloud.points))
-    assert (beams.source, beams.rings) == ("elevation clusters", 32)
-    assert (beams.ring == cloud.ring).mean() > 0.999
-    assert beams.elevation == pytest.approx(lidar_model("hdl32e").elevation, abs=np.deg2rad(0.02))
-
-
 def test_a_shuffled_cloud_of_no_beams_falls_to_bins() -> None:
     points = np.random.default_rng(1).uniform([-40, -40, -2], [40, 40, 6], (20_000, 3)).astype(np.float32)
     beams = recover_rings(Sweep(points))

@@ -236,17 +236,6 @@ def test_a_damaged_row_costs_one_sweep_and_is_told(
     assert any(re.search(line, text) for text in told), told
 
 
-def test_a_cut_off_sweep_is_named_and_the_rest_goes_on(tree: tuple[Path, NuscenesTables]) -> None:
-    root, tables = tree
-    file = root / tables["sample_data"][4]["filename"]
-    file.write_bytes(file.read_bytes()[:-7])
-    keys, [line] = lines_of(open_source(root))
-    assert keys == ["sd0", "sd1", "sd3"]
-    assert re.search(rf"^scene-0103\|{re.escape(str(file))}: must hold rows of 5 float32 .* cut off", line)
-    with pytest.raises(ValueError, match=re.escape(file.name)):
-        list(each_sweep(open_source(root)))
-
-
 @pytest.mark.parametrize(
     ("damage", "line"),
     [
