@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, cast
 
 import numpy as np
@@ -79,13 +79,18 @@ def alarming(*numbers: int) -> StreamMonitor:
     return cast(StreamMonitor, monitor)
 
 
-def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
+def answers_to(sweeps: Iterable[Sweep], agent: str = "ego", **settings: Any) -> list[Answer]:
+    """Return what a pipeline publishes of sweeps that are put one after the other."""
     answers: list[Answer] = []
-    sweeps = [at(0.1 * n, SWEEP) for n in range(3)]
-    slow = Vehicle(braking_mps2=1.0)
-    with Pipeline(shadow_map(), answers.append, vehicle=slow, lossless=True) as pipeline:
+    with Pipeline(shadow_map(), answers.append, lossless=True, **settings) as pipeline:
         for sweep in sweeps:
-            pipeline.put(sweep, "car")
+            pipeline.put(sweep, agent)
+    return answers
+
+
+def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
+    sweeps, slow = [at(0.1 * n, SWEEP) for n in range(3)], Vehicle(braking_mps2=1.0)
+    answers = answers_to(sweeps, "car", vehicle=slow)
     assert [(answer.number, answer.agent, answer.refused) for answer in answers] == [(n, "car", "") for n in range(3)]
     for answer, sweep in zip(answers, sweeps, strict=True):
         alone = shadow_map().estimate(sweep.replace(agent="car"))
@@ -97,10 +102,7 @@ def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
 
 
 def test_history_helps_as_it_does_a_temporal_estimator() -> None:
-    answers: list[Answer] = []
-    with Pipeline(shadow_map(), answers.append, history=SweepBuffer(every_s=0.1), lossless=True) as pipeline:
-        for n in range(4):
-            pipeline.put(at(0.2 * n, SWEEP))
+    answers = answers_to([at(0.2 * n, SWEEP) for n in range(4)], history=SweepBuffer(every_s=0.1))
     alone = TemporalEstimator(shadow_map(), SweepBuffer(every_s=0.1))
     for n, answer in enumerate(answers):
         expected = alone.estimate(at(0.2 * n, SWEEP))
@@ -147,10 +149,7 @@ def test_the_newest_sweep_wins_while_the_estimator_is_busy() -> None:
 
 
 def test_an_alarm_withdraws_claims_until_sweeps_were_calm() -> None:
-    answers: list[Answer] = []
-    with Pipeline(shadow_map(), answers.append, monitor=alarming(1), lossless=True) as pipeline:
-        for n in range(13):
-            pipeline.put(at(n))
+    answers = answers_to(map(at, range(13)), monitor=alarming(1))
     cautions = [answer.reaction.caution for answer in answers]
     assert cautions == [Caution.KEEP] + [Caution.WIDEN] * 10 + [Caution.ASK] * 2
     assert [answer.notes for answer in answers[:3]] == [(), ("noted",), ()]
@@ -325,12 +324,9 @@ def test_a_suspicious_track_is_a_reason_to_ask() -> None:
     from viewshed.objects.object_stream import ObjectStream
     from viewshed_lab.threats.adversary import Adversary
 
-    answers: list[Answer] = []
     adversary = Adversary("fabricate_static", start_s=0.3, count=6, seed=1)
     objects = ObjectStream(tamper=adversary.detections)
-    with Pipeline(shadow_map(), answers.append, objects=objects, lossless=True) as pipeline:
-        for n in range(12):
-            pipeline.put(at(0.1 * n, SWEEP))
+    answers = answers_to([at(0.1 * n, SWEEP) for n in range(12)], objects=objects)
     suspicious = [
         a.objects is not None and bool((a.objects.shown & a.objects.explained.accused).any()) for a in answers
     ]

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from shapely import MultiPolygon, Polygon
 from shapely.affinity import affine_transform
 
-from viewshed.arrays import F32
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import mask_of_polygon
 from viewshed.geometry import Rigid
@@ -53,16 +52,3 @@ def polygons_of_osi(message: dict[str, Any]) -> dict[str, MultiPolygon]:
         outer, *inner = ([(at["x"], at["y"]) for at in ring] for ring in (entry["outer"], *entry["inner"]))
         parts[entry["layer"]].append(Polygon(outer, inner))
     return {layer: MultiPolygon(polygons) for layer, polygons in parts.items()}
-
-
-def cells_of_occupancy_grid(message: dict[str, Any]) -> NDArray[np.int8]:
-    """The values (cells, cells), x first."""
-    size = message["info"]["width"]
-    return np.array(message["data"], np.int8).reshape(size, size).T
-
-
-def layers_of_grid_map(message: dict[str, Any]) -> dict[str, F32]:
-    """The layers (cells, cells), x first, by name."""
-    size = message["data"][0]["layout"]["dim"][0]["size"]
-    values = (np.array(each["data"], np.float32).reshape((size, size), order="F") for each in message["data"])
-    return {name: layer[::-1, ::-1] for name, layer in zip(message["layers"], values, strict=True)}

@@ -14,7 +14,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.affinity import affine_transform
-from tests.io.export.readers import cells_of_occupancy_grid, fov_of_geojson, layers_of_grid_map, polygons_of_osi
+from tests.io.export.readers import fov_of_geojson, polygons_of_osi
 
 from viewshed.fov.estimate import Basis, CellState, FovEstimate
 from viewshed.fov.polygons import polygon_of_mask
@@ -203,46 +203,29 @@ def test_occupancy_grid_by_hand() -> None:
     assert made["state"]["data"] == [0, 50, 100, -1]
     assert visibility["data"] == [90, 20, 80, -1]
     assert occupancy["info"]["origin"]["position"] == {"x": 2.0, "y": -1.0, "z": 0.0}
+    assert (occupancy["info"]["resolution"], occupancy["info"]["width"]) == (grid.cell_m, 2)
     assert occupancy["header"] == {"stamp": {"sec": 2, "nanosec": 7}, "frame_id": "bus/level"}
     with pytest.raises(ValueError, match="layer must be occupancy, visibility, state or doubt, got 'cost'"):
         to_occupancy_grid(street(), "cost")
 
 
-def test_occupancy_grid_round_trip() -> None:
-    made = random_estimate(8)
-    grids = to_occupancy_grids(made)
-    written = np.array([-1, 0, 100, 50])[made.state]  # UNKNOWN, FREE, SURFACE, HIDDEN
-    np.testing.assert_array_equal(cells_of_occupancy_grid(grids["state"]), written)
-    known = made.state != CellState.UNKNOWN
-    percent = cells_of_occupancy_grid(grids["visibility"])
-    np.testing.assert_allclose(percent[known] / 100, made.visible_prob[known], atol=0.0051)
-    assert (percent[~known] == -1).all()
-    info = grids["state"]["info"]
-    corner = [info["origin"]["position"][axis] for axis in "xy"]
-    np.testing.assert_allclose([*corner, info["resolution"]], [*made.grid.origin_m, made.grid.cell_m])
-
-
-def test_grid_map_positions_follow_grid_map_core() -> None:
-    made = random_estimate(4)
-    message = to_grid_map(made)
-    info, data = message["info"], message["data"][0]["data"]
-    for row, column in [(0, 0), (3, 7), (12, 1)]:
-        first = 0.5 * info["length_x"] - 0.5 * info["resolution"]
-        x = info["pose"]["position"]["x"] + first - info["resolution"] * row
-        y = info["pose"]["position"]["y"] + first - info["resolution"] * column
-        assert data[column * 13 + row] == pytest.approx(float(made.at(np.array([x, y]))))
-
-
-def test_grid_map_round_trip() -> None:
+def test_cells_of_a_grid_map_lie_where_grid_map_core_has_them() -> None:
+    """Position (row, column) of https://github.com/ANYbotics/grid_map: both count from the farthest corner."""
     made = random_estimate(6)
     message = json.loads(json.dumps(to_grid_map(made), allow_nan=False))
-    back = layers_of_grid_map(message)
-    np.testing.assert_array_equal(back["visible_prob"], made.visible_prob)
-    np.testing.assert_array_equal(back["std"], np.nan_to_num(made.std, nan=-1.0))
-    np.testing.assert_array_equal(back["state"], made.state)
-    center = message["info"]["pose"]["position"]
-    size = [center["x"], center["y"], message["info"]["length_x"]]
-    np.testing.assert_allclose(size, [2.5, -1.25, 2 * made.grid.half_extent_m])
+    info, (row, column) = message["info"], np.indices(made.grid.shape)
+    center = info["pose"]["position"]
+    first = 0.5 * info["length_x"] - 0.5 * info["resolution"]
+    places = np.stack(
+        [each + first - info["resolution"] * at for each, at in ((center["x"], row), (center["y"], column))], axis=-1
+    )
+    i, j = np.rint((places - made.grid.centers[0, 0]) / made.grid.cell_m).astype(int).reshape(-1, 2).T
+    layers = {"visible_prob": made.visible_prob, "state": made.state, "std": np.nan_to_num(made.std, nan=-1.0)}
+    assert message["layers"] == list(layers)
+    for each, values in zip(message["data"], layers.values(), strict=True):
+        found = np.array(each["data"], np.float32).reshape(made.grid.shape, order="F")
+        np.testing.assert_array_equal(found.ravel(), values[i, j])
+    assert info["length_x"] == pytest.approx(2 * made.grid.half_extent_m)
     assert to_grid_map(street())["layers"] == ["visible_prob", "state"]  # no cell has a deviation
 
 

@@ -183,11 +183,7 @@ def test_planar_scans_are_checked(azimuth: NDArray[Any]) -> None:
 def test_a_planar_sweep_becomes_the_scan_that_it_came_from(count: int, first: float, step: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     ranges = rng.choice(np.array([np.inf, np.nan, 2.0, 3.5], np.float32), count)
-    scan = SimpleNamespace(
-        angle_min=first, angle_max=first + step * max(count - 1, 0), angle_increment=step, time_increment=0.0,
-        range_min=0.0, range_max=9.0, ranges=ranges, intensities=np.zeros(0, np.float32),
-    )  # fmt: skip
-    sweep = sweep_of_scan(scan)
+    sweep = sweep_of_scan(Scan(ranges, first, first + step * max(count - 1, 0), step, 0.0, 0.0, 9.0))
     made = SimpleNamespace(range_min=0.0, time_increment=0.0, **scan_of_sweep(sweep))
     back = sweep_of_scan(made)
     np.testing.assert_allclose(back.points, sweep.points, atol=4e-4)

@@ -3,13 +3,13 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.io.messages.test_laserscan import Scan
 from tests.recordings.write.moments import doubted, drive_moments, moments_of, write
 
 from viewshed import read_sweep
@@ -116,14 +116,8 @@ def test_topics_of_a_drive(drive: list[Moment], tmp_path: Path) -> None:
     agents = sorted({moment.agent for moment in drive})
     assert len(agents) == 3
     counts = {topic: len(messages) for topic, messages in found.items()}
-    once = {
-        "/agent_names": 1,
-        "/attacked_agents": 1,
-        "/tf_static": 1,
-        "/object_truth": 4,
-        "/tf": 12,
-        "/diagnostics": 12,
-    }
+    once = {"/object_truth": 4, **dict.fromkeys(("/agent_names", "/attacked_agents", "/tf_static"), 1)}
+    once |= {"/tf": 12, "/diagnostics": 12}
     of_agent = ("state", *(f"lidar/{part}" for part in ("data", "object_truth", "fov", "visibility", "state", "doubt")))
     assert counts == once | {f"/{agent}/{topic}": 4 for agent in agents for topic in of_agent}
     assert sorted(json.loads(found["/agent_names"][0][1].data)) == agents
@@ -236,10 +230,7 @@ def test_a_laser_scan_comes_back_as_one(name: str, tmp_path: Path) -> None:
     angle = np.linspace(-2.0, 2.0, 721)
     ranges = np.where(rng.random(721) < 0.2, np.inf, rng.uniform(1.0, 20.0, 721)).astype(np.float32)
     ranges[rng.random(721) < 0.1] = np.nan
-    scan = SimpleNamespace(
-        angle_min=-2.0, angle_max=2.0, angle_increment=4.0 / 720, time_increment=0.0, range_min=0.1, range_max=25.0,
-        ranges=ranges, intensities=np.arange(721, dtype=np.float32),
-    )  # fmt: skip
+    scan = Scan(ranges, -2.0, 2.0, 4.0 / 720, 0.0, 0.1, 25.0, np.arange(721, dtype=np.float32))
     sweep = sweep_of_scan(scan).replace(t_ns=5)
     place = write(tmp_path / name, moments_of([(sweep, None)]))
     [(_, back)] = each_sweep(open_source(place), on_damage=lambda *_: None)
