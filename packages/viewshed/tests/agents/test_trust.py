@@ -33,11 +33,17 @@ def reports_of(seen: np.ndarray, chance: np.ndarray, rng: np.random.Generator | 
     )  # fmt: skip
 
 
-def after(agents: int, seen: list[list[int]], chance: float | np.ndarray = 0.95, seconds: int = 3) -> Verdicts:
-    trust, said = Trust(agents), np.array(seen, bool)
+def told(reports: Reports, seconds: int = 3, trust: Trust | None = None) -> Verdicts:
+    """Return the verdicts once the same was said each second, to new trust if none is given."""
+    trust = Trust(reports.seen.shape[1]) if trust is None else trust
     for _ in range(seconds):
-        verdicts = trust.add(reports_of(said, np.broadcast_to(chance, said.shape)), 1.0)
+        verdicts = trust.add(reports, 1.0)
     return verdicts
+
+
+def after(agents: int, seen: list[list[int]], chance: float | np.ndarray = 0.95, seconds: int = 3) -> Verdicts:
+    said = np.array(seen, bool).reshape(-1, agents)
+    return told(reports_of(said, np.broadcast_to(chance, said.shape)), seconds)
 
 
 def test_two_who_contradict_each_other_are_disputed_and_not_convicted() -> None:
@@ -94,11 +100,9 @@ def test_one_object_alone_convicts_nobody_beyond_its_bound() -> None:
 
 
 def test_objects_that_look_invented_in_the_own_view_convict() -> None:
-    trust, seen = Trust(3), np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
-    reports = reports_of(seen, np.where(seen, 0.95, 0.0))
+    seen = np.eye(3, dtype=bool)[np.repeat([0, 1, 2], 3)]
     ratios = np.where(seen & (np.arange(3) == 1), 6.0, -2.0)
-    for _ in range(12):
-        verdicts = trust.add(replace(reports, invented=ratios), 1.0)
+    verdicts = told(replace(reports_of(seen, np.where(seen, 0.95, 0.0)), invented=ratios), 12)
     assert verdicts.evidence.argmax() == 1
     assert verdicts.suspects.tolist() == [False, True, False]
 
@@ -107,15 +111,11 @@ def test_a_forged_view_vouches_little_for_its_own_reports() -> None:
     """Three agents see a place free; whether the reporter's own view shows a surface there hardly matters."""
     seen = np.array([[True, False, False, False]] * 3)
     reports = reports_of(seen, np.full(seen.shape, 0.95))
-    found = []
-    for own in (-6.0, 0.0, 6.0):
-        trust = Trust(4)
-        for _ in range(3):
-            verdicts = trust.add(replace(reports, invented=np.where(seen, own, 0.0)), 1.0)
-        found.append(verdicts.evidence[0])
-    assert found[0] > 0.5 * found[1]  # a view that agrees takes little away
-    assert found[2] > found[1]  # one that does not adds to it
-    assert verdicts.suspects.tolist() == [True, False, False, False]
+    found = [told(replace(reports, invented=np.where(seen, own, 0.0))) for own in (-6.0, 0.0, 6.0)]
+    agrees, neutral, denies = (verdicts.evidence[0] for verdicts in found)
+    assert agrees > 0.5 * neutral  # a view that agrees takes little away
+    assert denies > neutral  # one that does not adds to it
+    assert found[-1].suspects.tolist() == [True, False, False, False]
 
 
 @pytest.mark.parametrize("reporters", [[0], [1, 2, 3]])
@@ -125,9 +125,7 @@ def test_views_of_those_silent_tell_who_lies(reporters: list[int]) -> None:
     seen[:, reporters] = True
     reports = reports_of(seen, np.where(seen, 0.9, 0.02))
     free = np.broadcast_to(np.where(seen, 0.0, 3.0), (2, 3, 4))
-    trust = Trust(4)
-    for _ in range(3):
-        verdicts = trust.add(replace(reports, silent_views=free), 1.0)
+    verdicts = told(replace(reports, silent_views=free))
     assert verdicts.evidence.argmax() == 0
     assert verdicts.suspects.tolist() == [True, False, False, False]
 
@@ -185,9 +183,7 @@ def test_boxes_beside_those_of_others_convict_if_the_own_view_shows_no_surface_t
     xy_m = reports.xy_m.copy()
     xy_m[:, 1, 0] += 1.0
     displaced = np.where(np.arange(3) == 1, ratio, reports.displaced)
-    trust = Trust(3)
-    for _ in range(3):
-        verdicts = trust.add(replace(reports, xy_m=xy_m, displaced=displaced), 1.0)
+    verdicts = told(replace(reports, xy_m=xy_m, displaced=displaced))
     assert verdicts.suspects.tolist() == [False, ratio > 0, False]
 
 
@@ -211,11 +207,9 @@ def test_agents_may_come_in_any_order() -> None:
 def test_old_reports_fade_and_memory_stays_bounded() -> None:
     trust = Trust(3)
     liar = reports_of(np.array([[1, 1, 0]] * 3, bool), np.full((3, 3), 0.95))
-    for _ in range(5):
-        found = trust.add(liar, 1.0)
+    found = told(liar, 5, trust)
     honest = reports_of(np.ones((3, 3), bool), np.full((3, 3), 0.95), first=10)
-    for _ in range(60):
-        verdicts = trust.add(honest, 1.0)
+    verdicts = told(honest, 60, trust)
     assert found.evidence[2] > 3.0
     assert verdicts.evidence[2] < 0.5
     for number in range(300):
@@ -287,8 +281,7 @@ def test_the_same_agents_in_another_order_keep_what_is_known(agents: int) -> Non
 def test_who_comes_in_begins_at_the_prior_and_changes_nobody(agents: int) -> None:
     trust, seen = Trust(agents), np.zeros((3, agents), bool)
     seen[:, 0] = True
-    for _ in range(3):
-        before = trust.add(reports_of(seen, np.full(seen.shape, 0.95)), 1.0)
+    before = told(reports_of(seen, np.full(seen.shape, 0.95)), 3, trust)
     trust.regroup([*range(agents), -1])
     after_it = trust.add(silent(agents + 1), 1e-3)
     np.testing.assert_allclose(after_it.trust[:agents], before.trust, atol=0.1 if agents > 2 else 0.25)
@@ -298,14 +291,10 @@ def test_who_comes_in_begins_at_the_prior_and_changes_nobody(agents: int) -> Non
 
 def test_who_goes_takes_its_contradictions_along() -> None:
     """Two contradict each other; when one goes, nothing is left against the other, and a third keeps its record."""
-    trust, seen = Trust(4), np.array([[1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 1, 1]], bool)
-    for _ in range(4):
-        before = trust.add(reports_of(seen, np.full(seen.shape, 0.95)), 1.0)
-    assert before.trust.argmin() == 0
-    liar, honest = Trust(4), Trust(4)
+    seen, liar, honest = np.array([[1, 0, 0, 0], [1, 0, 0, 0], [0, 1, 1, 1]], bool), Trust(4), Trust(4)
     for each, kept in ((liar, [0, 1, 2]), (honest, [1, 2, 3])):
-        for _ in range(4):
-            each.add(reports_of(seen, np.full(seen.shape, 0.95)), 1.0)
+        before = told(reports_of(seen, np.full(seen.shape, 0.95)), 4, each)
         each.regroup(kept)
+    assert before.trust.argmin() == 0
     assert liar.add(silent(3), 1e-3).trust[0] == pytest.approx(before.trust[0], abs=0.1)
     assert (honest.add(silent(3), 1e-3).trust > 0.85).all()
