@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from viewshed import Rigid
+from viewshed import LidarModel, Rigid
 from viewshed.io import read_sweep
 
 files: Any = import_module("sweep_files")
+recordings: Any = import_module("recording_files")
 P, I = files.POINTS, files.INTENSITY  # noqa: E741
 SAMPLES = files.samples()
 
@@ -95,14 +96,6 @@ def test_pcd_fields_of_any_type_order_and_count(put: Any) -> None:
     np.testing.assert_allclose(sweep.time_s, 0.01 * np.arange(6), atol=1e-6)
 
 
-def test_pcd_organized_cloud_loses_its_nan_points_only(put: Any) -> None:
-    table = np.column_stack((P, I)).astype(np.float32)
-    table[[1, 4], :3] = np.nan
-    sweep = read_sweep(put("n.pcd", files.pcd(files.rows(table), "binary").replace(b"HEIGHT 1", b"HEIGHT 2")))
-    assert sweep.dropped_points == 2
-    np.testing.assert_array_equal(sweep.points, P[[0, 2, 3, 5]])
-
-
 @pytest.mark.parametrize(
     ("scale", "sign", "zero"), [(1.0, -1.0, 0.0), (180 / np.pi, 1.0, np.pi / 2), (18000 / np.pi, -1.0, np.pi)]
 )
@@ -182,6 +175,21 @@ def test_argoverse_points_move_from_the_car_to_the_lidar_and_lasers_to_rings(put
     assert sweep.ring.tolist() == np.argsort(np.argsort(elevation)).tolist()
     assert sweep.t_ns == 315_966_265_259_836_000
     np.testing.assert_allclose(sweep.time_s, 0.001 * np.arange(6), atol=1e-6)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_model_tells_the_places_of_lasers_in_no_order_of_which_two_have_no_returns(known: bool, put: Any) -> None:
+    elevation, order = np.deg2rad([-20.0, -12.0, -7.0, -1.0, 2.0, 9.0]), np.array([3, 0, 5, 1, 4, 2])
+    beam = np.repeat([0, 1, 3, 4], 40)
+    azimuth, range_m = np.random.default_rng(3).uniform([[-3.0], [3.0]], [[3.0], [40.0]], (2, 160))
+    at = range_m * np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation[beam])])
+    columns = {**dict(zip("xyz", at.astype(np.float32), strict=True)), "intensity": np.zeros(160, np.uint8)}
+    content = recordings.feather(
+        **columns, laser_number=order[beam].astype(np.uint8), offset_ns=np.zeros(160, np.int32)
+    )
+    model = LidarModel("six", elevation, 40) if known else None
+    ring = read_sweep(put("a.feather", content), sensor=model, file_frame="sensor").ring
+    assert ring.tolist() == (beam if known else np.repeat(np.arange(4), 40)).tolist()
 
 
 def test_given_knowledge_reaches_the_sweep(put: Any) -> None:

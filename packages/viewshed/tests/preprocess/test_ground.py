@@ -122,9 +122,10 @@ def test_level_columns_are_those_of_the_points() -> None:
 def test_a_few_points_give_flat_ground(count: int) -> None:
     points = np.array([[5.0, 2.0, -1.0]] * count, np.float32).reshape(-1, 3)
     leveled = level(Sweep(points, sensor_height_m=1.5), ROAD)
-    assert leveled.sensor_height_m == 1.5
+    assert (leveled.sensor_height_m, leveled.ground.support) == (1.5, 0.0)
     assert not leveled.ground.seen.any()
     assert np.allclose(leveled.ground.heights_m, 0.0)
+    assert _level(points).sensor_height_m == pytest.approx(1.8)
 
 
 def relief_errors(leveled: LeveledSweep, relief: Relief, xy: NDArray[np.float64]) -> NDArray[np.float64]:

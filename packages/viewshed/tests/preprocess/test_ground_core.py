@@ -39,15 +39,6 @@ def test_level_ground_is_found_where_it_lies() -> None:
     assert np.isnan(level)
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_without_enough_points_level_ground_is_assumed(count: int) -> None:
-    heights, _, support, above_m = found(street(1000)[:count])
-    assert support == 0.0
-    assert above_m == pytest.approx(1.8)
-    assert np.abs(heights).max() == 0.0
-    assert found(street(1000)[:count], height_m=0.7)[-1] == 0.7
-
-
 def test_held_ground_is_taken_where_only_the_earlier_sweep_saw_it() -> None:
     heights, std, seen = held()
     assert np.allclose(heights, -1.8, atol=1e-5)

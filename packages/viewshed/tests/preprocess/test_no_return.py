@@ -33,16 +33,6 @@ def test_the_beams_left_out_are_found_where_they_aimed() -> None:
     assert np.isinf(missing.depth_m).all()
 
 
-def test_fill_gives_the_depth_of_the_nearer_neighbor() -> None:
-    assert SWEEP.ring is not None
-    azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
-    gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.03)
-    filled = no_return_beams(level(SWEEP.select(~gone), GRID), fill=True)
-    ground_m = 1.8 / -np.tan(MODEL.elevation[5])
-    assert len(filled.depth_m) == gone.sum()
-    assert np.allclose(filled.depth_m, ground_m, rtol=0.02)
-
-
 @pytest.mark.parametrize("phase", [0.05, 0.45, 0.55, 0.95])
 def test_each_firing_has_a_column_of_its_own_across_the_seam(phase: float) -> None:
     jitter = np.zeros(360)

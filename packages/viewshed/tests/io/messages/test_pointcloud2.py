@@ -64,11 +64,12 @@ def test_the_velodyne_driver_layout(big: bool) -> None:
 
 def test_the_ouster_driver_layout_counts_rings_from_the_highest_beam() -> None:
     fields = [*XYZ, ("intensity", 16, F4), ("t", 20, U4), ("reflectivity", 24, U2), ("ring", 26, U2)]
-    row = [[(6.0, 0.5, 1.5 - ring, 4.0, 25_000_000 * col, 7, ring) for col in range(3)] for ring in range(3)]
+    # Beam 2 has no return, and keeps its place.
+    row = [[(6.0, 0.5, 1.5 - ring, 4.0, 25_000_000 * col, 7, ring) for col in range(3)] for ring in (0, 1, 3)]
     sweep = sweep_of_cloud(cloud(fields, row, 48, pad=16))
-    assert sweep.ring.tolist() == [2, 2, 2, 1, 1, 1, 0, 0, 0]
+    assert sweep.ring.tolist() == [3, 3, 3, 2, 2, 2, 0, 0, 0]
     np.testing.assert_allclose(sweep.time_s, [0, 0.025, 0.05] * 3, atol=1e-8)
-    np.testing.assert_array_equal(sweep.points[::3, 2], [1.5, 0.5, -0.5])
+    np.testing.assert_array_equal(sweep.points[::3, 2], [1.5, 0.5, -1.5])
 
 
 def test_the_hesai_driver_layout_with_absolute_seconds() -> None:

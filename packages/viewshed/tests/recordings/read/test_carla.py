@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from viewshed.recordings.read import open_source
-from viewshed.recordings.read.carla import lidar_of_carla, rigid_of_carla, rotation_of_carla
+from viewshed.recordings.read.carla import lidar_of_carla, rotation_of_carla
 from viewshed.recordings.read.source import each_sweep
 
 HEADER = "frame,t_ns,x,y,z,roll,pitch,yaw\n"
@@ -32,14 +32,6 @@ def _recording(folder: Path, sweeps: dict[str, dict[int, Any]], **about: Any) ->
 
 def _points(count: int = 20) -> NDArray[np.float32]:
     return np.random.default_rng(4).uniform(-30, 30, (count, 3)).astype(np.float32)
-
-
-def test_a_yawed_pose_by_hand() -> None:
-    # At x = 10, y = 2 (right), facing +y: forward is CARLA's (0, 1), right is (-1, 0). A thing 5 m ahead and 3 m to
-    # the left is at CARLA's (10 + 3, 2 + 5), which is our (13, -7).
-    pose = rigid_of_carla((10.0, 2.0, 1.0), 0.0, 0.0, 90.0)
-    np.testing.assert_allclose(pose @ np.array([5.0, 3.0, 0.5]), [13.0, -7.0, 1.5], atol=1e-12)
-    assert pose.yaw == pytest.approx(-np.pi / 2)
 
 
 def test_all_three_angles_as_the_client_of_carla_0_9_16_says() -> None:
@@ -66,7 +58,8 @@ def test_beams_of_the_default_sensor_are_those_of_the_shipped_table() -> None:
     [("carla", (5.0, -3.0, 0.5)), ("carla_0.9.9", (-3.0, -5.0, -0.5)), ("sensor", (5.0, 3.0, 0.5))],
 )
 def test_axes_by_hand(tmp_path: Path, axes: str, file_point: Sequence[float]) -> None:
-    # ahead 5, left 3, up 0.5; carla has y right; 0.9.9 has x right, y backward, z down
+    # ahead 5, left 3, up 0.5; carla has y right; 0.9.9 has x right, y backward, z down. At x = 10, y = 2 (right), to
+    # +y: forward is CARLA's (0, 1), right is (-1, 0), so that the thing is at CARLA's (10 + 3, 2 + 5), our (13, -7).
     pose = (7_000, 10.0, 2.0, 1.0, 0.0, 0.0, 90.0)
     source = open_source(_recording(tmp_path / "r", {"car": {12: ([file_point], pose)}}, axes=axes))
     [(ref, sweep)] = each_sweep(source)

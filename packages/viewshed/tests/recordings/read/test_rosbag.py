@@ -170,29 +170,6 @@ def _world(source: Any, ref: Any) -> NDArray[np.float64]:
 
 
 @KINDS
-def test_real_sweeps_come_back_exactly(real_data: Path, tmp_path: Path, ros: Ros, write: Write) -> None:
-    sweep = read_sweep(sorted((real_data / "nuscenes").glob("*.pcd.bin"))[0])
-    assert sweep.intensity is not None
-    assert sweep.ring is not None
-    kind = np.dtype({"names": ["x", "y", "z", "intensity", "ring", "time"], "itemsize": 32,
-                     "offsets": [0, 4, 8, 16, 20, 24], "formats": [*["<f4"] * 4, "<u2", "<f4"]})  # fmt: skip
-    table = np.zeros(len(sweep), kind)
-    for axis, name in enumerate("xyz"):
-        table[name] = sweep.points[:, axis]
-    table["intensity"], table["ring"] = sweep.intensity, sweep.ring
-    table["time"] = np.linspace(-0.05, 0, len(sweep))
-    place = write(tmp_path / "drive", [("/points", 7 * S, ros.cloud(6 * S, table))])
-    source = open_source(place)
-    [(ref, read)] = each_sweep(source)
-    assert (ref.scene, ref.agent, ref.sensor, ref.t_ns, read.t_ns) == ("drive", "ego", "/points", 6 * S, 6 * S)
-    np.testing.assert_array_equal(read.points, sweep.points)
-    np.testing.assert_array_equal(read.intensity, sweep.intensity)
-    np.testing.assert_array_equal(read.ring, sweep.ring)
-    np.testing.assert_allclose(read.time_s, table["time"] + 0.05, atol=1e-7)
-    assert source.boxes(ref) is None
-
-
-@KINDS
 def test_poses_from_a_chain_of_transforms_by_hand(tmp_path: Path, ros: Ros, write: Write) -> None:
     # map -> odom is 100 m east; odom -> base moves from x = 0 to x = 4 while it turns left by 90 degrees, in 1 s; the
     # lidar is 1 m ahead of the base and 2 m above it, turned left by 90 degrees. Half way: base at (102, 0), heading 45
@@ -258,17 +235,6 @@ def test_odometry_states_how_certain_the_pose_of_a_sensor_is(tmp_path: Path, ros
         tmp_path / "b", [("/odom", 0, ros.odometry(S, "odom", "lidar", place, LEFT)), ("/points", 1, ros.cloud(S))]
     )
     assert [open_source(bare).read(ref).pose_covariance for ref in open_source(bare).refs("b")] == [None]
-
-
-def test_the_footprint_tells_the_height(tmp_path: Path) -> None:
-    entries: list[Entry] = [
-        ("/tf_static", 0, ROS2.tf(0, "base_footprint", "base_link", (0.0, 0.0, 0.3))),
-        ("/tf_static", 1, ROS2.tf(0, "base_link", "lidar", (0.4, 0.0, 1.5))),
-        ("/points", 1, ROS2.cloud(0)),
-    ]
-    [(_, sweep)] = each_sweep(open_source(write_ros2(tmp_path / "a", entries)))
-    assert sweep.sensor_height_m == pytest.approx(1.8)
-    assert sweep.world_from_sensor is None
 
 
 @KINDS
