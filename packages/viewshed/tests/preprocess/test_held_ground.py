@@ -47,10 +47,10 @@ def world_of(ground: Ground) -> World:
     return World("made by hand", Terrain.of(lines, lines, ground), (), ())
 
 
-def observed(world: World, x_m: float, y_m: float = 0.0, number: int = 0) -> tuple[Sweep, Truth, Mask]:
+def observed(world: World, x_m: float, number: int = 0, height_m: float = HEIGHT_M) -> tuple[Sweep, Truth, Mask]:
     """A sweep from above a place of the road, without its height, and what could be seen from there."""
-    ground_m = float(world.terrain.at([[x_m, y_m]])[0])
-    agent = Agent("ego", "hdl32e", Rigid.from_yaw(0.0, (x_m, y_m, ground_m + HEIGHT_M)))
+    ground_m = float(world.terrain.at([[x_m, 0.0]])[0])
+    agent = Agent("ego", "hdl32e", Rigid.from_yaw(0.0, (x_m, 0.0, ground_m + height_m)))
     seen = observe(world, agent, float(number), Setting(GRID, revolution_s=0.0), np.random.SeedSequence(number))
     return seen.image.sweep().replace(sensor_height_m=None), seen.truth, seen.known
 
@@ -152,12 +152,7 @@ def test_nothing_is_held_where_a_pose_is_off() -> None:
 def test_a_carrier_that_rises_is_believed_at_once() -> None:
     world = world_of(crest)
     sweeps, _, _ = drive(world, [-40.0] * 5)
-    pose = sweeps[-1].sweep.world_from_sensor
-    raised = Rigid(pose.rotation, pose.translation + np.array([0.0, 0.0, 1.2]))
-    seen = observe(
-        world, Agent("ego", "hdl32e", raised), 5.0, Setting(GRID, revolution_s=0.0), np.random.SeedSequence(5)
-    )
-    higher = level(seen.image.sweep().replace(sensor_height_m=None), GRID)
+    higher = level(observed(world, -40.0, 5, HEIGHT_M + 1.2)[0], GRID)
     held = hold_over([*sweeps, higher])[-1]
     assert held.sensor_height_m == higher.sensor_height_m == pytest.approx(HEIGHT_M + 1.2, abs=0.1)
 
