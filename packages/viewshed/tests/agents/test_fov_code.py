@@ -64,7 +64,6 @@ def test_states_and_mask_are_exact_and_probabilities_within_half_a_level(thresho
     assert (found.state == estimate.state).all()
     assert (found.visible() == estimate.visible()).all()
     assert np.abs(found.visible_prob - estimate.visible_prob).max() <= max(threshold, 1 - threshold) / 16 + 1e-6
-    assert estimate.std is not None
     if with_std:
         assert np.abs(found.std - np.minimum(estimate.std, 0.5)).max() <= 1 / 32 + 1e-6
     else:

@@ -194,8 +194,8 @@ def test_a_model_tells_the_places_of_lasers_in_no_order_of_which_two_have_no_ret
 
 def test_given_knowledge_reaches_the_sweep(put: Any) -> None:
     pose = Rigid.from_yaw(0.5, (1.0, 2.0, 3.0))
-    path, known = put("a.bin", files.rows(P, I)), {"sensor_height_m": 1.9, "world_from_sensor": pose}
-    sweep = read_sweep(path, sensor="VLP-16", attitude=(1, 0, 0, 0), **known)
+    known: dict[str, Any] = {"sensor_height_m": 1.9, "attitude": (1, 0, 0, 0), "world_from_sensor": pose}
+    sweep = read_sweep(put("a.bin", files.rows(P, I)), sensor="VLP-16", **known)
     assert (sweep.model.rings, sweep.sensor_height_m) == (16, 1.9)
     assert sweep.world_from_sensor is pose
     assert sweep.attitude.tolist() == [1, 0, 0, 0]

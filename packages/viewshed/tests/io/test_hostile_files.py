@@ -225,7 +225,6 @@ class Reader:
         if self.process is None or self.process.poll() is not None:
             command = [sys.executable, __file__]
             self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdin is not None
         print(path, file=self.process.stdin, flush=True)
         line = self.process.stdout.readline()
         if not line:

@@ -98,6 +98,7 @@ def test_rows_keep_points_and_intensity(sweep: Sweep, tmp_path: Path) -> None:
         back = read_sweep(tmp_path / "a.pcd.bin")
         assert same(sweep.points, back.points)
         assert same(sweep.ring, back.ring)
+        assert same(wanted, back.intensity)
 
 
 def test_written_files_replace_the_old_one_and_leave_nothing_else(tmp_path: Path) -> None:

@@ -27,7 +27,6 @@ def measured(seed: int) -> tuple[Sweep, np.random.Generator]:
 @pytest.mark.parametrize("kind", ["as they are", "millimeters", "half of the returns", "one in twenty anywhere"])
 def test_random_sensors_show_their_rings_whatever_is_lost_and_are_given_no_name(seed: int, kind: str) -> None:
     sweep, rng = measured(seed)
-    assert sweep.ring is not None
     points, ring, least = sweep.points, sweep.ring, 0.97
     if kind == "as they are":
         least = 0.99
@@ -52,7 +51,6 @@ def test_points_that_are_not_in_the_sensors_frame_have_no_rings_or_the_right_one
     sweep = measured(seed)[0]
     sensor_id = identify_sensor(Sweep(sweep.points + np.array(moved_m, np.float32)))
     assert sensor_id.model is None
-    assert sweep.ring is not None
     assert sensor_id.ring is None or right_share(sensor_id.ring, sweep.ring) > 0.99
 
 

@@ -25,7 +25,7 @@ HDL_32E_DEG = -30.67 + 1.333 * np.arange(23)
 Relief = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
-def rings(relief: Relief, elevation_deg: NDArray[np.float64] = HDL_32E_DEG) -> NDArray[np.float32]:
+def rings(relief: Relief, elevation_deg: NDArray[np.floating] = HDL_32E_DEG) -> NDArray[np.float32]:
     """Returns of rings where they first meet ``relief``, if within 63 m; the sensor is at 0."""
     azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     steps = np.arange(2.0, 63.0, 0.05)

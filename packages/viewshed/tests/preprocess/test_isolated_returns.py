@@ -30,7 +30,6 @@ def spoofed(sweep: Sweep, share: float, factor: tuple[float, float], seed: int =
 
 def image_of(sweep: Sweep) -> RangeImage:
     pixels = pixels_of(identify_sensor(sweep))
-    assert pixels is not None
     return pixels.image_of(sweep.points, LIMITS_M)
 
 
@@ -59,7 +58,6 @@ def test_a_pole_and_sparse_ground_are_not_isolated() -> None:
     on_pole = np.hypot(pole.points[:, 0] - 8, pole.points[:, 1] - 3) < 0.3
     assert on_pole.sum() >= 5
     assert not isolated_in(pole)[on_pole].any()
-    assert STREET.ring is not None
     grazing = (STREET.ring == 10) & (STREET.points[:, 2] < -1.79)
     sparse = STREET.select(~grazing | (np.random.default_rng(3).random(len(STREET)) < 0.2))
     left = (sparse.ring == 10) & (sparse.points[:, 2] < -1.79)
@@ -154,7 +152,6 @@ def test_most_random_returns_of_a_jammed_sweep_are_clutter_and_few_true_ones() -
 def test_clutter_is_left_out_of_the_level_sweep_and_moves_neither_ground_nor_view() -> None:
     sweep, _ = jammed(STREET)
     leveled, clear = level_of(sweep), level_of(STREET)
-    assert leveled.range_image.clutter is not None
     assert set(leveled.rows) == set(np.flatnonzero(~leveled.range_image.clutter))
     # A node holds its own returns: one that a random return alone lies on may be off by what a step of ground may be.
     off_m = np.abs(leveled.ground.heights_m - clear.ground.heights_m)[8:-8, 8:-8]

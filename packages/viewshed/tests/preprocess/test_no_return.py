@@ -23,7 +23,6 @@ def test_a_full_sweep_misses_nothing() -> None:
 
 
 def test_the_beams_left_out_are_found_where_they_aimed() -> None:
-    assert SWEEP.ring is not None
     azimuth = np.arctan2(SWEEP.points[:, 1], SWEEP.points[:, 0])
     gone = (SWEEP.ring == 5) & (np.abs(azimuth - 1.0) < 0.05)
     missing = no_return_beams(level(SWEEP.select(~gone), GRID), fill=False)
@@ -70,7 +69,6 @@ def _on_ground(sweep: Sweep) -> Mask:
 
 def _grazing() -> Mask:
     """Which returns are kept where the ground of the highest ring hardly returns."""
-    assert FULL.ring is not None
     luck = np.random.default_rng(1).random(len(FULL))
     return np.asarray(~((FULL.ring == 15) & _on_ground(FULL) & (luck > 0.1)))
 
@@ -106,7 +104,6 @@ def test_the_core_answers_as_the_formulas_do() -> None:
     from viewshed_lab.training.no_return import arrays_of
 
     groups, split = no_return_groups(leveled, 1.5), beams_by_evidence(leveled, 1.5)
-    assert groups is not None
     arrays = arrays_of((Path(__file__).parents[2] / "src" / "core" / "no_return_network.inc").read_text("ascii"))
     x = np.clip((groups.feature - arrays["mean"]) * arrays["scale"], -6, 6).astype(np.float64)
     for layer in ("first", "second"):
@@ -138,7 +135,6 @@ def test_the_core_answers_as_the_formulas_do() -> None:
 
 @pytest.mark.parametrize("ring", [4, 9, 15])
 def test_a_dead_ring_says_nothing(ring: int) -> None:
-    assert FULL.ring is not None
     beams = _explained(FULL.select(FULL.ring != ring))
     assert not _of(beams, ring).any()
 
@@ -172,7 +168,6 @@ def test_without_rings_the_beam_table_tells_else_the_elevations_and_else_nothing
 def test_a_gap_is_filled_from_both_sides_across_the_seam_as_elsewhere(middle: float) -> None:
     # 40 columns of a ring are empty: a neighbor fills up to 16 of them, and eight in the middle stay open.
     flat = cast(MODEL, Scene(()), 1.8)
-    assert flat.ring is not None
     away = np.remainder(np.arctan2(flat.points[:, 1], flat.points[:, 0]) - middle + np.pi, 2 * np.pi) - np.pi
     gone = (flat.ring == 5) & (np.abs(away) < np.deg2rad(20))
     assert gone.sum() == 40

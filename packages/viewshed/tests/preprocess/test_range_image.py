@@ -26,7 +26,6 @@ def image_of(returns: list[tuple[int, int, float]], model: LidarModel | None = M
     points = np.array([point(column, max(ring, 0), range_m) for column, ring, range_m in returns], np.float32)
     ring = np.array([ring for _, ring, _ in returns], np.int16)
     pixels = pixels_of(SensorId(ring, model))
-    assert pixels is not None
     return pixels.image_of(points, LIMITS_M)
 
 

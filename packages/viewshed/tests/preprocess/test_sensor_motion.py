@@ -55,7 +55,6 @@ def test_a_motion_is_found_and_undone(seam: float, reference: float, way_m: tupl
     true = SensorMotion(np.array(way_m), seam, reference)
     points, ring = measured(uneven(), true, np.random.default_rng(1))
     found = _core.find_motion(points)
-    assert found is not None
     assert found[3:] == (seam, reference)
     assert found[:3] == pytest.approx(way_m, abs=0.12)
     inferred = identify_sensor(Sweep(points)).ring

@@ -13,6 +13,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from shapely.affinity import affine_transform
 from tests.io.export.readers import fov_of_geojson, polygons_of_osi
 
@@ -216,11 +217,10 @@ def test_cells_of_a_grid_map_lie_where_grid_map_core_has_them() -> None:
     info, (row, column) = message["info"], np.indices(made.grid.shape)
     center = info["pose"]["position"]
     first = 0.5 * info["length_x"] - 0.5 * info["resolution"]
-    places = np.stack(
-        [each + first - info["resolution"] * at for each, at in ((center["x"], row), (center["y"], column))], axis=-1
-    )
-    i, j = np.rint((places - made.grid.centers[0, 0]) / made.grid.cell_m).astype(int).reshape(-1, 2).T
-    layers = {"visible_prob": made.visible_prob, "state": made.state, "std": np.nan_to_num(made.std, nan=-1.0)}
+    x, y = (center[axis] + first - info["resolution"] * at.ravel() for axis, at in (("x", row), ("y", column)))
+    i, j = np.rint((np.column_stack([x, y]) - made.grid.centers[0, 0]) / made.grid.cell_m).astype(int).T
+    std: NDArray[Any] = np.nan_to_num(made.std, nan=-1.0)
+    layers: dict[str, NDArray[Any]] = {"visible_prob": made.visible_prob, "state": made.state, "std": std}
     assert message["layers"] == list(layers)
     for each, values in zip(message["data"], layers.values(), strict=True):
         found = np.array(each["data"], np.float32).reshape(made.grid.shape, order="F")

@@ -68,7 +68,6 @@ def test_nav2_loads_the_map(tmp_path: Path) -> None:
 
 def test_nav2_loads_the_mask_of_what_is_not_seen_within_reach(tmp_path: Path) -> None:
     estimate = random_estimate(4)
-    assert estimate.basis is not None
     short = replace(estimate, basis=replace(estimate.basis, reach_m=3.0))
     write_export(short, "nav2_mask", tmp_path / "m.nav2_mask.yaml")
     values, about = load_nav2(tmp_path / "m.nav2_mask.yaml")

@@ -160,7 +160,6 @@ def test_standard_deviations_of_places_become_the_covariance_of_the_pose(tmp_pat
     rows = ["1000000000,37.0,-122.0,15.8,0.05,0.04,0.2", "1000000001,37.00001,-122.0,15.8,0.5,0.4,2"]
     table = PoseFile.read(written(tmp_path, "\n".join([header, *rows])))
     placed = table.place_sweep(SWEEP.replace(t_ns=int((1e9 + 0.1) * S)), Path("a.pcd"), 0, [Path("a.pcd")])
-    assert placed.pose_covariance is not None
     # x is east, y north: of the place nearest in time.
     assert np.sqrt(np.diag(placed.pose_covariance)).tolist() == pytest.approx([0.04, 0.05, 0.2, 0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="line 2: standard deviations must be finite and not negative"):
