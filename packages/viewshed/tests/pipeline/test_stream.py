@@ -94,7 +94,6 @@ def test_answers_are_the_estimates_of_the_sweeps_in_their_order() -> None:
     assert [(answer.number, answer.agent, answer.refused) for answer in answers] == [(n, "car", "") for n in range(3)]
     for answer, sweep in zip(answers, sweeps, strict=True):
         alone = shadow_map().estimate(sweep.replace(agent="car"))
-        assert answer.estimate is not None
         assert np.array_equal(answer.estimate.visible_prob, alone.visible_prob)
         assert np.array_equal(answer.estimate.state, alone.state)
         assert answer.speed_mps == speed_for_view(alone, slow) > 0
@@ -106,7 +105,6 @@ def test_history_helps_as_it_does_a_temporal_estimator() -> None:
     alone = TemporalEstimator(shadow_map(), SweepBuffer(every_s=0.1))
     for n, answer in enumerate(answers):
         expected = alone.estimate(at(0.2 * n, SWEEP))
-        assert answer.estimate is not None
         assert np.array_equal(answer.estimate.visible_prob, expected.visible_prob)
 
 
@@ -154,8 +152,6 @@ def test_an_alarm_withdraws_claims_until_sweeps_were_calm() -> None:
     assert cautions == [Caution.KEEP] + [Caution.WIDEN] * 10 + [Caution.ASK] * 2
     assert [answer.notes for answer in answers[:3]] == [(), ("noted",), ()]
     clean, alarmed = answers[0].estimate, answers[1].estimate
-    assert clean is not None
-    assert alarmed is not None
     azimuth = np.arctan2(clean.grid.centers[..., 1], clean.grid.centers[..., 0])
     inside = (azimuth > np.radians(15)) & (azimuth < np.radians(30))  # sector 40, 20° to 25°, and those beside it
     assert (alarmed.state[inside] == CellState.UNKNOWN).all()
@@ -183,7 +179,6 @@ def test_an_alarm_falls_back_to_certified_cells() -> None:
     azimuth = np.arctan2(clean.grid.centers[..., 1], clean.grid.centers[..., 0])
     suspect = (azimuth > np.radians(15)) & (azimuth < np.radians(30))
     assert answer.reaction.caution == Caution.WIDEN
-    assert answer.estimate is not None
     kept = answer.estimate.visible()
     assert (kept & suspect).any()
     assert np.array_equal(kept & suspect, certificate.certified_visible & suspect)
@@ -195,8 +190,6 @@ def test_without_an_alarm_only_what_is_certified_is_claimed_where_nothing_else_c
     usual, only = certified_answer(GIVEN, alarm=False), certified_answer(GIVEN, alarm=False, only=True)
     clean = shadow_map().estimate(GIVEN)
     certificate = certify(level(GIVEN, clean.grid), clean, Threat("window", 5))
-    assert usual.estimate is not None
-    assert only.estimate is not None
     assert np.array_equal(usual.estimate.visible(), clean.visible())
     assert np.array_equal(only.estimate.visible(), certificate.certified_visible)
     assert only.reaction.caution == Caution.KEEP
@@ -207,7 +200,6 @@ def test_without_an_alarm_only_what_is_certified_is_claimed_where_nothing_else_c
         certified_answer(GIVEN.replace(sensor_height_m=None), alarm=False, only=True),
         certified_answer(GIVEN, accused=True, only=True),
     ):
-        assert nothing.estimate is not None
         assert not nothing.estimate.visible().any()
         assert nothing.speed_mps == 0.0
     with pytest.raises(ValueError, match="certified_only needs a threat"):
@@ -216,7 +208,6 @@ def test_without_an_alarm_only_what_is_certified_is_claimed_where_nothing_else_c
 
 def test_nothing_is_certified_of_an_accused_agent_or_by_what_a_sweep_says_of_itself() -> None:
     accused = certified_answer(GIVEN, accused=True)
-    assert accused.estimate is not None
     assert not accused.estimate.visible().any()
     assert accused.notes == ("noted",)
     inferred = certified_answer(GIVEN.replace(sensor_height_m=None))
@@ -292,8 +283,6 @@ def test_objects_are_followed_for_each_agent_and_an_error_costs_only_them() -> N
     ids = [set(a.objects.explained.tracks.ids[a.objects.shown].tolist()) for a in answers if a.objects is not None]
     assert ids[0] < ids[2]
     car, truck = answers[3].objects, answers[4].objects
-    assert car is not None
-    assert truck is not None
     assert car.shown.sum() > truck.shown.sum()
 
 
@@ -315,7 +304,6 @@ def test_an_agent_that_a_center_accuses_is_believed_only_where_it_is_confirmed()
     assert set(cautions["car"]) == {Caution.KEEP}
     assert cautions["liar"] == [Caution.KEEP, Caution.CONFIRMED, Caution.CONFIRMED, Caution.CONFIRMED]
     accused = next(a for a in answers if a.agent == "liar" and a.reaction.caution == Caution.CONFIRMED)
-    assert accused.estimate is not None
     assert accused.estimate.area_m2() == 0.0
 
 
