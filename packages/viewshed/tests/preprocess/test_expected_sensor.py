@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.preprocess.test_sensor_identification import SCENE
+from tests.preprocess.test_sensor_identification import SCENE, ring_by_ring
 
 from viewshed import BevGrid, Sweep
 from viewshed.estimators.shadow_map import ShadowMap
@@ -25,8 +25,7 @@ def sweep_of(name: str, seed: int = 0) -> Sweep:
 
 
 def in_order(sweep: Sweep) -> Sweep:
-    rows = np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring))
-    return sweep.select(rows).replace(ring=None)
+    return ring_by_ring(sweep).replace(ring=None)
 
 
 def assert_same(one: SensorId, other: SensorId) -> None:
@@ -99,8 +98,7 @@ def stream_of(rings: int, count: int, seed: int = 0) -> list[tuple[Sweep, NDArra
     """Bare sweeps in the order of their rings, and these; every third one has lost its lowest ring."""
     sweeps = []
     for number in range(count):
-        sweep = cast(unknown_sensor(rings), SCENE, 1.8, rng=np.random.default_rng(seed + number))
-        sweep = sweep.select(np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring)))
+        sweep = ring_by_ring(cast(unknown_sensor(rings), SCENE, 1.8, rng=np.random.default_rng(seed + number)))
         sweep = sweep.select(np.flatnonzero(sweep.ring >= (number % 3 == 2)))
         sweeps.append((sweep.replace(ring=None, model=None, azimuth=None), sweep.ring))
     return sweeps

@@ -63,10 +63,14 @@ def claimed(sweep: Sweep, earlier: Sequence[Sweep] = ()) -> Mask:
 POSES = (at(-6, -1), at(-3, 4, np.pi / 2), at(0, -5, -np.pi / 2), at(-8, 2))
 
 
+def drive() -> list[Sweep]:
+    """Sweeps of the wall and of what lies behind it, a second apart."""
+    return [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+
+
 def test_a_wall_that_stood_there_hides_what_the_beams_now_claim_to_see() -> None:
     """The wall is gone from the sweep now, as if its returns had been spoofed farther away."""
-    truth, lie = seen([WALL, FAR], at(0, 0)), seen([FAR], at(0, 0))
-    earlier = [seen([WALL, FAR], pose) for pose in POSES]
+    truth, lie, earlier = seen([WALL, FAR], at(0, 0)), seen([FAR], at(0, 0)), drive()
     hidden = behind_wall()
     assert not claimed(truth)[hidden].any()
     assert claimed(lie)[hidden].all()
@@ -187,8 +191,7 @@ def test_of_too_many_agents_at_once_the_ones_seen_last_are_kept() -> None:
 
 
 def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> None:
-    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
-    lie = seen([FAR], at(0, 0), 10.0)
+    stream, lie = drive(), seen([FAR], at(0, 0), 10.0)
     estimator = TemporalEstimator(ShadowMap(GRID), SweepBuffer(every_s=1.0))
     found: list[FovEstimate] = [estimator.estimate(sweep) for sweep in stream]
     assert all(each.visible().any() for each in found)
@@ -202,12 +205,9 @@ def test_a_stream_is_estimated_with_its_own_past_and_a_new_one_begins_anew() -> 
 
 
 def test_the_wary_claim_what_an_earlier_sweep_sees_as_well_and_nothing_at_first() -> None:
-    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
-    lie = seen([FAR], at(0, 0), 10.0)
-    estimator, trusting = (
-        TemporalEstimator(ShadowMap(GRID), require_confirmation=True),
-        TemporalEstimator(ShadowMap(GRID)),
-    )
+    stream, lie = drive(), seen([FAR], at(0, 0), 10.0)
+    estimator = TemporalEstimator(ShadowMap(GRID), require_confirmation=True)
+    trusting = TemporalEstimator(ShadowMap(GRID))
     first = estimator.estimate(stream[0])
     assert not first.visible().any()
     assert (first.basis.unsure_ground_share, first.basis.inferred_share) == (0.0, 0.0)
@@ -233,7 +233,7 @@ def test_a_sweep_is_not_its_own_past() -> None:
 
 
 def test_what_lies_long_before_is_forgotten() -> None:
-    stream = [seen([WALL, FAR], pose, t_s) for t_s, pose in enumerate(POSES)]
+    stream = drive()
     for late_s, known in ((12.0, True), (14.0, False)):
         estimator = TemporalEstimator(ShadowMap(GRID))
         for sweep in stream:

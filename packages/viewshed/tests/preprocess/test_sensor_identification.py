@@ -21,6 +21,10 @@ def bare(sweep: Sweep, seed: int = 1) -> Sweep:
     return sweep.select(np.random.default_rng(seed).permutation(len(sweep))).replace(ring=None, model=None)
 
 
+def ring_by_ring(sweep: Sweep) -> Sweep:
+    return sweep.select(np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring)))
+
+
 def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
     assert len(KNOWN) > 16_384  # more than are looked at
     order = np.random.default_rng(1).permutation(len(KNOWN))
@@ -32,7 +36,7 @@ def test_a_cloud_in_no_order_tells_sensor_and_rings() -> None:
 def test_a_cloud_in_the_order_of_its_rings_tells_them_without_any_table() -> None:
     model = LidarModel("nobody's", np.deg2rad(np.linspace(-24, 8, 23) ** 3 / 300), azimuth_columns=720)
     sweep = cast(model, SCENE, 1.8)
-    ordered = sweep.select(np.lexsort((np.arctan2(sweep.points[:, 1], sweep.points[:, 0]), sweep.ring)))
+    ordered = ring_by_ring(sweep)
     sensor_id = identify_sensor(ordered.replace(ring=None, model=None))
     assert sensor_id.model is None
     assert (sensor_id.ring == ordered.ring).mean() > 0.99  # a ring begins where the azimuth wraps
