@@ -98,15 +98,6 @@ def _pitch(angle: float) -> NDArray[np.float64]:
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-def test_ego_and_null_returns_are_left_out() -> None:
-    ground = _cast(Scene())
-    ego = np.array([[0.1, 0.0, -0.1], [2.0, 0.5, -0.8], [-1.5, -0.9, -0.6]], np.float32)
-    beside = np.array([[0.5, 1.6, -0.9]], np.float32)
-    leveled = level(Sweep(np.concatenate([ego, beside, ground])), ROAD)
-    assert leveled.rows[0] == 3
-    assert len(leveled.rows) == len(ground) + 1
-
-
 def test_level_columns_are_those_of_the_points() -> None:
     leveled = _level(_cast(Scene(WALLS, slope=(0.03, 0.02))))
     x, y, z = leveled.points.astype(np.float64).T

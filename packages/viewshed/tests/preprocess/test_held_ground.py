@@ -12,8 +12,6 @@ import pytest
 
 from viewshed import CAR, BevGrid, Rigid, Sweep
 from viewshed.arrays import F64, Mask
-from viewshed.estimators import EstimatorFactory
-from viewshed.estimators.majority_vote import MajorityVote
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.fov.estimate import FovEstimate
@@ -166,16 +164,11 @@ def test_a_height_that_is_given_is_no_matter_of_the_stream() -> None:
     assert len(held.held.heights_m) == 3
 
 
-@pytest.mark.parametrize("make", [ShadowMap, MajorityVote])
-def test_estimators_take_what_the_stream_holds_if_they_use_history(make: EstimatorFactory) -> None:
+def test_an_estimator_takes_what_the_stream_holds() -> None:
     ground, places_m = ACROSS_THE_CREST
     sweeps, _, _ = drive(world_of(ground), places_m)
     sweeps[-1] = level(lowered(sweeps[-1].sweep, 180.0), GRID)
-    estimator = make(GRID)
-    if not estimator.uses_history:
-        with pytest.raises(ValueError, match="history must be left out"):
-            estimator.estimate(sweeps[-1], sweeps[:-1])
-        return
+    estimator = ShadowMap(GRID)
     *_, streamed = estimator.stream((one.sweep for one in sweeps), history=5)
     given = estimator.estimate(sweeps[-1], [one.sweep for one in sweeps[:-1]])
     for found in (streamed, given):
