@@ -79,9 +79,7 @@ def test_what_is_no_scan_is_refused(payloads: list[bytes], message: str) -> None
 
 def test_a_real_scan_has_the_points_of_another_decoder(real_data: Path) -> None:
     """PandarQT64, decoded by nebula with the same unit's calibration: it leaves out what lies near or far."""
-    recordings = (
-        Path(__file__).resolve().parents[5].parent / "shared" / "recordings" / "tier4__nebula" / "hesai" / "qt64"
-    )
+    recordings = real_data.parent / "recordings" / "tier4__nebula" / "hesai" / "qt64"
     if not recordings.is_dir():
         pytest.skip("no recordings")
     scipy = pytest.importorskip("scipy.spatial")

@@ -17,6 +17,9 @@ pytest.importorskip("mcap", reason="mcap is not installed: its files are not rea
 protobuf: Any = pytest.importorskip("google.protobuf", reason="protobuf is not installed: messages are not decoded")
 
 
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
 @pytest.fixture(scope="module")
 def drive() -> list[Moment]:
     return drive_moments()
@@ -41,7 +44,6 @@ def _decoded(place: Path) -> dict[str, list[tuple[int, Any]]]:
     return found
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_drive_in_foxgloves_schemas(drive: list[Moment], tmp_path: Path) -> None:
     found = _decoded(write(tmp_path / "run.mcap", drive, "foxglove"))
     agents = sorted({moment.agent for moment in drive})
@@ -66,7 +68,6 @@ def test_a_drive_in_foxgloves_schemas(drive: list[Moment], tmp_path: Path) -> No
     assert (log.name, log.message.partition(" ")[0]) == (moment.agent, "visible")
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_alarms_are_logged_and_suspect_sectors_drawn(drive: list[Moment], tmp_path: Path) -> None:
     found = _decoded(write(tmp_path / "run.mcap", [doubted(drive[0]), drive[0]], "foxglove"))
     levels = [(log.level, log.message) for _, log in found["/log"]]
@@ -78,7 +79,6 @@ def test_alarms_are_logged_and_suspect_sectors_drawn(drive: list[Moment], tmp_pa
     assert len(scenes[0].entities[1].triangles[0].points) == 6
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_layout_names_topics_fields_and_frames_that_exist(drive: list[Moment], tmp_path: Path) -> None:
     tool: Any = import_module("foxglove_layout")
     assert json.loads(tool.PLACE.read_text(encoding="utf-8")) == tool.layout()
