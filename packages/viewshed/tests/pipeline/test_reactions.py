@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from viewshed import BevGrid
@@ -49,6 +49,8 @@ RULES = st.builds(ReactionRules, st.integers(1, 6), st.integers(0, 3), st.sample
 
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=40), RULES)
+@example([(2, 3), (0, 0)], ReactionRules(1, 0, 0.0))  # after an alarm of unknown place no sector is suspect
+@example([(2, 2), (0, 3), (0, 0)], ReactionRules(1, 0, 0.5))
 def test_worse_findings_never_claim_more(pairs: list[tuple[int, int]], rules: ReactionRules) -> None:
     better = states_after([min(pair) for pair in pairs], rules)
     worse = states_after([max(pair) for pair in pairs], rules)

@@ -30,7 +30,8 @@ class Caution(IntEnum):
     ASK = 1
     """The view is worse than usual: every claim holds; other agents are queried."""
     WIDEN = 2
-    """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN."""
+    """Something is impossible, and it is known where: the suspect sectors, and those beside them, are UNKNOWN. After an
+    alarm of unknown place, what no earlier sweep confirms stays UNKNOWN on this step as well."""
     CONFIRMED = 3
     """It is impossible in more than half of all sectors, or at an unknown place: what no earlier sweep confirms is
     UNKNOWN as well."""
@@ -77,6 +78,7 @@ class ReactionState:
     calm: int = 0  # sweeps in a row that ask for less caution
     # (SECTORS,) bool, sectors of all alarms since caution was last below WIDEN
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SECTORS, np.bool_))
+    unplaced: bool = False  # whether one of these alarms had no known place
     of_sweeps: Caution = Caution.KEEP  # caution that the sweeps ask for, whatever their age, where ``caution`` is STALE
 
 
@@ -89,11 +91,15 @@ def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) ->
     A stale view is degraded as well: with the next fresh one caution is what it was before, but ASK at least.
     """
     before = state.of_sweeps if state.caution == Caution.STALE else state.caution
-    suspect = state.suspect if before >= Caution.WIDEN else np.zeros(SECTORS, np.bool_)
+    suspect, unplaced = (
+        (state.suspect, state.unplaced) if before >= Caution.WIDEN else (np.zeros(SECTORS, np.bool_), False)
+    )
     if found.inconsistent:
         suspect = suspect | found.suspect
-        is_known_where = found.suspect.any() and suspect.mean() <= rules.most_suspect and not found.accused
-        wanted = Caution.WIDEN if is_known_where else Caution.CONFIRMED
+        is_known_where = found.suspect.any() and not found.accused
+        unplaced = unplaced or not is_known_where
+        is_narrow = suspect.mean() <= rules.most_suspect
+        wanted = Caution.WIDEN if is_known_where and is_narrow else Caution.CONFIRMED
     else:
         wanted = Caution.ASK if found.degraded or found.stale else Caution.KEEP
     # Caution rises at once, and falls by one step after enough calm sweeps in a row; a stale one is not calm.
@@ -101,7 +107,7 @@ def react(found: Finding, state: ReactionState, rules: ReactionRules = RULES) ->
     if wanted < before:
         calm = 0 if found.stale else state.calm + 1
         caution, calm = (Caution(before - 1), 0) if calm >= rules.recover_sweeps else (before, calm)
-    return ReactionState(Caution.STALE if found.stale else caution, calm, suspect, caution)
+    return ReactionState(Caution.STALE if found.stale else caution, calm, suspect, bool(unplaced), caution)
 
 
 def withdraw(
@@ -135,7 +141,7 @@ def withdraw(
     lost = cells_of_sectors(untrusted, estimate.grid)
     if state.caution == Caution.STALE:
         lost[:] = True
-    elif state.caution == Caution.CONFIRMED:
+    elif state.caution == Caution.CONFIRMED or state.unplaced:
         lost |= True if confirmed is None else ~confirmed
     if certified is not None and state.caution != Caution.STALE:
         lost &= ~certified
