@@ -24,7 +24,7 @@ constexpr float NO_OBSTACLE = std::numeric_limits<float>::infinity(), NO_RETURN 
 // until the one before is stored.
 constexpr std::size_t TABLES = 4;
 
-// Returns, and cells, of a part that is worth a thread.
+// LeveledReturns, and cells, of a part that is worth a thread.
 constexpr std::size_t PART = 16384;
 
 // Write the place of each return of a block in the tables.
@@ -86,7 +86,7 @@ std::size_t bins_filled_by(View1<const float> azimuth) {
     return bins_filled({occupied.data(), NARROWEST_BINS});
 }
 
-BinRanges find_ranges(const Returns& returns, std::size_t bins) {
+BinRanges find_ranges(const LeveledReturns& returns, std::size_t bins) {
     if (bins == 0) return ranges_of_filled(returns, find_ranges(returns, NARROWEST_BINS));
     const std::size_t count = returns.azimuth.size, size = TABLES * bins;
     const bool has_heights = returns.height_m.size > 0;
@@ -120,7 +120,7 @@ BinRanges find_ranges(const Returns& returns, std::size_t bins) {
     return found;
 }
 
-BinRanges ranges_of_filled(const Returns& returns, const BinRanges& narrowest) {
+BinRanges ranges_of_filled(const LeveledReturns& returns, const BinRanges& narrowest) {
     Buffer<bool> occupied(NARROWEST_BINS);
     for (std::size_t b = 0; b < NARROWEST_BINS; ++b) occupied[b] = narrowest.farthest_m[b] >= 0.0f;
     const std::size_t bins = bins_filled(occupied), width = NARROWEST_BINS / bins;
@@ -146,7 +146,7 @@ void find_farthest_but(View1<const float> azimuth, View1<const float> range_m, s
     for (std::size_t b = 0; b < bins; ++b) limit_m[b] = farthest[b * row + drop];
 }
 
-void find_nearest_obstacle(const Returns& returns, std::size_t rank, View1<float> limit_m) {
+void find_nearest_obstacle(const LeveledReturns& returns, std::size_t rank, View1<float> limit_m) {
     const std::size_t bins = limit_m.size;
     const double per_rad = bins_per_rad(bins), last = double(bins - 1);
     Buffer<float> nearest(bins * rank, NO_OBSTACLE);

@@ -1,4 +1,4 @@
-// Azimuth bins: what the geometric estimators share. Returns by bin, and limits in range.
+// Azimuth bins: what the geometric estimators share. LeveledReturns by bin, and limits in range.
 #pragma once
 
 #include <numbers>
@@ -29,7 +29,7 @@ std::size_t bins_filled(View1<const bool> occupied);
 std::size_t bins_filled_by(View1<const float> azimuth);
 
 // The returns (M,) of a leveled sweep: where they are, and which of them are obstacles.
-struct Returns {
+struct LeveledReturns {
     View1<const float> azimuth, range_m;
     View1<const float> height_m;  // empty where obstacles do not matter
     float low_m, high_m;          // an obstacle lies between these heights above local ground
@@ -44,16 +44,16 @@ struct BinRanges {
 };
 
 // The ranges of a number of bins; of as many as the returns fill where `bins` is 0.
-BinRanges find_ranges(const Returns& returns, std::size_t bins);
+BinRanges find_ranges(const LeveledReturns& returns, std::size_t bins);
 
 // The ranges of as many bins as the returns fill, from those of the NARROWEST_BINS.
-BinRanges ranges_of_filled(const Returns& returns, const BinRanges& narrowest);
+BinRanges ranges_of_filled(const LeveledReturns& returns, const BinRanges& narrowest);
 
 // Write the range (bins,) of the farthest return but `drop` of each bin; -1 where there are no more than that.
 void find_farthest_but(View1<const float> azimuth, View1<const float> range_m, std::size_t drop, View1<float> limit_m);
 
 // Write the range (bins,) of the obstacle of each bin at a rank of range, 1 the nearest; +inf for none.
-void find_nearest_obstacle(const Returns& returns, std::size_t rank, View1<float> limit_m);
+void find_nearest_obstacle(const LeveledReturns& returns, std::size_t rank, View1<float> limit_m);
 
 // Write 1 where the range of a cell is at most the limit (bins,) of its bin, 0 elsewhere.
 void find_cells_within(View1<const float> limit_m, View1<const float> cell_range_m, View1<const std::int16_t> cell_bin,

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <utility>
 
+#include "calibration.hpp"
 #include "depth_images.hpp"
 #include "evidence.hpp"
 #include "grid.hpp"
@@ -172,7 +173,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     const double reach_m = reach_of(sweep.model == nullptr ? model : sweep.model);
     // 4. The evidence of each cell.
     const std::size_t cells = grid_.size();
-    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells);
+    Buffer<float> measured(cells), inferred(cells), late(cells), aimed(cells), visible_prob(cells), calibrated(cells);
     Buffer<bool> within_reach(cells);
     const std::size_t nodes = at.ground.nodes;
     const Ground ground = at.ground.view();
@@ -192,7 +193,10 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
     const auto bytes = [](const Buffer<bool>& mask) { return reinterpret_cast<const std::uint8_t*>(mask.data()); };
     write_states({measured.data(), late.data(), aimed.data(), visible_prob.data(), bytes(within_reach)}, probabilities_,
                  {visible.data(), denied.data(), bytes(obstacle)}, state);
-    // 6. What the estimate rests on.
+    // 6. How often what is claimed, and what is not, is visible.
+    calibrate(windows_, {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data()},
+              {at.level.azimuth, at.level.range_m, at.level.height_m, LOW_M, HIGH_M}, probabilities_, calibrated);
+    // 7. What the estimate rests on.
     const Claims claims = count_claims(state, measured.data(), nodes_of_cells(nodes).data, std_m.flat(), probabilities_);
     const double claimed = double(std::max<std::size_t>(claims.all, 1));
     const HeightSource source = sweep.height_m                 ? HeightSource::GIVEN
@@ -200,7 +204,7 @@ SweepEstimate SweepEstimator::estimate(const SweepInput& sweep, const SensorMode
                                                           : HeightSource::ASSUMED;
     const Basis basis{at.height_m, source, std::min(at.ground.support, 1.0), double(claims.over_unsure_ground) / claimed,
                       double(claims.inferred) / claimed, reach_m};
-    return {std::move(state), std::move(visible_prob), basis, model, at.rotation};
+    return {std::move(state), std::move(calibrated), basis, model, at.rotation};
 }
 
 }  // namespace viewshed

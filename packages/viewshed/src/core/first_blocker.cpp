@@ -26,7 +26,7 @@ void smooth(View1<const float> farthest_m, std::size_t half, View1<float> blocke
 
 }  // namespace
 
-Buffer<float> first_blocker(const Returns& returns, std::size_t bins, const BlockerRules& rules) {
+Buffer<float> first_blocker(const LeveledReturns& returns, std::size_t bins, const BlockerRules& rules) {
     // 1. The obstacle of each bin that blocks.
     BinRanges ranges = find_ranges(returns, bins);
     Buffer<float> &farthest_m = ranges.farthest_m, &limit_m = ranges.nearest_m;

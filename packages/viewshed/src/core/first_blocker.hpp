@@ -16,6 +16,6 @@ struct BlockerRules {
 
 // The range (bins,) up to which a cell's center is visible, -1 in a bin without a return. Of 0 bins it is as many
 // as the returns fill.
-Buffer<float> first_blocker(const Returns& returns, std::size_t bins, const BlockerRules& rules);
+Buffer<float> first_blocker(const LeveledReturns& returns, std::size_t bins, const BlockerRules& rules);
 
 }  // namespace viewshed

@@ -1,6 +1,7 @@
-// What lets the compiler write vectors: loops compiled for several processors, and an arctangent without branches.
+// What lets the compiler write vectors: loops compiled for several processors; arctangent, logarithm and power without branches.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -38,6 +39,36 @@ INLINE float azimuth_of(float y, float x) {
     a = x < 0 ? PI - a : a;
     a = y < 0 ? -a : a;
     return a >= PI ? -PI : a;
+}
+
+// The logarithm (base 2) of a positive number within 1e-5, by a polynomial of its mantissa.
+INLINE float log2_of(float x) {
+    const auto bits = std::bit_cast<std::uint32_t>(x);
+    const float m = std::bit_cast<float>((bits & 0x7fffffu) | 0x3f800000u), exponent = float(std::int32_t(bits >> 23) - 127);
+    float p = -0.0248259844f * m + 0.266862768f;
+    p = p * m + -1.2342799f;
+    p = p * m + 3.21886981f;
+    p = p * m + -5.26415552f;
+    p = p * m + 6.06585886f;
+    return exponent + (p * m + -3.02832497f);
+}
+
+// 2 to the power of x, x in [-120, 120], within a share of 1e-6.
+INLINE float exp2_of(float x) {
+    const auto toward_zero = std::int32_t(x);
+    const auto whole = toward_zero - std::int32_t(x < float(toward_zero));
+    const float part = x - float(whole);
+    float p = 0.00189437942f * part + 0.00894058253f;
+    p = p * part + 0.0558765569f;
+    p = p * part + 0.240131692f;
+    p = p * part + 0.693156777f;
+    return (p * part + 0.99999977f) * std::bit_cast<float>(std::uint32_t(whole + 127) << 23);
+}
+
+// exp(x), x in [-40, 80].
+INLINE float exp_of(float x) {
+    const float log2 = 1.442695f * x;
+    return exp2_of(log2 > -60.0f ? log2 : -60.0f);
 }
 
 }  // namespace viewshed

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <utility>
 
+#include "azimuth_bins.hpp"
 #include "parallel.hpp"
 #include "vectors.hpp"
 
@@ -24,7 +25,7 @@ constexpr float SLOPE_LIMIT = 1.0f, PER_SLOPE = float(SLOPE_BINS / (2 * SLOPE_LI
 constexpr std::size_t VECTOR = 16;
 
 // A cell farther than this number of its sides has no bins.
-constexpr double MOST_BINS = 1e6;
+constexpr double MOST_RANGE_BINS = 1e6;
 
 // Beams of a part that is worth a thread; beams and cells of a sweep that is.
 constexpr std::size_t PART = 8192, WORTH = 32768;
@@ -402,10 +403,12 @@ CellWindows::CellWindows(View2<const float> range, View2<const float> azimuth_, 
     : grid_rows(range.rows), grid_columns(range.columns), cell_m(float(cell_m_)),
       cell_range_m(range.data, range.data + range.size()) {
     const View1<const float> range_m = range.flat(), azimuth = azimuth_.flat();
+    const double bins_a_radian = bins_per_rad(NARROWEST_BINS), last_bin = double(NARROWEST_BINS - 1);
+    for (const float a : azimuth) cell_bin.push_back(std::int16_t(azimuth_bin(a, bins_a_radian, last_bin)));
     constexpr double PER_RAD = AZIMUTH_COLUMNS / (2 * std::numbers::pi);
     float farthest_m = 0.0f;
     for (const float r : cell_range_m) farthest_m = std::max(farthest_m, r);
-    require(double(farthest_m) / cell_m_ < MOST_BINS, "cells must lie within a million sides of a cell");
+    require(double(farthest_m) / cell_m_ < MOST_RANGE_BINS, "cells must lie within a million sides of a cell");
     bins = std::size_t(std::ceil(double(farthest_m) / cell_m_)) + 1;
     stride = (bins + VECTOR - 1) / VECTOR * VECTOR;
     // The middles of the range bins, and half of the target's width there, in columns.

@@ -77,6 +77,7 @@ public:
     float cell_m;
     std::size_t bins, stride;                    // range bins of a cell's length; as many, in whole vectors
     std::vector<float> cell_range_m;             // (N,)
+    std::vector<std::int16_t> cell_bin;          // (N,) of the NARROWEST_BINS of azimuth
     std::vector<float> bin_range_m, per_range;   // (stride,) the middles of the bins, and 1 / m
     std::vector<End> begins, ends;               // by column
     std::vector<std::uint32_t> first_begin, first_end;  // (AZIMUTH_COLUMNS + 1,)

@@ -195,6 +195,6 @@ def arrays_of(source: str) -> dict[str, F32]:
     """Return the network that :func:`source_of` wrote."""
     found = re.findall(r"float (\w+)\[\] = \{([^}]*)\}", source)
     arrays = {name.lower(): np.array(numbers.replace("f", "").split(","), np.float32) for name, numbers in found}
-    for layer in ("first", "second", "third"):
+    for layer in ("first", "second", "third")[: len(arrays) // 2 - 1]:
         arrays[layer] = arrays[layer].reshape(-1, len(arrays[f"{layer}_bias"]))
     return arrays

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "bindings.hpp"
+#include "calibration.hpp"
 
 namespace viewshed {
 namespace {
@@ -42,6 +43,25 @@ TargetGround ground_of(const In2<float>& heights_m, const In2<float>& std_m, flo
     require(have_one_shape(heights_m, std_m), "std_m must have the shape of heights_m");
     require(std::isfinite(half_extent_m) && half_extent_m > 0, "half_extent_m must be positive and finite");
     return {view(heights_m), view(std_m), half_extent_m, sensor_height_m};
+}
+
+// Evidence (cells, cells) of the cells of windows: measured, inferred, late, aimed, visible_prob.
+using EvidenceArrays = std::tuple<In2<float>, In2<float>, In2<float>, In2<float>, In2<float>>;
+// Azimuth, range_m and height_m (M,) of the returns of a leveled sweep.
+using ReturnArrays = std::tuple<In1<float>, In1<float>, In1<float>>;
+
+CellEvidence cells_of(const CellWindows& windows, const EvidenceArrays& arrays) {
+    const auto& [measured, inferred, late, aimed, visible_prob] = arrays;
+    require(have_one_shape(measured, inferred, late, aimed, visible_prob) && measured.shape(0) == windows.grid_rows &&
+                measured.shape(1) == windows.grid_columns,
+            "evidence must have the shape (cells, cells) of the windows");
+    return {measured.data(), inferred.data(), late.data(), aimed.data(), visible_prob.data()};
+}
+
+LeveledReturns returns_of(const ReturnArrays& arrays, float low_m, float high_m) {
+    const auto& [azimuth, range_m, height_m] = arrays;
+    require(are_as_long(azimuth, range_m, height_m), "azimuth, range_m and height_m must have one shape (M,)");
+    return {view(azimuth), view(range_m), view(height_m), low_m, high_m};
 }
 
 View1<const float> table_of(const In1<float>& table) {
@@ -118,6 +138,34 @@ void bind_evidence(nb::module_& m) {
         "sensor_height_m"_a, "target_height_m"_a, "table"_in, "reach_m"_a,
         "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
         "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
+    m.attr("CELL_FEATURES") = int(CELL_FEATURES);
+    m.def(
+        "calibrated_prob",
+        [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
+           In1<float> table) {
+            Buffer<float> prob(windows.cells());
+            const CellEvidence cells = cells_of(windows, evidence);
+            const LeveledReturns seen = returns_of(returns, low_m, high_m);
+            without_lock([&] { calibrate(windows, cells, seen, table_of(table), prob); });
+            return array(std::move(prob), {windows.grid_rows, windows.grid_columns});
+        },
+        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, nb::kw_only(), "table"_in,
+        "Calibrated probability (cells, cells) of visible, from evidence measured, inferred, late, aimed, visible_prob (cells, "
+        "cells) and returns (azimuth, range_m, height_m), obstacles between low_m and high_m above local ground.");
+    m.def(
+        "cell_features",
+        [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,
+           In1<float> table) {
+            Buffer<float> feature(CELL_FEATURES * windows.cells());
+            const CellEvidence cells = cells_of(windows, evidence);
+            const LeveledReturns seen = returns_of(returns, low_m, high_m);
+            without_lock([&] {
+                describe_cells(windows, cells, seen, table_of(table), {feature.data(), CELL_FEATURES, windows.cells()});
+            });
+            return array(std::move(feature), {std::size_t(CELL_FEATURES), windows.grid_rows, windows.grid_columns});
+        },
+        "windows"_a, "evidence"_in, "returns"_in, "low_m"_a, "high_m"_a, nb::kw_only(), "table"_in,
+        "What the network of calibrated_prob is shown (features, cells, cells).");
     m.def(
         "states",
         [](In2<float> measured, In2<float> late, In2<float> aimed, In2<float> visible_prob, In2<bool> within_reach,

@@ -11,7 +11,7 @@ namespace viewshed {
 
 namespace {
 
-Returns returns_of(const In1<float>& azimuth, const In1<float>& range_m, const In1<float>& height_m, float low_m,
+LeveledReturns returns_of(const In1<float>& azimuth, const In1<float>& range_m, const In1<float>& height_m, float low_m,
                    float high_m) {
     require(are_as_long(azimuth, range_m, height_m), "azimuth, range_m and height_m must be as long");
     return {view(azimuth), view(range_m), view(height_m), low_m, high_m};
@@ -43,7 +43,7 @@ void bind_ray_trace(nb::module_& m) {
                 if (drop > 0) {
                     find_farthest_but(view(azimuth), view(range_m), drop, limit_m.emplace(*bins));
                 } else {
-                    const Returns returns{view(azimuth), view(range_m), {nullptr, 0}, 0.0f, 0.0f};
+                    const LeveledReturns returns{view(azimuth), view(range_m), {nullptr, 0}, 0.0f, 0.0f};
                     limit_m = find_ranges(returns, bins.value_or(0)).farthest_m;
                 }
             }
@@ -56,7 +56,7 @@ void bind_ray_trace(nb::module_& m) {
         [](In1<float> azimuth, In1<float> range_m, In1<float> height_m, float low_m, float high_m,
            std::optional<std::size_t> bins, std::size_t rank, std::size_t median_bins, std::optional<float> reach_m,
            float margin_m) {
-            const Returns returns = returns_of(azimuth, range_m, height_m, low_m, high_m);
+            const LeveledReturns returns = returns_of(azimuth, range_m, height_m, low_m, high_m);
             if (bins) require_bins(*bins);
             require(rank >= 1 && rank <= 1000, "rank must lie in [1, 1000]");
             require(median_bins <= 999, "median_bins must lie in [0, 999]");
@@ -70,7 +70,7 @@ void bind_ray_trace(nb::module_& m) {
     m.def(
         "ranges_in_bins",
         [](In1<float> azimuth, In1<float> range_m, In1<float> height_m, float low_m, float high_m) {
-            const Returns returns = returns_of(azimuth, range_m, height_m, low_m, high_m);
+            const LeveledReturns returns = returns_of(azimuth, range_m, height_m, low_m, high_m);
             auto found = without_lock([&] { return find_ranges(returns, 0); });
             return tuple_of(array(std::move(found.farthest_m)), array(std::move(found.nearest_m)));
         },

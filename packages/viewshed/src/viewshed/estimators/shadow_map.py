@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from viewshed.estimators.classical import ClassicalEstimator
 from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
 from viewshed.grid import BevGrid
-from viewshed.preprocess.evidence import beam_evidence
+from viewshed.preprocess.evidence import beam_evidence, calibrated_prob
 from viewshed.preprocess.history import History
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.preprocess.no_return import no_return_beams
@@ -26,8 +26,10 @@ NO_RETURN_RULES: tuple[NoReturn, ...] = ("inferred", "unknown", "max_range", "fi
 class ShadowMap(ClassicalEstimator):
     """Range-image depth test per cell and target (shadow mapping, Williams 1978, with the sensor as the lamp).
 
-    Counts the beams that would have met a target in the cell and whose depth reaches it. The probability is that of
-    at least ``min_returns`` returns when their number is Poisson with that mean.
+    Counts the beams that would have met a target in the cell and whose depth reaches it: visible where at least
+    ``min_returns`` returns are likelier than fewer, their number being Poisson with that mean. With ``inferred`` the
+    probability is calibrated: how often a cell of which the beams say so much was visible, by exact truth
+    (:func:`viewshed.preprocess.evidence.calibrated_prob`). By the other rules it is that of the count.
 
     ``no_return`` says what a beam without a return means: ``inferred`` (a small network guesses from its surroundings
     how far it went, see :mod:`viewshed.preprocess.no_return`), ``unknown`` (it does not count),
@@ -58,7 +60,7 @@ class ShadowMap(ClassicalEstimator):
         """Return the probability that the beams that would have met a target in each cell are enough to show it."""
         evidence = beam_evidence(leveled, self.grid, self.target, history)
         if self.no_return == "inferred":
-            return evidence.visible_prob
+            return calibrated_prob(leveled, evidence)
         beams = _beams(leveled, self.no_return)
         beams = beams if history is None else history.within(beams)
         returns, _ = expected_returns(beams, leveled.sensor_height_m, leveled.ground, self.grid, self.target)

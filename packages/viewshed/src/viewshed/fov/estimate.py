@@ -32,9 +32,6 @@ THRESHOLD = _core.THRESHOLD
 UNSURE_M = _core.UNSURE_M
 """Ground with a larger standard deviation is unsure: by a third of a car's height."""
 
-EDGE_SHARE = 0.3
-"""Share of the doubt of a cell that comes from the cells around it."""
-
 HeightSource = Literal["given", "estimated", "held", "assumed"]
 """Where a sensor's height is from: the sweep, its returns, earlier sweeps of its stream, or none of them."""
 
@@ -196,17 +193,13 @@ class FovEstimate:
     def doubt(self) -> NDArray[np.float32]:
         """Return the doubt (cells, cells) float32 in [0, 0.5]: the probability that the likelier answer is wrong.
 
-        With a probability of ``EDGE_SHARE`` what holds for a cell is that of one about two cells away: where an edge of
-        the view lies is known no better, for the ground and the ends of beams are estimates. Best with ``viewnet``.
+        As good as the estimator's probability: that of ``shadow_map`` is calibrated, published masks say 0 everywhere.
 
-        >>> prob = np.array([[0.25, 0.25], [0.25, 0.25]])
+        >>> prob = np.array([[0.25, 0.75], [0.0, 1.0]])
         >>> FovEstimate(BevGrid(2, 1.0), prob, np.zeros((2, 2))).doubt().tolist()
-        [[0.25, 0.25], [0.25, 0.25]]
+        [[0.25, 0.25], [0.0, 0.0]]
         """
-        own, half = self.visible_prob, np.float32(0.5)
-        prob = own + np.float32(EDGE_SHARE) * (_around(own) - own)
-        # The answer is that of the cell's own probability.
-        doubt: NDArray[np.float32] = np.minimum(np.where(own >= half, np.float32(1.0) - prob, prob), half)
+        doubt: NDArray[np.float32] = np.minimum(self.visible_prob, np.float32(1.0) - self.visible_prob)
         return doubt
 
     def area_m2(self, threshold: float | None = None) -> float:
@@ -263,16 +256,6 @@ class FovEstimate:
             dark: on a dark page.
         """
         return _outputs.draw(self, leveled, f"{self.method}, {self.target.name}" if title is None else title, dark)
-
-
-def _around(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return means (cells, cells) with binomial weights whose standard deviation is two cells."""
-    for _ in range(8):
-        for axis in (0, 1):
-            padded = np.pad(values, [(1, 1), (0, 0)] if axis == 0 else [(0, 0), (1, 1)], mode="edge")
-            before, after = (padded[:-2], padded[2:]) if axis == 0 else (padded[:, :-2], padded[:, 2:])
-            values = np.float32(0.5) * values + np.float32(0.25) * (before + after)
-    return values
 
 
 @lru_cache(maxsize=8)

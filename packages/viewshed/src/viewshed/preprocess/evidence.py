@@ -14,7 +14,7 @@ from viewshed.arrays import F32, Mask
 from viewshed.fov.estimate import THRESHOLD, CellState
 from viewshed.fov.visibility import Beams, Target, cell_windows, poisson_table
 from viewshed.grid import BevGrid
-from viewshed.preprocess.leveling import LeveledSweep
+from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep
 from viewshed.preprocess.no_return import beams_by_evidence
 from viewshed.preprocess.reach import reach_of_sweep
 
@@ -110,6 +110,21 @@ class BeamEvidence:
         )
 
 
+def calibrated_prob(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
+    """Return the probability (cells, cells) that a target in each cell is visible, calibrated by exact truth.
+
+    A small network (``tools/fit_calibration.py`` fits it) turns what the beams say of a cell, what they say around it, and
+    where the nearest obstacle and the farthest return of its azimuth lie, into how often such a cell is visible. Each
+    cell stays on the side of the threshold on which the beams put it.
+    """
+    return _core.calibrated_prob(*_seen_by_network(leveled, evidence), table=poisson_table(evidence.target.min_returns))
+
+
+def cell_features(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
+    """Return what that network is shown (features, cells, cells)."""
+    return _core.cell_features(*_seen_by_network(leveled, evidence), table=poisson_table(evidence.target.min_returns))
+
+
 class Obstacles(Protocol):
     """Obstacles at which beams end: those that earlier sweeps saw (:class:`viewshed.preprocess.history.History`)."""
 
@@ -155,6 +170,12 @@ def _count_beams(leveled: LeveledSweep, grid: BevGrid, target: Target, history: 
     for array in arrays:
         array.setflags(write=False)
     return BeamEvidence(grid, target, *arrays, reach_m)
+
+
+def _seen_by_network(leveled: LeveledSweep, of: BeamEvidence) -> tuple[Any, ...]:
+    cells = of.measured, of.inferred, of.late, of.aimed, of.visible_prob
+    returns = leveled.azimuth, leveled.range_m, leveled.height_m
+    return cell_windows(of.grid, of.target.width_m), cells, returns, *OBSTACLE_HEIGHTS_M
 
 
 def expected_returns(leveled: LeveledSweep, boxes: NDArray[np.floating[Any]], *, leave_out_own: bool = True) -> Counts:

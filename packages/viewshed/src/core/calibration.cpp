@@ -1,0 +1,255 @@
+#include "calibration.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <iterator>
+#include <limits>
+
+#include "evidence.hpp"
+#include "parallel.hpp"
+#include "vectors.hpp"
+
+namespace viewshed {
+namespace {
+
+// The network's numbers: MEAN and SCALE of the features, weights and bias of two layers. `tools/fit_calibration.py fit` writes
+// them.
+#include "calibration_network.inc"
+
+constexpr std::size_t UNITS = std::size(FIRST_BIAS);
+static_assert(std::size(MEAN) == CELL_FEATURES && std::size(SCALE) == CELL_FEATURES && std::size(SECOND_BIAS) == 1);
+static_assert(std::size(FIRST) == CELL_FEATURES * UNITS && std::size(SECOND) == UNITS);
+
+// Half the width in cells of the squares over which probabilities are averaged twice, one after the other.
+constexpr std::size_t NEAR_CELLS = 2, WIDE_CELLS = 6;
+
+// Ranges below this share of that of the cell, and ranges that are farther, say no more.
+constexpr float LEAST_SHARE = 0.05f, FARTHEST_M = 200.0f, LEAST_RANGE_M = 0.5f;
+
+// A probability of 0 has the logit of this one.
+constexpr float LEAST_PROB = 0.01f;
+
+// Features are cut off this many standard deviations from their mean.
+constexpr float MOST_DEVIATIONS = 6.0f;
+
+// Cells of a part that is worth a thread.
+constexpr std::size_t PART = 8192;
+
+// Cells that go through the network at once, and one number of each.
+constexpr std::size_t AT_ONCE = 16;
+typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
+
+INLINE float logit_of(float prob) {
+    const float p = prob < 1.0f ? (prob > 0.0f ? prob : 0.0f) : 1.0f;
+    return log2_of((p + LEAST_PROB) / (1.0f + LEAST_PROB - p));
+}
+
+// Write means (columns,) over 2 · half + 1 neighbors of a row; padded (columns + 2 · half,) is the row with its outermost values
+// repeated.
+MULTIVERSION void average_row(const float* __restrict padded, std::size_t columns, std::size_t half, float* __restrict means) {
+    const float share = 1.0f / float(2 * half + 1);
+    for (std::size_t c = 0; c < columns; ++c) means[c] = padded[c];
+    for (std::size_t k = 1; k <= 2 * half; ++k) {
+        for (std::size_t c = 0; c < columns; ++c) means[c] += padded[c + k];
+    }
+    for (std::size_t c = 0; c < columns; ++c) means[c] *= share;
+}
+
+// Write means of some columns from their sums, and let a row come into these and another go.
+MULTIVERSION void move_sums(const float* __restrict come, const float* __restrict go, std::size_t columns, float share,
+                            double* __restrict sums, float* __restrict means) {
+    for (std::size_t c = 0; c < columns; ++c) means[c] = float(sums[c]) * share;
+    for (std::size_t c = 0; c < columns; ++c) sums[c] += double(come[c]) - double(go[c]);
+}
+
+// Average values (rows, columns) over squares, twice.
+Buffer<float> averaged(View2<const float> values, std::size_t half) {
+    Buffer<float> means(values.size()), between(values.size());
+    const std::size_t rows = values.rows, columns = values.columns;
+    const float share = 1.0f / float(2 * half + 1);
+    const std::size_t parts = count_parts(values.size(), PART);
+    View2<const float> from = values;
+    for (int time = 0; time < 2; ++time) {
+        for_ranges(rows, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+            Buffer<float> padded(columns + 2 * half);
+            for (std::size_t r = begin; r < end; ++r) {
+                std::fill_n(padded.data(), half, from(r, 0));
+                std::copy_n(from[r], columns, padded.data() + half);
+                std::fill_n(padded.data() + half + columns, half, from(r, columns - 1));
+                average_row(padded.data(), columns, half, &between[r * columns]);
+            }
+        });
+        for_ranges(columns, parts, [&](std::size_t, std::size_t begin, std::size_t end) {
+            const auto row = [&](std::size_t r) { return &between[std::min(r, rows - 1) * columns + begin]; };
+            Buffer<double> sums(end - begin, 0.0);
+            for (std::size_t k = 0; k <= 2 * half; ++k) {
+                const float* const own = row(k < half ? 0 : k - half);
+                for (std::size_t c = 0; c < end - begin; ++c) sums[c] += double(own[c]);
+            }
+            for (std::size_t r = 0; r < rows; ++r) {
+                move_sums(row(r + half + 1), row(r < half ? 0 : r - half), end - begin, share, sums.data(),
+                          &means[r * columns + begin]);
+            }
+        });
+        from = {means.data(), rows, columns};
+    }
+    return means;
+}
+
+// The ranges of NARROWEST_BINS: those of the bins that the returns fill, each as often as it is wider.
+struct Limits {
+    Buffer<float> blocker_m{NARROWEST_BINS}, farthest_m{NARROWEST_BINS};
+
+    explicit Limits(const LeveledReturns& returns) {
+        const BinRanges filled = find_ranges(returns, 0);
+        for (std::size_t b = 0; b < NARROWEST_BINS; ++b) {
+            const std::size_t of = b * filled.bins() / NARROWEST_BINS;
+            blocker_m[b] = std::min(filled.nearest_m[of], FARTHEST_M), farthest_m[b] = filled.farthest_m[of];
+        }
+    }
+};
+
+// What the features of all cells are made from.
+struct Scene {
+    const CellWindows& windows;
+    const CellEvidence& evidence;
+    View1<const float> table;
+    Limits limits;
+    Buffer<float> near, wide;
+
+    Scene(const CellWindows& of, const CellEvidence& cells, const LeveledReturns& returns, View1<const float> probabilities)
+        : windows(of),
+          evidence(cells),
+          table(probabilities),
+          limits(returns),
+          near(averaged({cells.visible_prob, of.grid_rows, of.grid_columns}, NEAR_CELLS)),
+          wide(averaged({near.data(), of.grid_rows, of.grid_columns}, WIDE_CELLS)) {}
+};
+
+constexpr std::size_t CELLS = CellCounts::BLOCK;
+
+// Write features (size,), each by a loop over arrays that do not overlap, so that it becomes vectors.
+MULTIVERSION void write_logits(const float* __restrict prob, std::size_t size, float* __restrict feature) {
+    for (std::size_t n = 0; n < size; ++n) feature[n] = logit_of(prob[n]);
+}
+
+MULTIVERSION void write_logs(const float* __restrict counts, std::size_t size, float* __restrict feature) {
+    for (std::size_t n = 0; n < size; ++n) feature[n] = log2_of(1.0f + (counts[n] > 0.0f ? counts[n] : 0.0f));
+}
+
+MULTIVERSION void add(const float* __restrict a, const float* __restrict b, std::size_t size, float* __restrict sum) {
+    for (std::size_t n = 0; n < size; ++n) sum[n] = a[n] + b[n];
+}
+
+// The ranges of limits over those of cells.
+MULTIVERSION void write_shares(const float* __restrict limit_m, const float* __restrict cell_range_m, std::size_t size,
+                               float* __restrict feature) {
+    for (std::size_t n = 0; n < size; ++n) {
+        const float range_m = cell_range_m[n] > LEAST_RANGE_M ? cell_range_m[n] : LEAST_RANGE_M;
+        const float share = limit_m[n] / range_m;
+        feature[n] = log2_of(share > LEAST_SHARE ? share : LEAST_SHARE);
+    }
+}
+
+MULTIVERSION void write_away(const float* __restrict limit_m, const float* __restrict cell_range_m, std::size_t size,
+                             float* __restrict feature) {
+    for (std::size_t n = 0; n < size; ++n) {
+        const float away_m = limit_m[n] - cell_range_m[n], size_m = away_m < 0.0f ? -away_m : away_m;
+        const float log = log2_of(1.0f + size_m);
+        feature[n] = away_m < 0.0f ? -log : log;
+    }
+}
+
+// Write the features of cells from `first` on, a row of `stride` for each.
+void describe_block(const Scene& scene, std::size_t first, std::size_t size, std::size_t stride, float* feature) {
+    const CellEvidence& of = scene.evidence;
+    const float* const range_m = &scene.windows.cell_range_m[first];
+    const auto row = [&](CellFeature k) { return feature + k * stride; };
+    float blocker_m[CELLS], farthest_m[CELLS], likely[CELLS], late[CELLS], own[CELLS];
+    for (std::size_t n = 0; n < size; ++n) {
+        const auto bin = std::size_t(scene.windows.cell_bin[first + n]);
+        blocker_m[n] = scene.limits.blocker_m[bin], farthest_m[n] = scene.limits.farthest_m[bin];
+    }
+    add(of.measured + first, of.inferred + first, size, likely);
+    add(of.measured + first, of.late + first, size, late);
+    look_up(scene.table, {likely, size}, {own, size});
+    write_logits(of.visible_prob + first, size, row(CELL_PROB));
+    write_logits(&scene.near[first], size, row(CELL_PROB_NEAR));
+    write_logits(&scene.wide[first], size, row(CELL_PROB_WIDE));
+    write_logits(own, size, row(CELL_OWN_PROB));
+    write_shares(blocker_m, range_m, size, row(CELL_BLOCKER));
+    write_away(blocker_m, range_m, size, row(CELL_BLOCKER_AWAY));
+    write_shares(farthest_m, range_m, size, row(CELL_FARTHEST));
+    write_logs(of.aimed + first, size, row(CELL_BEAMS_AIMED));
+    write_logs(of.measured + first, size, row(CELL_BEAMS_MEASURED));
+    write_logs(likely, size, row(CELL_BEAMS_LIKELY));
+    write_logs(late, size, row(CELL_BEAMS_LATE));
+}
+
+// Write the logits of cells by the network from their features (CELL_FEATURES, CELLS), AT_ONCE at a time: the features of
+// these stay in registers.
+MULTIVERSION void run_network(const float* __restrict feature, std::size_t size, float* __restrict logit) {
+    for (std::size_t n = 0; n < size; n += AT_ONCE) {
+        Lanes in[CELL_FEATURES];
+        for (std::size_t k = 0; k < CELL_FEATURES; ++k) {
+            float standard[AT_ONCE];
+            for (std::size_t j = 0; j < AT_ONCE; ++j) {
+                const float value = (feature[k * CELLS + n + j] - MEAN[k]) * SCALE[k];
+                const float high = value < MOST_DEVIATIONS ? value : MOST_DEVIATIONS;
+                standard[j] = high > -MOST_DEVIATIONS ? high : -MOST_DEVIATIONS;
+            }
+            std::memcpy(&in[k], standard, sizeof(Lanes));
+        }
+        Lanes sum = Lanes{} + SECOND_BIAS[0];
+        for (std::size_t u = 0; u < UNITS; ++u) {
+            Lanes unit = Lanes{} + FIRST_BIAS[u];
+            for (std::size_t k = 0; k < CELL_FEATURES; ++k) unit += in[k] * FIRST[k * UNITS + u];
+            unit = unit > 0.0f ? unit : Lanes{};
+            sum += unit * SECOND[u];
+        }
+        std::memcpy(logit + n, &sum, sizeof(Lanes));
+    }
+}
+
+// Write the probabilities of cells from their logits.
+MULTIVERSION void decide(const float* __restrict logit, const float* __restrict counted, const float* __restrict aimed,
+                         std::size_t size, float below, float* __restrict prob) {
+    for (std::size_t n = 0; n < size; ++n) {
+        const float low = logit[n] < 20.0f ? logit[n] : 20.0f, x = low > -20.0f ? low : -20.0f;
+        const float said = 1.0f / (1.0f + exp_of(-x));
+        const float claim = said > THRESHOLD ? said : THRESHOLD, denial = said < below ? said : below;
+        const bool is_silent = (counted[n] <= 0.0f) & (aimed[n] <= 0.0f);
+        const float other = is_silent ? 0.0f : denial;
+        prob[n] = counted[n] >= THRESHOLD ? claim : other;
+    }
+}
+
+}  // namespace
+
+void describe_cells(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns,
+                    View1<const float> table, View2<float> feature) {
+    const Scene scene(windows, evidence, returns, table);
+    for (std::size_t first = 0; first < windows.cells(); first += CELLS) {
+        const std::size_t size = std::min(CELLS, windows.cells() - first);
+        describe_block(scene, first, size, feature.columns, feature.data + first);
+    }
+}
+
+void calibrate(const CellWindows& windows, const CellEvidence& evidence, const LeveledReturns& returns, View1<const float> table,
+               View1<float> prob) {
+    const Scene scene(windows, evidence, returns, table);
+    const std::size_t blocks = (windows.cells() + CELLS - 1) / CELLS;
+    const float below = std::nextafter(THRESHOLD, 0.0f);
+    for_ranges(blocks, count_parts(windows.cells(), PART), [&](std::size_t, std::size_t begin, std::size_t end) {
+        float feature[CELL_FEATURES][CELLS] = {}, logit[CELLS];
+        for (std::size_t block = begin; block < end; ++block) {
+            const std::size_t at = block * CELLS, size = std::min(CELLS, windows.cells() - at);
+            describe_block(scene, at, size, CELLS, feature[0]);
+            run_network(feature[0], size, logit);
+            decide(logit, evidence.visible_prob + at, evidence.aimed + at, size, below, &prob[at]);
+        }
+    });
+}
+
+}  // namespace viewshed

@@ -1,0 +1,95 @@
+"""The calibrated probability: laws, the network in NumPy, and exact truth that it was not fitted to."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewshed import CAR, GRIDS, Sweep, load_estimator
+from viewshed.fov.estimate import THRESHOLD
+from viewshed.preprocess.evidence import beam_evidence, calibrated_prob, cell_features
+from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed_lab.data.wild import WildObservation, wild_scenes
+from viewshed_lab.training.no_return import arrays_of
+
+NUMBERS = Path(__file__).resolve().parents[2] / "src" / "core" / "calibration_network.inc"
+SCENES = wild_scenes("development", "road")[:12]
+
+
+@lru_cache(maxsize=len(SCENES))
+def observed(at: int) -> tuple[WildObservation, LeveledSweep]:
+    seen = SCENES[at].observe(0)
+    return seen, level(seen.told("rings"), seen.truth.grid)
+
+
+def expected_error(prob: NDArray[np.float32], visible: NDArray[np.bool_]) -> float:
+    """Return the expected calibration error of probabilities (K,) in fifteen bins."""
+    at = np.minimum((prob * 15).astype(int), 14)
+    return float(np.abs(np.bincount(at, prob) - np.bincount(at, visible)).sum() / len(prob))
+
+
+def test_cells_stay_on_their_side_and_cells_without_beams_are_silent() -> None:
+    _, leveled = observed(0)
+    evidence = beam_evidence(leveled, GRIDS["road"], CAR)
+    prob = calibrated_prob(leveled, evidence)
+    assert np.array_equal(prob >= THRESHOLD, evidence.visible_prob >= THRESHOLD)
+    silent = (evidence.visible_prob == 0) & (evidence.aimed <= 0)
+    assert silent.any() and not prob[silent].any()
+    assert prob.min() >= 0 and prob.max() <= 1
+    # Counting alone is surer than it may be: the same claims are said with other probabilities.
+    assert np.abs(prob - evidence.visible_prob)[~silent].mean() > 0.01
+
+
+def test_the_core_runs_the_network_whose_numbers_it_holds() -> None:
+    _, leveled = observed(1)
+    evidence = beam_evidence(leveled, GRIDS["road"], CAR)
+    of = arrays_of(NUMBERS.read_text(encoding="ascii"))
+    features = cell_features(leveled, evidence)
+    inputs = ((features.reshape(len(features), -1).T - of["mean"]) * of["scale"]).clip(-6, 6)
+    hidden = np.maximum(inputs @ of["first"] + of["first_bias"], 0)
+    said = 1 / (1 + np.exp(-(hidden @ of["second"] + of["second_bias"])[:, 0].reshape(evidence.grid.shape)))
+    prob = calibrated_prob(leveled, evidence)
+    inside = (prob > 0) & (np.abs(prob - THRESHOLD) > 1e-3)
+    assert inside.mean() > 0.2
+    assert np.abs(prob - said)[inside].max() < 1e-4
+
+
+def test_features_of_a_wall_in_the_dark() -> None:
+    # Rings on flat ground, and a wall 10 m ahead, one row of points: what lies behind it has a nearer blocker.
+    azimuth, range_m = np.meshgrid(np.linspace(-np.pi, np.pi, 1080, endpoint=False), [4.0, 6.0, 8.0, 12.0, 16.0])
+    ground = np.stack([range_m * np.cos(azimuth), range_m * np.sin(azimuth), np.full_like(range_m, -1.8)], -1)
+    wall_y = np.linspace(-3, 3, 121)
+    wall = np.stack([np.full_like(wall_y, 10.0), wall_y, np.full_like(wall_y, -0.8)], -1)
+    points = np.concatenate([ground.reshape(-1, 3), wall]).astype(np.float32)
+    leveled = level(Sweep(points, sensor_height_m=1.8, attitude=np.array([1.0, 0, 0, 0])), GRIDS["road"])
+    features = cell_features(leveled, beam_evidence(leveled, GRIDS["road"], CAR))
+    row = {name: features[at] for at, name in enumerate(("prob", "near", "wide", "own", "blocker", "away", "farthest"))}
+    ahead, behind, aside = (128 + 16, 128), (128 + 30, 128), (128, 128 + 30)
+    assert np.isclose(row["blocker"][ahead], np.log2(10.0 / 8.25), atol=0.03)
+    assert np.isclose(row["blocker"][behind], np.log2(10.0 / 15.25), atol=0.03)
+    assert row["away"][behind] < 0 < row["away"][ahead]
+    assert np.isclose(row["blocker"][aside], np.log2(200.0 / 15.25), atol=0.03)
+    assert np.isclose(row["farthest"][aside], np.log2(16.0 / 15.25), atol=0.03)
+    # A mean over the whole of one value is that value; it lies between the extremes elsewhere.
+    assert (row["near"] <= row["prob"].max() + 1e-3).all() and (row["wide"] >= row["prob"].min() - 1e-3).all()
+
+
+def test_it_is_better_calibrated_than_the_count_in_places_it_was_not_fitted_to() -> None:
+    counted, calibrated, visible = [], [], []
+    for at in range(len(SCENES)):
+        seen, leveled = observed(at)
+        evidence = beam_evidence(leveled, seen.truth.grid, CAR)
+        counted.append(evidence.visible_prob[seen.known])
+        calibrated.append(calibrated_prob(leveled, evidence)[seen.known])
+        visible.append(seen.truth.visible(CAR)[seen.known])
+    truth = np.concatenate(visible)
+    errors = [expected_error(np.concatenate(prob), truth) for prob in (calibrated, counted)]
+    assert errors[0] < 0.7 * errors[1]
+    assert errors[0] < 0.05
+
+
+def test_the_estimator_says_it() -> None:
+    seen, leveled = observed(2)
+    estimate = load_estimator("shadow_map", grid=seen.truth.grid, target="car").estimate(leveled)
+    assert np.array_equal(estimate.visible_prob, calibrated_prob(leveled, beam_evidence(leveled, seen.truth.grid, CAR)))
