@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Config = Annotated[
     str,
     typer.Argument(
-        metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor, viewnet_road, viewnet_indoor, …"
+        metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor."
     ),
 ]
 
