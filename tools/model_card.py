@@ -75,7 +75,8 @@ def card_page() -> str:
         _ATTACKS,
         table(["name", "attacks in training", "never shown"], _attacks(own.values())),
         _DATA,
-        table(["data", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"], map(_preset_data, map(preset_named, data))),
+        table(["data", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"],
+              map(_preset_data, map(preset_named, data))),
         _WORTH,
     )  # fmt: skip
 

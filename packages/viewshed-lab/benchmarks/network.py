@@ -44,8 +44,8 @@ mean and deviation over {passes} passes where dropout is on, threshold. The rows
 estimator on a sweep without attitude: leveling, local ground and the states of the cells as well. Each engine runs in
 processes of its own, {rounds} of them in an order drawn anew each round, because the idle threads of one engine slow
 the next; within a process the rows take turns. **Of one torch pass** is the ratio to one eager pass of the paper's
-network in torch, in its own processes of the same run. int8: a network in bytes. GFLOP/s count every pass in full. Threads of the engines
-and of torch: {threads}. {weights}
+network in torch, in its own processes of the same run. int8: a network in bytes. GFLOP/s count every pass in full.
+Threads of the engines and of torch: {threads}. {weights}
 
 **The floor.** A product of two matrices of 2048 × 2048 with {threads} threads reaches {single:.0f} GFLOP/s in float32
 and {half:.0f} in bfloat16 here and now. At that rate one pass takes {floor_one:.1f} or {floor_one_half:.1f} ms, and

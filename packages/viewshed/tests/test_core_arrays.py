@@ -14,7 +14,7 @@ from tests.preprocess.test_expected_returns import random_beams, random_boxes
 
 from viewshed import BevGrid, Sweep, _core
 from viewshed.agents.fov_code import encode_fov
-from viewshed.fov.visibility import CAR, cell_windows
+from viewshed.fov.visibility import cell_windows
 from viewshed.grid import polar_of_cells
 from viewshed.objects.detector import Detector
 from viewshed.preprocess.azimuth_bins import bins_of_cells

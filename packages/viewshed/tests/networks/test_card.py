@@ -81,7 +81,10 @@ def test_a_card_comes_back_from_json_as_it_was() -> None:
         ({"counts": "root"}, "counts must be one of linear, log, got 'root'"),
         ({"clip": 0}, r"clip must be in \[1, 255\], got 0"),
         ({"divisor": 0.0}, "divisor must be positive, got 0.0"),
-        ({"inputs": ["counts", "range"]}, r"network must be shown the counts alone, .*shown \['counts', 'range'\] with fo"),
+        (
+            {"inputs": ["counts", "range"]},
+            r"network must be shown the counts alone, .*shown \['counts', 'range'\] with fo",
+        ),
         ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 2}}, "shown the counts alone"),
         ({"shape": {"width": 8, "depth": 2, "dropout": 0.0, "channels": 1, "fold": 4}}, "with fold 4; use shadow_map"),
         ({"heights_m": [3.0, -3.0]}, r"heights_m must be \(low, high\) with low < high, got \(3.0, -3.0\)"),

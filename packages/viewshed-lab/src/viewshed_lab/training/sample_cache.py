@@ -1,10 +1,10 @@
 """A cache of training samples on the disk, so that a training never waits for data.
 
-Drawing a sample (read, attack, count) takes longer than a step of the network. So ``versions`` of every frame, each with
-an attack of its own, are drawn once and shown in turn: epoch e shows version e modulo ``versions``. Folders are named by
-a hash of all that decides a sample, so that another config never reads them. A file holds the counts of 256 frames, or
-their truth. Files are memory-mapped: all loader processes share one copy in the page cache. Each is written whole or not
-at all and the truth last, so a block whose truth is there has its counts.
+Drawing a sample (read, attack, count) takes longer than a step of the network. So ``versions`` of every frame, each
+with an attack of its own, are drawn once and shown in turn: epoch e shows version e modulo ``versions``. Folders are
+named by a hash of all that decides a sample, so that another config never reads them. A file holds the counts of 256
+frames, or their truth. Files are memory-mapped: all loader processes share one copy in the page cache. Each is written
+whole or not at all and the truth last, so a block whose truth is there has its counts.
 """
 
 from __future__ import annotations

@@ -450,7 +450,7 @@ AbstainBelow = Annotated[
     float | None,
     typer.Option(
         "--abstain-below",
-        help="Cells are visible from this probability, hidden below 1 minus it, else unknown. Not for masks of 0 and 1.",
+        help="Cells are visible from this probability, hidden below 1 minus it, else unknown; not of masks.",
     ),
 ]
 

@@ -272,6 +272,6 @@ def target_named(target: str | Target) -> Target:
 
 __all__ = [
     "CLASSICAL", "DEFAULT_ESTIMATOR", "ESTIMATORS", "FORMER_NAMES", "LEARNED", "PAPER_ESTIMATORS",
-    "PAPER_INDOOR_ESTIMATORS", "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "current_name", "estimate", "grid_named",
-    "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
+    "PAPER_INDOOR_ESTIMATORS", "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "current_name", "estimate",
+    "grid_named", "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
 ]  # fmt: skip

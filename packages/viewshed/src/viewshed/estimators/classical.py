@@ -20,7 +20,6 @@ from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import LeveledSweep, leveled_on
 from viewshed.sweep import Sweep
 
-
 NEVER_ABSTAIN = 0.5
 """Every cell is at least this sure to be visible, or not to be."""
 
@@ -113,9 +112,7 @@ def checked_history(estimator: Estimator, leveled: LeveledSweep, history: Earlie
     if history is None or (not isinstance(history, History) and not len(history)):
         return None
     if not estimator.uses_history:
-        raise ValueError(
-            f"history must be left out for {estimator.name}, which looks at one sweep; use shadow_map"
-        )
+        raise ValueError(f"history must be left out for {estimator.name}, which looks at one sweep; use shadow_map")
     if isinstance(history, History):
         if history.now.sweep is not leveled.sweep:
             raise ValueError("history must be that of the sweep to estimate, got another one's; use History.of")
