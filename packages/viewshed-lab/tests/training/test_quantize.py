@@ -17,7 +17,7 @@ from viewshed.networks.runtime import OnnxRunner
 from viewshed_lab.training.onnx_export import export_onnx
 from viewshed_lab.training.quantize import quantize_network
 
-SHAPES = [UNetShape(8, 2, 0.3), UNetShape(4, 3, 0.1), UNetShape(4, 1, 0.0), UNetShape(8, 3, 0.2)]
+SHAPES = [UNetShape(8, 2, 0.3), UNetShape(4, 3, 0.1), UNetShape(8, 1, 0.0), UNetShape(8, 3, 0.2)]
 Maps = NDArray[np.uint8]
 
 

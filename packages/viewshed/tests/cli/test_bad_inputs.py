@@ -168,7 +168,7 @@ REFUSED = {
     f"{UNET} --grid 64x16 --passes 4": "passes must be 1 for unet",
     UNET: "grid must be 64x16 for the network made, got 256x64; ask for that",
     f"estimate {GOOD} --method majority_vote --abstain-below 0.9":
-        "abstention must be asked of a network, got 0.9 for majority_vote",
+        "abstention must be asked of an estimator that says how sure it is, got 0.9 for majority_vote",
     f"estimate {GOOD} --method unet --weights nowhere": "weights must be a file that viewshed train exported",
     f"estimate {GOOD} --method unet --weights sweep.npz": "must be a network that viewshed exported, got a file",
     f"estimate {GOOD} --weights yolo": "yolo",

@@ -111,6 +111,7 @@ def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(t
         assert read_npz(out / ("sweep.npz" if method == "shadow_map" else f"sweep_{method}.npz")).method == method, said
 
 
+@pytest.mark.filterwarnings("default:method viewnet is gone")
 def test_the_network_that_is_gone_is_the_default_with_one_line(files: tuple[Path, Path], tmp_path: Path) -> None:
     words = ("--grid", "64x16", "--height", 1.8, "--abstain-below", 0.9)
     code, out, err = run("estimate", files[0], "--method", "viewnet", *words, "--out", tmp_path)

@@ -82,9 +82,14 @@ def test_probabilities_abstain_and_masks_cannot(estimator: Estimator, street: Sw
     if estimator.name in LEARNED or estimator.name == "shadow_map":
         sure = estimator.with_abstention(0.9)
         assert (sure.name, sure.grid, sure.threshold) == (estimator.name, ROAD, 0.9)
-        doubtful = np.abs(estimator.estimate(street).visible_prob - 0.5) < 0.3
-        assert doubtful.any()
-        assert (sure.estimate(street).state[doubtful] == viewshed.CellState.UNKNOWN).all()
+        before, found = estimator.estimate(street), sure.estimate(street)
+        prob = before.visible_prob
+        kept = (prob >= np.float32(0.9)) | (prob <= np.float32(1 - 0.9))
+        assert (before.state[~kept] != viewshed.CellState.UNKNOWN).any()
+        assert (found.state[~kept] == viewshed.CellState.UNKNOWN).all()
+        assert np.array_equal(found.state[kept], before.state[kept])
+        assert found.threshold == 0.9
+        assert same(estimator.with_abstention(0.5).estimate(street), before)
     else:
         with pytest.raises(ValueError, match=f"says how sure it is, got 0.9 for {estimator.name}, whose masks"):
             estimator.with_abstention(0.9)
