@@ -4,7 +4,7 @@
     viewshed view drive.mcap --html run.html
     python tools/clip.py run.html docs/assets/agents.webp [--seconds 30] [--side 320]
 
-    viewshed view PANDASET/*.bin --file-frame pandaset --method viewnet --html three.html
+    viewshed view PANDASET/*.bin --file-frame pandaset --html three.html
     python tools/clip.py three.html docs/assets/real.webp --layers states,doubt --pace 2.5 --side 400
 
 The page draws every frame itself, in a headless Chromium, and its canvas is what the clip shows.

@@ -129,7 +129,6 @@ def use_everything() -> None:
     from viewshed.guarantees.envelope import Threat
     from viewshed.io import read_sweep, write_sweep
     from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
-    from viewshed.networks.features import FEATURES, FeatureContext, feature_maps
     from viewshed.objects.detector import Detector
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.no_return import no_return_beams, no_return_groups
@@ -152,7 +151,7 @@ def use_everything() -> None:
     rng, grid = np.random.default_rng(0), viewshed.BevGrid()
     noisy = sweep.replace(points=sweep.points * rng.uniform(0.5, 2.0, (len(sweep), 1)).astype(np.float32))
     bare, shuffled = (viewshed.Sweep(sweep.points[rows]) for rows in (slice(None), rng.permutation(len(sweep))))
-    # 3. All that is answered of a sweep: estimates, evidence, objects, certificates, features, polygons.
+    # 3. All that is answered of a sweep: estimates, evidence, objects, certificates, polygons.
     for each in (sweep, noisy, bare, shuffled):
         leveled = level(each, grid)
         for method in ESTIMATORS:
@@ -166,19 +165,13 @@ def use_everything() -> None:
         certify(leveled, estimate, Threat.parse(words))
     no_return_groups(leveled, 1.5)
     no_return_beams(leveled, fill=True)
-    feature_maps(
-        tuple(FEATURES),
-        FeatureContext(leveled, grid, viewshed.CAR, grid.count(leveled.points).clip(0, 255).astype(np.uint8)),
-        4,
-    )
     inner_polygon_of_mask(estimate.visible(), grid, 12)
     sectors_of_mask(estimate.visible(), grid, 4)
     # 4. A stream: earlier sweeps end beams and confirm cells.
     poses = [viewshed.Rigid(np.eye(3), np.array([0.5 * k, 0.0, 1.8])) for k in range(4)]
     drive = [sweep.replace(world_from_sensor=pose, t_ns=k * 100_000_000) for k, pose in enumerate(poses)]
-    for method in ("shadow_map", "viewnet"):
-        for _ in viewshed.load_estimator(method).stream(drive, history=3):
-            pass
+    for _ in viewshed.load_estimator().stream(drive, history=3):
+        pass
 
 
 def _copied(value: Any) -> Any:

@@ -6,12 +6,11 @@ import argparse
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from viewshed.networks.card import NetworkCard
+from viewshed.networks.card import INT8, NetworkCard
 from viewshed.networks.runtime import load_runner
-from viewshed.networks.weights import WEIGHTS, float32_name, manifest
+from viewshed.networks.weights import WEIGHTS, manifest
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.data.presets import Preset, preset_named
-from viewshed_lab.data.wild import wild_tables
 from viewshed_lab.studies.cases import TOUCHING
 from viewshed_lab.training.config import PAPER, read_config
 
@@ -52,10 +51,6 @@ published shape on roads and indoors](archive.md), of version 0.3.0; on real swe
   disagree."""
 
 
-PARTS = {"own-road": ("roads", "the first 1,500 sweeps"), "own-indoor": ("rooms", "the first 1,000 sweeps")}
-"""Archives that hold the first scenes of a preset."""
-
-
 def main(words: Sequence[str] | None = None) -> None:
     """Write the page."""
     parser = argparse.ArgumentParser(prog="model_card.py", description=__doc__)
@@ -68,11 +63,11 @@ def main(words: Sequence[str] | None = None) -> None:
 def card_page() -> str:
     """Return the page."""
     cards = {name: load_runner(name, 1).card for name in manifest()}
-    own = {name: card for name, card in cards.items() if float32_name(name) == name}
+    own = {name: card for name, card in cards.items() if card.precision != INT8}
     data = dict.fromkeys(name for card in own.values() for name in card.trained["data"].split(", "))
     return page(
         "Model card of the shipped weights", facts(), _ABOUT,
-        table(["name", "KB", "SHA-256", "grid", "target", "taken by", "channels", "parameters", "GFLOP", "numbers"],
+        table(["name", "KB", "SHA-256", "grid", "target", "taken by", "parameters", "GFLOP", "numbers"],
               _files(cards)),
         _TRAINING,
         table(["name", "data", "shown", "attacked", "seed", "best epoch", "validation F1", "trained with", "date"],
@@ -80,7 +75,8 @@ def card_page() -> str:
         _ATTACKS,
         table(["name", "attacks in training", "never shown"], _attacks(own.values())),
         _DATA,
-        table(["data", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"], map(_data, data)),
+        table(["data", "sweeps", "scenes", "seed", "worlds", "sensors", "weather and faults"],
+              map(_preset_data, map(preset_named, data))),
         _WORTH,
     )  # fmt: skip
 
@@ -91,7 +87,7 @@ def _files(cards: dict[str, NetworkCard]) -> Iterator[list[str]]:
         grid = f"{line.cells} × {line.cells}, ±{line.half_extent_m:g} m"
         yield [
             f"`{name}`", f"{size / 1000:.0f}", f"`{line.sha256[:12]}…`", grid, line.target,
-            ", ".join(f"`{each}`" for each in line.methods) or "name alone", str(card.shape.channels),
+            ", ".join(f"`{each}`" for each in line.methods) or "name alone",
             f"{card.shape.parameters:,}", f"{card.shape.flops(line.cells) / 1e9:.2f}", card.precision,
         ]  # fmt: skip
 
@@ -115,21 +111,6 @@ def _attacks(cards: Iterable[NetworkCard]) -> list[list[str]]:
         never = [name for name in TOUCHING if name not in known]
         names.setdefault((", ".join(shown), ", ".join(never) or "–"), []).append(f"`{card.name}`")
     return [[", ".join(of), *lists] for lists, of in names.items()]
-
-
-def _data(name: str) -> list[str]:
-    if name in PARTS:
-        preset, part = PARTS[name]
-        return [f"`{name}`: of `{preset}`, {part}", *_preset_data(preset_named(preset))[1:]]
-    kind, _, domain_name = name.partition("-")
-    if kind == "wild":
-        training = wild_tables().of_set("training")
-        domain = next(one for one in training if one.name == domain_name)
-        return [
-            f"`{name}`", f"{domain.scenes * domain.sweeps:,}", f"{domain.scenes:,}", str(domain.seed),
-            *(", ".join(names) for names in (domain.styles, domain.sensors, domain.conditions)),
-        ]  # fmt: skip
-    return _preset_data(preset_named(name))
 
 
 def _preset_data(preset: Preset) -> list[str]:

@@ -23,7 +23,7 @@ import numpy as np
 from with_checkout import environment_of
 
 ROOT = Path(__file__).resolve().parents[1]
-METHODS = ("shadow_map", "viewnet", "first_blocker", "quantized", "continuous", "concave_hull")
+METHODS = ("shadow_map", "first_blocker", "quantized", "continuous", "concave_hull")
 ENDINGS = (".bin", ".pcd", ".ply", ".npy", ".npz", ".feather")
 TOLD = ("table", "rings", "nothing")
 ENOUGH = 0.999

@@ -43,7 +43,7 @@ def main(words: Sequence[str] | None = None) -> None:
 def _run_once(content: bytes, file: Path) -> None:
     runner = OnnxRunner.of_content(content, str(file), 1, "onnxruntime")
     card = runner.card
-    nothing = card.shown(np.zeros((card.shape.channels, *card.grid.shape), np.uint8))
+    nothing = card.shown(np.zeros((1, *card.grid.shape), np.uint8))
     found = runner.run(nothing[None])
     if not ((found >= 0) & (found <= 1)).all():
         raise ValueError(f"{file} must give probabilities, got values outside [0, 1]; train it again")

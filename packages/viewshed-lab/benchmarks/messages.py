@@ -51,7 +51,7 @@ RUNS = 15
 START_NS = 1_760_000_000_000_000_000
 STEP_NS = 100_000_000
 LISTENS_NS = START_NS - 1_000_000_000
-METHODS = {"shadow_map": 1, "viewnet": 1, "mc_dropout": 3}
+METHODS = {"shadow_map": 1, "mc_dropout": 3}
 """Estimators; the number k beside each: it is given every k-th sweep."""
 
 WORLDS_SEEN = ("street", "junction", "highway", "parking", "residential")
@@ -75,7 +75,7 @@ quantized alike, deflated one by one by zlib at its highest level. Each sweep co
 beginning, and how soon it forgets, was chosen on the real sweeps; the simulated ones had no part in that."""
 WHOLE = f"""## Bytes of a message
 
-The view of `viewnet`, {DETECTIONS} detections, pose with covariance, report and
+The view of `shadow_map`, {DETECTIONS} detections, pose with covariance, report and
 signature. Bytes of each field, and of the whole message."""
 REGIONS = f"""## Bytes of a Collective Perception Message
 
@@ -133,16 +133,16 @@ def main() -> None:
     key = SigningKey.generate("car1")
     rng = np.random.default_rng(SEED)
     if chosen.flood:
-        view = load_estimator("viewnet").estimate(next(simulated()))
+        view = load_estimator().estimate(next(simulated()))
         content = flood(view, key, chosen.forged, rng)
         print(content)
         sys.exit(0 if "| of these accepted | 0 |" in content else 1)
     sweeps = list(readable(chosen.index))
     views = {method: estimates(method, sweeps[::each]) for method, each in METHODS.items()}
-    others = {f"`{method}`, simulated": estimates(method, simulated()) for method in ("shadow_map", "viewnet")}
+    others = {"`shadow_map`, simulated": estimates("shadow_map", simulated())}
     more = max(chosen.regions - len(views["shadow_map"]), 0)
     regions_of = chain(views["shadow_map"], (estimates("shadow_map", [sweep])[0] for sweep in simulated(more)))
-    signed = [sign_message(message_of(view, k, rng), key) for k, view in enumerate(views["viewnet"])]
+    signed = [sign_message(message_of(view, k, rng), key) for k, view in enumerate(views["shadow_map"])]
     named = {f"`{method}`": found for method, found in views.items()} | others
     content = page(
         "Messages between agents: bytes and times",
@@ -156,7 +156,7 @@ def main() -> None:
         REGIONS, regions(regions_of),
         TIMES, table(HEADER, [row.cells() for row in time_rows(views, signed, key)]),
         REFUSALS, refusals(signed[0], key),
-        flood(views["viewnet"][0], key, chosen.forged, rng),
+        flood(views["shadow_map"][0], key, chosen.forged, rng),
     )  # fmt: skip
     write_page(chosen.page, content)
     print(content)

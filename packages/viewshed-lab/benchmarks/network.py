@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
@@ -17,7 +17,6 @@ import numpy as np
 
 from benchmarks import clouds
 from benchmarks.timing import Timing, summary, times_of
-from viewshed.estimators.batch import estimate_all
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import UnetEstimator
 from viewshed.networks.architecture import UNetShape
@@ -35,16 +34,8 @@ ROUNDS, BUDGET_S = 3, 6.0
 SIZES = ("35k", "120k")
 ENGINE, TORCH, NONE = "onnxruntime", "torch, eager", "no network"
 ONE_PASS = "one torch pass"
-OURS = "viewnet"
-ESTIMATE = f"{OURS} to estimate"
-MANY, MANY_SWEEPS = f"{ESTIMATE}, of many sweeps", 64
-TARGETS_HZ = {
-    ("MLE to mask", "35k"): 200, (f"MCD T = {PASSES} to mask: {ENGINE} {INT8}", "35k"): 22,
-    (ESTIMATE, "35k"): 350, (ESTIMATE, "120k"): 250,
-    (MANY, "35k"): 350, (MANY, "120k"): 250, (f"{OURS} MCD T = {PASSES} to mask", "35k"): 50,
-}  # fmt: skip
+TARGETS_HZ = {("MLE to mask", "35k"): 200, (f"MCD T = {PASSES} to mask: {ENGINE} {INT8}", "35k"): 22}
 """By row, with its engine or without, and size."""
-PUBLISHED = ("counts",)  # what a network of the published shape is shown
 HEAD = ["what", "points", "median, ms (10–90 %)", "Hz", "of one torch pass", "GFLOP/s", "target", ""]
 TEXT = """\
 The paper's network (width 8, depth 4: {parameters:.2f} M parameters, {gflop:.2f} GFLOP a pass) on 256 × 256 cells.
@@ -53,22 +44,13 @@ mean and deviation over {passes} passes where dropout is on, threshold. The rows
 estimator on a sweep without attitude: leveling, local ground and the states of the cells as well. Each engine runs in
 processes of its own, {rounds} of them in an order drawn anew each round, because the idle threads of one engine slow
 the next; within a process the rows take turns. **Of one torch pass** is the ratio to one eager pass of the paper's
-network in torch, in its own processes of the same run. {ours}GFLOP/s count every pass in full. Threads of the engines
-and of torch: {threads}. {weights}
+network in torch, in its own processes of the same run. int8: a network in bytes. GFLOP/s count every pass in full.
+Threads of the engines and of torch: {threads}. {weights}
 
 **The floor.** A product of two matrices of 2048 × 2048 with {threads} threads reaches {single:.0f} GFLOP/s in float32
 and {half:.0f} in bfloat16 here and now. At that rate one pass takes {floor_one:.1f} or {floor_one_half:.1f} ms, and
 {passes} passes {floor_all:.0f} or {floor_all_half:.0f} ms. Of each pass {own:.0%} depends on its mask; what lies before
 the first mask, and the half of the last decoder stage that reads stage 1, is computed once for all passes, exactly."""
-
-
-OUR_TEXT = """\
-The rows **viewnet** are our network ({name}: {channels} channels, {gflop:.2f} GFLOP a pass), whose channels need the
-leveled sweep and its beams; int8: the same network in bytes. It was trained without dropout, so that no estimator asks
-it for several passes: its MCD row is the time that {passes} masked passes take, all of them alike. "Channels alone"
-begin with a sweep whose attitude is known, leveling it included. "Of many sweeps": time per sweep where {many} of them
-are estimated together, one a core with ONNX Runtime (`estimate_all`); the other rows are of one sweep at a time, by all
-cores. """
 
 
 def main() -> None:
@@ -79,9 +61,7 @@ def main() -> None:
         "--weights", type=Path, help="a network that viewshed train exported; drawn weights if not given"
     )
     parser.add_argument(
-        "--ours",
-        default="",
-        help="networks to stand beside it, by commas, ours first: files, or names of shipped weights",
+        "--beside", default="", help="networks to stand beside it, by commas: files, or names of shipped weights"
     )
     parser.add_argument("--only", default="", help="measure only the engines with this word, and write no page")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
@@ -92,12 +72,9 @@ def main() -> None:
         if chosen.weights is None:
             alone(draw_weights, path)
         tasks = [(name, "") for name in names]
-        mine = [each for each in chosen.ours.split(",") if each]
-        for each in mine:
-            tasks += [(name, each) for name in names if name == ENGINE]
+        tasks += [(ENGINE, each) for each in chosen.beside.split(",") if each and ENGINE in names]
         timings = measured(tasks, path, chosen.threads)
         card = OnnxRunner(path, 1).card
-        ours = load_runner(mine[0], 1).card if mine else None
     rows = rows_of(timings, card.shape.flops(card.grid.cells))
     if chosen.only:
         return
@@ -106,7 +83,7 @@ def main() -> None:
         libraries=", ".join(f"{name} {metadata.version(name)}" for name in libraries),
         load=f"{os.getloadavg()[0]:.1f} in the minute before, on all cores (ours included)",
     )
-    words = text((card, ours), chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
+    words = text(card, chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
     write_page(chosen.out, page("Speed of the network", about, words, table(HEAD, rows)))
     print(f"written to {chosen.out}")
 
@@ -129,7 +106,7 @@ def draw_weights(path: Path) -> None:
 
 
 def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tuple[str, str], Timing]:
-    """Return the timing of each row and size of cloud; a task is an engine and, if any, our network."""
+    """Return the timing of each row and size of cloud; a task is an engine and, if any, another network."""
     rng = np.random.default_rng(SEED)
     taken: dict[tuple[str, str], list[float]] = defaultdict(list)
     for turn in range(ROUNDS):
@@ -143,19 +120,17 @@ def measured(tasks: list[tuple[str, str]], path: Path, threads: int) -> dict[tup
 
 def measure(task: tuple[str, str], path: Path, threads: int, turn: int) -> dict[tuple[str, str], list[float]]:
     """Return the milliseconds of the rows of one task, in this process; a second network's threads would slow it."""
-    name, ours = task
+    name, other = task
     runner: Runner | None = None
-    if ours:
-        runner = load_runner(ours, threads)
+    if other:
+        runner = load_runner(other, threads)
     elif name != NONE:
         runner = runner_of(name, path, threads)
     found: dict[tuple[str, str], list[float]] = {}
     for size in SIZES:
         sweep = clouds.synthetic(size, np.random.default_rng(SEED))
         card = OnnxRunner(path, 1).card if runner is None else runner.card
-        jobs = our_jobs(runner, sweep) if runner and card.inputs != PUBLISHED else jobs_of(name, runner, sweep, card)
-        times = times_of(jobs, np.random.default_rng([SEED, turn]), BUDGET_S)
-        times |= {MANY: [each / MANY_SWEEPS for each in times[MANY]]} if MANY in times else {}
+        times = times_of(jobs_of(name, runner, sweep, card), np.random.default_rng([SEED, turn]), BUDGET_S)
         label = f"{name} {INT8}" if card.precision == INT8 else name
         found |= {(f"{row}: {label}", size): each for row, each in times.items()}
     return found
@@ -173,19 +148,6 @@ def runner_of(name: str, path: Path, threads: int) -> Runner:
         card = NetworkCard("drawn", UNetShape(8, 4))
         return TorchRunner(card, UNet(card.shape).eval())
     return OnnxRunner(path, threads)
-
-
-def our_jobs(runner: Runner, sweep: Sweep) -> dict[str, Callable[[], object]]:
-    """Return what is measured of our network on a sweep, by name."""
-    level = sweep.replace(attitude=np.array([1.0, 0.0, 0.0, 0.0]), sensor_height_m=clouds.SENSOR_HEIGHT_M)
-    estimator, inputs = UnetEstimator(runner), runner.card.input_of(level)[None]
-    return {
-        f"{OURS} channels alone": lambda: runner.card.input_of(level),
-        f"{OURS} one pass alone": lambda: runner.run(inputs),
-        ESTIMATE: lambda: estimator.estimate(sweep),
-        MANY: lambda: deque(estimate_all(estimator, [sweep] * MANY_SWEEPS), 0),
-        f"{OURS} MCD T = {PASSES} to mask": mask_job(runner, level, PASSES),
-    }
 
 
 def jobs_of(name: str, runner: Runner | None, sweep: Sweep, card: NetworkCard) -> dict[str, Callable[[], object]]:
@@ -249,11 +211,8 @@ def rows_of(timings: Mapping[tuple[str, str], Timing], flops: int) -> list[list[
     return rows
 
 
-def text(
-    cards: tuple[NetworkCard, NetworkCard | None], threads: int, peaks: tuple[float, float], weights: Path | None
-) -> str:
+def text(card: NetworkCard, threads: int, peaks: tuple[float, float], weights: Path | None) -> str:
     """Return the page's words."""
-    card, ours = cards
     shape, flops = card.shape, card.shape.flops(card.grid.cells)
     own = own_share(shape, card.grid.cells)
     one, half = (1e3 * flops / peak for peak in peaks)
@@ -262,10 +221,6 @@ def text(
         parameters=shape.parameters / 1e6, gflop=flops / 1e9, passes=PASSES, rounds=ROUNDS, threads=threads,
         single=peaks[0] / 1e9, half=peaks[1] / 1e9, own=own, floor_one=one, floor_one_half=half,
         floor_all=one * every, floor_all_half=half * every,
-        ours="" if ours is None else OUR_TEXT.format(
-            name=ours.name, channels=ours.shape.channels, gflop=ours.shape.flops(ours.grid.cells) / 1e9,
-            many=MANY_SWEEPS, passes=PASSES,
-        ),
         weights="Weights drawn at random." if weights is None else f"Weights: {card.name}.",
     )  # fmt: skip
 
@@ -273,7 +228,7 @@ def text(
 def own_share(shape: UNetShape, cells: int) -> float:
     """Return the share of a pass's work that depends on its mask."""
     first, second = shape.width, 2 * shape.width
-    shared = 9 * (shape.channels + first) * first + 9 * (first + second) * second / 4 + 9 * first * first
+    shared = 9 * (1 + first) * first + 9 * (first + second) * second / 4 + 9 * first * first
     return 1.0 - 2 * shared * cells**2 / shape.flops(cells)
 
 

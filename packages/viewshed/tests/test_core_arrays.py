@@ -14,9 +14,8 @@ from tests.preprocess.test_expected_returns import random_beams, random_boxes
 
 from viewshed import BevGrid, Sweep, _core
 from viewshed.agents.fov_code import encode_fov
-from viewshed.fov.visibility import CAR, cell_windows
+from viewshed.fov.visibility import cell_windows
 from viewshed.grid import polar_of_cells
-from viewshed.networks.features import FEATURES, FeatureContext, feature_maps
 from viewshed.objects.detector import Detector
 from viewshed.preprocess.azimuth_bins import bins_of_cells
 from viewshed.preprocess.leveling import level
@@ -98,10 +97,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "thin_returns": {"points": POINTS, "range_m": LONG, "x_m": 0.0, "y_m": 0.0, "cell_m": 1.0},
     "fill_rings": {"edges": np.zeros((1, 4)), "x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "cells": 4},
     "mean_and_deviation": {"probability": np.zeros((2, 5), F4)},
-    "fold_maps": {"maps": np.zeros((2, 8, 8), U1), "fold": 4},
-    "height_codes": {"points": POINTS, "height_m": LONG, "x0_m": 0.0, "y0_m": 0.0, "cells_per_m": 1.0, "cells": 4},
-    "feature_maps": {"features": [], "cell_bin": BINS, "x_m": GRID.centers[:, 0, 0].astype(F4),
-                     "y_m": GRID.centers[:, 0, 0].astype(F4), "half_extent_m": 16.0, "fold": 0} | CELLS,
     "rings_of_mask": {"mask": MASK3, "regions": np.ones((3, 3), I4)},
     "cells_inside": {"points": RING, "begin": BEGIN, "cells": 5},
     "cells_met": {"points": RING, "begin": BEGIN, "cells": 5},
@@ -143,7 +138,7 @@ ANY_LENGTH = {
     "level_points": ("points",), "vehicle_heading": ("points",), "identify_sensor": ("points",),
     "infer_sensor": ("points",), "find_motion": ("points",), "recover_rings": ("points",), "undo_motion": ("points",),
     "polar": ("points",), "without_gaps": ("nearest",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
-    "mean_and_deviation": ("probability",), "fold_maps": ("maps",), "best_sectors": ("ranges",),
+    "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
     "star_vertices": ("ranges",), "beam_evidence": ("table",), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
     "count_met": ("surfaces", "headings", "x_m", "y_m"), "compare_view": ("blockers",), "compare_past": ("places",),
@@ -192,13 +187,6 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     "thin_returns": [{"cell_m": 0.0}],
     "fill_rings": [{"cells": 5000}, {"edges": np.zeros((1, 3))}],
     "mean_and_deviation": [{"probability": np.zeros((0, 5), F4)}],
-    "height_codes": [{"cells": 0}],
-    "feature_maps": [{"fold": 3}, {"fold": 128}, *({"features": [feature]} for feature in (
-        ("bytes", (np.zeros(GRID.shape, np.int8),)), ("returns", (np.zeros(GRID.shape),)), (3, ()), ("bytes", (None,)),
-        ("bytes", None), "bytes", (), ("returns", (np.zeros((32, 64), F4)[:, ::2],)), ("nonsense", ()), ("bytes", ()),
-        ("range", (np.zeros(GRID.shape, U1),)), ("bytes", (np.zeros((32, 31), U1),)),
-        ("returns", (np.zeros((31, 32), F4),)), ("beyond", (np.zeros(0, F4),)), ("beyond", (np.zeros(7, F4),)),
-        ("deviation", (np.zeros((1, 64), F4),))))],
     "rings_of_mask": [{"mask": MASK3[:2], "regions": np.ones((2, 3), I4)}, {"regions": -np.ones((3, 3), I4)},
                       {"mask": MASK3[:0, :0], "regions": np.ones((0, 0), I4)}],
     "cells_inside": [{"points": np.zeros((4, 3))}, {"begin": np.array([0, 5])}],
@@ -348,12 +336,6 @@ def evidence(*counts: int) -> Any:
     return found
 
 
-def features() -> Any:
-    leveled = level(FULL, BIG)
-    context = FeatureContext(leveled, BIG, CAR, BIG.count(leveled.points).clip(0, 255).astype(U1))
-    return feature_maps(tuple(FEATURES), context)
-
-
 def boxes_met() -> Any:
     rng = np.random.default_rng(3)
     beams, boxes = random_beams(rng, 20_000), random_boxes(rng, 200)
@@ -406,7 +388,7 @@ SAME: dict[str, Callable[[], Any]] = {
     "beams of a bare cloud": lambda: level_beams(Sweep(THINNED.points)), "ground": ground_of_street,
     "lows": lambda: call("ground_of_lows"), "moments": moments,
     "filled ground": lambda: call("fill_ground"),
-    "held ground": lambda: call("held_ground"), "features": features, "boxes": boxes_met,
+    "held ground": lambda: call("held_ground"), "boxes": boxes_met,
     "view": lambda: encode_fov(street_view(with_std=True)),
     "objects": lambda: Detector().detect(seen(*car(14.0, 2.0), *car(-8.0, 7.0, 0.6), person(9.0, 1.0))).boxes,
     **{f"evidence of {counts}": lambda counts=counts: evidence(*counts)  # type: ignore[misc]

@@ -117,7 +117,7 @@ CLASSICAL = (
     "continuous", "quantized", "concave_hull", "delaunay", "first_blocker", "first_blocker_median", "trimmed",
     "shadow_map", "majority_vote",
 )  # fmt: skip
-LEARNED = ("viewnet", "unet", "mc_dropout")
+LEARNED = ("unet", "mc_dropout")
 PAPER_METHODS = ("paper_label", "paper_quantized", "paper_continuous", "paper_concave_hull", "paper_delaunay")
 METHODS = CLASSICAL + LEARNED + PAPER_METHODS
 PAPER_SWEEPS = frozenset(map(str, (*REAL[::5], *SIMULATED[::10])))

@@ -18,7 +18,7 @@ from viewshed.networks.weights import with_checksum
 from viewshed_lab.training.onnx_export import export_onnx, onnx_model
 from viewshed_lab.training.unet_torch import TorchRunner
 
-SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
+SHAPES = [SMALL, UNetShape(8, 4), UNetShape(2, 1, 0.5), UNetShape(3, 3, 0.2)]
 CUDA = "CUDAExecutionProvider"
 HAS_CARD = torch.cuda.is_available() and CUDA in onnxruntime.get_available_providers()
 ENGINES = ["onnxruntime"]
@@ -38,11 +38,11 @@ def test_the_file_says_what_torch_says(shape: UNetShape, engine: str, tmp_path: 
     export_onnx(tmp_path / "a.onnx", card(shape), module)
     runner, torch_runner = OnnxRunner(tmp_path / "a.onnx", 1, engine), TorchRunner(card(shape), module)
     masks = shape.masks(5, np.random.default_rng(2))
-    for x, m in ((inputs(1, shape), masks), (inputs(5, shape), masks), (inputs(2, shape), shape.no_masks(2))):
+    for x, m in ((inputs(1), masks), (inputs(5), masks), (inputs(2), shape.no_masks(2))):
         expected = torch_runner.run(x, m)
         assert expected.std() > 0.005
         np.testing.assert_allclose(runner.run(x, m), expected, atol=2e-6)
-    first, *rest = runner.run(inputs(1, shape), masks)
+    first, *rest = runner.run(inputs(1), masks)
     assert max(np.abs(first - other).max() for other in rest) > 1e-3
     assert runner.card == card(shape)
 
@@ -56,7 +56,7 @@ def test_older_files_with_a_second_head_give_their_probability(shape: UNetShape,
     runner = OnnxRunner(tmp_path / "a.onnx", 1, engine)
     assert older.card == runner.card
     for m in (shape.no_masks(1), shape.masks(3, np.random.default_rng(2))):
-        np.testing.assert_allclose(older.run(inputs(1, shape), m), runner.run(inputs(1, shape), m), atol=1e-6)
+        np.testing.assert_allclose(older.run(inputs(1), m), runner.run(inputs(1), m), atol=1e-6)
 
 
 def test_many_passes_in_parts_are_the_same(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,18 +11,13 @@ from numpy.typing import NDArray
 
 from viewshed import Archive, BevGrid, Sample
 from viewshed.estimators import PAPER_ESTIMATORS
-from viewshed.geometry import Rigid
-from viewshed.networks.features import HISTORY_FEATURES, NO_HISTORY
-from viewshed.sensors import LidarModel
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import simulate
-from viewshed_lab.sim import Box, Scene, cast
-from viewshed_lab.threats.attacks.removal import PhysicalRemoval
 from viewshed_lab.training import TrainConfig
 from viewshed_lab.training.data import prepare
-from viewshed_lab.training.samples import BLANK, AttackedSweep, Share, TrainingFrames, TrainingOrder, ValidationOrder
+from viewshed_lab.training.samples import BLANK, Share, TrainingFrames, TrainingOrder, ValidationOrder
 from viewshed_lab.training.sources import ArchivedSamples
 
 pytestmark = pytest.mark.slow
@@ -158,53 +153,21 @@ def test_what_decides_kept_frames_decides_where_they_are(config: TrainConfig, tm
         assert len(set((tmp_path / "frames").iterdir()) - known) == 2
 
 
-def test_a_share_of_the_frames_is_shown_with_earlier_sweeps(config: TrainConfig, tmp_path: Path) -> None:
-    names = ("counts", "expected", *HISTORY_FEATURES)
-    wanted = replace(config, attacks=(), attack_share=0.0, past_share=0.5, inputs=names)
-    frames = prepare(wanted, tmp_path).train
-    shown = [frames[1, index]["inputs"] for index in range(len(frames))]
-    nothing = np.float32(NO_HISTORY) / np.float32(255.0)
-    with_past = [bool((maps[2] != nothing).any()) for maps in shown]
-    assert 0.15 < np.mean(with_past) < 0.6  # the first sweep of each scene has none before it
-    other = prepare(replace(wanted, inputs=HISTORY_FEATURES), tmp_path).train
-    assert all((other[1, k]["inputs"][0] == maps[2]).all() for k, maps in enumerate(shown))
-
-
-def test_earlier_sweeps_are_the_last_of_the_sensor_in_their_order(config: TrainConfig, tmp_path: Path) -> None:
+def test_the_earlier_sweep_is_the_last_of_the_sensor(config: TrainConfig, tmp_path: Path) -> None:
     pair = replace(
         preset_named("nuscenes-small"), grid_cells=32, grid_half_extent_m=32.0, splits=("train",), scenes=(1,),
         frames=(8,), moving=2, sensors=("vlp16",), conditions=("clear",), condition_weights=(1.0,),
     )  # fmt: skip
     simulate(pair, Storage.of(tmp_path / "pair"), LocalEngine(1))
     source = ArchivedSamples((Archive.open(tmp_path / "pair"),), config)
-    longest, agents = 0, set()
+    before: dict[str, int | None] = {}
     for index in range(len(source)):
-        now, few = source.clean(index).sweep, source.earlier(index, 2)
-        times = [sweep.t_ns or 0 for sweep in (*few, now)]
-        assert times == sorted(set(times))
-        assert {sweep.agent for sweep in few} <= {now.agent}
-        agents.add(now.agent)
-        assert source.earlier(index) == () or source.earlier(index)[0].t_ns == few[-1].t_ns
-        longest = max(longest, len(few))
-    assert longest == 2
-    assert len(agents) == 2
-
-
-def test_an_attack_that_lasted_struck_the_same_place_before() -> None:
-    street = Scene((Box(14, 6, 1, 20, 8), Box(-20, -3, 1, 60, 9), Box(6, -9, 4.2, 1.8, 1.5)))
-    model = LidarModel("sparse", np.deg2rad(np.linspace(-24, 8, 17)), azimuth_columns=720)
-    then = cast(model, street, 1.8).replace(world_from_sensor=Rigid.from_yaw(0.0, (0, 0, 1.8)))
-    turned = (then.points @ Rigid.from_yaw(0.5).rotation).astype(np.float32)  # the sensor turned left by half a radian
-    now = then.replace(points=turned, world_from_sensor=Rigid.from_yaw(0.5, (0, 0, 1.8)))
-    attack, rng = PhysicalRemoval(azimuth=-0.5), np.random.default_rng(0)
-    found = attack.apply(now, rng)
-    attacked = AttackedSweep(found.sweep, attack, found.wedge)
-    (before,) = attacked.attack_history([then], rng)
-    gone = ~np.isin(then.points.view("f4,f4,f4"), before.points.view("f4,f4,f4")).ravel()
-    azimuth = np.arctan2(then.points[gone, 1], then.points[gone, 0])
-    assert gone.sum() > 100
-    assert np.abs(azimuth).max() < np.deg2rad(16)
-    assert AttackedSweep(now).attack_history([then], rng) == (then,)
+        now, earlier = source.clean(index).sweep, source.earlier(index)
+        assert [(sweep.agent, sweep.t_ns) for sweep in earlier] == (
+            [(now.agent, before[now.agent])] if now.agent in before else []
+        )
+        before[now.agent] = now.t_ns
+    assert len(before) == 2
 
 
 def _turned(array: NDArray[np.float32], quarters: int, mirrored: bool) -> NDArray[np.float32]:

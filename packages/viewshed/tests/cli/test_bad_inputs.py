@@ -132,7 +132,7 @@ REFUSED = {
     f"info {GOOD} --ring column": "ring must be one of file, none, got 'column'",
     "estimate --index empty.json": "must name a sweep, got none", "estimate --index words.json": "words.json",
     "estimate --index no.json": "no.json", f"estimate {GOOD} --index other.json": "is not in the index",
-    f"estimate {GOOD} --method magic": "method must be one of … paper_delaunay, viewnet, unet, mc_dropout, got 'magic'",
+    f"estimate {GOOD} --method magic": "method must be one of … paper_delaunay, unet, mc_dropout, got 'magic'",
     f"compare {GOOD} --methods shadow_map,magic": "method must be one of",
     f"estimate {GOOD} --grid 0x64": "cells must lie in [1, 4096], got 0",
     f"estimate {GOOD} --grid street": "grid must be one of road",
@@ -147,7 +147,7 @@ REFUSED = {
     f"estimate {GOOD} --batch 2 --history 3": "--history goes with --batch 1: a sweep is remembered before",
     f"estimate {GOOD} --require-confirmation": "--require-confirmation goes with --history 1 or more",
     f"estimate {GOOD} --history 21": "less than or equal to 20",
-    **{f"{command} --history 5 --method {method}": f"history helps viewnet and shadow_map, got {method}"
+    **{f"{command} --history 5 --method {method}": f"history helps shadow_map, got {method}"
        for command, method in ((f"estimate {GOOD}", "majority_vote"), (f"estimate {GOOD} --grid road", "unet"),
                                (f"view {GOOD} --html a.html", "majority_vote"), (f"replay {GOOD}", "majority_vote"))},
     f"export {GOOD} --to cpm --sectors 0": "sectors", f"replay {GOOD} --rate 0": "rate",
@@ -168,7 +168,7 @@ REFUSED = {
     f"{UNET} --grid 64x16 --passes 4": "passes must be 1 for unet",
     UNET: "grid must be 64x16 for the network made, got 256x64; ask for that",
     f"estimate {GOOD} --method majority_vote --abstain-below 0.9":
-        "abstention must be asked of a network, got 0.9 for majority_vote",
+        "abstention must be asked of an estimator that says how sure it is, got 0.9 for majority_vote",
     f"estimate {GOOD} --method unet --weights nowhere": "weights must be a file that viewshed train exported",
     f"estimate {GOOD} --method unet --weights sweep.npz": "must be a network that viewshed exported, got a file",
     f"estimate {GOOD} --weights yolo": "yolo",
@@ -178,7 +178,7 @@ REFUSED = {
     f"estimate {GOOD} --seed 3 --method majority_vote": "seed must be left out for majority_vote, which is no network",
     f"estimate {GOOD} --device cuda --method majority_vote":
         "device must be left out for majority_vote, which is no network",
-    f"estimate {GOOD} --device tpu --method viewnet": "device must be one of cpu, cuda, got 'tpu'",
+    f"estimate {GOOD} --device tpu --method unet": "device must be one of cpu, cuda, got 'tpu'",
     # Commands of the laboratory.
     "evaluate": "Missing command", "evaluate crossview open.json": "open.json",
     "evaluate crossview no.json": "no.json",
@@ -186,7 +186,7 @@ REFUSED = {
     f"corrupt {GOOD} --corruption lava --out o": "corruption must be",
     f"corrupt {GOOD} --corruption fog --severity 9 --out o": "severity must",
     "dataset verify no": "no", "train best --out o": "best", "train speed.toml --out o": "speed",
-    "quantize viewnet_road words.onnx --out o": "words.onnx",
+    "quantize road words.onnx --out o": "words.onnx",
     "study agents --only guess --out o": "--only must be some of scenes, runs, page",
     # Words that are no command or option.
     "info": "Missing argument", "info x.bin --wat": "No such option: --wat", "estimat": "No such command",

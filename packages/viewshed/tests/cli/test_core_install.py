@@ -74,7 +74,7 @@ def test_sweeps_are_read_estimated_compared_and_exported_by_the_core_install(tmp
 
 
 def test_networks_run_by_the_core_install(tmp_path: Path) -> None:
-    loaded = _run([["estimate", str(junction_path()), "--method", "viewnet", "--results", "npz"]], set(), tmp_path)
+    loaded = _run([["estimate", str(junction_path()), "--method", "unet", "--results", "npz"]], set(), tmp_path)
     assert "onnxruntime" in loaded
 
 

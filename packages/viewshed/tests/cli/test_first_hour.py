@@ -112,8 +112,8 @@ def test_one_default_everywhere(drive: Path, tmp_path: Path) -> None:
     by_python = viewshed.estimate(STREET.points, grid=BevGrid(64, 32.0))
     assert by_command.method == by_python.method == viewshed.load_estimator().name == DEFAULT_ESTIMATOR
     assert (by_command.state == by_python.state).all()
-    # 3. Profiles of the pipeline take it, but for the map that nobody waits for; so do the pages.
-    assert {name for name, profile in PROFILES.items() if profile.method != DEFAULT_ESTIMATOR} == {"mapping"}
+    # 3. Profiles of the pipeline take it; so do the pages.
+    assert {profile.method for profile in PROFILES.values()} == {DEFAULT_ESTIMATOR}
     for page in ("which_method.md", "architecture.md"):
         assert f"`{DEFAULT_ESTIMATOR}`" in (DOCS / page).read_text(encoding="utf-8")
 

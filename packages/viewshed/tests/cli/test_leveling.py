@@ -42,7 +42,7 @@ def identified(monkeypatch: pytest.MonkeyPatch, sweep_file: Path) -> list[int]:
     [
         ("estimate", "FILE", "--out", "OUT"),
         ("estimate", "FILE", "--method", "shadow_map", "--history", "2", "--out", "OUT"),
-        ("compare", "FILE", "--methods", "shadow_map,first_blocker,viewnet", "--out", "OUT/compare.png"),
+        ("compare", "FILE", "--methods", "shadow_map,first_blocker,unet", "--out", "OUT/compare.png"),
         ("export", "FILE", "--to", "npz", "--out", "OUT/fov.npz"),
     ],
     ids=lambda words: words[0],

@@ -64,7 +64,7 @@ def test_networks_stand_beside_the_others(files: tuple[Path, Path], tmp_path: Pa
     ]  # fmt: skip
     code, _, err = run("compare", *words, "--methods", "shadow_map,majority_vote")
     assert (code, err.count("\n")) == (2, 1)
-    assert "--device go with viewnet, unet, mc_dropout, got methods shadow_map,majority_vote" in err
+    assert "--device go with unet, mc_dropout, got methods shadow_map,majority_vote" in err
 
 
 def test_a_networks_view_is_exported(files: tuple[Path, Path], tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_networks_stand_beside_the_others_in_evaluate_truth(tmp_path: Path) -> N
     assert 0.1 < float(rows["unet"][0]) <= 1.0
     assert rows["unet"] != rows["first_blocker"]
     code, _, err = run(*evaluate, "--methods", "first_blocker")
-    assert (code, "--weights goes with viewnet, unet, mc_dropout among --methods, got first_blocker" in err) == (
+    assert (code, "--weights goes with unet, mc_dropout among --methods, got first_blocker" in err) == (
         2,
         True,
     )
@@ -101,8 +101,7 @@ def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(t
             ((), "shadow_map"),
             (("--grid", "indoor", "--target", "pedestrian"), "shadow_map"),
             (("--grid", "64x16"), "shadow_map"),
-            (("--method", "viewnet"), "viewnet"),
-            (("--weights", "viewnet_indoor_car", "--grid", "indoor"), "viewnet"),
+            (("--weights", "indoor", "--grid", "indoor", "--target", "pedestrian"), "unet"),
             (("--parameters", "paper"), "paper_label"),
         ]
     ):
@@ -110,3 +109,20 @@ def test_where_no_method_is_asked_for_it_is_the_shadow_map_or_the_papers_label(t
         code, said, err = run("estimate", tmp_path / "sweep.ply", "--height", 1.8, "--out", out, *words)
         assert (code, err) == (0, "")
         assert read_npz(out / ("sweep.npz" if method == "shadow_map" else f"sweep_{method}.npz")).method == method, said
+
+
+@pytest.mark.filterwarnings("default:method viewnet is gone")
+def test_the_network_that_is_gone_is_the_default_with_one_line(files: tuple[Path, Path], tmp_path: Path) -> None:
+    words = ("--grid", "64x16", "--height", 1.8, "--abstain-below", 0.9)
+    code, out, err = run("estimate", files[0], "--method", "viewnet", *words, "--out", tmp_path)
+    assert code == 0
+    assert "(shadow_map," in out
+    assert err == (
+        "viewshed: warning: method viewnet is gone, and shadow_map is taken, whose probability is calibrated; version"
+        " 0.5 will refuse the name\n"
+    )
+    found = read_npz(tmp_path / "sweep.npz")
+    assert (found.method, found.threshold) == ("shadow_map", 0.9)
+    code, out, err = run("compare", files[0], "--methods", "viewnet,vote", *words[:4], "--out", tmp_path / "a.png")
+    assert (code, err.count("\n")) == (0, 1)
+    assert "| shadow_map |" in out

@@ -30,7 +30,7 @@ from viewshed.preprocess.leveling import LeveledSweep
 from viewshed_lab.training.onnx_export import export_onnx
 
 GRID = BevGrid(32, 16.0)
-SHAPES = {"flat": UNetShape(4, 2, 0.3, 3), "folded": UNetShape(4, 2, 0.3, 3, 2)}
+SHAPE = UNetShape(4, 2, 0.3)
 
 
 def sweep_of(number: int) -> Sweep:
@@ -53,11 +53,10 @@ def same(found: FovEstimate, expected: FovEstimate, atol: float = 0.0) -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 3, 16])
-@pytest.mark.parametrize(("name", "passes"), [("flat", 1), ("folded", 1), ("flat", 4)])
-def test_a_batch_says_what_its_sweeps_say_one_by_one(name: str, passes: int, batch: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("passes", [1, 4])
+def test_a_batch_says_what_its_sweeps_say_one_by_one(passes: int, batch: int, tmp_path: Path) -> None:
     """To rounding: an engine may add up a batch in another order."""
-    shape = SHAPES[name]
-    export_onnx(tmp_path / "net.onnx", card(shape, GRID), drawn(shape))
+    export_onnx(tmp_path / "net.onnx", card(SHAPE, GRID), drawn(SHAPE))
     estimator = UnetEstimator(OnnxRunner(tmp_path / "net.onnx", 1), passes)
     found = list(estimate_all(estimator, SWEEPS, batch, threads=3))
     assert len(found) == len(SWEEPS)
@@ -78,7 +77,7 @@ def test_without_a_network_it_is_the_same_to_the_bit(name: str) -> None:
 class CountingRunner:
     """A network that remembers how many inputs it was given, and says NaN of one with ``unknown`` returns."""
 
-    card: NetworkCard = field(default_factory=lambda: card(UNetShape(4, 2, 0.3), GRID))
+    card: NetworkCard = field(default_factory=lambda: card(SHAPE, GRID))
     inputs: list[int] = field(default_factory=list)
     unknown: int = -1
 

@@ -74,19 +74,24 @@ def test_history_changes_estimates_where_it_is_used_and_is_refused_elsewhere(
     else:
         with pytest.raises(ValueError, match=f"history must be left out for {estimator.name}, which looks at one"):
             estimator.estimate(now, earlier)
-        with pytest.raises(ValueError, match=f"history helps viewnet and shadow_map, got {estimator.name}"):
+        with pytest.raises(ValueError, match=f"history helps shadow_map, got {estimator.name}"):
             estimator.stream([now], history=2)
 
 
-def test_a_network_abstains_and_a_classical_mask_cannot(estimator: Estimator, street: Sweep) -> None:
-    if estimator.name in LEARNED:
+def test_probabilities_abstain_and_masks_cannot(estimator: Estimator, street: Sweep) -> None:
+    if estimator.name in LEARNED or estimator.name == "shadow_map":
         sure = estimator.with_abstention(0.9)
         assert (sure.name, sure.grid, sure.threshold) == (estimator.name, ROAD, 0.9)
-        doubtful = np.abs(estimator.estimate(street).visible_prob - 0.5) < 0.3
-        assert doubtful.any()
-        assert (sure.estimate(street).state[doubtful] == viewshed.CellState.UNKNOWN).all()
+        before, found = estimator.estimate(street), sure.estimate(street)
+        prob = before.visible_prob
+        kept = (prob >= np.float32(0.9)) | (prob <= np.float32(1 - 0.9))
+        assert (before.state[~kept] != viewshed.CellState.UNKNOWN).any()
+        assert (found.state[~kept] == viewshed.CellState.UNKNOWN).all()
+        assert np.array_equal(found.state[kept], before.state[kept])
+        assert found.threshold == 0.9
+        assert same(estimator.with_abstention(0.5).estimate(street), before)
     else:
-        with pytest.raises(ValueError, match=f"must be asked of a network, got 0.9 for {estimator.name}"):
+        with pytest.raises(ValueError, match=f"says how sure it is, got 0.9 for {estimator.name}, whose masks"):
             estimator.with_abstention(0.9)
 
 
@@ -111,8 +116,8 @@ def test_load_estimator_takes_names_and_values() -> None:
     assert by_name == by_value
     own = Target("pallet", 1.2, 0.8, 0.3, 4)
     assert load_estimator("first_blocker", target=own).target is own
-    for former, name in FORMER_NAMES.items():
-        assert load_estimator(former).name == name
+    for former in ("vote", "polygon_fit", "mcd"):
+        assert load_estimator(former).name == FORMER_NAMES[former]
     assert load_estimator("paper_polygon_fit").name == "paper_delaunay"
 
 
@@ -125,15 +130,19 @@ def test_the_default_is_the_same_on_every_grid_and_target() -> None:
 
 def test_weights_alone_say_which_network_they_are() -> None:
     assert load_estimator(weights="road").name == "unet"
-    assert load_estimator(weights="viewnet_road").name == "viewnet"
-    with pytest.raises(
-        ValueError, match=r"weights must be of a network for viewnet, got road, which is a unet; ask for"
-    ):
-        load_estimator("viewnet", weights="road")
-    with pytest.raises(
-        ValueError, match=r"weights must be of a network for unet, got viewnet_road, which is a viewnet"
-    ):
-        load_estimator("unet", weights="viewnet_road")
+    with pytest.raises(ValueError, match=r"weights must be a file .* or one of road, indoor, .*, got 'viewnet_road'"):
+        load_estimator(weights="viewnet_road")
+
+
+def test_the_network_that_is_gone_is_the_default_with_one_warning(street: Sweep) -> None:
+    assert "viewnet" not in ESTIMATORS
+    with pytest.warns(FutureWarning, match="method viewnet is gone, and shadow_map is taken") as seen:
+        found = load_estimator("viewnet", target=PEDESTRIAN, abstain_below=0.8)
+    assert len(seen) == 1
+    assert seen[0].filename == __file__
+    assert found == load_estimator("shadow_map", target=PEDESTRIAN, abstain_below=0.8)
+    with pytest.warns(FutureWarning):
+        assert same(viewshed.estimate(street, method="viewnet"), viewshed.estimate(street))
 
 
 def test_a_file_of_weights_is_an_estimator(tmp_path: Path, street: Sweep) -> None:
@@ -153,8 +162,9 @@ def test_a_file_of_weights_is_an_estimator(tmp_path: Path, street: Sweep) -> Non
         ({"target": "tank"}, "target must be one of car, pedestrian, got 'tank'"),
         ({"name": "shadow_map", "seed": 3}, "seed must be left out for shadow_map, which is no network"),
         ({"name": "shadow_map", "weights": "road"}, "weights must be left out for shadow_map"),
-        ({"name": "viewnet", "device": "tpu"}, "device must be one of cpu, cuda, got 'tpu'"),
-        ({"name": "viewnet", "abstain_below": 0.2}, r"abstain_below must lie in \[0.5, 1\], got 0.2"),
+        ({"name": "unet", "device": "tpu"}, "device must be one of cpu, cuda, got 'tpu'"),
+        ({"name": "unet", "abstain_below": 0.2}, r"abstain_below must lie in \[0.5, 1\], got 0.2"),
+        ({"name": "shadow_map", "abstain_below": 1.2}, r"abstain_below must lie in \[0.5, 1\], got 1.2"),
     ],
 )
 def test_options_that_do_not_fit_are_named(options: dict[str, object], message: str) -> None:

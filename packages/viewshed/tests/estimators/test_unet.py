@@ -164,7 +164,7 @@ def test_a_file_makes_an_estimator_for_its_grid_and_target_only(tmp_path: Path, 
         load_network("unet", BevGrid(64, 8.0), weights=path)
     with pytest.raises(ValueError, match="target must be car for the network made, got pedestrian; train a network"):
         load_network("unet", GRID, PEDESTRIAN, weights=path)
-    with pytest.raises(ValueError, match="method must be one of viewnet, unet, mc_dropout, got 'majority_vote'"):
+    with pytest.raises(ValueError, match="method must be one of unet, mc_dropout, got 'majority_vote'"):
         load_network("majority_vote", GRID, weights=path)
     with pytest.raises(ValueError, match="passes must be 1 for unet; use mc_dropout, got 5"):
         load_network("unet", GRID, weights=path, passes=5)

@@ -6,7 +6,6 @@ import torch
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import NetworkCard
-from viewshed.networks.features import FEATURES
 from viewshed_lab.training.unet_torch import Stage, UNet
 
 SMALL = UNetShape(4, 2, 0.3)
@@ -15,8 +14,7 @@ GRID = BevGrid(32, 16.0)
 
 def card(shape: UNetShape = SMALL, grid: BevGrid = GRID, threshold: float = 0.5) -> NetworkCard:
     """A card as training would write it."""
-    names = tuple(FEATURES)[: shape.channels]
-    return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, inputs=names, trained={"seed": "3"})
+    return NetworkCard("made", shape, grid, max_range_m=100.0, threshold=threshold, trained={"seed": "3"})
 
 
 def drawn(shape: UNetShape = SMALL, seed: int = 3) -> UNet:
@@ -59,9 +57,6 @@ def nearby(shape: UNetShape = SMALL) -> UNet:
     return module
 
 
-def inputs(
-    count: int, shape: UNetShape = SMALL, grid: BevGrid = GRID, seed: int = 5
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Counts as they come, (count, channels, cells, cells)."""
-    rng = np.random.default_rng(seed)
-    return (rng.poisson(0.4, (count, shape.channels, *grid.shape)) / 1000).astype(np.float32)
+def inputs(count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Counts as they come, (count, 1, cells, cells)."""
+    return (np.random.default_rng(5).poisson(0.4, (count, 1, *GRID.shape)) / 1000).astype(np.float32)

@@ -9,9 +9,10 @@ from onnx import TensorProto, helper, numpy_helper
 
 
 def older_card(text: str) -> str:
-    """The JSON of a card with the key that its shape had."""
+    """The JSON of a card with the keys that it and its shape had."""
     content = json.loads(text)
-    return json.dumps({**content, "shape": {**content["shape"], "doubt": True}})
+    shape = {**content["shape"], "channels": 1, "fold": 1, "doubt": True}
+    return json.dumps({**content, "shape": shape, "inputs": ["counts"]})
 
 
 def with_second_head(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -20,9 +21,6 @@ def with_second_head(model: onnx.ModelProto) -> onnx.ModelProto:
     older.CopyFrom(model)
     nodes = {name: node for node in older.graph.node for name in node.output}
     first_head = nodes[nodes[nodes["probability"].input[0]].input[0]]
-    fold = 1
-    if first_head.op_type == "DepthToSpace":
-        fold, first_head = first_head.attribute[0].i, nodes[first_head.input[0]]
     bias = next(each for each in older.graph.initializer if each.name == first_head.input[2])
     width = next(each for each in older.graph.initializer if each.name == first_head.input[1]).dims[1]
     values = {
@@ -42,7 +40,6 @@ def with_second_head(model: onnx.ModelProto) -> onnx.ModelProto:
     x = add("Conv", [x, "old_weight1", "old_bias1"], "old_first", kernel_shape=[3, 3], pads=[1, 1, 1, 1])
     x = add("Relu", [x], "old_relu")
     x = add("Conv", [x, "old_weight2", "old_bias2"], "old_last", kernel_shape=[1, 1])
-    x = x if fold == 1 else add("DepthToSpace", [x], "old_unfolded", blocksize=fold, mode="CRD")
     x = add("Mul", [add("Sigmoid", [x], "old_share"), "old_most"], "old_std")
     add("Squeeze", [x, "old_channels"], "deviation")
     cells = [each.dim_value for each in older.graph.output[0].type.tensor_type.shape.dim][1:]

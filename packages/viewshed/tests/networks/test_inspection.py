@@ -1,5 +1,6 @@
 """What a network's file may hold is decided before anything runs it, whoever wrote the file and its checksum."""
 
+import json
 import re
 import subprocess
 import sys
@@ -25,7 +26,7 @@ from viewshed.networks.weights import WEIGHTS, verify_checksum, with_checksum
 from viewshed_lab.training.onnx_export import onnx_model
 from viewshed_lab.training.quantize import quantize_network
 
-SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5, 3), UNetShape(3, 3, 0.2), UNetShape(4, 2, 0.3, 3, 2)]
+SHAPES = [UNetShape(4, 2, 0.3), UNetShape(2, 1, 0.5), UNetShape(3, 3, 0.2)]
 
 
 def sealed(model: onnx.ModelProto) -> bytes:
@@ -36,7 +37,7 @@ def sealed(model: onnx.ModelProto) -> bytes:
 def test_what_we_export_passes(shape: UNetShape) -> None:
     content = sealed(onnx_model(card(shape), drawn(shape)))
     assert inspect_network(content, "a.onnx") == card(shape)
-    maps = np.random.default_rng(1).integers(0, 9, (2, shape.channels, *GRID.shape)).astype(np.uint8)
+    maps = np.random.default_rng(1).integers(0, 9, (2, 1, *GRID.shape)).astype(np.uint8)
     small = quantize_network(content, "a.onnx", maps)
     assert inspect_network(small, "a.onnx").precision == "int8"
 
@@ -46,6 +47,17 @@ def test_what_we_ship_passes(path: Path) -> None:
     model = onnx.load(path)
     told = {each.key: each.value for each in model.metadata_props}
     assert inspect_network(path.read_bytes(), path.name) == NetworkCard.from_json(told["viewshed.card"])
+
+
+def test_what_version_0_3_folded_or_showed_more_is_refused_in_one_line() -> None:
+    model = onnx_model(card(), drawn())
+    told = json.loads(model.metadata_props[0].value)
+    told |= {"inputs": ["shadow_map", "range"], "shape": {**told["shape"], "channels": 2, "fold": 4}}
+    model.metadata_props[0].value = json.dumps(told)
+    model.graph.node.insert(0, helper.make_node("SpaceToDepth", ["inputs"], ["folded"], blocksize=4))
+    line = r"^a.onnx: network must be shown the counts alone, .*\['shadow_map', 'range'\] with fold 4; use shadow_map$"
+    with pytest.raises(ValueError, match=line):
+        inspect_network(sealed(model), "a.onnx")
 
 
 def _node(kind: str, inputs: list[str], output: str, **settings: Any) -> Callable[[onnx.ModelProto], None]:

@@ -116,7 +116,7 @@ def crossview(
     _tell(page_of(index, estimators, names, seed, _on_step, floor=floor), out)
 
 
-_JUDGED = "shadow_map,viewnet,majority_vote,first_blocker,continuous,concave_hull"
+_JUDGED = "shadow_map,majority_vote,first_blocker,continuous,concave_hull"
 
 
 @evaluate_app.command()

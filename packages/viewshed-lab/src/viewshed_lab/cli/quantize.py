@@ -19,7 +19,7 @@ def quantize(
 
     Nothing is written if that costs more than .002 F1, in one pass or, with dropout, in twenty.
 
-    Example: viewshed quantize viewnet_road network.onnx --out network_int8.onnx
+    Example: viewshed quantize road network.onnx --out network_int8.onnx
     """
     from viewshed_lab.training import read_config
     from viewshed_lab.training.calibrate_int8 import quantize as run

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 Config = Annotated[
     str,
-    typer.Argument(
-        metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor, viewnet_road, viewnet_indoor, …"
-    ),
+    typer.Argument(metavar="CONFIG", help="A TOML file, or a shipped one: road, indoor."),
 ]
 
 Device = Annotated[str, typer.Option(help="cpu or cuda.")]

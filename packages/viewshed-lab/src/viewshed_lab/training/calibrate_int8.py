@@ -113,11 +113,11 @@ class _NewScenes:
             return CleanSample(sample.sweep, sample.truth.visible(config.target), sample.known)
         return labeled(sample.sweep, paper_label(sample.sweep, config.grid, config.indoor))
 
-    def earlier(self, index: int, count: int = 1) -> tuple[Sweep, ...]:
-        """Return the sweeps of the same agent just before it, the oldest first; fewer at the start of a scene."""
+    def earlier(self, index: int) -> tuple[Sweep, ...]:
+        """Return the sweep of the same agent just before it, or none at the start of a scene."""
         scene, number = self._place(index)
-        before = range(number - scene.preset.agents, -1, -scene.preset.agents)[:count]
-        return tuple(simulate_frame(scene, earlier).sweep for earlier in reversed(before))
+        before = number - scene.preset.agents
+        return () if before < 0 else (simulate_frame(scene, before).sweep,)
 
     def _place(self, index: int) -> tuple[ScenePlan, int]:
         config, number = self.config, index // _STEP
@@ -135,7 +135,7 @@ class _NewScenes:
 
 def _check(config: TrainConfig, runner: OnnxRunner) -> None:
     card, wanted = runner.card, config.card()
-    for name in ("grid", "inputs", "target", "heights_m", "counts"):
+    for name in ("grid", "target", "heights_m", "counts"):
         if getattr(card, name) != getattr(wanted, name):
             raise ValueError(
                 f"the network must be one of the config {config.name}, with {name} {getattr(wanted, name)}, got"

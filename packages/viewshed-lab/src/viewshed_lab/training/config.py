@@ -11,7 +11,6 @@ from typing import Any
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import COUNTS, TRUTHS, NetworkCard
-from viewshed.networks.features import HISTORY_FEATURES
 from viewshed_lab import _config as flat
 from viewshed_lab.data.presets import MAX_SEED, preset_named, preset_names
 from viewshed_lab.threats.attacks import ATTACKS
@@ -33,8 +32,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 """What the keys that name one of a few may be."""
 
 _LIMITS: dict[str, tuple[float, float]] = {
-    "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0), "ringless_share": (0.0, 1.0),
-    "past_share": (0.0, 1.0),
+    "validation_share": (0.0, 0.9), "attack_share": (0.0, 1.0),
     "learning_rate": (1e-9, 10.0), "batch": (1, 4096), "epochs": (1, 100_000), "patience": (1, 100_000),
     "frames_per_epoch": (0, 10**9), "versions": (0, 1000),
     "workers": (0, 256), "threshold": (1e-6, 1.0), "seed": (0, MAX_SEED),
@@ -62,13 +60,8 @@ class TrainConfig:
     # names of ``ATTACKS``, one of which is drawn for a frame, or ``paper``; none is benign training
     attacks: tuple[str, ...]
     attack_share: float  # share of the frames that are attacked (the paper's mixture leaves some of those alone)
-    ringless_share: float  # share of the frames whose sweep loses rings and sensor: a cloud and nothing else
-    # share of the frames that are shown with earlier sweeps, one to five of them as far as there are. Under half of the
-    # attacks these are attacked as well.
-    past_share: float
     width: int  # channels of the first stage
     depth: int  # poolings
-    fold: int  # cells a side of the blocks that are folded into channels; 1 as published
     dropout: float  # share of the channels that are dropped, for ``mcd``
     loss: str  # ``bce``, cross-entropy over the cells whose truth is known, or ``bce_dice``, with the Dice loss added
     learning_rate: float  # of Adam
@@ -85,7 +78,6 @@ class TrainConfig:
     workers: int  # processes that prepare frames beside the one that trains
     threshold: float  # probability from which a cell counts as visible, in the scores and in the weights' card
     seed: int  # of everything random
-    inputs: tuple[str, ...]  # what the network is shown, names of ``FEATURES``; ``counts`` alone as published
     counts: str  # how the returns of a cell are shown: ``linear``, as published, or ``log``
     max_range_m: float  # returns up to this horizontal range count
     heights_m: tuple[float, float]  # lowest and highest z from the sensor at which returns count
@@ -99,8 +91,6 @@ class TrainConfig:
                 raise ValueError(f"{key} must lie in [{low:g}, {high:g}], got {getattr(self, key)}")
         self._check_attacks()
         self._check_data()
-        if not self.past_share and not set(HISTORY_FEATURES).isdisjoint(self.inputs):
-            raise ValueError(f"past_share must be above 0 with the inputs {', '.join(HISTORY_FEATURES)}, got 0")
         _ = self.card()
 
     def _check_attacks(self) -> None:
@@ -143,13 +133,13 @@ class TrainConfig:
     def shape(self) -> UNetShape:
         """The network's shape; without dropout where it is trained without."""
         dropout = self.dropout if self.variant == "mcd" else 0.0
-        return UNetShape(self.width, self.depth, dropout, len(self.inputs), self.fold)
+        return UNetShape(self.width, self.depth, dropout)
 
     def card(self, **trained: str) -> NetworkCard:
         """Return the card of the network, with facts of its training."""
         return NetworkCard(
             self.name, self.shape, self.grid, self.target, self.truth, self.max_range_m, self.heights_m,
-            counts=self.counts, threshold=self.threshold, inputs=self.inputs, trained=trained,
+            counts=self.counts, threshold=self.threshold, trained=trained,
         )  # fmt: skip
 
     @classmethod
@@ -162,9 +152,20 @@ class TrainConfig:
         return flat.to_dict(self)
 
 
+_GONE = {"fresh": False, "inputs": ["counts"], "fold": 1, "ringless_share": 0.0, "past_share": 0.0}
+"""Keys of version 0.3, and their only values that this version trains."""
+
+
 def current_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a config in plain values without what older ones have: ``doubt_frames``, and ``fresh``, never true."""
-    return {key: value for key, value in table.items() if key != "doubt_frames" and (key, value) != ("fresh", False)}
+    """Return a config in plain values without what those of version 0.3 have.
+
+    Raises:
+        ValueError: it has a value that is not trained any more.
+    """
+    for key, value in _GONE.items():
+        if table.get(key, value) != value:
+            raise ValueError(f"{key} must be {value}, or left out, as a network is trained now, got {table[key]}")
+    return {key: value for key, value in table.items() if key not in {*_GONE, "doubt_frames"}}
 
 
 def differing_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -24,7 +24,7 @@ _OPSET, _IR = 17, 9
 def export_onnx(path: str | Path, card: NetworkCard, module: UNet) -> None:
     """Write ``module`` to a new ONNX file: inputs ``inputs`` and ``masks``, output ``probability``, and the card.
 
-    ``inputs`` (1 or N, channels, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
+    ``inputs`` (1 or N, 1, cells, cells) and ``masks`` (N, M) give (N, cells, cells). Batch normalization is
     folded into the convolutions. One input is enough for N masks: what comes before the first mask (encoder stages 1
     and 2) and the half of the last decoder stage that reads stage 1 are computed once, exactly, by linearity.
     """
@@ -39,7 +39,7 @@ def onnx_model(card: NetworkCard, module: UNet) -> onnx.ModelProto:
     graph.unet(module)
     cells, total = card.grid.cells, sum(card.shape.masked_channels)
     inputs = [
-        helper.make_tensor_value_info("inputs", TensorProto.FLOAT, ["frames", card.shape.channels, cells, cells]),
+        helper.make_tensor_value_info("inputs", TensorProto.FLOAT, ["frames", 1, cells, cells]),
         helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", total]),
     ]
     output = helper.make_tensor_value_info("probability", TensorProto.FLOAT, ["passes", cells, cells])
@@ -63,10 +63,10 @@ class _Graph:
         shape = module.shape
         parts = self.parts(shape.masked_channels)
         skips: list[str] = []
-        x = "inputs" if shape.fold == 1 else self.node("SpaceToDepth", ["inputs"], blocksize=shape.fold)
+        x = "inputs"
         for i, stage in enumerate(module.encoder):
             x = x if i == 0 else self.node("MaxPool", [x], kernel_shape=[2, 2], strides=[2, 2])
-            x = self.stage(_stage(stage), x, shape.fold if i == 0 else 1)
+            x = self.stage(_stage(stage), x)
             x = x if i == 0 else self.node("Mul", [x, parts[i - 1]])
             skips.append(x)
         skips.pop()
@@ -77,7 +77,6 @@ class _Graph:
             x = self.split_stage(_stage(stage), x, skips.pop()) if last else self.joined(_stage(stage), x, skips.pop())
             x = x if last else self.node("Mul", [x, parts[shape.depth + i]])
         x = self.node("Conv", [x, *self.weights(module.head.weight, module.head.bias)], kernel_shape=[1, 1])
-        x = x if shape.fold == 1 else self.node("DepthToSpace", [x], blocksize=shape.fold, mode="CRD")
         x = self.node("Sigmoid", [x])
         self.nodes.append(helper.make_node("Squeeze", [x, self.constant(np.array([1]))], ["probability"]))
 
@@ -87,10 +86,8 @@ class _Graph:
         axes = self.constant(np.array([2, 3]))
         return [self.node("Unsqueeze", [name, axes]) for name in names]
 
-    def stage(self, stage: Stage, x: str, fold: int = 1) -> str:
-        weight, bias = with_norm(stage.conv1, stage.norm1)
-        weight = _by_block(weight, fold)
-        return self.second(stage, self.node("Relu", [self.conv(x, weight, bias)]))
+    def stage(self, stage: Stage, x: str) -> str:
+        return self.second(stage, self.node("Relu", [self.conv(x, *with_norm(stage.conv1, stage.norm1))]))
 
     def joined(self, stage: Stage, x: str, skip: str) -> str:
         return self.stage(stage, self.node("Concat", [x, skip], axis=1))
@@ -134,10 +131,3 @@ def with_norm(conv: nn.Conv2d, norm: nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     assert norm.running_var is not None
     scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
     return conv.weight * scale[:, None, None, None], norm.bias - norm.running_mean * scale
-
-
-def _by_block(weight: Tensor, fold: int) -> Tensor:
-    """A weight for inputs (place in the block, channel), as ONNX folds, of one for (channel, place in the block)."""
-    outer, inner = weight.shape[:2]
-    parts = weight.reshape(outer, inner // fold**2, fold**2, *weight.shape[2:])
-    return parts.transpose(1, 2).reshape(weight.shape)

@@ -3,7 +3,7 @@
 1. Rewrite the graph channels last, without the operators that eight-bit engines run badly: :func:`to_channels_last`.
 2. Calibrate: the smallest and the largest value of every activation over sweeps, with dropout off and on (min-max).
 3. Quantize: activations per tensor, asymmetric uint8; weights per output channel, symmetric int8; biases int32 in units
-   of input scale times weight scale. The first layer reads the uint8 feature maps as they are; the head's last layer
+   of input scale times weight scale. The first layer reads the uint8 counts as they are; the head's last layer
    and the sigmoid stay in float32.
 4. Write it in QDQ format: every operator is in float32 between DequantizeLinear and QuantizeLinear. Any ONNX engine
    computes the same; one that knows the pattern fuses it and multiplies bytes.
@@ -20,8 +20,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from viewshed.networks.card import INT8, NetworkCard
-from viewshed.networks.features import Bytes
+from viewshed.networks.card import INT8, Bytes, NetworkCard
 from viewshed.networks.inspection import inspect_network
 from viewshed.networks.runtime import values_of
 from viewshed.networks.weights import CARD_KEY, verify_checksum, with_checksum
@@ -29,26 +28,14 @@ from viewshed.networks.weights import CARD_KEY, verify_checksum, with_checksum
 
 @dataclass(slots=True, eq=False)
 class ChannelsLastGraph:
-    """Nodes and constants of a network that takes ``inputs`` (N, side, side, channels · fold²), channels last.
+    """Nodes and constants of a network that takes ``inputs`` (N, cells, cells, 1), channels last.
 
-    The order of the last axis is (channel, row in the block, column in the block), as :meth:`NetworkCard.shown` gives
-    it to a network of bytes. Transposed convolutions 2 × 2 are convolutions 1 × 1 whose channels become cells by moving
-    whole rows.
+    Transposed convolutions 2 × 2 are convolutions 1 × 1 whose channels become cells by moving whole rows.
     """
 
     card: NetworkCard  # of the network
     nodes: list[onnx.NodeProto] = field(default_factory=list)  # in an order in which they can run
     constants: dict[str, NDArray[Any]] = field(default_factory=dict)  # by name
-
-    @property
-    def side(self) -> int:
-        """Cells a side after folding."""
-        return self.card.grid.cells // self.card.shape.fold
-
-    @property
-    def inner(self) -> int:
-        """Numbers of a folded cell."""
-        return self.card.shape.channels * self.card.shape.fold**2
 
     def constant(self, name: str, value: NDArray[np.generic]) -> str:
         """Add a constant and return its name."""
@@ -64,20 +51,18 @@ class ChannelsLastGraph:
 def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastGraph:
     """Return the graph of a model that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote, rewritten.
 
-    The first encoder stage and the last decoder stage of a network that folds nothing run on blocks of 2 × 2 cells:
-    they have so few channels that four times the products, of longer rows, take half of the time.
+    The first encoder stage and the last decoder stage run on blocks of 2 × 2 cells: they have so few channels that four
+    times the products, of longer rows, take half of the time.
     """
     graph = ChannelsLastGraph(card)
     graph.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
     first = graph.add("Transpose", ["inputs"], "straight", perm=[0, 3, 1, 2])
-    side, in_blocks = graph.side, card.shape.fold == 1
-    same = {"inputs": _fold(graph, first, "blocks", side // 2, card.shape.channels) if in_blocks else first}
+    side, in_blocks = card.grid.cells, True
+    blocks = _fold(graph, first, "blocks", side // 2, 1)
     channels, masks = dict[str, int](), dict[str, str]()
     for node in _needed_nodes(model):
-        x, output = same.get(node.input[0], node.input[0]), node.output[0]
-        if node.op_type in ("SpaceToDepth", "DepthToSpace"):
-            same[output] = x
-        elif node.op_type == "Split":
+        x, output = blocks if node.input[0] == "inputs" else node.input[0], node.output[0]
+        if node.op_type == "Split":
             channels = dict(zip(node.output, card.shape.masked_channels, strict=True))
             _copy_node(graph, node)
         elif node.op_type == "Unsqueeze":
@@ -87,7 +72,7 @@ def to_channels_last(model: onnx.ModelProto, card: NetworkCard) -> ChannelsLastG
             _rewrite_product(graph, node, side, mask, channels[mask])
         elif node.op_type == "ConvTranspose":
             side *= 2
-            in_blocks = card.shape.fold == 1 and side == card.grid.cells
+            in_blocks = side == card.grid.cells
             _rewrite_transposed_conv(graph, node, side, in_blocks)
         elif node.op_type == "Conv" and graph.constants[node.input[1]].shape[2:] == (1, 1):
             _rewrite_head(graph, node)
@@ -127,20 +112,12 @@ def _copy_node(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
 def _rewrite_conv(graph: ChannelsLastGraph, node: onnx.NodeProto, x: str, in_blocks: bool) -> None:
     """Add what a convolution 3 × 3 of ``x`` does, on cells or on blocks of 2 × 2 cells."""
     name, (weight, *bias) = node.output[0], [graph.constants[each] for each in node.input[1:]]
-    if x in ("straight", "blocks"):
-        weight = _reorder_first_weight(graph, weight)
+    if x == "blocks":  # of bytes / 255
+        weight = weight * graph.card.most_shown
     if in_blocks:
         weight, bias = weight_in_blocks(weight), [np.tile(each, 4) for each in bias]
     constants = [graph.constant(f"{name}_weight", weight), *(graph.constant(f"{name}_bias", each) for each in bias)]
     graph.add("Conv", [x, *constants], name, kernel_shape=[3, 3], pads=[1, 1, 1, 1])
-
-
-def _reorder_first_weight(graph: ChannelsLastGraph, weight: NDArray[Any]) -> NDArray[np.generic]:
-    """Return a weight for bytes (channel, place in the block) / 255 of one for values (place in the block, channel)."""
-    outer, inner = weight.shape[:2]
-    most = graph.card.most_shown
-    parts = weight.reshape(outer, inner // len(most), len(most), *weight.shape[2:]) * most[:, None, None]
-    return parts.swapaxes(1, 2).reshape(weight.shape)
 
 
 def _rewrite_product(graph: ChannelsLastGraph, node: onnx.NodeProto, side: int, mask: str, channels: int) -> None:
@@ -207,25 +184,21 @@ def weight_in_blocks(weight: NDArray[Any]) -> NDArray[Any]:
 
 
 def _rewrite_head(graph: ChannelsLastGraph, node: onnx.NodeProto) -> None:
-    """Add what the last convolution 1 × 1 does, and what unfolds its channels to cells (N, cells, cells).
+    """Add what the last convolution 1 × 1 does on blocks of 2 × 2, and what moves them to cells (N, cells, cells).
 
     One product for each row of a block gives whole rows of cells: joining rows is faster than moving single cells.
     """
     name, (weight, bias) = node.output[0], (graph.constants[name] for name in node.input[1:])
-    fold = graph.card.shape.fold
-    if fold == 1:
-        fold, weight, bias = 2, weight_in_blocks(weight), np.tile(bias, 4)
-    side = graph.card.grid.cells // fold
+    cells = graph.card.grid.cells
     last = graph.add("Transpose", [node.input[0]], f"{name}_last", perm=[0, 2, 3, 1])
-    one_row = graph.constant(f"{name}_one_row", np.array([-1, 1, side * fold]))
+    one_row = graph.constant(f"{name}_one_row", np.array([-1, 1, cells]))
     rows = []
-    for row, part in enumerate(weight[:, :, 0, 0].reshape(fold, fold, -1)):
+    for row, part in enumerate(weight_in_blocks(weight)[:, :, 0, 0].reshape(2, 2, -1)):
         x = graph.add("MatMul", [last, graph.constant(f"{name}_weight{row}", part.T)], f"{name}_sums{row}")
         rows.append(graph.add("Reshape", [x, one_row], f"{name}_row{row}"))
     x = graph.add("Concat", rows, f"{name}_blocks", axis=1)
-    biases = np.tile(bias.reshape(fold, fold), (1, side))
-    x = graph.add("Add", [x, graph.constant(f"{name}_bias", biases)], f"{name}_all")
-    shape = graph.constant(f"{name}_together", np.array([-1, side * fold, side * fold]))
+    x = graph.add("Add", [x, graph.constant(f"{name}_bias", np.tile(bias, (2, cells)))], f"{name}_all")
+    shape = graph.constant(f"{name}_together", np.array([-1, cells, cells]))
     graph.add("Reshape", [x, shape], name)
 
 
@@ -264,7 +237,7 @@ def quantize_network(
     Args:
         content: of a file that :func:`viewshed_lab.training.onnx_export.export_onnx` wrote.
         name: stands for it in messages.
-        frames: maps (channels, cells, cells) as :meth:`NetworkCard.maps_of` returns them, at least one; the more they
+        frames: maps (1, cells, cells) as :meth:`NetworkCard.maps_of` returns them, at least one; the more they
             are like what the network will see, the better.
         training_facts: to be added to those of the card.
 
@@ -318,7 +291,7 @@ def _model(
 ) -> onnx.ModelProto:
     card = graph.card
     inputs = [
-        helper.make_tensor_value_info("inputs", kind, ["frames", graph.side, graph.side, graph.inner]),
+        helper.make_tensor_value_info("inputs", kind, ["frames", *card.input_shape]),
         helper.make_tensor_value_info("masks", TensorProto.FLOAT, ["passes", sum(card.shape.masked_channels)]),
     ]
     shape: list[Any] | None = None if kind == TensorProto.FLOAT else ["passes", *card.grid.shape]

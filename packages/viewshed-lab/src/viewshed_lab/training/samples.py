@@ -1,24 +1,22 @@
 """TrainingFrames: the inputs and targets of a network, sample by sample; for torch's DataLoader, but needs no torch.
 
-A sample is drawn in steps: the clean sweep, an attack or none, earlier sweeps or none, rings or none, the feature maps.
+A sample is drawn in steps: the clean sweep, an attack or none, the counts of its returns.
 Everything random follows from seed, epoch and number of the frame, so that it does not depend on processes or resumes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.geometry import Rigid
-from viewshed.preprocess.history import HISTORY_SWEEPS
-from viewshed.sweep import Sweep, unorganized_no_sensor
+from viewshed.sweep import Sweep
 from viewshed_lab.threats.attacks import (
     ATTACKS,
     BUDGETS,
@@ -28,47 +26,15 @@ from viewshed_lab.threats.attacks import (
     SEVERITIES,
     Attack,
     Knowledge,
-    Wedge,
     at_severity,
 )
 from viewshed_lab.training.config import PAPER, TrainConfig
 from viewshed_lab.training.sources import CleanSamples
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AttackedSweep:
-    """A sweep as the network is shown it, and the attack on it, so that earlier sweeps can be attacked alike."""
-
-    sweep: Sweep  # attacked, or as it was measured
-    attack: Attack | None = None  # what was done to it, None for nothing
-    wedge: Wedge | None = None  # where the attacker works, None if anywhere
-
-    def attack_history(self, earlier: Sequence[Sweep], rng: np.random.Generator) -> tuple[Sweep, ...]:
-        """Return earlier sweeps as if the attack had lasted: each attacked as well, in the same direction of the map.
-
-        One that does not allow the attack stays as it is.
-        """
-        return tuple(self._attack(sweep, rng) for sweep in earlier)
-
-    def _attack(self, sweep: Sweep, rng: np.random.Generator) -> Sweep:
-        attack: Any = self.attack
-        now, then = self.sweep.world_from_sensor, sweep.world_from_sensor
-        if attack is None:
-            return sweep
-        aimed = "azimuth" in {setting.name for setting in fields(attack)}
-        if aimed and self.wedge is not None and now is not None and then is not None:
-            # The same direction of the map: the sensor's heading may have changed in between.
-            attack = replace(attack, azimuth=_wrapped(self.wedge.azimuth + _heading(now) - _heading(then)))
-        try:
-            attacked: Sweep = attack.apply(sweep, rng).sweep
-        except ValueError:
-            return sweep
-        return attacked
-
-
 def draw_attacked_sweep(
     config: TrainConfig, sweep: Sweep, earlier: Callable[[], tuple[Sweep, ...]], rng: np.random.Generator
-) -> AttackedSweep:
+) -> Sweep:
     """Return the sweep as the network is shown it: attacked by one of the config's attacks, or as it is.
 
     Attacks are drawn evenly, and so is the strength of each, from its budgets and its severities in the study. One
@@ -76,22 +42,12 @@ def draw_attacked_sweep(
     where the attack needs one.
     """
     if not config.attacks or rng.random() >= config.attack_share:
-        return AttackedSweep(sweep)
+        return sweep
     name = config.attacks[rng.integers(len(config.attacks))]
     try:
-        attack = _draw_attack(config, name, earlier, rng)
-        tampered = attack.apply(sweep, rng)
+        return _draw_attack(config, name, earlier, rng).apply(sweep, rng).sweep
     except ValueError:
-        return AttackedSweep(sweep)
-    return AttackedSweep(tampered.sweep, attack, tampered.wedge)
-
-
-def _heading(pose: Rigid) -> float:
-    return float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
-
-
-def _wrapped(azimuth: float) -> float:
-    return float((azimuth + np.pi) % (2 * np.pi) - np.pi)
+        return sweep
 
 
 def _draw_attack(
@@ -128,27 +84,22 @@ Key = tuple[int, int]
 BLANK = -1
 """Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
 
-_LASTING_SHARE = 0.5
-"""Share of the attacks that had begun before the earlier sweeps."""
-
 
 class _Purpose(IntEnum):
     ATTACK = 1
     MASKS = 2
     TURN = 3
-    RINGS = 4
-    PAST = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSample:
-    """A sample as the network is taught it: feature maps in bytes and two masks, small enough to be cached.
+    """A sample as the network is taught it: a map in bytes and two masks, small enough to be cached.
 
     Not a :class:`~viewshed_lab.data.sample.Sample`: sweep and truth are no longer in it, only what they come to on the
     network's grid.
     """
 
-    maps: NDArray[np.uint8]  # (channels, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked
+    maps: NDArray[np.uint8]  # (1, cells, cells) uint8, what the network is shown of the sweep, perhaps attacked
     visible: NDArray[np.bool_]  # (cells, cells) bool, of the clean sweep
     known: NDArray[np.bool_]  # (cells, cells) bool, where that counts
 
@@ -182,7 +133,7 @@ class TrainingFrames:
     def __getitem__(self, key: Key) -> Arrays:
         """Return the frame ``(epoch, number)`` as float32 arrays; all that is random follows from seed and key.
 
-        ``inputs`` (channels, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` and
+        ``inputs`` (1, cells, cells): what the network is shown, the sweep perhaps attacked; ``visible`` and
         ``known`` (cells, cells): 0 or 1, of the clean sweep, and 1 where that counts; ``masks`` (M,): dropout's, ones
         for ``mle``.
 
@@ -208,30 +159,12 @@ class TrainingFrames:
         """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(index)
         rng = self._rng(epoch, index, _Purpose.ATTACK)
-        attacked = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
-        sweeps = attacked.sweep, *self._past(epoch, index, attacked)
-        if self._rng(epoch, index, _Purpose.RINGS).random() < self.config.ringless_share:
-            sweeps = tuple(map(unorganized_no_sensor, sweeps))
-        return TrainingSample(self.config.card().maps_of(sweeps[0], sweeps[1:]), clean.visible, clean.known)
-
-    def _past(self, epoch: int, index: int, attacked: AttackedSweep) -> tuple[Sweep, ...]:
-        """Return the earlier sweeps that are shown with a frame; attacked as well under half of the attacks.
-
-        Those without a pose cannot be seen together with others, and are left out.
-        """
-        rng = self._rng(epoch, index, _Purpose.PAST)
-        if rng.random() >= self.config.past_share or not self.config.card().uses_history:
-            return ()
-        if attacked.sweep.world_from_sensor is None:
-            return ()
-        earlier = self.source.earlier(index, int(rng.integers(1, HISTORY_SWEEPS + 1)))
-        earlier = tuple(sweep for sweep in earlier if sweep.world_from_sensor is not None)
-        return attacked.attack_history(earlier, rng) if rng.random() < _LASTING_SHARE else earlier
+        shown = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
+        return TrainingSample(self.config.card().maps_of(shown), clean.visible, clean.known)
 
     def _blank(self) -> Arrays:
         zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
-        inputs = np.zeros((shape.channels, *zeros.shape), np.float32)
-        return {"inputs": inputs, "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
+        return {"inputs": zeros[None].copy(), "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
 
     def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, epoch, index, purpose])

@@ -106,8 +106,8 @@ class CleanSamples(Protocol):
         """Return one frame."""
         ...
 
-    def earlier(self, index: int, count: int = 1) -> tuple[Sweep, ...]:
-        """Return the last ``count`` sweeps before it of the same sensor and scene, the oldest first, or fewer."""
+    def earlier(self, index: int) -> tuple[Sweep, ...]:
+        """Return the last sweep before it of the same sensor and scene, or none."""
         ...
 
 
@@ -130,18 +130,17 @@ class ArchivedSamples:
             return CleanSample(sample.sweep, sample.truth.visible(self.config.target), sample.known)
         return labeled(sample.sweep, self.labels.of_frame(*archive.locate(at)))
 
-    def earlier(self, index: int, count: int = 1) -> tuple[Sweep, ...]:
-        """Return the last sweeps before it of the same sensor and scene, the oldest first."""
+    def earlier(self, index: int) -> tuple[Sweep, ...]:
+        """Return the last sweep before it of the same sensor and scene, or none."""
         archive, at = self._place(index)
         sample = archive[at]
-        sweeps: list[Sweep] = []
         for before in range(at - 1, max(at - _LOOK_BACK_FRAMES, 0) - 1, -1):
             other = archive[before]
-            if other.scene != sample.scene or len(sweeps) == count:
+            if other.scene != sample.scene:
                 break
             if other.measured.agent == sample.measured.agent:
-                sweeps.insert(0, other.sweep)
-        return tuple(sweeps)
+                return (other.sweep,)
+        return ()
 
     def _place(self, index: int) -> tuple[Archive, int]:
         for archive in self.archives:

@@ -37,23 +37,23 @@ class Stage(nn.Module):
 class UNet(nn.Module):
     """Encoder, bottleneck and decoder with skips; masks multiply the channels after the stages that drop out.
 
-    ``forward(inputs (N, channels, H, W), masks (N, M))`` returns logits (N, 1, H, W); masks of ones are no dropout.
+    ``forward(inputs (N, 1, H, W), masks (N, M))`` returns logits (N, 1, H, W); masks of ones are no dropout.
     """
 
     def __init__(self, shape: UNetShape) -> None:
         super().__init__()
         self.shape = shape
-        inner = (shape.channels * shape.fold**2, *shape.widths[:-1])
+        inner = (1, *shape.widths[:-1])
         self.encoder = nn.ModuleList(Stage(a, b) for a, b in zip(inner, shape.widths, strict=True))
         self.up = nn.ModuleList(nn.ConvTranspose2d(2 * w, w, 2, stride=2) for w in shape.widths[-2::-1])
         self.decoder = nn.ModuleList(Stage(2 * w, w) for w in shape.widths[-2::-1])
-        self.head = nn.Conv2d(shape.width, shape.fold**2, 1)
+        self.head = nn.Conv2d(shape.width, 1, 1)
 
     def forward(self, inputs: Tensor, masks: Tensor) -> Tensor:
         """Return logits (N, 1, H, W)."""
         parts = torch.split(masks[:, :, None, None], list(self.shape.masked_channels), dim=1)
         skips: list[Tensor] = []
-        x = nn.functional.pixel_unshuffle(inputs, self.shape.fold)
+        x = inputs
         for i, stage in enumerate(self.encoder):
             x = stage(x if i == 0 else torch.max_pool2d(x, 2))
             x = x if i == 0 else x * parts[i - 1]
@@ -62,7 +62,8 @@ class UNet(nn.Module):
         for i, (up, stage) in enumerate(zip(self.up, self.decoder, strict=True)):
             x = stage(torch.cat([up(x), skips.pop()], dim=1))
             x = x * parts[self.shape.depth + i] if i < self.shape.depth - 1 else x
-        return nn.functional.pixel_shuffle(self.head(x), self.shape.fold)
+        logits: Tensor = self.head(x)
+        return logits
 
 
 class TorchRunner:

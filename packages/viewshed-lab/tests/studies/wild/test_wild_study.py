@@ -174,7 +174,7 @@ def test_the_files_of_a_run_that_was_stopped_goes_on(tmp_path: Path) -> None:
 
 def test_a_network_of_ones_own_stands_in_the_tables_by_its_files_name(tmp_path: Path) -> None:
     file = tmp_path / "mine.onnx"
-    file.write_bytes(shipped_content("viewnet_road_int8"))
+    file.write_bytes(shipped_content("road_int8"))
     plan = replace(FAST, methods=("shadow_map",), ladder=False, sets=("development",), networks=(str(file),))
     store = ResultStore.open(tmp_path / "study", plan)
     assert list(run_study(store, LocalEngine(1))) == []
@@ -190,11 +190,11 @@ def test_the_sealed_set_is_run_with_a_logged_reason_only(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="opens the sealed set"):
         run_study(ResultStore.open(tmp_path / "x", sealed), LocalEngine(1))
     log = tmp_path / "log.md"
-    SetOpening("final table", ("shadow_map", "viewnet")).log(log)
+    SetOpening("final table", ("shadow_map", "majority_vote")).log(log)
     SetOpening("once more", ("shadow_map",)).log(log)
     lines = [line for line in log.read_text(encoding="utf-8").splitlines() if line.startswith("| 2")]
     assert [line.split(" | ")[2:] for line in lines] == [
-        ["final table", "shadow_map, viewnet |"], ["once more", "shadow_map |"],
+        ["final table", "shadow_map, majority_vote |"], ["once more", "shadow_map |"],
     ]  # fmt: skip
     assert log.read_text(encoding="utf-8").count("# Openings") == 1
     with pytest.raises(ValueError, match="must lie in a checkout"):

@@ -18,7 +18,7 @@ LevelArrays level_arrays(LevelPoints&& level);
 #define VIEWSHED_BINDINGS(bind)                                                                                     \
     bind(range_image) bind(sensor_id) bind(ground) bind(held_ground) bind(leveling)                                 \
     bind(level_sweep) bind(no_return) bind(grid) bind(height_map) bind(visibility) bind(evidence)                   \
-    bind(guarantees) bind(boxes) bind(object_candidates) bind(shape_classifier) bind(history) bind(features)        \
+    bind(guarantees) bind(boxes) bind(object_candidates) bind(shape_classifier) bind(history)                       \
     bind(mc_dropout) bind(ray_trace) bind(concave_hull) bind(polygons) bind(files) bind(temporal_evidence)          \
     bind(fov_code) bind(agent_views)
 #define DECLARE(name) void bind_##name(nb::module_& m);

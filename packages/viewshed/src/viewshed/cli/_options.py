@@ -416,7 +416,7 @@ HistorySweeps = Annotated[
     int,
     typer.Option(
         "--history", min=0, max=20,
-        help="Earlier sweeps of a recording that help viewnet and shadow_map, a second or more apart; 5 do well.",
+        help="Earlier sweeps of a recording that help shadow_map, a second or more apart; 5 do well.",
     ),
 ]  # fmt: skip
 
@@ -450,7 +450,7 @@ AbstainBelow = Annotated[
     float | None,
     typer.Option(
         "--abstain-below",
-        help="For a network: cells are visible from this probability, hidden below 1 minus it, else unknown.",
+        help="Cells are visible from this probability, hidden below 1 minus it, else unknown; not of masks.",
     ),
 ]
 

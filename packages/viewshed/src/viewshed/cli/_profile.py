@@ -39,7 +39,7 @@ CertifiedOnly = Annotated[
 ]
 
 Method = Annotated[
-    str | None, typer.Option(help="Method: shadow_map (if not given), viewnet, majority_vote, first_blocker, …")
+    str | None, typer.Option(help="Method: shadow_map (if not given), majority_vote, first_blocker, unet, …")
 ]
 
 Value = TypeVar("Value")

@@ -127,5 +127,5 @@ def history_buffer(estimator: Estimator, sweeps: int) -> SweepBuffer | None:
     from viewshed.estimators.temporal import SweepBuffer
 
     if sweeps and not estimator.uses_history:
-        raise ValueError(f"--history helps viewnet and shadow_map, got {estimator.name}, which looks at one sweep")
+        raise ValueError(f"--history helps shadow_map, got {estimator.name}, which looks at one sweep")
     return SweepBuffer(sweeps) if sweeps else None

@@ -79,9 +79,9 @@ def _all_names(parameters: str, grid: BevGrid) -> list[str]:
 
 
 def _current_names(methods: str) -> list[str]:
-    from viewshed.estimators import FORMER_NAMES
+    from viewshed.estimators import current_name
 
-    return [FORMER_NAMES.get(name, name) for name in methods.split(",")]
+    return [current_name(name) for name in methods.split(",")]
 
 
 def _estimators(

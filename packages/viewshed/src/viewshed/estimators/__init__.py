@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
@@ -23,7 +24,6 @@ from viewshed.fov.union import union_of_views
 from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
-from viewshed.networks.runtime import load_runner
 from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sensors import LidarModel
@@ -54,8 +54,29 @@ CLASSICAL: dict[str, EstimatorFactory] = {
 ESTIMATORS: dict[str, EstimatorFactory] = {**CLASSICAL, **LEARNED}
 """All of them. A network is made for the grids and targets that weights are shipped for."""
 
-FORMER_NAMES = {"vote": "majority_vote", "polygon_fit": "delaunay", "mcd": "mc_dropout"}
-"""Names of version 0.3, taken as well in version 0.4."""
+DEFAULT_ESTIMATOR = "shadow_map"
+"""The method that is taken where none is named; docs/which_method.md says by which rule."""
+
+FORMER_NAMES = {
+    "vote": "majority_vote", "polygon_fit": "delaunay", "mcd": "mc_dropout", "viewnet": DEFAULT_ESTIMATOR,
+}  # fmt: skip
+"""Names of version 0.3, taken as well in version 0.4. ``viewnet`` was a network, which is gone."""
+
+
+def current_name(method: str) -> str:
+    """Return the name of now of an estimator, with a warning where it is another estimator now.
+
+    >>> current_name("vote"), current_name("trimmed")
+    ('majority_vote', 'trimmed')
+    """
+    if method == "viewnet":
+        warnings.warn(
+            f"method viewnet is gone, and {DEFAULT_ESTIMATOR} is taken, whose probability is calibrated; version 0.5"
+            " will refuse the name",
+            FutureWarning,
+            stacklevel=3,
+        )
+    return FORMER_NAMES.get(method, method)
 
 
 def paper_estimators(max_range_m: float) -> dict[str, EstimatorFactory]:
@@ -96,10 +117,6 @@ def paper_estimators_on(grid: BevGrid) -> dict[str, EstimatorFactory]:
     return PAPER_INDOOR_ESTIMATORS if grid.half_extent_m <= _ROOM_M else PAPER_ESTIMATORS
 
 
-DEFAULT_ESTIMATOR = "shadow_map"
-"""The method that is taken where none is named; docs/which_method.md says by which rule."""
-
-
 def load_estimator(
     name: str | Path | None = None,
     *,
@@ -115,14 +132,14 @@ def load_estimator(
 
     Args:
         name: of :data:`ESTIMATORS`, of the paper's estimators or of an installed package's; a network's file; None is
-            :data:`DEFAULT_ESTIMATOR`, or the network that ``weights`` name.
+            :data:`DEFAULT_ESTIMATOR`, or ``unet`` with ``weights``.
         grid: a name of :data:`GRIDS`, or a grid.
         target: a name of :data:`TARGETS`, or a target.
         device: of a network, ``cpu`` or ``cuda``.
         weights: of a network: a file, or a name of shipped weights.
         passes: of ``mc_dropout``, at least 2.
         seed: of the dropout masks of ``mc_dropout``.
-        abstain_below: of a network: cells of which it is less sure than this are UNKNOWN, in [.5, 1].
+        abstain_below: of ``shadow_map`` or a network: cells of which it is less sure than this are UNKNOWN, in [.5, 1].
 
     Raises:
         ValueError: a name is unknown, or an option is given that the estimator does not take; the message says which.
@@ -137,8 +154,8 @@ def load_estimator(
             raise ValueError(f"weights must be left out where a file is named, got {name} and {weights}; name one")
         name, weights = None, name
     if name is None:
-        name = DEFAULT_ESTIMATOR if weights is None else load_runner(weights).card.kind
-    method = FORMER_NAMES.get(str(name), str(name)).replace("paper_polygon_fit", "paper_delaunay")
+        name = DEFAULT_ESTIMATOR if weights is None else "unet"
+    method = current_name(str(name)).replace("paper_polygon_fit", "paper_delaunay")
     options = {"weights": weights, "passes": passes, "seed": seed, "device": None if device == "cpu" else device}
     given = {option: value for option, value in options.items() if value is not None}
     if method in LEARNED:
@@ -153,7 +170,7 @@ def load_estimator(
                 raise ValueError(f"method must be one of {', '.join([*known, *LEARNED, *added])}, got {method!r}")
             known[method] = added[method].load()
         if given:
-            raise ValueError(f"{', '.join(given)} must be left out for {method}, which is no network; use viewnet")
+            raise ValueError(f"{', '.join(given)} must be left out for {method}, which is no network; use unet")
         estimator = known[method](cells, thing)
     return estimator if abstain_below is None else estimator.with_abstention(abstain_below)
 
@@ -255,6 +272,6 @@ def target_named(target: str | Target) -> Target:
 
 __all__ = [
     "CLASSICAL", "DEFAULT_ESTIMATOR", "ESTIMATORS", "FORMER_NAMES", "LEARNED", "PAPER_ESTIMATORS",
-    "PAPER_INDOOR_ESTIMATORS", "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "estimate", "grid_named",
-    "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
+    "PAPER_INDOOR_ESTIMATORS", "PAPER_THRESHOLD", "Estimator", "EstimatorFactory", "current_name", "estimate",
+    "grid_named", "load_estimator", "paper_estimators", "paper_estimators_on", "target_named",
 ]  # fmt: skip

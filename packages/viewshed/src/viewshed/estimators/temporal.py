@@ -103,7 +103,7 @@ class TemporalEstimator:
 
     def __post_init__(self) -> None:
         if not self.inner.uses_history:
-            raise ValueError(f"history helps viewnet and shadow_map, got {self.inner.name}, which looks at one sweep")
+            raise ValueError(f"history helps shadow_map, got {self.inner.name}, which looks at one sweep")
 
     @property
     def name(self) -> str:

@@ -12,27 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.estimators.base import BatchSteps, EarlierSweeps
-from viewshed.estimators.classical import checked_history
+from viewshed.estimators.classical import NEVER_ABSTAIN, checked_abstention, checked_history
 from viewshed.estimators.temporal import stream
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.fov.visibility import CAR, TARGETS, Target
 from viewshed.grid import BevGrid
 from viewshed.networks.card import NetworkCard, Runner
-from viewshed.networks.features import FeatureContext
 from viewshed.networks.mc_dropout import mean_and_deviation
-from viewshed.networks.runtime import IN_BYTES, load_runner
-from viewshed.networks.weights import default_name, float32_name
+from viewshed.networks.runtime import load_runner
+from viewshed.networks.weights import default_name
 from viewshed.preprocess.azimuth_bins import Crop
 from viewshed.preprocess.basis import basis_of
-from viewshed.preprocess.history import History
+from viewshed.preprocess.evidence import beam_evidence
 from viewshed.preprocess.leveling import LeveledSweep, level, leveled_on
 from viewshed.sweep import Sweep
 
 PASSES = 20
 """Passes of Monte Carlo dropout if not given."""
-
-NEVER_ABSTAIN = 0.5
-"""Every cell is at least this sure to be visible, or not to be."""
 
 DEVICES = {"cpu": "onnxruntime", "cuda": "cuda"}
 """Where a network may run, and the engine that runs it there."""
@@ -51,14 +47,14 @@ class NetworkOutput(NamedTuple):
 class NetworkInput:
     """One sweep, prepared for the network."""
 
-    context: FeatureContext  # what its features were computed from
+    leveled: LeveledSweep  # what the input was made of
     # the network's input, of the shape that the card says; None where no return counts, so that the network need not
     # run
-    features: NDArray[Any] | None
+    shown: NDArray[Any] | None
 
 
 class UnetEstimator:
-    """Probability of visible by a U-Net: that of arXiv 2503.07375, or our own, on the grid that it was trained for.
+    """Probability of visible by the U-Net of arXiv 2503.07375, on the grid that it was trained for.
 
     With one pass dropout is off (maximum likelihood) and ``std`` is NaN. With more, ``visible_prob`` is the mean over
     passes under random dropout masks and ``std`` their standard deviation. The masks depend on ``seed`` alone: the same
@@ -90,10 +86,9 @@ class UnetEstimator:
         shape = runner.card.shape
         if passes > 1 and shape.dropout == 0.0:
             raise ValueError(f"passes must be 1 for {runner.card.name}, which has no dropout, got {passes}; use unet")
-        if not NEVER_ABSTAIN <= abstain_below <= 1.0:
-            raise ValueError(f"abstain_below must lie in [0.5, 1], got {abstain_below}")
         _keep_freed_memory()
-        self.runner, self.passes, self.seed, self.abstain_below = runner, passes, seed, abstain_below
+        self.runner, self.passes, self.seed = runner, passes, seed
+        self.abstain_below = checked_abstention(abstain_below)
         self.name = name or ("unet" if passes == 1 else "mc_dropout")
         rng = np.random.Generator(np.random.PCG64(seed))
         self._masks = None if passes == 1 else shape.masks(passes, rng)
@@ -110,8 +105,8 @@ class UnetEstimator:
 
     @property
     def uses_history(self) -> bool:
-        """Whether the network was trained with features of earlier sweeps."""
-        return self.card.uses_history
+        """It looks at one sweep."""
+        return False
 
     @property
     def card(self) -> NetworkCard:
@@ -131,8 +126,8 @@ class UnetEstimator:
     def estimate(self, sweep: Sweep | LeveledSweep, history: EarlierSweeps = None) -> FovEstimate:
         """Return the field of view of one sweep; see :meth:`Estimator.estimate` and the class."""
         leveled = leveled_on(sweep, self.grid)
-        earlier = checked_history(self, leveled, history)
-        prepared = self.prepare(leveled if earlier is None else earlier.now, earlier)
+        checked_history(self, leveled, history)
+        prepared = self.prepare(leveled)
         [output] = self.infer([prepared])
         return self.finish(prepared, output)
 
@@ -150,39 +145,38 @@ class UnetEstimator:
         """Yield the estimate of each sweep of a stream; see :func:`viewshed.estimators.temporal.stream`."""
         return stream(self, sweeps, history, require_confirmation=require_confirmation)
 
-    def prepare(self, leveled: LeveledSweep, history: History | None = None) -> NetworkInput:
+    def prepare(self, leveled: LeveledSweep) -> NetworkInput:
         """Return the network's input for a leveled sweep; needs no network, and many threads may do it."""
-        context = self.card.seen(leveled, history)
         if not Crop(self.card.max_range_m, self.card.heights_m).any_on(leveled, self.grid):
-            return NetworkInput(context, None)
-        return NetworkInput(context, self.card.input_of_context(context))
+            return NetworkInput(leveled, None)
+        return NetworkInput(leveled, self.card.input_of(leveled))
 
     def infer(self, prepared: Sequence[NetworkInput]) -> list[NetworkOutput | None]:
         """Return the network's output for each sweep, None where it need not run.
 
         A network in one pass is run once for all of them, one of several passes once for each.
         """
-        features = [item.features for item in prepared if item.features is not None]
-        outputs = iter(self._run(features) if features else ())
-        return [None if item.features is None else next(outputs) for item in prepared]
+        shown = [item.shown for item in prepared if item.shown is not None]
+        outputs = iter(self._run(shown) if shown else ())
+        return [None if item.shown is None else next(outputs) for item in prepared]
 
-    def _run(self, features: list[NDArray[Any]]) -> Sequence[NetworkOutput]:
+    def _run(self, shown: list[NDArray[Any]]) -> Sequence[NetworkOutput]:
         if self.passes > 1:
-            return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in features]
-        together = np.stack(features) if len(features) > 1 else features[0][None]
+            return [NetworkOutput(*mean_and_deviation(self.runner.run(one[None], self._masks))) for one in shown]
+        together = np.stack(shown) if len(shown) > 1 else shown[0][None]
         return [NetworkOutput(prob, None) for prob in self.runner.run(together)]
 
     def finish(self, prepared: NetworkInput, output: NetworkOutput | None) -> FovEstimate:
         """Return the estimate that the network's output gives; many threads may do it."""
-        context, evidence = prepared.context, prepared.context.evidence
+        leveled = prepared.leveled
+        evidence = beam_evidence(leveled, self.grid, self.target)
         prob, state = np.zeros(self.grid.shape, np.float32), np.full(self.grid.shape, CellState.UNKNOWN, np.uint8)
         if output is not None:
             prob = evidence.bounded(output.prob, self.threshold)
             abstains = self.abstain_below > NEVER_ABSTAIN
             denied = prob <= np.float32(1.0 - self.abstain_below) if abstains else prob < np.float32(self.threshold)
-            obstacle = context.leveled.obstacle_cells(self.grid)
+            obstacle = leveled.obstacle_cells(self.grid)
             state = evidence.states(prob >= np.float32(self.threshold), denied, obstacle)
-        leveled = context.leveled
         return FovEstimate(
             grid=self.grid,
             visible_prob=prob,
@@ -211,18 +205,16 @@ def load_network(
     """Return the network ``method`` on ``grid`` for ``target``.
 
     Args:
-        method: ``unet`` (one pass, dropout off), ``mc_dropout``, or ``viewnet``, our own network in one pass.
+        method: ``unet`` (one pass, dropout off) or ``mc_dropout``.
         grid: must be the one that the weights were trained for.
         target: must be the one that the weights were trained for.
-        weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target, in float32
-            where the device runs no networks in bytes.
+        weights: a file, or a name of shipped weights; None takes those shipped for the grid and the target.
         passes: of ``mc_dropout``, at least 2; None is ``PASSES``.
         seed: of the dropout masks.
         device: one of :data:`DEVICES`.
 
     Raises:
-        ValueError: no such method, weights or device; weights of another kind of network, or for another grid or
-            target; or no graphics card.
+        ValueError: no such method, weights or device; weights for another grid or target; or no graphics card.
         ImportError: what runs networks on the device is not installed.
     """
     if method not in LEARNED:
@@ -231,19 +223,11 @@ def load_network(
         raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {device!r}")
     several = method == "mc_dropout"
     if passes is not None and (passes < 2) == several:
-        rule = "at least 2 for mc_dropout; use unet for one pass" if several else f"1 for {method}; use mc_dropout"
+        rule = "at least 2 for mc_dropout; use unet for one pass" if several else "1 for unet; use mc_dropout"
         raise ValueError(f"passes must be {rule}, got {passes}")
-    engine = DEVICES[device]
-    if weights is None:
-        weights = default_name(method, grid, target.name)
-        weights = weights if engine == IN_BYTES else float32_name(weights)
-    runner = load_runner(weights, engine=engine)
+    weights = default_name(method, grid, target.name) if weights is None else weights
+    runner = load_runner(weights, engine=DEVICES[device])
     runner.card.require(grid, target.name)
-    if (method == "viewnet") != (runner.card.kind == "viewnet"):
-        raise ValueError(
-            f"weights must be of a network for {method}, got {runner.card.name}, which is a {runner.card.kind}; ask"
-            f" for method {runner.card.kind}"
-        )
     return UnetEstimator(runner, passes or PASSES if several else 1, seed, method)
 
 
@@ -278,7 +262,6 @@ class NetworkFactory(Protocol):
 
 
 LEARNED: dict[str, NetworkFactory] = {
-    "viewnet": partial(load_network, "viewnet"),
     "unet": partial(load_network, "unet"),
     "mc_dropout": partial(load_network, "mc_dropout"),
 }

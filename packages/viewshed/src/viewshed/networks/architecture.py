@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class UNetShape:
-    """Shape of the U-Net of arXiv 2503.07375 : ``width · 2^i`` channels after i poolings.
+    """Shape of the U-Net of arXiv 2503.07375, of one map in: ``width · 2^i`` channels after i poolings.
 
     >>> UNetShape().parameters, sum(UNetShape().masked_channels)
     (486409, 352)
@@ -19,16 +19,12 @@ class UNetShape:
     width: int = 8  # channels of the first stage, 1 to 256
     depth: int = 4  # poolings, 1 to 8
     dropout: float = 0.1  # share of channels that a mask sets to zero, in [0, 1)
-    channels: int = 1  # channels of the input
-    # cells a side of blocks that are folded into the channels of one cell before the first stage, and unfolded after
-    # the last (space to depth, Shi et al. 2016); 1 folds nothing, as published.
-    fold: int = 1
 
     def __post_init__(self) -> None:
-        for name, low, high in (("width", 1, 256), ("depth", 1, 8), ("channels", 1, 64), ("fold", 1, 8)):
+        for name, high in (("width", 256), ("depth", 8)):
             value = getattr(self, name)
-            if not (isinstance(value, int) and low <= value <= high):
-                raise ValueError(f"{name} must be a whole number in [{low}, {high}], got {value!r}")
+            if not (isinstance(value, int) and 1 <= value <= high):
+                raise ValueError(f"{name} must be a whole number in [1, {high}], got {value!r}")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout must lie in [0, 1), got {self.dropout}")
 
@@ -60,27 +56,26 @@ class UNetShape:
     @property
     def parameters(self) -> int:
         """Number of trained numbers: convolutions, batch normalization (2 a channel), biases where none follows."""
-        total = (self.width + 1) * self.fold**2
+        total = self.width + 1
         for inner, outer in self._stages():
             total += 9 * inner * outer + 9 * outer * outer + 4 * outer
         return total + sum(4 * 2 * w * w + w for w in self.widths[:-1])
 
     def flops(self, cells: int) -> int:
         """Return the multiplications and additions in convolutions of one pass over (cells, cells)."""
-        cells //= self.fold
         stages = [9 * (inner + outer) * outer for inner, outer in self._stages()]
         macs = sum(products * (cells >> i) ** 2 for products, i in zip(stages, self._levels(), strict=True))
         macs += sum(2 * w * w * (cells >> i) ** 2 for i, w in enumerate(self.widths[:-1]))
-        return 2 * (macs + self.width * self.fold**2 * cells**2)
+        return 2 * (macs + self.width * cells**2)
 
     @property
     def divisor(self) -> int:
         """What the cells of a side must divide by."""
-        return self.fold << self.depth
+        return 1 << self.depth
 
     def _stages(self) -> list[tuple[int, int]]:
         """Channels in and out of each stage, encoder, bottleneck, decoder from deep to shallow."""
-        down = list(zip((self.channels * self.fold**2, *self.widths[:-1]), self.widths, strict=True))
+        down = list(zip((1, *self.widths[:-1]), self.widths, strict=True))
         return down + [(2 * w, w) for w in self.widths[-2::-1]]
 
     def _levels(self) -> list[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Protocol
 
@@ -14,8 +14,6 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import Rigid, rotation_from_quaternion
 from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
-from viewshed.networks.features import FEATURES, HISTORY_FEATURES, Bytes, FeatureContext, feature_maps, fold_maps
-from viewshed.preprocess.history import History, history_of
 from viewshed.preprocess.leveling import NULL_RANGE_M, LeveledSweep, level
 from viewshed.sweep import Sweep
 
@@ -31,10 +29,12 @@ COUNTS = ("linear", "log")
 INT8 = "int8"
 """What the facts of a training say of the ``precision`` of a network that takes and multiplies bytes."""
 
+Bytes = NDArray[np.uint8]
+
 _LAYOUT = "viewshed network"
 
-_RENAMED_FEATURES = {"confirmed": "measured", "unexplained": "unresolved", "supported": "confirmations"}
-"""Features by the names that files of version 0.3 have for them, and their names now."""
+_PUBLISHED = {"channels": 1, "fold": 1}
+"""What cards of version 0.3 say beside of a shape: how many maps are shown, and blocks of cells folded into one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +57,13 @@ class NetworkCard:
     divisor: float = 1000.0  # counts are divided by it, where they are shown ``linear``
     counts: str = "linear"  # how they are shown, one of ``COUNTS``; ``log`` is log(1 + count) / log(1 + clip)
     threshold: float = 0.5  # probability from which a cell counts as visible
-    # names of ``FEATURES``, what the network is shown; as many as the shape's channels
-    inputs: tuple[str, ...] = ("counts",)
     trained: Mapping[str, str] = field(default_factory=dict)  # facts of the training, by name
 
     def __post_init__(self) -> None:
-        self._check_shape()
+        if self.grid.cells % self.shape.divisor:
+            raise ValueError(
+                f"cells must divide by {self.shape.divisor} for depth {self.shape.depth}, got {self.grid.cells}"
+            )
         for name, known in (("target", tuple(TARGETS)), ("truth", TRUTHS), ("counts", COUNTS)):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
@@ -75,56 +76,22 @@ class NetworkCard:
         if not 0.0 < self.threshold <= 1.0:
             raise ValueError(f"threshold must lie in (0, 1], got {self.threshold}")
 
-    def _check_shape(self) -> None:
-        if self.grid.cells % self.shape.divisor:
-            raise ValueError(
-                f"cells must divide by {self.shape.divisor} for depth {self.shape.depth} and fold {self.shape.fold}, "
-                f"got {self.grid.cells}"
-            )
-        if len(set(self.inputs) & set(FEATURES)) != len(self.inputs) or len(self.inputs) != self.shape.channels:
-            raise ValueError(
-                f"inputs must be {self.shape.channels} different ones of {', '.join(FEATURES)}, got {list(self.inputs)}"
-            )
-
-    def input_of(self, sweep: Sweep) -> NDArray[Any]:
+    def input_of(self, sweep: Sweep | LeveledSweep) -> NDArray[Any]:
         """Return the network's input of ``sweep``; see :meth:`shown`.
 
-        The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. Of the
-        ``counts`` null returns, nearer than 0.5 m, are left out; the vehicle's own roof counts, as in the published
-        code.
+        The sweep is turned level by its attitude (estimated where it has none) and cropped about the sensor. Null
+        returns, nearer than 0.5 m, are left out; the vehicle's own roof counts, as in the published code.
         """
         return self.shown(self.maps_of(sweep))
 
-    def seen(self, leveled: LeveledSweep, past: History | None = None) -> FeatureContext:
-        """Return the context of a leveled sweep from which :func:`feature_maps` computes the features."""
-        points, rotation = leveled.sweep.points, leveled.level_from_sensor.rotation
-        counts = self._clipped(points, rotation) if "counts" in self.inputs else None
-        return FeatureContext(leveled, self.grid, TARGETS[self.target], counts, past)
-
-    @property
-    def kind(self) -> str:
-        """Kind of network: ``unet`` where it is shown counts alone, as published, else ``viewnet``."""
-        return "unet" if self.inputs == ("counts",) else "viewnet"
-
-    @property
-    def uses_history(self) -> bool:
-        """Whether earlier sweeps change what the network is shown."""
-        return not set(HISTORY_FEATURES).isdisjoint(self.inputs)
-
-    def maps_of(self, sweep: Sweep, earlier: Sequence[Sweep] = ()) -> Bytes:
-        """Return what the network is shown of ``sweep`` as bytes (channels, cells, cells); see :meth:`shown`.
-
-        ``earlier`` sweeps of the same sensor tell of the past.
-
-        Raises:
-            ValueError: there are earlier sweeps, and one of all has no pose.
-        """
+    def maps_of(self, sweep: Sweep | LeveledSweep) -> Bytes:
+        """Return what the network is shown of a sweep as bytes (1, cells, cells), its counts; see :meth:`shown`."""
+        if isinstance(sweep, LeveledSweep):
+            return self._counted(sweep.sweep.points, sweep.level_from_sensor.rotation)
         attitude = sweep.known_attitude
-        if attitude is None or self.inputs != ("counts",):
-            leveled = level(sweep, self.grid)
-            past = history_of(leveled, earlier, self.grid) if self.uses_history else None
-            return feature_maps(self.inputs, self.seen(leveled, past))
-        return self._clipped(sweep.points, rotation_from_quaternion(attitude))[None]
+        if attitude is None:
+            return self.maps_of(level(sweep, self.grid))
+        return self._counted(sweep.points, rotation_from_quaternion(attitude))
 
     @property
     def precision(self) -> str:
@@ -133,42 +100,22 @@ class NetworkCard:
 
     @property
     def input_shape(self) -> tuple[int, int, int]:
-        """Shape of one input: (channels, cells, cells), or for a network in bytes folded and with channels last."""
-        if self.precision != INT8:
-            return self.shape.channels, *self.grid.shape
-        side = self.grid.cells // self.shape.fold
-        return side, side, self.shape.channels * self.shape.fold**2
+        """Shape of one input: (1, cells, cells), or for a network in bytes (cells, cells, 1)."""
+        return (1, *self.grid.shape) if self.precision != INT8 else (*self.grid.shape, 1)
 
     def shown(self, maps: Bytes) -> NDArray[Any]:
         """Return the network's input of what :meth:`maps_of` returns, of :attr:`input_shape`: float32, or bytes."""
-        if self.precision == INT8:
-            return self._folded(maps)
-        found = np.empty(maps.shape, np.float32)
-        for name, codes, out in zip(self.inputs, maps, found, strict=True):
-            if name == "counts":
-                np.take(self._of_counts(), codes, out=out, mode="clip")
-            else:
-                np.multiply(codes, np.float32(1.0 / 255.0), out=out, dtype=np.float32)
-        return found
+        if self.precision != INT8:
+            return np.take(self._of_counts(), maps, mode="clip")
+        codes = maps
+        if self.counts == "log":
+            codes = np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8)[maps]
+        return codes.reshape(self.input_shape)
 
     @property
-    def most_shown(self) -> NDArray[np.float32]:
-        """Value (channels,) that byte 255 stands for in the input of a network in bytes."""
-        linear = np.float32(255.0 / self.divisor if self.counts == "linear" else 1.0)
-        return np.array([linear if name == "counts" else 1.0 for name in self.inputs], np.float32)
-
-    def input_of_context(self, context: FeatureContext) -> NDArray[Any]:
-        """Return the network's input, of :attr:`input_shape`, from what its features are computed from."""
-        if self.precision == INT8 and "counts" not in self.inputs:
-            return feature_maps(self.inputs, context, self.shape.fold)
-        return self.shown(feature_maps(self.inputs, context))
-
-    def _folded(self, maps: Bytes) -> Bytes:
-        if "counts" in self.inputs and self.counts == "log":
-            codes, maps = np.round(self._of_counts() * np.float32(255.0)).astype(np.uint8), maps.copy()
-            counts = maps[self.inputs.index("counts")]
-            counts[:] = codes[counts]
-        return fold_maps(maps, self.shape.fold)
+    def most_shown(self) -> np.float32:
+        """Value that byte 255 stands for in the input of a network in bytes."""
+        return np.float32(255.0 / self.divisor if self.counts == "linear" else 1.0)
 
     def _of_counts(self) -> NDArray[np.float32]:
         """Return (256,) as what each number of returns is shown."""
@@ -176,7 +123,7 @@ class NetworkCard:
         shown = np.log1p(each) / np.log1p(self.clip) if self.counts == "log" else each / self.divisor
         return shown.astype(np.float32)
 
-    def _clipped(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> Bytes:
+    def _counted(self, points: NDArray[np.float32], rotation: NDArray[np.float64]) -> Bytes:
         counts = self.grid.count(
             points,
             Rigid(rotation, np.zeros(3)),
@@ -184,7 +131,7 @@ class NetworkCard:
             height_m=self.heights_m,
             null_range_m=NULL_RANGE_M,
         )
-        return np.minimum(counts, self.clip, out=counts).astype(np.uint8)
+        return np.minimum(counts, self.clip, out=counts).astype(np.uint8)[None]
 
     def require(self, grid: BevGrid, target: str) -> None:
         """Raise a ValueError unless the network was trained for this grid and for the target of this name."""
@@ -232,19 +179,25 @@ def _words(grid: BevGrid) -> str:
 
 def _card_of(content: dict[str, Any]) -> NetworkCard:
     names = {each.name for each in fields(NetworkCard)}
+    inputs = content.pop("inputs", ["counts"])
     if set(content) != names:
         raise ValueError(f"card must have the fields {', '.join(sorted(names))}, got {', '.join(sorted(content))}")
     try:
         shape = {**content.pop("shape")}
         shape.pop("doubt", None)  # older files: whether there is a second head, which is not read
+        beside = {name: shape.pop(name, value) for name, value in _PUBLISHED.items()}
+        if inputs != ["counts"] or beside != _PUBLISHED:
+            raise ValueError(
+                "network must be shown the counts alone, without a fold, as this version runs it, got one shown"
+                f" {inputs} with fold {beside['fold']}; use shadow_map"
+            )
         low, high = content.pop("heights_m")
-        grid, inputs = content.pop("grid"), tuple(_RENAMED_FEATURES.get(name, name) for name in content.pop("inputs"))
+        grid = content.pop("grid")
         x, y = grid["offset_m"]
         return NetworkCard(
             shape=UNetShape(**shape),
             grid=BevGrid(grid["cells"], grid["half_extent_m"], (x, y)),
             heights_m=(low, high),
-            inputs=inputs,
             **content,
         )
     except (TypeError, KeyError) as error:
@@ -260,7 +213,7 @@ class Runner(Protocol):
         ...
 
     def run(self, inputs: NDArray[Any], masks: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Return probabilities (N, cells, cells) of inputs (N, channels, cells, cells), dropout off or by masks (N, M).
+        """Return probabilities (N, cells, cells) of inputs (N, 1, cells, cells), dropout off or by masks (N, M).
 
         A network in bytes takes its inputs as :meth:`NetworkCard.shown` gives them.
 

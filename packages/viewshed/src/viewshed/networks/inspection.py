@@ -18,9 +18,8 @@ MOST_NODES = 1024
 """Nodes of a graph; the deepest network that a card may have needs fewer than 500."""
 
 _OPERATORS = frozenset({
-    "Add", "Concat", "Conv", "ConvTranspose", "DepthToSpace", "DequantizeLinear", "MatMul", "MaxPool", "Mul",
-    "QuantizeLinear", "Relu", "Reshape", "Shape", "Sigmoid", "Slice", "SpaceToDepth", "Split", "Squeeze",
-    "Transpose", "Unsqueeze",
+    "Add", "Concat", "Conv", "ConvTranspose", "DequantizeLinear", "MatMul", "MaxPool", "Mul", "QuantizeLinear", "Relu",
+    "Reshape", "Shape", "Sigmoid", "Slice", "Split", "Squeeze", "Transpose", "Unsqueeze",
 })  # fmt: skip
 """The operators of our exports: no loop, no branch, nothing that fills a shape it is given."""
 
@@ -42,15 +41,16 @@ def inspect_network(content: bytes, name: str) -> NetworkCard:
         ValueError: it is no ONNX file, has no valid card, or holds what our exports do not.
     """
     try:
-        metadata = _read_model(content)
+        graph, text = _read_model(content)
+        card = _card_of(text)
+        _check_graph(graph)
+    except _CardError as error:
+        raise ValueError(f"{name}: {_printable(error)}") from error
     except _RefusedError as error:
         raise ValueError(f"{name} must hold only what viewshed exports, got {_printable(error)}") from error
     except (ValueError, IndexError, OverflowError) as error:
         raise ValueError(f"{name} must be a network in ONNX, got another file ({_printable(error)})") from error
-    try:
-        return NetworkCard.from_json(metadata.get(CARD_KEY, ""))
-    except ValueError as error:
-        raise ValueError(f"{name}: {_printable(error)}") from error
+    return card
 
 
 def _printable(error: Exception) -> str:
@@ -59,25 +59,35 @@ def _printable(error: Exception) -> str:
     return text if len(text) <= 300 else f"{text[:299]}…"
 
 
+class _CardError(ValueError):
+    """A card that is none, or that of a network that this version does not run."""
+
+
 class _RefusedError(ValueError):
     """A file that is sound ONNX and not of ours."""
 
 
-def _read_model(content: bytes) -> dict[str, str]:
-    """Return the metadata of an onnx.ModelProto whose graph is one of ours."""
-    graphs, metadata = 0, dict[str, str]()
+def _card_of(text: str) -> NetworkCard:
+    try:
+        return NetworkCard.from_json(text)
+    except ValueError as error:
+        raise _CardError(str(error)) from error
+
+
+def _read_model(content: bytes) -> tuple[memoryview, str]:
+    """Return the graph and the card's text of an onnx.ModelProto."""
+    graphs, metadata = list[memoryview](), dict[str, str]()
     for number, value in fields(memoryview(content)):
         if number == 7:
-            graphs += 1
-            _check_graph(as_message(value))
+            graphs.append(as_message(value))
         elif number == 14:
             entry = dict(fields(as_message(value)))
             metadata[as_text(entry.get(1, memoryview(b"")))] = as_text(entry.get(2, memoryview(b"")))
         elif number in (20, 25):  # training_info, functions
             raise _RefusedError("functions or training of its own")
-    if graphs != 1:
-        raise ValueError(f"{graphs} graphs")
-    return metadata
+    if len(graphs) != 1:
+        raise ValueError(f"{len(graphs)} graphs")
+    return graphs[0], metadata.get(CARD_KEY, "")
 
 
 def _check_graph(message: memoryview) -> None:

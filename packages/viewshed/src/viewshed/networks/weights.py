@@ -70,7 +70,7 @@ class ShippedWeights:
     cells: int  # of the grid
     half_extent_m: float  # of the grid
     target: str  # what would have to be seen
-    # estimators that take it if no weights are named: ``unet``, ``mc_dropout``, ``viewnet``; perhaps none
+    # estimators that take it if no weights are named: ``unet``, ``mc_dropout``; perhaps none
     methods: tuple[str, ...]
 
 
@@ -122,15 +122,6 @@ def default_name(method: str, grid: BevGrid, target: str, folder: Path = WEIGHTS
         f" {grid.cells}x{grid.half_extent_m:g}, but for: {fitting or 'nothing'}; give --weights FILE of a network that"
         " viewshed train exported"
     )
-
-
-def float32_name(name: str) -> str:
-    """Return the name of the shipped network in float32 that ``name`` is, or of which it is the one in bytes.
-
-    >>> float32_name("viewnet_road_int8"), float32_name("road")
-    ('viewnet_road', 'road')
-    """
-    return name.removesuffix("_int8")
 
 
 def add_shipped(content: bytes, line: ShippedWeights, folder: Path = WEIGHTS) -> None:

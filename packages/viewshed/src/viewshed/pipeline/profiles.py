@@ -32,7 +32,7 @@ class Profile:
 PROFILES = {
     "robot": Profile("shadow_map", "indoor", 0, True, ReactionRules(), 10.0),
     "infrastructure": Profile("shadow_map", "road", 0, True, ReactionRules(recover_sweeps=30), 10.0),
-    "mapping": Profile("viewnet", "road", 5, False, ReactionRules(), 0.0),
+    "mapping": Profile("shadow_map", "road", 5, False, ReactionRules(), 0.0),
     "contested": Profile(
         "shadow_map",
         "road",

@@ -149,12 +149,12 @@ def _planned_config(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
         data=(str(archive_path(folder, model.domain, "train")),), train_split="train",
         validation_share=plan.validation_share, cells=plan.cells, half_extent_m=setting.grid.half_extent_m,
         target="car", truth=setting.truth, variant=model.variant, attacks=attacks, attack_share=share,
-        ringless_share=0.0, past_share=0.0, width=plan.width, depth=plan.depth, fold=1, dropout=plan.dropout,
+        width=plan.width, depth=plan.depth, dropout=plan.dropout,
         loss=plan.loss, learning_rate=plan.learning_rate,
         schedule=plan.schedule, batch=plan.batch, epochs=plan.epochs, patience=plan.patience,
         frames_per_epoch=plan.frames_per_epoch, versions=plan.versions,
         mirrored=plan.mirrored, precision=plan.precision, workers=plan.workers,
-        threshold=setting.threshold, seed=plan.seed, inputs=("counts",), counts=plan.counts,
+        threshold=setting.threshold, seed=plan.seed, counts=plan.counts,
         max_range_m=setting.max_range_m, heights_m=setting.heights_m,
     )  # fmt: skip
 

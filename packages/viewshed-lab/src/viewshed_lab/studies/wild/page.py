@@ -21,7 +21,7 @@ from viewshed_lab.studies.wild.pool import Pool
 
 OWN = "own"
 
-JUDGED = ("shadow_map", "viewnet")
+JUDGED = ("shadow_map",)
 """Methods whose F1 is broken down by style, sensor and mounting, and whose worst scenes are shown."""
 
 _WHAT = {
