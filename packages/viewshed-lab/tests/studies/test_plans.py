@@ -3,21 +3,14 @@
 import pytest
 
 from viewshed_lab._config import preset_names
-from viewshed_lab.studies.deviation.plan import DeviationPlan
 from viewshed_lab.studies.paper.plan import PaperPlan
 from viewshed_lab.studies.plan import Plan
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
 from viewshed_lab.threats.attacks import ATTACKS
 
-PLANS: list[type[Plan]] = [DeviationPlan, PaperPlan, RobustnessPlan]
+PLANS: list[type[Plan]] = [PaperPlan, RobustnessPlan]
 
 REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
-    DeviationPlan: [
-        ({"domain": "moon"}, "domain must be among .*, got 'moon'"),
-        ({"frames": 0}, "frames must be at least 1, got 0"),
-        ({"attacks": ["unifrom"]}, "attacks must be among uniform, .*, got 'unifrom'"),
-        ({"severity": 6}, "severity must be a whole number from 1 to 5, got 6"),
-    ],
     PaperPlan: [
         ({"domains": ["moon", "ugv", "carla"]}, "domains must be among .*, got 'moon'"),
         ({"train_scenes": [1, 2]}, r"train_scenes must be a positive number for each domain, got \[1, 2\]"),
@@ -30,6 +23,7 @@ REFUSED: dict[type[Plan], list[tuple[dict[str, object], str]]] = {
         ({"monitor_frames": 4}, "monitor_frames must be at most 3, a third of the held-out scenes"),
         ({"monitor_false_alarms": 0.2}, r"monitor_false_alarms must lie in \[1 / \(monitor_frames \+ 1\), 1\), got 0"),
         ({"trained_attacks": list(ATTACKS)}, "trained_attacks must name some attacks and leave others unseen"),
+        ({"monitor_severity": 6}, "severity must be a whole number from 1 to 5, got 6"),
         ({"dropout": "much"}, "dropout must be float, got 'much'"),
     ],
     RobustnessPlan: [

@@ -75,7 +75,7 @@ def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySamp
 
 def test_the_attacker_replays_two_seconds_and_the_defense_recalls_half_a_second(sample: StudySample) -> None:
     now_ns = sample.sweep.t_ns
-    replay = attack_of(Case("attack", "replay", "full"), sample, 16.0)
+    replay = attack_of(Case("attack", "replay", "full"), sample)
     assert isinstance(replay, Replay)
     temporal = evaluation_of(_job("defenses")).defenses["temporal"]
     assert isinstance(temporal, TemporalConsistency)
