@@ -119,8 +119,8 @@ def files_of(
     rates = _rates(calibration, every)
     page = fill_template(
         "monitor/page.md", places=len({one.stream.style for one in judged}),
-        minutes=f"{rates['hours'].sum() * 60.0:.0f}", calibration_minutes=f"{calibration.hours * 60.0:.0f}", styles=", ".join(plan.calibration),
-        promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
+        minutes=f"{rates['hours'].sum() * 60.0:.0f}", calibration_minutes=f"{calibration.hours * 60.0:.0f}",
+        styles=", ".join(plan.calibration), promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
         places_table=_rate_table([("all", rates), *rates.groupby("style", sort=False)]),
         groups_table=_rate_table([(f"{key}: {value}", some) for key in ("sensor", "conditions", "speed", "poses")
                                   for value, some in rates.groupby(key, sort=False)]),
