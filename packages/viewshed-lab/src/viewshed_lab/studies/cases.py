@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -209,4 +210,5 @@ def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
         model, elevation=model.elevation[kept], azimuth_offset=model.azimuth_offset[kept], origin_m=model.origin_m[kept]
     )
     of_rings = ("origin_m", "direction", "depth_m", "thing", "material", "cos_incidence")
-    return replace(scan, model=fewer, **{name: np.compress(kept, getattr(scan, name), axis=1) for name in of_rings})
+    columns: dict[str, Any] = {name: np.compress(kept, getattr(scan, name), axis=1) for name in of_rings}
+    return replace(scan, model=fewer, **columns)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from viewshed.estimators import Estimator
 from viewshed.estimators.unet import UnetEstimator
@@ -199,7 +200,7 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
     monitor = monitor.calibrated(benign, plan.monitor_false_alarms)
     cases = [BENIGN, *(Case("attack", name, DEFAULT) for name in ATTACKS),
              *corruption_cases(plan.monitor_corruptions, (plan.monitor_severity,))]  # fmt: skip
-    of = {"domain": plan.monitor_domain, "method": job.key[1], "seed": plan.test_seed}
+    of: dict[str, Any] = {"domain": plan.monitor_domain, "method": job.key[1], "seed": plan.test_seed}
     found = [watch(monitor, estimator, sample, cases, number, **of) for number, sample in enumerate(report)]
     return JobResult([row for rows in found for row in rows], {"limit": monitor.limit})
 
