@@ -73,7 +73,6 @@ GOOD: dict[str, dict[str, Any]] = {
                         "held_elevation": TABLE["elevation"], "held_origin_m": TABLE["origin_m"]} | TABLE,
     "infer_sensor": {"points": POINTS, "ring": None}, "find_motion": {"points": POINTS},
     "recover_rings": {"points": POINTS, "ring": None, "columns": 1800} | TABLE,
-    "undo_motion": {"points": POINTS, "x_m": 1.0, "y_m": 0.1, "z_m": 0.0, "seam": 0.0, "reference": 0.5},
     "match_beams": {"slope": LONG, "range_m": LONG} | TABLE,
     "find_clusters": {"azimuth": LONG, "slope": LONG, "range_m": LONG}, "polar": {"points": POINTS},
     "obstacle_image": {"clouds": [CLOUD], "least_m": 0.3, "sensor_height_m": 1.8},
@@ -81,7 +80,6 @@ GOOD: dict[str, dict[str, Any]] = {
     "confirmed_cells": {
         "seen": np.ones((4, 4), np.bool_), "earlier_from_now": np.eye(2, 3, dtype=F4), "origin_x_m": 0.0,
         "origin_y_m": 0.0, "cell_m": 1.0, "in_view": np.ones((4, 4), F4), "whole": np.ones((4, 4), F4)},
-    "without_gaps": {"nearest": np.arange(32, dtype=F4).reshape(2, 16)},
     "azimuth_bins_filled": {"azimuth": LONG},
     "farthest_in_bins": {"azimuth": LONG, "range_m": LONG, "bins": 5, "drop": 0},
     "ranges_in_bins": {"azimuth": LONG, "range_m": LONG, "height_m": LONG, "low_m": 0.0, "high_m": 1.0},
@@ -136,8 +134,8 @@ GOOD: dict[str, dict[str, Any]] = {
 OF_VIEWS = ("surface_cells", "visible_before", "look_at_boxes", "compare_view", "compare_past")
 ANY_LENGTH = {
     "level_points": ("points",), "vehicle_heading": ("points",), "identify_sensor": ("points",),
-    "infer_sensor": ("points",), "find_motion": ("points",), "recover_rings": ("points",), "undo_motion": ("points",),
-    "polar": ("points",), "without_gaps": ("nearest",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
+    "infer_sensor": ("points",), "find_motion": ("points",), "recover_rings": ("points",),
+    "polar": ("points",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
     "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
     "star_vertices": ("ranges",), "beam_evidence": ("table",), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
@@ -363,7 +361,6 @@ SENSOR_CALLS: dict[str, Callable[[Any], Any]] = {
     "recover_rings by a table": lambda points: call("recover_rings", points=points),
     "find_clusters": lambda points: _core.find_clusters(*_core.polar(points)),
     "find_motion": lambda points: call("find_motion", points=points),
-    "undo_motion": lambda points: call("undo_motion", points=points),
 }
 
 

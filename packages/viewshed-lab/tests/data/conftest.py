@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from pyarrow import fs
 from viewshed.fov.truth import OTHER_DEFINITIONS, Truth
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
+from viewshed.io import write_sweep
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.data import Sample
@@ -21,6 +23,21 @@ from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 from viewshed_lab.sim.raycast.scan import Motion
 
 MakeSample = Callable[..., Sample]
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Two sequences of three sweeps; one sweep of the first is damaged."""
+    rng = np.random.default_rng(4)
+    for sequence in ("07", "08"):
+        folder = tmp_path / "kitti" / "sequences" / sequence / "velodyne"
+        folder.mkdir(parents=True)
+        (folder.parent / "times.txt").write_text("0.0\n0.1\n0.2\n")
+        for number in range(3):
+            points = rng.normal(0, 15, (40 + number, 3)).astype(np.float32)
+            write_sweep(Sweep(points), folder / f"{number:06d}.bin")
+    (tmp_path / "kitti" / "sequences" / "07" / "velodyne" / "000001.bin").write_bytes(b"12345")
+    return tmp_path / "kitti"
 
 
 @pytest.fixture

@@ -262,7 +262,6 @@ TINY_PAGES = {
     "robustness": "robustness/robustness.md",
     "paper": "paper/paper.md",
     "paper_strict": "paper/paper_strict.md",
-    "monitor_study": "deviation/deviation.md",
     "wild": "wild/wild.md",
     "agents": "agents/agents.md",
     "tracks": "tracks/tracks.md",
@@ -278,7 +277,6 @@ def tiny_pages(folder: Path) -> dict[str, str]:
     run = partial(_run, folder)
     run("study", "robustness", "--preset", "tiny", "--out", "robustness")
     run("study", "paper", "--preset", "tiny", "--out", "paper")
-    run("study", "deviation", "--preset", "tiny", "--out", "deviation")
     run("study", "wild", "--preset", "tiny", "--out", "wild")
     run("study", "agents", "--preset", "tiny", "--out", "agents")
     run("study", "tracks", "--preset", "tiny", "--out", "tracks")

@@ -5,15 +5,12 @@ import pytest
 
 from viewshed_lab.studies.agents.mate import (
     MateReport,
-    MateRules,
     MateTrust,
     gains,
     mean_of,
     miss_weight,
     pseudo_measurements,
 )
-
-RULES = MateRules()
 
 
 def test_a_pseudo_measurement_moves_trust_by_the_published_formula() -> None:
@@ -38,7 +35,7 @@ def test_a_pseudo_measurement_moves_trust_by_the_published_formula() -> None:
     ],
 )  # fmt: skip
 def test_weight_of_what_is_not_seen(distance_m: float, frames: float, updates: float, expected: float) -> None:
-    found = miss_weight(np.array([distance_m]), np.array([frames]), np.array([updates]), RULES)
+    found = miss_weight(np.array([distance_m]), np.array([frames]), np.array([updates]))
     assert found.tolist() == pytest.approx([expected])
 
 
@@ -57,7 +54,7 @@ def test_each_case_of_the_table() -> None:
     )
     frames = np.array([9, 9, 4, 0, 9], np.int32)
     said = pseudo_measurements(
-        report, np.array([3.0, 1.0]), xy_m, np.full(5, 9, np.int32), np.tile(TRUSTED, (5, 1)), frames, RULES
+        report, np.array([3.0, 1.0]), xy_m, np.full(5, 9, np.int32), np.tile(TRUSTED, (5, 1)), frames
     )
     nan = np.nan
     third = 1 / 3
@@ -77,7 +74,7 @@ def test_assignment_is_global_and_gated() -> None:
     ):
         report = MateReport("car", np.zeros(2), own, np.zeros(2, np.bool_))
         said = pseudo_measurements(
-            report, np.ones(2), xy_m, np.full(2, 9, np.int32), np.full((2, 2), 0.5), np.zeros(2, np.int32), RULES
+            report, np.ones(2), xy_m, np.full(2, 9, np.int32), np.full((2, 2), 0.5), np.zeros(2, np.int32)
         )
         assert said.agent_value == pytest.approx(expected, nan_ok=True)
 
@@ -103,7 +100,7 @@ def test_the_bias_convicts_the_innocent(agreed: int, denied: int, expected: floa
     report = MateReport("car", np.zeros(2), seen, np.ones(agreed + denied, np.bool_))
     frames = updates = np.full(agreed + denied, 99, np.int32)
     for _ in range(300):
-        said = pseudo_measurements(report, trust, xy_m, updates, betas, frames, RULES)
+        said = pseudo_measurements(report, trust, xy_m, updates, betas, frames)
         trust = trust + np.nansum(gains(said.agent_value, said.agent_confidence, 4.0, 0.4), axis=0)
     assert float(mean_of(trust)) == pytest.approx(expected, abs=0.005)
     by_hand = (0.45 * agreed + 0.08 * denied) / (0.5 * agreed + 2.96 * denied)
@@ -148,19 +145,15 @@ def test_a_track_needs_two_measurements_in_a_round() -> None:
 
 
 def test_tracks_that_end_are_forgotten_and_new_ones_begin_untrusted() -> None:
-    trust = MateTrust(MateRules(track_prior="trusted"))
+    trust = MateTrust()
     trust.update(0.0, reports(), IDS, AT, NINE)
     trust.update(0.1, reports(), np.array([8, 12]), AT, NINE)
     assert set(trust.tracks) == {8, 12}
     assert trust.of_agent("nobody") == 0.5
-    assert trust.of_tracks(np.array([99])).tolist() == [0.8]
+    assert trust.of_tracks(np.array([99])).tolist() == [0.5]
 
 
-def test_wrong_rules_and_rounds_are_refused() -> None:
-    with pytest.raises(ValueError, match="agent_prior must be one of distrusted, untrusted, trusted, got 'friend'"):
-        MateRules(agent_prior="friend")
-    with pytest.raises(ValueError, match="return_s must be positive"):
-        MateRules(return_s=0.0)
+def test_wrong_rounds_are_refused() -> None:
     trust = MateTrust()
     trust.update(1.0, reports(), IDS, AT, NINE)
     with pytest.raises(ValueError, match=r"must not go back, got 0\.5 after 1\.0"):

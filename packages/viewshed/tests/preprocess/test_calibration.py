@@ -35,8 +35,10 @@ def test_cells_stay_on_their_side_and_cells_without_beams_are_silent() -> None:
     prob = calibrated_prob(leveled, evidence)
     assert np.array_equal(prob >= THRESHOLD, evidence.visible_prob >= THRESHOLD)
     silent = (evidence.visible_prob == 0) & (evidence.aimed <= 0)
-    assert silent.any() and not prob[silent].any()
-    assert prob.min() >= 0 and prob.max() <= 1
+    assert silent.any()
+    assert not prob[silent].any()
+    assert prob.min() >= 0
+    assert prob.max() <= 1
     # Counting alone is surer than it may be: the same claims are said with other probabilities.
     assert np.abs(prob - evidence.visible_prob)[~silent].mean() > 0.01
 
@@ -72,7 +74,8 @@ def test_features_of_a_wall_in_the_dark() -> None:
     assert np.isclose(row["blocker"][aside], np.log2(200.0 / 15.25), atol=0.03)
     assert np.isclose(row["farthest"][aside], np.log2(16.0 / 15.25), atol=0.03)
     # A mean over the whole of one value is that value; it lies between the extremes elsewhere.
-    assert (row["near"] <= row["prob"].max() + 1e-3).all() and (row["wide"] >= row["prob"].min() - 1e-3).all()
+    assert (row["near"] <= row["prob"].max() + 1e-3).all()
+    assert (row["wide"] >= row["prob"].min() - 1e-3).all()
 
 
 def test_it_is_better_calibrated_than_the_count_in_places_it_was_not_fitted_to() -> None:

@@ -115,29 +115,6 @@ def paper(
 
 
 @study_app.command()
-def deviation(
-    preset: Annotated[str, typer.Option(help="Size of the study: tiny, small.")] = "small",
-    out: Out = None,
-    workers: Workers = None,
-    run: Run = True,
-    page: Pages = None,
-) -> None:
-    """The published detector of attacks, by the deviation of dropout.
-
-    Under attacks and corruptions, with the shipped network.
-
-    Example: viewshed study deviation --preset tiny --out study
-    """
-    from viewshed_lab._jobs import LocalEngine
-    from viewshed_lab.studies.deviation.jobs import run_study
-    from viewshed_lab.studies.deviation.page import files_of
-    from viewshed_lab.studies.deviation.plan import DeviationPlan
-
-    work = partial(run_study, engine=LocalEngine(workers)) if run else None
-    _run(DeviationPlan.load(preset), _folder(out, "deviation"), page, work, files_of)
-
-
-@study_app.command()
 def monitor(
     out: Out = None,
     preset: Annotated[str, typer.Option(help="Which streams: shipped.")] = "shipped",

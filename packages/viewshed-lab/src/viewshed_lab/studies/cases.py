@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -109,14 +110,13 @@ def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
         yield from (replace(case, defense=defense) for defense in defenses)
 
 
-def apply(case: Case, sample: StudySample, rng: np.random.Generator, half_extent_m: float | None = None) -> Tampered:
+def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered:
     """Return the sweep as a case leaves it, without its defense; what a corruption does is no attacker's.
 
     Args:
         case: what is done.
         sample: the sweep, and what was measured before.
         rng: all that is random.
-        half_extent_m: of the grid that attacks are scaled to; that of the truth if not given.
 
     Raises:
         ValueError: the attack or corruption cannot work on this sweep; the message says why.
@@ -126,7 +126,7 @@ def apply(case: Case, sample: StudySample, rng: np.random.Generator, half_extent
         return untouched(sweep)
     if case.kind == "corruption":
         return untouched(CORRUPTIONS[case.name](int(case.level)).apply(sweep, rng))
-    return attack_of(case, sample, half_extent_m or sample.truth.grid.half_extent_m).apply(sweep, rng)
+    return attack_of(case, sample).apply(sweep, rng)
 
 
 def untouched(sweep: Sweep) -> Tampered:
@@ -135,12 +135,13 @@ def untouched(sweep: Sweep) -> Tampered:
     return Tampered(sweep, none, none)
 
 
-def attack_of(case: Case, sample: StudySample, half_extent_m: float) -> Attack:
-    """Return the attack of a case, scaled to a grid.
+def attack_of(case: Case, sample: StudySample) -> Attack:
+    """Return the attack of a case, scaled to the grid of the truth.
 
     Raises:
         ValueError: it needs an earlier sweep and there is none, or there is no attack of this kind.
     """
+    half_extent_m = sample.truth.grid.half_extent_m
     knowledge = Knowledge(sample.earlier[:1], half_extent_m=half_extent_m)
     if case.kind == "attack":
         budget = FULL_WEDGE if case.level == FULL else None if case.level == DEFAULT else int(case.level)
@@ -208,13 +209,6 @@ def with_rings(scan: ExactScan, kept: Mask) -> ExactScan:
     fewer = replace(
         model, elevation=model.elevation[kept], azimuth_offset=model.azimuth_offset[kept], origin_m=model.origin_m[kept]
     )
-    return replace(
-        scan,
-        model=fewer,
-        origin_m=np.compress(kept, scan.origin_m, axis=1),
-        direction=np.compress(kept, scan.direction, axis=1),
-        depth_m=np.compress(kept, scan.depth_m, axis=1),
-        thing=np.compress(kept, scan.thing, axis=1),
-        material=np.compress(kept, scan.material, axis=1),
-        cos_incidence=np.compress(kept, scan.cos_incidence, axis=1),
-    )
+    of_rings = ("origin_m", "direction", "depth_m", "thing", "material", "cos_incidence")
+    columns: dict[str, Any] = {name: np.compress(kept, getattr(scan, name), axis=1) for name in of_rings}
+    return replace(scan, model=fewer, **columns)

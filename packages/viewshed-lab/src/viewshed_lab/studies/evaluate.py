@@ -142,14 +142,6 @@ class Evaluation:
         if wedge is not None:
             yield self.row(method, case, WEDGE, reference.counts(prob, threshold, reference.inside(wedge)))
 
-    def score(self, method: str, case: Case, estimate: FovEstimate, wedge: Wedge | None) -> Iterator[Row]:
-        """Yield the same with all cells by their probability and deviation."""
-        reference, prob = self.reference, self.reference.prob_of(estimate)
-        masks = {VIEW: reference.known} if wedge is None else {VIEW: reference.known, WEDGE: reference.inside(wedge)}
-        for region, mask in masks.items():
-            counts = reference.counts(prob, self.suite.threshold, mask)
-            yield self.row(method, case, region, counts, reference.scores(estimate, mask))
-
     def _untouched(self, method: str, case: Case, wedge: Wedge) -> Row:
         clean = self.suite.estimates(level(self.sample.sweep, self.suite.grid))[method]
         prob, inside = self.reference.prob_of(clean), self.reference.inside(wedge)

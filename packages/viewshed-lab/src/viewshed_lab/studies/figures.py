@@ -77,7 +77,7 @@ def map_figure(rows: Mapping[str, Sequence[Map]]) -> bytes:
             bar = figure.colorbar(drawn[kind], ax=columns, location="bottom", shrink=0.6, aspect=40, pad=0.01)
             bar.set_label("probability of visible" if kind == "probability" else "deviation", fontsize=8)
             bar.ax.tick_params(labelsize=7)
-    return _png(figure, _MAP_COLORS)
+    return png_of(figure, _MAP_COLORS)
 
 
 def _map(axis: Axes, picture: Map, most: float) -> Any:
@@ -122,7 +122,7 @@ def trade_figure(dots: Mapping[tuple[int, int, int], Mapping[str, float]], acros
         axis.grid(linewidth=0.4, color="#cccccc")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
-    return _png(figure, _MAP_COLORS)
+    return png_of(figure, _MAP_COLORS)
 
 
 def _decades(axis: Axes, values: Sequence[float]) -> None:
@@ -193,7 +193,7 @@ def violin_figure(panels: Mapping[str, Violins], across: int, attacked: str) -> 
         _rates(axis, title)
     handles = [Patch(color=_BENIGN, label="benign"), Patch(color=_ATTACKED, label=attacked)]
     figure.legend(handles=handles, loc="lower center", ncols=2, frameon=False, fontsize=9)
-    return _png(figure)
+    return png_of(figure, _COLORS)
 
 
 def _half(axis: Axes, values: F64, position: int, side: Any, color: str) -> None:
@@ -229,7 +229,7 @@ def curve_figure(panels: Mapping[str, Curves], across: int, label: str) -> bytes
             axis.set_ylabel(label, fontsize=8)
     handles = [Line2D([], [], label=name, **_line(number)) for number, name in enumerate(names)]
     figure.legend(handles=handles, loc="lower center", ncols=min(len(names), 5), frameon=False, fontsize=8)
-    return _png(figure)
+    return png_of(figure, _COLORS)
 
 
 def _line(number: int) -> dict[str, Any]:
@@ -255,7 +255,7 @@ def scene_figure(scenes: Sequence[PictureRow]) -> bytes:
     handles: list[Any] = [Patch(color=color, label=word) for word, color in words.items()]
     handles.append(Line2D([], [], color="red", marker=".", linestyle="none", label="the attacker's returns"))
     figure.legend(handles=handles, loc="lower center", ncols=5, frameon=False, fontsize=8)
-    return _png(figure)
+    return png_of(figure, _COLORS)
 
 
 def compared(claimed: Mask, truth: Mask, known: Mask) -> NDArray[np.float64]:
@@ -302,11 +302,13 @@ def _page(panels: int, across: int, size: tuple[float, float], legend: float = 0
     return figure, axes[:panels]
 
 
-def _png(figure: Figure, colors: int = _COLORS) -> bytes:
-    """Return the figure with few colors: some hundred kilobytes less."""
+def png_of(figure: Figure, colors: int | None = None) -> bytes:
+    """Return the figure as a PNG, with few colors if their number is given: some hundred kilobytes less."""
     drawn, buffer = io.BytesIO(), io.BytesIO()
     FigureCanvasAgg(figure)
     figure.savefig(drawn, format="png")
+    if colors is None:
+        return drawn.getvalue()
     image = Image.open(drawn).convert("RGB").quantize(colors, dither=Image.Dither.NONE)
     image.save(buffer, format="png", optimize=True)
     return buffer.getvalue()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from math import isnan
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
+
+from scipy.stats import binomtest
 
 from viewshed.metrics import Scores
 from viewshed_lab.studies.pages import Table
@@ -68,6 +70,22 @@ def format_interval(rate: float, bounds: tuple[float, float]) -> str:
     '.500 [.400, .610]'
     """
     return f"{format_rate(rate)} [{format_rate(bounds[0])}, {format_rate(bounds[1])}]"
+
+
+def share_interval(count: int, trials: int, method: Literal["exact", "wilson"] = "exact") -> tuple[float, float]:
+    """Return the 95 % interval of a share: of Clopper and Pearson (1934), or of Wilson (1927)."""
+    low, high = binomtest(count, trials).proportion_ci(method=method)
+    return float(low), float(high)
+
+
+def format_share(flags: Collection[bool], method: Literal["exact", "wilson"] = "exact") -> str:
+    """Return the share of flags that are set with its interval; a dash where there are none.
+
+    >>> format_share([True, False, False, False])
+    '.250 [.006, .806]'
+    """
+    count = sum(map(bool, flags))
+    return format_interval(count / len(flags), share_interval(count, len(flags), method)) if len(flags) else "–"
 
 
 def format_spread(rate: float, bounds: tuple[float, float]) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from viewshed.arrays import F64
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
@@ -96,64 +96,22 @@ class SurveyedGround:
         return np.where(is_on, self.z_m[np.where(is_on, row, 0), np.where(is_on, column, 0)], np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class GroundErrors:
-    """Errors of ground heights, estimated minus true, where the truth is known.
-
-    Attributes:
-        error_m: (N,) float64.
-        std_m: (N,) float64 standard deviation that the estimate states.
-        seen: (N,) bool: the estimate rests on returns there.
-        range_m: (N,) float64 from the sensor.
-    """
-
-    error_m: F64
-    std_m: F64
-    seen: NDArray[np.bool_]
-    range_m: F64
-
-    @classmethod
-    def joined(cls, parts: Iterable[Self]) -> Self:
-        """Return the errors of several sweeps."""
-        columns = zip(*((part.error_m, part.std_m, part.seen, part.range_m) for part in parts), strict=True)
-        error_m, std_m, seen, range_m = (np.concatenate(column) for column in columns)
-        return cls(error_m, std_m, seen, range_m)
-
-    def rows(self) -> Table:
-        """Return a table of seen and unseen ground by range."""
-        parts = {
-            f"{word}, {low:g} to {high:g} m": self._part(
-                (self.seen == seen) & (self.range_m >= low) & (self.range_m < high)
-            )
-            for word, seen in (("seen", True), ("unseen", False))
-            for low, high in BANDS_M
-        }
-        figures: dict[str, Callable[[tuple[F64, F64]], str]] = {
-            "heights": lambda part: f"{len(part[0])}",
-            "median of the absolute error, m": lambda part: _quantile(part[0], 0.5),
-            "90 %, m": lambda part: _quantile(part[0], 0.9),
-            "within one standard deviation": lambda part: format_rate(_share(part[0] <= part[1])),
-            "90 % where the estimate states at most .1 m": lambda part: _quantile(part[0][part[1] <= 0.1], 0.9),
-        }
-        return lines("ground", parts, figures)
-
-    def _part(self, chosen: NDArray[np.bool_]) -> tuple[F64, F64]:
-        return np.abs(self.error_m[chosen]), self.std_m[chosen]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Claims:
-    """One method's claims on surveyed ground, summed over sweeps; (bands,) each.
-
-    Attributes:
-        cells: claimed cells.
-        surveyed: of these on surveyed ground.
-        off: of these on ground that lies elsewhere.
-    """
-
-    cells: F64
-    surveyed: F64
-    off: F64
+def ground_table(sweeps: Sequence[pd.DataFrame]) -> Table:
+    """Return a table of seen and unseen ground by range, of the errors of several sweeps."""
+    every = pd.concat(sweeps)
+    parts = {
+        f"{word}, {low:g} to {high:g} m": every[(every["seen"] == seen) & every["range_m"].between(low, high, "left")]
+        for word, seen in (("seen", True), ("unseen", False))
+        for low, high in BANDS_M
+    }
+    figures: dict[str, Callable[[pd.DataFrame], str]] = {
+        "heights": lambda part: f"{len(part)}",
+        "median of the absolute error, m": lambda part: _quantile(part["off_m"], 0.5),
+        "90 %, m": lambda part: _quantile(part["off_m"], 0.9),
+        "within one standard deviation": lambda part: format_rate(float((part["off_m"] <= part["std_m"]).mean())),
+        "90 % where the estimate states at most .1 m": lambda part: _quantile(part["off_m"][part["std_m"] <= 0.1], 0.9),
+    }
+    return lines("ground", parts, figures)
 
 
 def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEstimator], target: Target) -> str:
@@ -163,8 +121,9 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
         ValueError: the log has no surveyed ground, no sweep or no pose; the message names the file.
     """
     survey, grid = SurveyedGround.read(log), GRIDS["road"]
-    errors: list[GroundErrors] = []
-    claims = {name: [np.zeros(len(BANDS_M)) for _ in range(3)] for name in estimators}
+    errors: list[pd.DataFrame] = []
+    # Claimed cells, of these on surveyed ground, and of these on ground that lies elsewhere, by band.
+    claims = {name: np.zeros((3, len(BANDS_M))) for name in estimators}
     sweeps = list(annotated(source, None))
     range_m = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
     for sweep, _ in sweeps:
@@ -181,15 +140,13 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
         errors.append(ground_errors(leveled, grid.centers[known], error_m[known]))
         for name, estimator in estimators.items():
             claimed = np.nan_to_num(estimator.estimate(sweep).at(grid.centers)) >= THRESHOLD
-            for total, mask in zip(
-                claims[name], (claimed, claimed & known, claimed & known & (np.abs(error_m) > OFF_M)), strict=True
-            ):
-                total += [np.count_nonzero(mask & (range_m >= low) & (range_m < high)) for low, high in BANDS_M]
-    found = {name: Claims(*totals) for name, totals in claims.items()}
+            masks = (claimed, claimed & known, claimed & known & (np.abs(error_m) > OFF_M))
+            claims[name] += [[np.count_nonzero(mask & (range_m >= low) & (range_m < high)) for low, high in BANDS_M]
+                             for mask in masks]  # fmt: skip
     page = fill_template(
         "judges.md", title="Judged by others: surveyed ground and boxes", sweeps=len(sweeps),
-        scenes=len(source.scenes()), off_m=OFF_M, target=target, off=_off_table(found), unknown=_unknown_share(found),
-        ground=GroundErrors.joined(errors).rows(), **_box_tables(sweeps, estimators, target),
+        scenes=len(source.scenes()), off_m=OFF_M, target=target, off=_off_table(claims), unknown=_unknown_share(claims),
+        ground=ground_table(errors), **_box_tables(sweeps, estimators, target),
     )  # fmt: skip
     return page.markdown(facts(log=log.name, target=target.name))
 
@@ -220,14 +177,19 @@ def annotated(source: SweepSource, limit: int | None) -> Iterable[tuple[Sweep, S
         yield source.read(ref), source.boxes(ref) or ()
 
 
-def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> GroundErrors:
-    """Return errors (N,) of a sweep's ground at places (N, 2), level frame, with what the estimate states there."""
+def ground_errors(leveled: LeveledSweep, xy: F64, error_m: F64) -> pd.DataFrame:
+    """Return errors (N,) of a sweep's ground at places (N, 2), level frame, with what the estimate states there.
+
+    Columns: absolute error ``off_m``; the standard deviation ``std_m`` that the estimate states; ``seen``, whether it
+    rests on returns there; and ``range_m`` from the sensor.
+    """
     ground = leveled.ground
     nodes = BevGrid(len(ground.heights_m), ground.half_extent_m)
     row, column = np.clip(np.floor((xy + ground.half_extent_m) / nodes.cell_m), 0, nodes.cells - 1).astype(int).T
-    return GroundErrors(
-        error_m, ground.std_m[row, column].astype(np.float64), ground.seen[row, column], np.hypot(xy[:, 0], xy[:, 1])
-    )
+    return pd.DataFrame({
+        "off_m": np.abs(error_m), "std_m": ground.std_m[row, column].astype(np.float64),
+        "seen": ground.seen[row, column], "range_m": np.hypot(xy[:, 0], xy[:, 1]),
+    })  # fmt: skip
 
 
 def _box_tables(
@@ -237,7 +199,7 @@ def _box_tables(
 ) -> dict[str, Any]:
     """Return the tables of vehicles with enough returns, of those without one, and of the ground below all boxes."""
     counts = {(kind, name, band): [0, 0] for kind in ("enough", "none") for name in estimators for band in BANDS_M}
-    errors: list[GroundErrors] = []
+    errors: list[pd.DataFrame] = []
     left_out = 0
     for sweep, boxes in sweeps:
         leveled = level(sweep, GRIDS["road"])
@@ -271,7 +233,7 @@ def _box_tables(
     return {
         "seen": pivot("", rows, heads, lambda name, band: cell("enough", name, band)),
         "without": pivot("", rows, heads, lambda name, band: cell("none", name, band)),
-        "bottoms": GroundErrors.joined(errors).rows() if errors else None,
+        "bottoms": ground_table(errors) if errors else None,
         "left_out": left_out,
     }  # fmt: skip
 
@@ -304,28 +266,22 @@ def _claimed_of(counts: Mapping[Any, Sequence[int]], kind: str, name: str, band:
     return f"{format_rate(claimed / boxes)} of {boxes}" if boxes else "–"
 
 
-def _off_table(found: Mapping[str, Claims]) -> Table:
+def _off_table(claims: Mapping[str, F64]) -> Table:
     """Return the share of the claims on surveyed ground that are off, by band."""
     heads = {f"{low:g} to {high:g} m": k for k, (low, high) in enumerate(BANDS_M)}
 
-    def share(claims: Claims, band: int) -> str:
-        of = claims.surveyed[band]
-        return f"{format_rate(claims.off[band] / of)} of {of:.0f}" if of else "–"
+    def share(counts: F64, band: int) -> str:
+        _, surveyed, off = counts[:, band]
+        return f"{format_rate(off / surveyed)} of {surveyed:.0f}" if surveyed else "–"
 
-    return pivot("", found, heads, share)
+    return pivot("", claims, heads, share)
 
 
-def _unknown_share(found: Mapping[str, Claims]) -> str:
+def _unknown_share(claims: Mapping[str, F64]) -> str:
     """Return which share of all claims stands on ground that nobody surveyed, as words."""
-    cells, surveyed = (
-        sum(float(getattr(claims, name).sum()) for claims in found.values()) for name in ("cells", "surveyed")
-    )
+    cells, surveyed, _ = sum(counts.sum(axis=1) for counts in claims.values())
     return format_rate(1.0 - surveyed / cells, 2) if cells else "–"
 
 
-def _quantile(values: F64, share: float) -> str:
-    return format_number(float(np.quantile(values, share)) if len(values) else float("nan"), 2)
-
-
-def _share(are: NDArray[np.bool_]) -> float:
-    return float(are.mean()) if len(are) else float("nan")
+def _quantile(values: pd.Series[float], share: float) -> str:
+    return format_number(float(values.quantile(share)), 2)

@@ -24,6 +24,7 @@ from viewshed.fov.union import claimed_at
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS
 from viewshed.metrics import ConfusionCounts
+from viewshed.monitor.roc import auroc
 from viewshed.objects.detector import Detector
 from viewshed.objects.metrics import gospa
 from viewshed.objects.tracker import ExistenceRules, Rules, Tracker
@@ -209,7 +210,7 @@ def _area(found: Sequence[tuple[F64, F64, list[int]]], which: Literal[0, 1]) -> 
     """Return the share of pairs of an attacked and an honest agent in which the attacked one is trusted less."""
     bad = np.concatenate([one[which][one[2]] for one in found])
     good = np.concatenate([np.delete(one[which], one[2]) for one in found])
-    return float(((bad[:, None] < good) + 0.5 * (bad[:, None] == good)).mean())
+    return auroc(-good, -bad)
 
 
 CASES: dict[str, tuple[Callable[[int], Rows], str]] = {

@@ -1,10 +1,9 @@
-"""The sweeps that a study attacks, with exact truth: simulated as needed, or from an archive."""
+"""The sweeps that a study attacks, with exact truth, simulated as needed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -14,16 +13,14 @@ from viewshed.fov.truth import Truth
 from viewshed.fov.visibility import Target
 from viewshed.grid import polar_of_cells
 from viewshed.sweep import Sweep
-from viewshed_lab.data import Archive, Sample
-from viewshed_lab.data.presets import Preset, preset_named, preset_names
+from viewshed_lab.data import Sample
+from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame
 
 BEFORE_S = (2.0, 0.5)
 """How long before the sweep the earlier ones were measured."""
 
 _GOLDEN = (5**0.5 - 1) / 2
-
-_LOOK_BACK = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,27 +50,10 @@ class StudySample:
 
 
 def sample_of(domain: str, number: int, count: int, seed: int) -> StudySample:
-    """Return the sample ``number`` of ``count`` of a domain: a preset's name or the path of an archive.
-
-    Of a preset each sample is from a scene of its own, made with ``seed``; agents take turns. Of an archive the
-    samples are spread evenly.
-
-    Raises:
-        ValueError: an archive is damaged or has no samples.
-        OSError: an archive cannot be read.
-    """
-    if domain in preset_names():
-        return _simulated(_held_out(preset_named(domain), count, seed), number)
-    return _recorded(_opened(domain), number, count)
-
-
-def _held_out(preset: Preset, count: int, seed: int) -> Preset:
-    """Return the preset with one split of ``count`` scenes as long as those of its last split."""
+    """Return the sample ``number`` of ``count`` of a preset: each is of a scene of its own, and agents take turns."""
+    preset = preset_named(domain)
     frames = preset.frames[-1] // preset.scenes[-1] * count
-    return replace(preset, splits=("held_out",), scenes=(count,), frames=(frames,), seed=seed)
-
-
-def _simulated(preset: Preset, number: int) -> StudySample:
+    preset = replace(preset, splits=("held_out",), scenes=(count,), frames=(frames,), seed=seed)
     scene = ScenePlan(preset, 0, number)
     steps = [max(round(before_s / preset.interval_s), 1) for before_s in BEFORE_S]
     times = scene.frames // preset.agents
@@ -85,33 +65,6 @@ def _simulated(preset: Preset, number: int) -> StudySample:
     )
     frame = time * preset.agents + agent
     return StudySample(simulate_frame(scene, frame), earlier, (scene, frame))
-
-
-@lru_cache(maxsize=4)
-def _opened(path: str) -> Archive:
-    archive = Archive.open(path)
-    if not len(archive):
-        raise ValueError(f"{path} must hold samples, got none")
-    return archive
-
-
-def _recorded(archive: Archive, number: int, count: int) -> StudySample:
-    index = number * len(archive) // count
-    sample = archive[index]
-    before = list(_before(archive, index, sample))  # the newest first
-    return StudySample(sample, (before[-1], before[0]) if len(before) > 1 else tuple(before))
-
-
-def _before(archive: Archive, index: int, sample: Sample) -> Iterator[Sweep]:
-    """Yield the earlier sweeps of the same agent and scene, up to ``BEFORE_S`` before, the newest first."""
-    t_ns = sample.sweep.t_ns
-    for other in range(index - 1, max(index - _LOOK_BACK, 0) - 1, -1) if t_ns is not None else ():
-        before = archive[other]
-        was_ns = before.measured.t_ns
-        if before.scene != sample.scene or was_ns is None or t_ns is None or t_ns - was_ns > 1e9 * BEFORE_S[0] + 1e6:
-            return
-        if before.measured.agent == sample.sweep.agent and was_ns < t_ns:
-            yield before.sweep
 
 
 CLEAR = "clear of the threshold"

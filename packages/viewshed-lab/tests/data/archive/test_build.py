@@ -4,10 +4,9 @@ import contextlib
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from viewshed import GRIDS, Sweep, write_sweep
+from viewshed import GRIDS
 from viewshed_lab._jobs import LocalEngine
 from viewshed_lab.data.archive.build import ShardResult
 from viewshed_lab.data.archive.storage import Storage
@@ -15,26 +14,10 @@ from viewshed_lab.data.tampered import AttackPlan, sweeps_of_recording, tamper
 
 ONE = LocalEngine(1)
 PLAN = AttackPlan("uniform", 5)
-DAMAGED = b"12345"
 
 
 class _StoppedError(Exception):
     """As if the power went off."""
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    """Two sequences of three sweeps; one sweep of the first is damaged."""
-    rng = np.random.default_rng(4)
-    for sequence in ("07", "08"):
-        folder = tmp_path / "kitti" / "sequences" / sequence / "velodyne"
-        folder.mkdir(parents=True)
-        (folder.parent / "times.txt").write_text("0.0\n0.1\n0.2\n")
-        for number in range(3):
-            points = rng.normal(0, 15, (40 + number, 3)).astype(np.float32)
-            write_sweep(Sweep(points), folder / f"{number:06d}.bin")
-    (tmp_path / "kitti" / "sequences" / "07" / "velodyne" / "000001.bin").write_bytes(DAMAGED)
-    return tmp_path / "kitti"
 
 
 def run(recording: Path, out: Path, stop_after: int = 9) -> list[str]:

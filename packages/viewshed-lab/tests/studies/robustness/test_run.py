@@ -14,6 +14,7 @@ from viewshed.metrics import ConfusionCounts
 from viewshed_lab._jobs import engine_named
 from viewshed_lab.studies.cases import apply, attack_of, case_generator
 from viewshed_lab.studies.records import WEDGE, Case, Domain, Results, Series
+from viewshed_lab.studies.robustness import jobs
 from viewshed_lab.studies.robustness.jobs import do_job, evaluation_of, run_study
 from viewshed_lab.studies.robustness.plan import RobustnessPlan
 from viewshed_lab.studies.runner import Job
@@ -75,7 +76,7 @@ def test_a_defended_estimate_is_one_of_what_the_defense_leaves(sample: StudySamp
 
 def test_the_attacker_replays_two_seconds_and_the_defense_recalls_half_a_second(sample: StudySample) -> None:
     now_ns = sample.sweep.t_ns
-    replay = attack_of(Case("attack", "replay", "full"), sample, 16.0)
+    replay = attack_of(Case("attack", "replay", "full"), sample)
     assert isinstance(replay, Replay)
     temporal = evaluation_of(_job("defenses")).defenses["temporal"]
     assert isinstance(temporal, TemporalConsistency)
@@ -149,9 +150,15 @@ SMALLEST = replace(
 )  # fmt: skip
 
 
-def test_a_job_that_fails_is_named_and_the_rest_goes_on(tmp_path: Path) -> None:
-    plan = replace(SMALLEST, domains=("ugv", str(tmp_path / "nothing")), samples=(1, 1), adaptive_samples=(1, 0))
+def test_a_job_that_fails_is_named_and_the_rest_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def only_rooms(domain: str, *of: int) -> StudySample:
+        if domain == "ugv":
+            return sample_of(domain, *of)
+        raise ValueError(f"no sweep of {domain}")
+
+    monkeypatch.setattr(jobs, "_sample", only_rooms)
+    plan = replace(SMALLEST, domains=("ugv", "carla"), samples=(1, 1), adaptive_samples=(1, 0))
     failed = list(run_study(ResultStore.open(tmp_path, plan), engine_named("local", 1)))
     assert len(failed) == 4
-    assert all("nothing 0: " in line for line in failed)
+    assert all("carla 0: no sweep of carla" in line for line in failed)
     assert len(ResultStore.open(tmp_path, plan).keys()) == 5

@@ -73,11 +73,3 @@ def test_clustering_drops_the_noise_of_dbscan(points: F32, radius_m: float, fewe
     for cluster in np.unique(label[core]):
         in_cluster |= near[core & (label == cluster)].any(axis=0)
     assert np.array_equal(_dropped(ClusteringOutlierRemoval(radius_m, fewest), points), ~in_cluster)
-
-
-def test_clustering_by_hand() -> None:
-    # Five in a row 0.4 m apart: the middle three have 3 within 0.5 m; the ends belong to them; the pair is noise.
-    row = [[7 + 0.4 * k, -3, 0] for k in range(5)]
-    points = np.array([*row, [0, 9, 0], [0.1, 9, 0]], np.float32)
-    assert _dropped(ClusteringOutlierRemoval(0.5, 3), points).tolist() == [False] * 5 + [True, True]
-    assert _dropped(ClusteringOutlierRemoval(0.5, 4), points).all()

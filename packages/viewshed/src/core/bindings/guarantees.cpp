@@ -98,14 +98,6 @@ void bind_guarantees(nb::module_& m) {
         "Beams (cells, cells) that are sent through a target and not blocked before it, and where they are the least or more"
         " with gaps closed.");
     m.def(
-        "without_gaps",
-        [](In2<float> nearest) {
-            require(nearest.shape(1) % 2 == 0 && nearest.shape(1) >= 2 * GAP,
-                    "nearest must be (rings, 2 * columns), columns 4 or more");
-            return array(without_gaps(view(nearest)), {nearest.shape(0), nearest.shape(1)});
-        },
-        "nearest"_in, "Nearest ranges with gaps of up to four columns closed.");
-    m.def(
         "cells_of_beams",
         [](const SentBeams& sent, In2<float> nearest, In2<std::int32_t> margins, In2<bool> counts, std::int32_t least,
            std::int32_t most, bool opens) {

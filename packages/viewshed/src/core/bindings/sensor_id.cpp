@@ -162,15 +162,6 @@ void bind_sensor_id(nb::module_& m) {
             return tuple_of(motion->way_m[0], motion->way_m[1], motion->way_m[2], motion->seam, motion->reference);
         },
         "points"_in, "The way (3), seam and reference by which elevations of points (N, 3) gather; or None.");
-    m.def(
-        "undo_motion",
-        [](Points points, double x_m, double y_m, double z_m, double seam, double reference) {
-            Buffer<float> measured(points.shape(0) * 3);
-            undo_motion(OwnPoints(points), {{x_m, y_m, z_m}, seam, reference}, measured.view(points.shape(0), 3));
-            return array(std::move(measured), {points.shape(0), 3});
-        },
-        "points"_in, "x_m"_a, "y_m"_a, "z_m"_a, "seam"_a, "reference"_a,
-        "Points (N, 3) as a sensor in motion measured them.");
 }
 
 }  // namespace viewshed

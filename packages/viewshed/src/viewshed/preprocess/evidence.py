@@ -113,9 +113,9 @@ class BeamEvidence:
 def calibrated_prob(leveled: LeveledSweep, evidence: BeamEvidence) -> F32:
     """Return the probability (cells, cells) that a target in each cell is visible, calibrated by exact truth.
 
-    A small network (``tools/fit_calibration.py`` fits it) turns what the beams say of a cell, what they say around it, and
-    where the nearest obstacle and the farthest return of its azimuth lie, into how often such a cell is visible. Each
-    cell stays on the side of the threshold on which the beams put it.
+    A small network (``tools/fit_calibration.py`` fits it) turns what the beams say of a cell, what they say around it,
+    and where the nearest obstacle and the farthest return of its azimuth lie, into how often such a cell is visible.
+    Each cell stays on the side of the threshold on which the beams put it.
     """
     return _core.calibrated_prob(*_seen_by_network(leveled, evidence), table=poisson_table(evidence.target.min_returns))
 

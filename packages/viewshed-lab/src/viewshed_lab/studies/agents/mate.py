@@ -33,80 +33,36 @@ from numpy.typing import NDArray
 from viewshed.arrays import F64, Mask
 from viewshed.objects.association import assign
 
-PRIOR_MEANS = {"distrusted": 0.2, "untrusted": 0.5, "trusted": 0.8}
-"""Means of the three priors; their strength, α + β, is 1."""
+UNKNOWN = np.array([0.5, 0.5])
+"""α and β of who is new, and what trust returns to without measurements."""
+
+AGENT_BIAS, AGENT_THRESHOLD = 4.0, 0.4
+"""Values below the threshold move an agent by the bias; also published 6 and 0.3, 8 and 0.2, and in the air 3."""
+
+TRACK_BIAS, TRACK_THRESHOLD = 1.0, 0.4
+
+RETURN_S = 10.0
+"""After this time without measurements trust is ``UNKNOWN`` again; also published 1 s."""
+
+GATE_M, SELF_M, REACH_M = 3.0, 1.0, 70.0
+"""An agent's own track farther from the center's is none of it (also published 2 and 1); a track nearer to an agent is
+the agent; what is not matched counts up to this distance."""
+
+NEAR_M, NEAR_FRAMES, NEAR_WEIGHT = 30.0, 2, 0.25
+"""Nearer than this the weight is 1 after more frames in view than these, and before that it is the third."""
+
+FAR_FRAMES, DISTANT_M, DISTANT_WEIGHT = 3, 60.0, 0.5
+"""Farther away it grows from 0 to 1 between this number of frames in view and twice this number; farther than the
+second it is multiplied by the third."""
+
+LEAST_UPDATES, LEAST_MEASUREMENTS = 2, 2
+"""A track of the center with fewer updates is not missed; with fewer pseudo-measurements in a round it keeps its
+trust."""
+
+LEAST_TRUST = 0.4
+"""Tracks below are left out of the fused picture; in the air 0.5."""
 
 _LEAST_CONFIDENCE, _MOST_CONFIDENCE = 1e-4, 0.9999
-
-
-@dataclass(frozen=True, slots=True)
-class MateRules:
-    """The published parameters.
-
-    Attributes:
-        agent_prior, track_prior: of ``PRIOR_MEANS``.
-        prior_strength: α + β of a prior.
-        agent_bias, agent_threshold: values below the threshold move an agent by the bias; also published 6 and 0.3,
-            8 and 0.2, and in the air a bias of 3.
-        track_bias, track_threshold: the same of tracks.
-        return_s: after this time without measurements trust is (0.5, 0.5) again; also published 1 s.
-        gate_m: an agent's own track farther from the center's is none of it; also published 2 and 1.
-        self_m: a track nearer to an agent than this is the agent.
-        reach_m: what is not matched counts up to this distance.
-        near_m, near_frames, near_weight: nearer than this the weight is 1 after more frames in view than these, and
-            before that it is the third.
-        far_frames: farther away it grows from 0 to 1 between this number of frames in view and twice this number.
-        distant_m, distant_weight: farther than this it is multiplied by that.
-        least_updates: a track of the center with fewer updates is not missed.
-        least_measurements: tracks with fewer pseudo-measurements in a round keep their trust.
-        least_trust: tracks below are left out of the fused picture; in the air 0.5.
-
-    Raises:
-        ValueError: a prior is none, or a number is out of its range.
-    """
-
-    agent_prior: str = "untrusted"
-    track_prior: str = "untrusted"
-    prior_strength: float = 1.0
-    agent_bias: float = 4.0
-    agent_threshold: float = 0.4
-    track_bias: float = 1.0
-    track_threshold: float = 0.4
-    return_s: float = 10.0
-    gate_m: float = 3.0
-    self_m: float = 1.0
-    reach_m: float = 70.0
-    near_m: float = 30.0
-    near_frames: int = 2
-    near_weight: float = 0.25
-    far_frames: int = 3
-    distant_m: float = 60.0
-    distant_weight: float = 0.5
-    least_updates: int = 2
-    least_measurements: int = 2
-    least_trust: float = 0.4
-
-    def __post_init__(self) -> None:
-        for name in ("agent_prior", "track_prior"):
-            if getattr(self, name) not in PRIOR_MEANS:
-                raise ValueError(f"{name} must be one of {', '.join(PRIOR_MEANS)}, got {getattr(self, name)!r}")
-        for name in ("prior_strength", "agent_bias", "track_bias", "return_s", "gate_m"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-
-
-RETURN_TO = np.array([0.5, 0.5])
-"""α and β that trust returns to without measurements."""
-
-
-def prior(name: str, count: int, strength: float = 1.0) -> F64:
-    """Return α and β (count, 2) of a prior.
-
-    >>> prior("trusted", 1).tolist()
-    [[0.8, 0.2]]
-    """
-    mean = PRIOR_MEANS[name]
-    return np.tile(np.array([mean, round(1.0 - mean, 12)]) * strength, (count, 1))
 
 
 def mean_of(beta: F64) -> F64:
@@ -130,30 +86,29 @@ def gains(value: F64, confidence: F64, bias: float, threshold: float) -> F64:
     return np.stack([n / (n + 1) * confidence * value, n**2 / (n + 1) * confidence * (1 - value)], axis=-1)
 
 
-def forget(beta: F64, dt_s: float, return_s: float) -> F64:
+def forget(beta: F64, dt_s: float) -> F64:
     """Return Beta distributions (…, 2) after some time without measurements.
 
-    >>> forget(np.array([8.5, 0.5]), dt_s=2.5, return_s=10.0).tolist()
+    >>> forget(np.array([8.5, 0.5]), dt_s=2.5).tolist()
     [6.5, 0.5]
     """
-    share = min(1.0, dt_s / return_s)
-    return np.asarray((1.0 - share) * beta + share * RETURN_TO)
+    share = min(1.0, dt_s / RETURN_S)
+    return np.asarray((1.0 - share) * beta + share * UNKNOWN)
 
 
-def miss_weight(distance_m: F64, frames: F64, updates: F64, rules: MateRules) -> F64:
+def miss_weight(distance_m: F64, frames: F64, updates: F64) -> F64:
     """Return the weight w (…) of tracks that an agent should have seen.
 
     Args:
         distance_m: (…) from the agent.
         frames: (…) in a row in which its view covered the track.
         updates: (…) of the track at the center.
-        rules: thresholds.
     """
-    near = np.where(frames > rules.near_frames, 1.0, rules.near_weight)
-    far = np.clip((frames - rules.far_frames) / rules.far_frames, 0.0, 1.0)
-    of_view = np.where(distance_m < rules.near_m, near, far)
-    of_distance = np.where(distance_m > rules.distant_m, rules.distant_weight, 1.0)
-    return np.asarray(of_view * of_distance * (updates >= rules.least_updates))
+    near = np.where(frames > NEAR_FRAMES, 1.0, NEAR_WEIGHT)
+    far = np.clip((frames - FAR_FRAMES) / FAR_FRAMES, 0.0, 1.0)
+    of_view = np.where(distance_m < NEAR_M, near, far)
+    of_distance = np.where(distance_m > DISTANT_M, DISTANT_WEIGHT, 1.0)
+    return np.asarray(of_view * of_distance * (updates >= LEAST_UPDATES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +143,6 @@ def pseudo_measurements(
     updates: NDArray[np.int32],
     track_trust: F64,
     frames: NDArray[np.int32],
-    rules: MateRules,
 ) -> PseudoMeasurements:
     """Return what an agent and the tracks of the center say of each other in one round.
 
@@ -199,16 +153,15 @@ def pseudo_measurements(
         updates: (J,) of each.
         track_trust: (J, 2) α and β of each.
         frames: (J,) in a row, this one counted, in which the agent's view covered it.
-        rules: thresholds.
     """
     between = np.linalg.norm(xy_m[:, None] - report.seen_xy_m[None], axis=-1)
-    is_matched = assign(rules.gate_m - between) >= 0
+    is_matched = assign(GATE_M - between) >= 0
     distance_m = np.linalg.norm(xy_m - report.xy_m, axis=-1)
-    is_self = distance_m < rules.self_m
-    is_missed = ~is_matched & ~is_self & report.covers & (distance_m <= rules.reach_m)
+    is_self = distance_m < SELF_M
+    is_missed = ~is_matched & ~is_self & report.covers & (distance_m <= REACH_M)
     is_matched &= ~is_self
 
-    weight = miss_weight(distance_m, frames.astype(np.float64), updates.astype(np.float64), rules)
+    weight = miss_weight(distance_m, frames.astype(np.float64), updates.astype(np.float64))
     mean, sureness = mean_of(track_trust), 1.0 - 2.0 * std_of(track_trust)
     own = mean_of(agent_trust)
     values = np.full((4, len(xy_m)), np.nan)
@@ -231,24 +184,21 @@ class MateTrust:
     0.5
     """
 
-    rules: MateRules = field(default_factory=MateRules)
     agents: dict[str, F64] = field(default_factory=dict)
     tracks: dict[int, F64] = field(default_factory=dict)
     _frames: dict[tuple[str, int], int] = field(default_factory=dict)
     _t_s: float | None = None
 
     def of_agent(self, agent: str) -> float:
-        """Return the mean trust of an agent; of one that nobody has heard, that of the prior."""
-        unknown = prior(self.rules.agent_prior, 1, self.rules.prior_strength)[0]
-        return float(mean_of(self.agents.get(agent, unknown)))
+        """Return the mean trust of an agent; ``UNKNOWN`` of one that nobody has heard."""
+        return float(mean_of(self.agents.get(agent, UNKNOWN)))
 
     def of_tracks(self, ids: NDArray[np.int64]) -> F64:
-        """Return the mean trust (J,) of tracks; of one that nobody has heard, that of the prior."""
+        """Return the mean trust (J,) of tracks; ``UNKNOWN`` of one that nobody has heard."""
         return mean_of(self._betas(ids))
 
     def _betas(self, ids: NDArray[np.int64]) -> F64:
-        unknown = prior(self.rules.track_prior, 1, self.rules.prior_strength)[0]
-        return np.array([self.tracks.get(int(track), unknown) for track in ids]).reshape(-1, 2)
+        return np.array([self.tracks.get(int(track), UNKNOWN) for track in ids]).reshape(-1, 2)
 
     def update(
         self, t_s: float, reports: Sequence[MateReport], ids: NDArray[np.int64], xy_m: F64, updates: NDArray[np.int32]
@@ -269,32 +219,30 @@ class MateTrust:
             raise ValueError(f"time of a round must not go back, got {t_s} after {self._t_s}")
         if any(report.covers.shape != (len(ids),) for report in reports):
             raise ValueError(f"each view must say of {len(ids)} tracks whether it covers them")
-        rules = self.rules
-        # 1. Forget; who is new begins with the prior.
+        # 1. Forget; who is new begins with ``UNKNOWN``.
         dt_s = 0.0 if self._t_s is None else t_s - self._t_s
         self._t_s = t_s
-        fresh = prior(rules.agent_prior, 1, rules.prior_strength)[0]
-        self.agents = {name: forget(beta, dt_s, rules.return_s) for name, beta in self.agents.items()}
-        self.agents |= {report.agent: fresh for report in reports if report.agent not in self.agents}
+        self.agents = {name: forget(beta, dt_s) for name, beta in self.agents.items()}
+        self.agents |= {report.agent: UNKNOWN for report in reports if report.agent not in self.agents}
         is_known = np.array([int(track) in self.tracks for track in ids], np.bool_)
         betas = self._betas(ids)
-        betas[is_known] = forget(betas[is_known], dt_s, rules.return_s)
+        betas[is_known] = forget(betas[is_known], dt_s)
 
         # 2. What each agent and each track say of each other, all by the trust at the beginning of the round.
         found = []
         for report in reports:
             frames = self._count_frames(report, ids)
-            found.append(pseudo_measurements(report, self.agents[report.agent], xy_m, updates, betas, frames, rules))
+            found.append(pseudo_measurements(report, self.agents[report.agent], xy_m, updates, betas, frames))
 
         # 3. Move agents, and those tracks about which enough was reported.
         for report, one in zip(reports, found, strict=True):
-            gain = gains(one.agent_value, one.agent_confidence, rules.agent_bias, rules.agent_threshold)
+            gain = gains(one.agent_value, one.agent_confidence, AGENT_BIAS, AGENT_THRESHOLD)
             self.agents[report.agent] = self.agents[report.agent] + np.nansum(gain, axis=0)
         if found:
             values = np.stack([one.track_value for one in found])
             confidences = np.stack([one.track_confidence for one in found])
-            gain = np.nansum(gains(values, confidences, rules.track_bias, rules.track_threshold), axis=0)
-            is_enough = (~np.isnan(values)).sum(axis=0) >= rules.least_measurements
+            gain = np.nansum(gains(values, confidences, TRACK_BIAS, TRACK_THRESHOLD), axis=0)
+            is_enough = (~np.isnan(values)).sum(axis=0) >= LEAST_MEASUREMENTS
             betas = betas + gain * is_enough[:, None]
         self.tracks = {int(track): beta for track, beta in zip(ids, betas, strict=True)}
 

@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from viewshed.agents.honest import HonestModel
 from viewshed.agents.many import CommandCenter
 from viewshed.agents.rounds import FALSE_RATE, Round
 from viewshed.agents.trust import QUESTIONS, TrustLimits
 from viewshed.arrays import F64, Mask
+from viewshed.monitor.roc import auroc
 from viewshed.show.fused import fused_picture
 from viewshed_lab._page import facts
 from viewshed_lab.studies.agents.lies import LIES
 from viewshed_lab.studies.agents.plan import HONEST, HONEST_MODEL, ONSET_S, STATED, UNSTATED, AgentsPlan
 from viewshed_lab.studies.agents.runs import Run, SceneCases
 from viewshed_lab.studies.agents.scenes import MAST_M, PITCH_DEG, Scene, scene_path
-from viewshed_lab.studies.formatting import commits, format_interval, format_rate, mean
+from viewshed_lab.studies.formatting import commits, format_rate, format_share, mean
 from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.records import Results
 from viewshed_lab.studies.store import ResultStore
@@ -110,7 +110,7 @@ class AgentsResults:
             centers = ("ours", "no trust", "all tracks")
             ours, other, every = (mean(_gospa(run, name) for run in runs) for name in centers)
             rows.append([
-                case, str(len(runs)), _share([bool(self.accused(run).any()) for run in runs]),
+                case, str(len(runs)), format_share([bool(self.accused(run).any()) for run in runs], "wilson"),
                 format_rate(float((lowest < 0.5).mean())), f"{ours:.2f} m", f"{other:.2f} m", f"{every:.2f} m",
             ])  # fmt: skip
         header = (
@@ -140,7 +140,7 @@ class AgentsResults:
             delay = f"{delay_s:g}" if np.isfinite(delay_s) else "–"
             rows.append([
                 name, str(len(runs[0].liars)), format_rate(self.area(runs)), format_rate(_published_area(runs, self)),
-                format_rate(mean(caught)), _share(honest), _share(victims), delay,
+                format_rate(mean(caught)), format_share(honest, "wilson"), format_share(victims, "wilson"), delay,
                 format_rate(float((trust < 0.5).mean())), f"{ratio:.2f} / {published:.2f}",
                 f"{len(runs)} of {len(self.of(name, counting=False))}",
             ])  # fmt: skip
@@ -155,7 +155,7 @@ class AgentsResults:
         """Return the AUROC of the scores: liars against honest agents of scenes in which nobody lies."""
         honest = np.concatenate([self._rank(run, asked) for run in self.of(HONEST)])
         liars = np.concatenate([self._rank(run, asked)[run.liars] for run in runs])
-        return _area(honest, liars)
+        return auroc(honest, liars)
 
     def _rank(self, run: Run, asked: Sequence[str]) -> F64:
         """Return how much speaks against each agent (A,) by some questions, on the scale of those of its kind."""
@@ -270,26 +270,12 @@ def _published_area(runs: Sequence[Run], found: AgentsResults) -> float:
     after = round(ONSET_S * found.plan.hz)
     honest = np.concatenate([-np.min(run.published_trust[after:], axis=0) for run in found.of(HONEST)])
     liars = np.concatenate([-np.min(run.published_trust[after:], axis=0)[run.liars] for run in runs])
-    return _area(honest, liars)
-
-
-def _area(below: F64, above: F64) -> float:
-    """Return the share of pairs in which the second number is larger, ties half."""
-    below = np.sort(below)
-    count = np.searchsorted(below, above, "left") + np.searchsorted(below, above, "right")
-    return float((count / (2.0 * len(below))).mean())
+    return auroc(honest, liars)
 
 
 def _gospa(run: Run, center: str) -> float:
     values: NDArray[Any] = np.array(run.gospa[center])
     return float(values[len(values) // 4 :].mean())
-
-
-def _share(flags: Sequence[bool]) -> str:
-    if not flags:
-        return "–"
-    low, high = binomtest(sum(flags), len(flags)).proportion_ci(method="wilson")
-    return format_interval(sum(flags) / len(flags), (float(low), float(high)))
 
 
 def files_of(store: ResultStore[AgentsPlan]) -> dict[str, bytes]:

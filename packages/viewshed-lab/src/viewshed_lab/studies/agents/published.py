@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.agents.many import AgentReport, CommonPicture
-from viewshed_lab.studies.agents.mate import MateReport, MateTrust
+from viewshed_lab.studies.agents.mate import LEAST_TRUST, MateReport, MateTrust
 
 
 @dataclass(slots=True)
@@ -40,7 +40,7 @@ class PublishedTrust:
         ]  # fmt: skip
         self._mate.update(picture.t_s, mate_reports, tracks.ids, xy_m, np.array(list(self._updates.values()), np.int32))
         trust = np.array([self._mate.of_agent(agent) for agent in picture.agents])
-        believed = tracks.confirmed & (self._mate.of_tracks(tracks.ids) >= self._mate.rules.least_trust)
+        believed = tracks.confirmed & (self._mate.of_tracks(tracks.ids) >= LEAST_TRUST)
         return trust, np.asarray(believed)
 
 

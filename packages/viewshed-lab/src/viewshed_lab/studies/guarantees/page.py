@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from io import BytesIO
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+import pandas as pd
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from scipy.stats import beta
 
 from viewshed.fov.estimate import FovEstimate
 from viewshed.guarantees.certificate import certify
@@ -20,8 +20,15 @@ from viewshed.guarantees.conformal import BANDS_M, PLACE_EDGES, THRESHOLDS, lowe
 from viewshed.guarantees.envelope import Threat
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts
-from viewshed_lab.studies.figures import compared
-from viewshed_lab.studies.formatting import format_interval, format_number, format_rate, format_rates
+from viewshed_lab.studies.figures import compared, png_of
+from viewshed_lab.studies.formatting import (
+    format_interval,
+    format_number,
+    format_rate,
+    format_rates,
+    format_share,
+    share_interval,
+)
 from viewshed_lab.studies.guarantees import attacks
 from viewshed_lab.studies.guarantees.driving import CASES, CERTIFIED, LAST_S, MONITORS, STAYS_S, drive_through
 from viewshed_lab.studies.guarantees.jobs import ALPHA, DELTA, TARGETS, Line, calibration_of, lines_of, retested_shares
@@ -32,19 +39,23 @@ from viewshed_lab.studies.pages import Picture, Table, fill_template
 def files_of(folder: Path) -> dict[str, bytes]:
     """Return the page ``guarantees.md``, the last, and its picture, as files by name."""
     lines = {part: lines_of(folder, part) for part in _PARTS}
+    retested = retested_shares(folder)
+    made: dict[str, tuple[list[Line], Callable[[list[Line]], Table | Picture | None]]] = {
+        "certificates": (lines["certificates"], _certificates), "final": (lines["certificates"], _final),
+        "picture": (lines["attacks"], lambda _: _picture()), "attacks": (lines["attacks"], _attacks),
+        "worst": (lines["attacks"], _worst), "worst_picture": (lines["attacks"], _worst_picture),
+        "adapted": (lines["adapted"], _adapted), "broken": (lines["broken"], _broken),
+        "driving": (lines["driving"], _driving), "strip": (lines["driving"], _strip),
+        "speeds": (lines["speeds"], _speeds), "masks": (lines["report"], partial(_masks, folder)),
+        "attacked": (lines["attacked"], _attacked), "places": (lines["calibration"], lambda _: _places(folder)),
+        "development": (retested, _development), "survey": (lines["survey"], _survey),
+        "crossview": (lines["crossview"], _crossview), "costs": (lines["costs"], _costs),
+    }  # fmt: skip
     page = fill_template(
         "guarantees/page.md", counts={part: len(of) for part, of in lines.items()}, alpha=ALPHA, delta=DELTA,
-        aims=_aims(folder, lines), certificates=_certificates(lines["certificates"]),
-        final=_final(lines["certificates"]),
-        attacks=_attacks(lines["attacks"]), worst=_worst(lines["attacks"]),
-        worst_picture=_worst_picture(lines["attacks"]), adapted=_adapted(lines["adapted"]),
-        broken=_broken(lines["broken"]), masks=_masks(folder, lines["report"]), places=_places(folder),
-        attacked=_attacked(lines["attacked"]), costs=_costs(lines["costs"]),
-        development=_development(folder), survey=_survey(lines["survey"]), crossview=_crossview(lines["crossview"]),
-        picture=_picture() if lines["attacks"] else None, driving=_driving(lines["driving"]),
-        speeds=_speeds(lines["speeds"]), filled=_filled(lines["speeds"]), certified=CERTIFIED,
+        aims=_aims(retested, lines), filled=_filled(lines["speeds"]), certified=CERTIFIED,
         drives=_drives(lines["driving"]), last_s=f"{LAST_S:g}", stays_s=f"{STAYS_S:g}",
-        strip=_strip(lines["driving"]) if lines["driving"] else None,
+        **{name: make(of) if of else None for name, (of, make) in made.items()},
     )  # fmt: skip
     seeds = ", ".join(f"{name} {seed}" for name, seed in SEEDS.items())
     about = facts(
@@ -59,21 +70,8 @@ _STATES = ListedColormap(["#b9b4c7", "#dcefff", "#4f6d8f", "#6d6875"])
 AIMED = ("far wall", "removal", "ghost wall", "weather")
 """The cases of the aim, which was set before any drive; those who vanish came later."""
 
-_PARTS = (
-    "certificates",
-    "broken",
-    "adapted",
-    "calibration",
-    "development",
-    "report",
-    "attacked",
-    "costs",
-    "attacks",
-    "survey",
-    "driving",
-    "speeds",
-    "crossview",
-)
+_PARTS = ("certificates", "broken", "adapted", "calibration", "report", "attacked", "costs", "attacks", "survey",
+          "driving", "speeds", "crossview")  # fmt: skip
 
 
 def _sum(lines: list[Line], key: str, kind: str) -> Any:
@@ -100,7 +98,7 @@ Aim = tuple[str, str, str, bool | None]
 """What was aimed at, what was wanted, what was measured, and whether that meets it; None where nothing shows it."""
 
 
-def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
+def _aims(retested: list[Line], lines: dict[str, list[Line]]) -> Table | None:
     """Return the aims of the study."""
     rows: list[Aim] = []
     if of := lines["certificates"]:
@@ -145,8 +143,8 @@ def _aims(folder: Path, lines: dict[str, list[Line]]) -> Table | None:
             "guaranteed mask, own scenes, a car: scenes with a false share above α / recall", "≤ .100 / ≥ .850",
             format_rates(beyond, recall), beyond <= 0.1 and recall >= 0.85,
         ))  # fmt: skip
-    if found_dev := retested_shares(folder):
-        shares, kept = np.array([one["retested"] for one in found_dev]).T
+    if retested:
+        shares, kept = np.array([one["retested"] for one in retested]).T
         rows.append((
             "the same on other worlds, retested on 50 of them / kept of what the default rightly claims",
             "≤ .100 / ≥ .700", format_rates(float((shares > ALPHA).mean()), float(kept.mean())),
@@ -186,10 +184,8 @@ def _aims_of_costs(lines: list[Line]) -> list[Aim]:
     ]  # fmt: skip
 
 
-def _costs(lines: list[Line]) -> Table | None:
+def _costs(lines: list[Line]) -> Table:
     """Return what a sweep costs in milliseconds."""
-    if not lines:
-        return None
     costs = {name: of for name, of in lines[0].items() if name != "number"}
     heads = [f"{sensor}, {points:,} points, ms" for sensor, (_, _, points) in costs["added"].items()]
     rows = [
@@ -233,10 +229,8 @@ def _longer(lines: list[Line], case: str, monitor: str) -> list[float]:
     return [time_s / without_s for time_s, without_s in both_s if max(time_s, without_s) < LAST_S]
 
 
-def _certificates(lines: list[Line]) -> Table | None:
+def _certificates(lines: list[Line]) -> Table:
     """Return what the envelope is worth by the ground that is given and the threat."""
-    if not lines:
-        return None
     rows = []
     for key in (key for key in lines[0] if " | " in key):
         ground, words = key.split(" | ")
@@ -251,10 +245,8 @@ def _certificates(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
-def _final(lines: list[Line]) -> Table | None:
+def _final(lines: list[Line]) -> Table:
     """Return what is left of the default's claims inside the envelope."""
-    if not lines:
-        return None
     default = np.sum([line["default"] for line in lines], axis=0)
     rows = [["default alone", "", _precision_recall(default), format_rate(_f1(default)), "", ""]]
     for key in (key for key in lines[0] if " | " in key):
@@ -274,51 +266,39 @@ def _final(lines: list[Line]) -> Table | None:
 
 def _attacks(lines: list[Line]) -> Table | None:
     """Return how many attacks of each threat and kind were tried, and how many broke a certificate."""
-    tried: dict[str, list[int]] = defaultdict(lambda: [0, 0, 0, 0])
-    kinds = (*attacks.HOW, "exhaustive")
-    for line in lines:
-        for key, tally in line["tallies"].items():
-            words, how = key.split(" | ")
-            for name in (words.partition(":")[0], "all"):
-                tried[name][kinds.index(how)] += tally["tried"]
-    if not tried:
-        return None
-    broken = dict.fromkeys(tried, 0)
-    for line in lines:
-        for key, tally in line["tallies"].items():
-            broken[key.partition(":")[0].partition(" ")[0]] += tally["violations"]
-            broken["all"] += tally["violations"]
-    rows = [[f"`{name}`" if name != "all" else name, *map(str, counts), str(sum(counts)), str(broken[name])]
-            for name, counts in tried.items() if name != "all"]  # fmt: skip
-    rows.append(["all", *map(str, tried["all"]), str(sum(tried["all"])), str(broken["all"])])
+    tallies = pd.DataFrame([
+        {"threat": key.partition(" ")[0].partition(":")[0], "how": key.split(" | ")[1], **tally}
+        for line in lines for key, tally in line["tallies"].items()
+    ])  # fmt: skip
+    kinds, rows = (*attacks.HOW, "exhaustive"), []
+    for name, some in [*tallies.groupby("threat", sort=False), ("all", tallies)]:
+        counts = some.groupby("how")["tried"].sum().reindex(kinds, fill_value=0)
+        rows.append(
+            [name if name == "all" else f"`{name}`", *map(str, [*counts, counts.sum(), some["violations"].sum()])]
+        )
     return Table(["threat", *kinds, "attacks", "violations"], rows)
 
 
 def _bounds(lines: list[Line]) -> dict[str, list[tuple[float, float]]]:
     """Return by threat, for each own scene, the worst attack that was found and the bound, in m²."""
     found: dict[str, list[tuple[float, float]]] = defaultdict(list)
-    for line in lines:
-        by_threat: dict[str, list[Line]] = defaultdict(list)
-        for key, tally in line["tallies"].items():
-            by_threat[key.split(" | ")[0]].append(tally)
-        for words, tallies in by_threat.items():
-            if not line["toy"]:
-                found[words].append((max(tally["best_m2"] for tally in tallies), tallies[0]["bound_m2"]))
+    for line in (line for line in lines if not line["toy"]):
+        tallies = pd.DataFrame(list(line["tallies"].values()), index=[key.split(" | ")[0] for key in line["tallies"]])
+        for words, few in tallies.groupby(level=0, sort=False):
+            found[words].append((few["best_m2"].max(), few["bound_m2"].iloc[0]))
     return found
 
 
 def _worst(lines: list[Line]) -> Table | None:
     """Return the bound against the worst attack that was found, by threat, over the own scenes."""
-    found = _bounds(lines)
-    if not found:
-        return None
     rows = []
-    for words, pairs in found.items():
+    for words, pairs in _bounds(lines).items():
         best, bound = np.array(pairs).T
         acted = best > 0
         ratio = float(np.mean(bound[acted] / best[acted])) if acted.any() else float("nan")
         rows.append([f"`{words}`", f"{best.mean():.1f}", f"{bound.mean():.1f}", format_number(ratio, 1)])
-    return Table(["threat", "worst attack found, m²", "bound, m²", "bound / worst, mean over scenes"], rows)
+    header = ["threat", "worst attack found, m²", "bound, m²", "bound / worst, mean over scenes"]
+    return Table(header, rows) if rows else None
 
 
 def _worst_picture(lines: list[Line]) -> Picture | None:
@@ -329,7 +309,6 @@ def _worst_picture(lines: list[Line]) -> Picture | None:
     if not found:
         return None
     figure = Figure((5.6, 3.2), dpi=90, layout="constrained")
-    FigureCanvasAgg(figure)
     axis = figure.subplots()
     beams = sorted(found)
     for column, (name, color) in enumerate((("worst attack found", "#c05a2b"), ("bound", "#2b5aa0"))):
@@ -339,17 +318,11 @@ def _worst_picture(lines: list[Line]) -> Picture | None:
     axis.set(xscale="log", yscale="log", xlabel="replaced beams", ylabel="opened, m²", xticks=beams, xticklabels=beams)
     axis.minorticks_off()
     axis.legend(frameon=False)
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png")
-    return Picture(
-        "guarantees_bound.png", drawn.getvalue(), "Bound and worst attack found, by number of replaced beams."
-    )
+    return Picture("guarantees_bound.png", png_of(figure), "Bound and worst attack found, by number of replaced beams.")
 
 
-def _adapted(lines: list[Line]) -> Table | None:
+def _adapted(lines: list[Line]) -> Table:
     """Return what an attacker with 150 returns on beams opens who asks the victim."""
-    if not lines:
-        return None
     names = {"default": "default", "final": "default ∩ envelope"}
     names |= {words: f"its certified part, `{words}`" for words in WITHSTOOD}
     rows = [
@@ -364,10 +337,8 @@ def _adapted(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
-def _broken(lines: list[Line]) -> Table | None:
+def _broken(lines: list[Line]) -> Table:
     """Return what is certified against added points where an assumption does not hold."""
-    if not lines:
-        return None
     rows = []
     for name in (name for name in lines[0] if name != "number"):
         right, false, visible, inside, outside = np.sum([line[name] for line in lines], axis=0)
@@ -375,44 +346,34 @@ def _broken(lines: list[Line]) -> Table | None:
     return Table(["assumption", "certified: precision / recall", "envelope: precision / recall"], rows)
 
 
-def _interval(count: int, trials: int) -> tuple[float, float]:
-    low = beta.ppf(0.025, count, trials - count + 1) if count else 0.0
-    return float(low), float(beta.ppf(0.975, count + 1, trials - count)) if count < trials else 1.0
-
-
-def _masks(folder: Path, lines: list[Line]) -> Table | None:
+def _masks(folder: Path, lines: list[Line]) -> Table:
     """Return how often the guaranteed mask breaks its promise on own scenes that no calibration saw."""
-    if not lines:
-        return None
     rows = []
     for target in TARGETS:
         calibration = calibration_of(folder, target)
         found = [line[target] for line in lines]
-        broken, default = (sum(one[key] > ALPHA for one in found) for key in ("false_share", "default_false_share"))
+        broken, default = ([one[key] > ALPHA for one in found] for key in ("false_share", "default_false_share"))
         thresholds = ", ".join(
             format_rate(float(t)) for t in THRESHOLDS[calibration.levels[calibration.step(ALPHA, DELTA)]]
         )
         rows.append([
-            target, thresholds, format_interval(broken / len(found), _interval(broken, len(found))),
-            format_rate(default / len(found)), format_rate(float(np.mean([one["recall"] for one in found]))),
-            format_rate(float(np.mean([one["of_default"] for one in found]))),
+            target, thresholds, format_share(broken),
+            *(format_rate(float(np.mean(some)))
+              for some in (default, [one["recall"] for one in found], [one["of_default"] for one in found])),
         ])  # fmt: skip
     header = ["target", "thresholds by range band", "scenes with a false share above α", "the default alone",
               "recall of the truth", "kept of what the default rightly claims"]  # fmt: skip
     return Table(header, rows)
 
 
-def _attacked(lines: list[Line]) -> Table | None:
+def _attacked(lines: list[Line]) -> Table:
     """Return what is false of a guaranteed mask, a car, and of the default's claim, by the attack on the sweep."""
-    if not lines:
-        return None
     rows = []
     for attack in (name for name in lines[0] if name != "number"):
         row = [attack]
         for claim in ("guaranteed", "default"):
             right, false, _ = np.array([line[attack][claim] for line in lines]).T
-            broken = int((false / np.maximum(right + false, 1e-9) > ALPHA).sum())
-            row += [format_interval(broken / len(lines), _interval(broken, len(lines))),
+            row += [format_share(false / np.maximum(right + false, 1e-9) > ALPHA),
                     format_rate(float(false.sum() / (right + false).sum()))]  # fmt: skip
         rows.append(row)
     header = ["attack", "scenes with a false share above α", "false share of the whole claim",
@@ -420,10 +381,8 @@ def _attacked(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
-def _places(folder: Path) -> Table | None:
+def _places(folder: Path) -> Table:
     """Return the lower bounds of visibility by bin of probability and band, for a car."""
-    if not lines_of(folder, "calibration"):
-        return None
     seen = calibration_of(folder, "car").seen
     heads = [f"p ≥ {format_rate(float(edge))}" for edge in PLACE_EDGES]
     rows = [
@@ -433,11 +392,8 @@ def _places(folder: Path) -> Table | None:
     return Table(["range", *heads], rows)
 
 
-def _development(folder: Path) -> Table | None:
+def _development(found: list[Line]) -> Table:
     """Return the same for worlds that it was not made for: by the own calibration, and retested on 50 other scenes."""
-    found = retested_shares(folder)
-    if not found:
-        return None
     rows = []
     masks = {
         "own": "calibration of the own scenes",
@@ -446,20 +402,14 @@ def _development(folder: Path) -> Table | None:
     }
     for name, words in masks.items():
         shares, kept = np.array([one[name] for one in found]).T
-        broken = int((shares > ALPHA).sum())
-        promised = format_interval(broken / len(shares), _interval(broken, len(shares)))
-        rows.append([words, promised, format_rate(float(kept.mean()))])
-    default = sum(one["default_false_share"] > ALPHA for one in found)
-    rows.append(
-        ["the default alone", format_interval(default / len(found), _interval(default, len(found))), format_rate(1.0)]
-    )
+        rows.append([words, format_share(shares > ALPHA), format_rate(float(kept.mean()))])
+    default = [one["default_false_share"] > ALPHA for one in found]
+    rows.append(["the default alone", format_share(default), format_rate(1.0)])
     return Table(["mask", "scenes with a false share above α", "kept of what the default rightly claims"], rows)
 
 
-def _survey(lines: list[Line]) -> Table | None:
+def _survey(lines: list[Line]) -> Table:
     """Return the shares of the claimed cells whose ground lies elsewhere than the surveyed one, or behind a box."""
-    if not lines:
-        return None
     rows = []
     for name in (name for name in lines[0] if name != "number"):
         surveyed, off, behind = np.sum([line[name] for line in lines], axis=0)
@@ -469,10 +419,8 @@ def _survey(lines: list[Line]) -> Table | None:
     return Table(header, rows)
 
 
-def _crossview(lines: list[Line]) -> Table | None:
+def _crossview(lines: list[Line]) -> Table:
     """Return over-claim and under-claim on real posed sequences, by sensor and mask."""
-    if not lines:
-        return None
     rows = []
     for line in lines:
         rates = [line[name] for name in ("over", "under")]
@@ -481,23 +429,21 @@ def _crossview(lines: list[Line]) -> Table | None:
     return Table(["sensor", "mask", "over-claim", "under-claim"], rows)
 
 
-def _driving(lines: list[Line]) -> Table | None:
+def _driving(lines: list[Line]) -> Table:
     """Return collisions, needless stops and travel times of the closed loop, by case and monitor."""
-    if not lines:
-        return None
     rows = []
     for case in CASES:
         for monitor in MONITORS:
             of = [line for line in lines if (line["case"], line["monitor"]) == (case, monitor)]
             if not of:
                 continue
-            hit, passed = sum(line["collided"] for line in of), [x["time_s"] for x in of if x["time_s"] < LAST_S]
+            hit, passed = [line["collided"] for line in of], [x["time_s"] for x in of if x["time_s"] < LAST_S]
             longer = _longer(lines, case, monitor)
             more = f" ({100 * np.mean(longer) - 100:+.0f} %)" if longer else ""
             stood = np.array([line["needless_s"] for line in of])
             spread = f" ±{1.96 * np.std(passed, ddof=1) / np.sqrt(len(passed)):.1f}" if len(passed) > 1 else ""
             rows.append([
-                case, monitor, str(len(of)), f"{hit}: {format_interval(hit / len(of), _interval(hit, len(of)))}",
+                case, monitor, str(len(of)), f"{sum(hit)}: {format_share(hit)}",
                 f"{stood.mean():.1f} s in {int((stood > 0).sum())}", f"{sum(line['alarm_s'] > 0 for line in of)}",
                 str(len(passed)), f"{np.mean(passed):.1f}{spread}{more}" if passed else "–",
             ])  # fmt: skip
@@ -511,17 +457,15 @@ def _drives(lines: list[Line]) -> str:
     if not lines:
         return "no drives"
     counts = Counter((line["case"], line["monitor"]) for line in lines).values()
-    least, most = (f"{_interval(0, count)[1]:.0%}".replace("%", " %") for count in (max(counts), min(counts)))
+    least, most = (f"{share_interval(0, count)[1]:.0%}".replace("%", " %") for count in (max(counts), min(counts)))
     return (
         f"{min(counts)} to {max(counts)} drives a pair: where none hit, that shows no more than collisions below"
         f" {least} (most drives) or {most} (fewest)"
     )
 
 
-def _speeds(lines: list[Line]) -> Table | None:
+def _speeds(lines: list[Line]) -> Table:
     """Return how fast the car may drive if only what is certified counts, by threat."""
-    if not lines:
-        return None
     rows = []
     for words in (name for name in lines[0] if name not in ("number", "filled")):
         speeds = np.array([line[words] for line in lines])
@@ -542,7 +486,6 @@ def _strip(
     """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
     monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
     figure = Figure((12.5, 1.3 * len(monitors)), dpi=80, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(len(monitors), len(times), squeeze=False)
     for monitor, row in zip(monitors, axes, strict=True):
         frames: list[tuple[float, float, tuple[float, float], FovEstimate]] = []
@@ -560,9 +503,7 @@ def _strip(
             axis.plot(*walker, "o", color="crimson", markersize=5)
             axis.set_title(f"{time_s:.0f} s, {speed_mps:.0f} m/s", fontsize=8)
         row[0].set_ylabel(monitor + (", hit" if drive.collided else ""), fontsize=8)
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png")
-    return Picture("guarantees_driving.png", drawn.getvalue(), "What the car believes while it drives, by monitor.")
+    return Picture("guarantees_driving.png", png_of(figure), "What the car believes while it drives, by monitor.")
 
 
 def _picture(number: int = 1) -> Picture:
@@ -583,12 +524,9 @@ def _picture(number: int = 1) -> Picture:
         "opened by the attack": after.claim & ~clean.open(),
     }
     figure = Figure((12.5, 3.4), dpi=90, layout="constrained")
-    FigureCanvasAgg(figure)
     for axis, (title, claim) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
         axis.imshow(compared(claim, scene.visible["car"], scene.known)[::-1, ::-1], interpolation="nearest")
         axis.set_title(title, fontsize=9)
         axis.set(xticks=[], yticks=[])
-    drawn = BytesIO()
-    figure.savefig(drawn, format="png")
     alt = "Envelope without attack and under one, certified cells, cells that the attack opened."
-    return Picture("guarantees.png", drawn.getvalue(), alt)
+    return Picture("guarantees.png", png_of(figure), alt)

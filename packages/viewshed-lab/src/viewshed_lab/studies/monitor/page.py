@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from importlib import resources
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -18,18 +17,17 @@ from viewshed.monitor.evidence import EVIDENCE
 from viewshed.monitor.roc import auroc
 from viewshed.monitor.score import Past, numbers_of, sector_scores
 from viewshed.monitor.tails import peaks_of
-from viewshed_lab._page import facts, page, table
+from viewshed_lab._page import facts, page
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.studies.monitor.streams import ONSETS, StreamEvidence
 from viewshed_lab.studies.monitor.traces import Called
+from viewshed_lab.studies.pages import Table, fill_template
 
 ASKED = (1.0, 6.0, 10.0)
 """False alarms an hour."""
 
 HONEST = (*ONSETS, "stated_noise")
 """Cases that are no attack: conditions that begin, and poses whose noise begins and is stated."""
-
-TITLE = "Alarms of streams"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,61 +116,47 @@ def files_of(
         raise ValueError("a page needs streams to report on, got none; run the study")
     # Hours of surprises by sector would fill the memory, and only the scores are asked for.
     every = [*judged, *(_scores_alone(judge(calibration, stream)) for stream in benign)]
-    text = resources.files("viewshed_lab").joinpath("studies/monitor/page.md").read_text(encoding="utf-8")
-    minutes = sum(one.hours for one in every) * 60.0
-    words = text.format(
-        places=len({one.stream.style for one in judged}), minutes=f"{minutes:.0f}",
-        calibration_minutes=f"{calibration.hours * 60.0:.0f}", styles=", ".join(plan.calibration),
-        promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
-    ).split("<!-- table -->")  # fmt: skip
-    tables = [
-        _places(calibration, every), _groups(calibration, every), _families(calibration, judged),
-        _reliability(calibration, every), _left_out(calibration, judged), _tried(left_out), _clean(every),
-        _worsened(judged),
-        _traces(called) + "".join("\n\n" + strip for strip in _strips(called)),
-    ]  # fmt: skip
-    parts = [part for pair in zip(words, [*tables, ""], strict=True) for part in pair]
+    rates = _rates(calibration, every)
+    page = fill_template(
+        "monitor/page.md", places=len({one.stream.style for one in judged}),
+        minutes=f"{rates['hours'].sum() * 60.0:.0f}", calibration_minutes=f"{calibration.hours * 60.0:.0f}",
+        styles=", ".join(plan.calibration), promises="\n".join(f"- {calibration.promise(rate)}" for rate in ASKED),
+        places_table=_rate_table([("all", rates), *rates.groupby("style", sort=False)]),
+        groups_table=_rate_table([(f"{key}: {value}", some) for key in ("sensor", "conditions", "speed", "poses")
+                                  for value, some in rates.groupby(key, sort=False)]),
+        families_table=_families(calibration, judged), reliability_table=_reliability(calibration, every),
+        left_out_table=_left_out(calibration, judged), tried_table=_tried(left_out), clean_table=_clean(every),
+        worsened_table=_worsened(judged), traces=[_traces(called), *_strips(called)],
+    )  # fmt: skip
     about = facts(
         seed=str(plan.seed),
         plan=plan.name,
         streams=f"{len(judged)} of {plan.seconds:g} s with attacks, {len(every) - len(judged)} without",
     )
-    return {"monitor.md": page(TITLE, about, *(part.strip() for part in parts if part.strip())).encode()}
+    return page.files("monitor.md", about)
 
 
-def _rate_rows(calibration: Calibration, groups: Mapping[str, Sequence[Judged]]) -> list[list[str]]:
+def _rates(calibration: Calibration, judged: Sequence[Judged]) -> pd.DataFrame:
+    """Return one row for each stream: style and facts, hours, and the false alarms at the limits of ``ASKED``."""
+    limits = {asked: calibration.limit(asked, extrapolate=True) for asked in ASKED}
+    return pd.DataFrame([
+        {"style": one.stream.style, **one.stream.facts, "hours": one.hours}
+        | {asked: one.alarms(limit) for asked, limit in limits.items()}
+        for one in judged
+    ])  # fmt: skip
+
+
+def _rate_table(groups: Iterable[tuple[str, pd.DataFrame]]) -> Table:
+    """Return the false alarms of groups of streams, and how many that is an hour."""
     rows = []
-    for name, members in groups.items():
-        hours, cells = sum(one.hours for one in members), []
-        for asked in ASKED:
-            limit = calibration.limit(asked, extrapolate=True)
-            alarms = sum(one.alarms(limit) for one in members)
+    for name, some in groups:
+        hours, cells = some["hours"].sum(), []
+        for alarms in some[[*ASKED]].sum():
             low, high = rate_interval(alarms, hours)
             cells += [str(alarms), f"{alarms / hours:.1f} [{low:.1f}, {high:.1f}]"]
         rows.append([name, f"{hours * 60:.1f}", *cells])
-    return rows
-
-
-_RATE_HEADER = [
-    "",
-    "minutes",
-    *(word for asked in ASKED for word in (f"alarms at a limit of {asked:g} an hour", f"an hour, limit of {asked:g}")),
-]
-
-
-def _places(calibration: Calibration, judged: Sequence[Judged]) -> str:
-    by_style: dict[str, list[Judged]] = {"all": list(judged)}
-    for one in judged:
-        by_style.setdefault(one.stream.style, []).append(one)
-    return table(_RATE_HEADER, _rate_rows(calibration, by_style))
-
-
-def _groups(calibration: Calibration, judged: Sequence[Judged]) -> str:
-    groups: dict[str, list[Judged]] = {}
-    for key in ("sensor", "conditions", "speed", "poses"):
-        for one in judged:
-            groups.setdefault(f"{key}: {one.stream.facts[key]}", []).append(one)
-    return table(_RATE_HEADER, _rate_rows(calibration, groups))
+    words = [(f"alarms at a limit of {asked:g} an hour", f"an hour, limit of {asked:g}") for asked in ASKED]
+    return Table(["", "minutes", *(word for both in words for word in both)], rows)
 
 
 def _by_family(judged: Sequence[Judged]) -> dict[str, F32]:
@@ -189,7 +173,7 @@ def _scores(surprises: F32) -> F32:
     return np.asarray(sector_scores(surprises).max(axis=-1))
 
 
-def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
+def _families(calibration: Calibration, judged: Sequence[Judged]) -> Table:
     benign = np.concatenate([one.scores for one in judged])
     rows, means = [], []
     kinds = list(EVIDENCE)
@@ -205,20 +189,20 @@ def _families(calibration: Calibration, judged: Sequence[Judged]) -> str:
     mean = np.mean(means, axis=0)
     rows.append(["mean of the attacks", "", f"{mean[0]:.3f}", *(f"{one:.2f}" for one in mean[1:]), ""])
     limits = (f"caught in .5 s at {r:g} alarms an hour" for r in ASKED)
-    return table(["attack", "cases", "onset AUROC", *limits, "median surprise"], rows)
+    return Table(["attack", "cases", "onset AUROC", *limits, "median surprise"], rows)
 
 
-def _reliability(calibration: Calibration, judged: Sequence[Judged]) -> str:
+def _reliability(calibration: Calibration, judged: Sequence[Judged]) -> Table:
     shares = (0.1, 0.03, 0.01, 0.003, 0.001)
     rows = []
     for name in ["all", *sorted({one.stream.style for one in judged})]:
         members = [one for one in judged if name in ("all", one.stream.style)]
         p: F64 = np.concatenate([[calibration.p_value(float(s)) for s in one.scores] for one in members])
         rows.append([name, *(f"{(p <= share).mean():.4f}" for share in shares)])
-    return table(["share of sweeps with p at most", *(f"{share:g}" for share in shares)], rows)
+    return Table(["share of sweeps with p at most", *(f"{share:g}" for share in shares)], rows)
 
 
-def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
+def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> Table:
     """Return what the monitor loses without each kind of evidence: at the limit that raises as many false alarms."""
     limit, hours = calibration.limit(6.0, extrapolate=True), sum(one.hours for one in judged)
     count = max(sum(one.alarms(limit) for one in judged), 1)
@@ -234,52 +218,44 @@ def _left_out(calibration: Calibration, judged: Sequence[Judged]) -> str:
         area = np.mean([auroc(every, one[:, 0]) for one in found])
         caught = np.mean([(one.max(axis=1) > own_limit).mean() for one in found])
         rows.append([name, f"{area:.3f}", f"{caught:.2f}"])
-    return table(["left out", "onset AUROC, mean", f"caught in .5 s at {count / hours:.0f} an hour, mean"], rows)
+    return Table(["left out", "onset AUROC, mean", f"caught in .5 s at {count / hours:.0f} an hour, mean"], rows)
 
 
-def _tried(found: Mapping[str, tuple[int, float, float]]) -> str:
+def _tried(found: Mapping[str, tuple[int, float, float]]) -> Table:
     """Return what evidence that was tried and left out says of each attack on development streams."""
     rows = [[name, str(cases), f"{area:.2f}", f"{late:.2f}"] for name, (cases, area, late) in found.items()]
-    return table(["attack", "cases", "onset AUROC of mixed pixels", "share with returns out of their time"], rows)
+    return Table(["attack", "cases", "onset AUROC of mixed pixels", "share with returns out of their time"], rows)
 
 
-def _clean(judged: Sequence[Judged]) -> str:
+def _clean(judged: Sequence[Judged]) -> Table:
     """Return of how many sweeps without a corruption the sensor is said to see worse than it did, by conditions."""
-    groups: dict[str, list[Judged]] = defaultdict(list)
-    for one in judged:
-        groups[one.stream.facts["conditions"]].append(one)
     rows = []
-    for name, members in sorted(groups.items()):
-        every = np.concatenate([one.stream.degraded for one in members])
+    for name in sorted({one.stream.facts["conditions"] for one in judged}):
+        members = [one.stream.degraded for one in judged if one.stream.facts["conditions"] == name]
+        every = np.concatenate(members)
         rows.append([name, str(len(members)), str(len(every)), f"{every.mean():.3f}"])
-    return table(["conditions", "streams", "sweeps", "share degraded"], rows)
+    return Table(["conditions", "streams", "sweeps", "share degraded"], rows)
 
 
-def _worsened(judged: Sequence[Judged]) -> str:
+def _worsened(judged: Sequence[Judged]) -> Table:
     """Return in what share of the streams a corruption of the highest severity makes the sensor degraded in .5 s."""
-    called: dict[str, list[bool]] = defaultdict(list)
-    for one in judged:
-        for name, found in one.stream.worsened.items():
-            called[name].append(found)
-    shares = {name: float(np.mean(found)) for name, found in called.items()}
-    rows = [[name, f"{share:.2f}"] for name, share in shares.items()]
-    return table(["corruption, severity 5", "share called"], [*rows, ["mean", f"{np.mean([*shares.values()]):.2f}"]])
+    shares = pd.DataFrame([one.stream.worsened for one in judged], dtype=float).mean()
+    rows = [[name, f"{share:.2f}"] for name, share in [*shares.items(), ("mean", shares.mean())]]
+    return Table(["corruption, severity 5", "share called"], rows)
 
 
-def _traces(called: Sequence[Called]) -> str:
+def _traces(called: Sequence[Called]) -> Table | str:
     rows = []
-    for name in sorted({one.trace for one in called}):
-        of_trace = [one for one in called if one.trace == name]
-        spoofed, honest = [c for c in of_trace if c.is_spoofed], [c for c in of_trace if not c.is_spoofed]
+    for name, of_trace in pd.DataFrame(map(asdict, called)).groupby("trace") if called else ():
+        spoofed, honest = of_trace[of_trace["is_spoofed"]], of_trace[~of_trace["is_spoofed"]]
+        counts = [(spoofed, "inconsistent"), (honest, "inconsistent"), (honest, "degraded")]
         rows.append([
-            name, f"{sum(c.inconsistent for c in spoofed)} of {len(spoofed)}",
-            f"{sum(c.inconsistent for c in honest)} of {len(honest)}",
-            f"{sum(c.degraded for c in honest)} of {len(honest)}",
-            ", ".join(f"{c.number}: {c.score:.1f}" for c in spoofed),
-            f"{max((c.score for c in honest), default=math.nan):.1f}",
+            name, *(f"{some[what].sum()} of {len(some)}" for some, what in counts),
+            ", ".join(f"{one.number}: {one.score:.1f}" for one in spoofed.itertuples()),
+            f"{honest['score'].max():.1f}",
         ])  # fmt: skip
     header = ["trace", "spoofed called", "honest called", "honest degraded", "scores of the spoofed", "highest honest"]
-    return table(header, rows) if rows else "The traces were not given."
+    return Table(header, rows) if rows else "The traces were not given."
 
 
 def _strips(called: Sequence[Called]) -> list[str]:

@@ -20,9 +20,9 @@ from viewshed.arrays import F32, Mask
 from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.monitor.degraded import NOW_SWEEPS, SensorState
-from viewshed.monitor.evidence import EVIDENCE, SECTORS, MonitoredSweep, measure_all, sector_of
+from viewshed.monitor.evidence import EVIDENCE, SECTORS, MonitoredSweep, measure_all
 from viewshed.monitor.stream_monitor import EvidenceStream
-from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.wild import wild_tables
@@ -34,7 +34,6 @@ from viewshed_lab.sim.world import Agent, AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
 from viewshed_lab.studies.monitor.plan import MonitorPlan
 from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
-from viewshed_lab.threats.attacks.base import Tampered
 from viewshed_lab.threats.corruptions import CORRUPTIONS
 
 ATTACKED_SWEEPS = 5
@@ -167,11 +166,9 @@ class StreamEvidence:
         name: of the stream.
         style: of its world.
         facts: sensor, conditions, poses and speed.
-        kinds: (E,) names of the evidence.
         benign: (T, E, SECTORS) of each sweep.
         cases: (C,) name of the attack, and its first sweep.
         attacked: (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps.
-        touched: (C, SECTORS) bool, where returns were added or removed.
         degraded: (T,) bool, sweeps of which the monitor says that the sensor sees worse than it did.
         worsened: whether it says so of a corruption that begins after them and lasts, by its name, where made.
     """
@@ -179,24 +176,22 @@ class StreamEvidence:
     name: str
     style: str
     facts: dict[str, str]
-    kinds: tuple[str, ...]
     benign: F32
     cases: tuple[tuple[str, int], ...]
     attacked: F32
-    touched: Mask
     degraded: Mask
     worsened: dict[str, bool]
 
     def save(self, path: Path) -> None:
         """Write it at once or not at all; numbers in half precision."""
         about = {
-            "name": self.name, "style": self.style, "facts": self.facts, "kinds": self.kinds, "cases": self.cases,
+            "name": self.name, "style": self.style, "facts": self.facts, "kinds": tuple(EVIDENCE), "cases": self.cases,
             "worsened": self.worsened,
         }  # fmt: skip
         file = io.BytesIO()
         np.savez_compressed(
             file, about=np.frombuffer(json.dumps(about).encode(), np.uint8), benign=_halved(self.benign),
-            attacked=_halved(self.attacked), touched=self.touched, degraded=self.degraded,
+            attacked=_halved(self.attacked), degraded=self.degraded,
         )  # fmt: skip
         write_atomic(path, file.getvalue())
 
@@ -209,9 +204,9 @@ class StreamEvidence:
             # What is measured no more is left out.
             rows = [about["kinds"].index(name) for name in EVIDENCE]
             return cls(
-                about["name"], about["style"], about["facts"], tuple(EVIDENCE),
+                about["name"], about["style"], about["facts"],
                 file["benign"][:, rows].astype(np.float32), cases, file["attacked"][:, :, rows].astype(np.float32),
-                file["touched"], file["degraded"], dict(about["worsened"]),
+                file["degraded"], dict(about["worsened"]),
             )  # fmt: skip
 
 
@@ -225,7 +220,7 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     plan, grid = stream.plan, stream.grid
     every = round(plan.attack_every_s * plan.hz)
     sweeps, past, state, degraded = list[Sweep](), EvidenceStream(), SensorState(), list[bool]()
-    benign, cases, attacked, touched = [], list[tuple[str, int]](), [], []
+    benign, cases, attacked = [], list[tuple[str, int]](), []
     places_m = list[NDArray[np.float64]]()
     for number in range(round(plan.seconds * plan.hz)):
         sweep = stream.sweep(number)
@@ -239,14 +234,13 @@ def measure_stream(stream: Stream) -> StreamEvidence:
                     tampered = list(_tamper(stream, name, number, clean, sweeps))
                 except ValueError:
                     continue
-                branch, seen, found = past.copy(), list[LeveledSweep](), []
+                branch, found = past.copy(), []
                 for one in tampered:
-                    seen.append(level(one.sweep, grid))
-                    found.append(branch.measure(seen[-1]))
-                    branch.add(seen[-1])
+                    leveled = level(one, grid)
+                    found.append(branch.measure(leveled))
+                    branch.add(leveled)
                 cases.append((name, number))
                 attacked.append(np.stack(found))
-                touched.append(_touched_sectors(tampered[0], level(clean[0], grid), seen[0]))
         leveled = level(sweep, grid)
         benign.append(past.measure(leveled))
         past.add(leveled)
@@ -260,8 +254,8 @@ def measure_stream(stream: Stream) -> StreamEvidence:
     shape = (ATTACKED_SWEEPS, len(EVIDENCE), SECTORS)
     corruptions = CORRUPTIONS if stream.part == "report" else ()
     return StreamEvidence(
-        stream.name, stream.style, facts, tuple(EVIDENCE), np.stack(benign), tuple(cases),
-        np.array(attacked, np.float32).reshape(-1, *shape), np.array(touched, np.bool_).reshape(-1, SECTORS),
+        stream.name, stream.style, facts, np.stack(benign), tuple(cases),
+        np.array(attacked, np.float32).reshape(-1, *shape),
         np.array(degraded, np.bool_),
         {
             name: called
@@ -294,14 +288,14 @@ def _worsens(stream: Stream, name: str, sweeps: Sequence[Sweep], state: SensorSt
     return found
 
 
-def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past: Sequence[Sweep]) -> Iterator[Tampered]:
+def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past: Sequence[Sweep]) -> Iterator[Sweep]:
     """Yield sweeps of a stream as an attack changes them; what is aimed keeps its place before the sensor.
 
     Raises:
         ValueError: the attack cannot be made of these sweeps.
     """
     if name in ONSETS:
-        yield from (_as_a_whole(stream.sweep(first + k, name)) for k in range(len(clean)))
+        yield from (stream.sweep(first + k, name) for k in range(len(clean)))
         return
     azimuth: float | None = None
     rng_of_all = stream.rng("attack", name, first)
@@ -310,7 +304,7 @@ def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past:
     for k, sweep in enumerate(clean):
         rng = stream.rng("attack", name, first, "steady" if name == "pose_spoof" else k)
         if name in OWN_ATTACKS:
-            yield _as_a_whole(OWN_ATTACKS[name](sweep, direction, k, rng))
+            yield OWN_ATTACKS[name](sweep, direction, k, rng)
             continue
         if name == "replay" and len(past) < REPLAYED_SWEEPS - 1:
             raise ValueError("a replay needs earlier sweeps")
@@ -321,11 +315,7 @@ def _tamper(stream: Stream, name: str, first: int, clean: Sequence[Sweep], past:
         tampered = cast(Attack, attack).apply(sweep, rng)
         if azimuth is None and tampered.wedge is not None:
             azimuth = tampered.wedge.azimuth
-        yield tampered
-
-
-def _as_a_whole(sweep: Sweep) -> Tampered:
-    return Tampered(sweep, np.ones(len(sweep), np.bool_), np.zeros(0, np.bool_))
+        yield tampered.sweep
 
 
 def _drift(sweep: Sweep, direction: NDArray[np.float64], k: int, _: np.random.Generator) -> Sweep:
@@ -366,21 +356,6 @@ OWN_ATTACKS: dict[str, Callable[[Sweep, NDArray[np.float64], int, np.random.Gene
     "stated_noise": _stated_noise,
 }  # fmt: skip
 """Attacks on the whole sweep or on its pose, beside those of ``ATTACKS``."""
-
-
-def _touched_sectors(tampered: Tampered, clean: LeveledSweep, seen: LeveledSweep) -> Mask:
-    """Return which sectors (SECTORS,) hold a return that an attacker added or removed."""
-    touched = np.zeros(SECTORS, np.bool_)
-    for leveled, points in (
-        (seen, tampered.sweep.points[tampered.added]),
-        (
-            clean,
-            clean.sweep.points[tampered.removed] if len(tampered.removed) == len(clean.sweep) else np.zeros((0, 3)),
-        ),
-    ):
-        x, y, _ = (leveled.level_from_sensor @ points.astype(np.float64)).T
-        touched[sector_of(np.arctan2(y, x))] = True
-    return touched
 
 
 def run_streams(

@@ -34,7 +34,6 @@ class Called:
     p_value: float  # NaN where too few sweeps came before
     score: float
     inconsistent: bool
-    alarm: bool
     degraded: bool
     reason: str  # the first; empty for none
 
@@ -61,11 +60,10 @@ def call_trace(archive: Path, monitor: StreamMonitor) -> list[Called]:
     called, sensor = [], UNIDENTIFIED
     for number, sweep in trace_sweeps(archive):
         leveled = level(sweep, GRIDS["road"], sensor)
-        report, sensor = watching.check(leveled), leveled.sensor_id
-        now = report.now
+        now, sensor = watching.check(leveled).now, leveled.sensor_id
         called.append(
             Called(
-                name, number, number in SPOOFED.get(name, ()), now.p_value, now.score, now.inconsistent, report.alarm,
+                name, number, number in SPOOFED.get(name, ()), now.p_value, now.score, now.inconsistent,
                 now.degraded, now.reasons[0] if now.reasons else "",
             )
         )  # fmt: skip

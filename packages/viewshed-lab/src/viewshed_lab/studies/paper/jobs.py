@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from viewshed.estimators import Estimator
 from viewshed.estimators.unet import UnetEstimator
+from viewshed.monitor.deviation import DeviationMonitor
 from viewshed.networks.card import Runner
 from viewshed.preprocess.leveling import level
 from viewshed.sweep import Sweep
 from viewshed_lab._jobs import Engine, LocalEngine
-from viewshed_lab.studies.cases import DEFAULT, apply, generator, strength_cases
-from viewshed_lab.studies.deviation.jobs import fit_monitor, watch
-from viewshed_lab.studies.deviation.plan import Trials
+from viewshed_lab.studies.cases import DEFAULT, apply, corruption_cases, generator, strength_cases
 from viewshed_lab.studies.evaluate import Evaluation
 from viewshed_lab.studies.paper.data import SPLITS, evaluation_of, held_out, make_archive, open_archive, preset_of
 from viewshed_lab.studies.paper.models import (
@@ -33,6 +33,7 @@ from viewshed_lab.studies.paper.models import (
     train,
     weights_of,
 )
+from viewshed_lab.studies.paper.monitor import watch
 from viewshed_lab.studies.paper.plan import CLASSICAL, MIXTURES, PROTOCOLS, STEPS, VARIANTS, Model, PaperPlan
 from viewshed_lab.studies.paper.protocols import ProtocolSetting, setting_of
 from viewshed_lab.studies.plan import JobKey, check_names
@@ -194,19 +195,14 @@ def _monitor(job: Job[PaperPlan]) -> JobResult:
          for n in range(plan.monitor_frames)]
         for part in range(3)
     )  # fmt: skip
-    trials = Trials(
-        corruptions=plan.monitor_corruptions, severity=plan.monitor_severity,
-        false_alarm_rate=plan.monitor_false_alarms, seed=plan.test_seed,
-    )  # fmt: skip
-    monitor = fit_monitor(estimator, fit, calibrate, trials)
-    rows = [
-        row
-        for number, sample in enumerate(report)
-        for row in watch(
-            monitor, estimator, sample, trials, domain=plan.monitor_domain, method=job.key[1], number=number
-        )
-    ]
-    return JobResult(rows, {"limit": monitor.limit})
+    monitor = DeviationMonitor.fit(estimator.estimate(sample.sweep) for sample in fit)
+    benign = (estimator.estimate(sample.sweep) for sample in calibrate)
+    monitor = monitor.calibrated(benign, plan.monitor_false_alarms)
+    cases = [BENIGN, *(Case("attack", name, DEFAULT) for name in ATTACKS),
+             *corruption_cases(plan.monitor_corruptions, (plan.monitor_severity,))]  # fmt: skip
+    of: dict[str, Any] = {"domain": plan.monitor_domain, "method": job.key[1], "seed": plan.test_seed}
+    found = [watch(monitor, estimator, sample, cases, number, **of) for number, sample in enumerate(report)]
+    return JobResult([row for rows in found for row in rows], {"limit": monitor.limit})
 
 
 @dataclass(frozen=True, slots=True)

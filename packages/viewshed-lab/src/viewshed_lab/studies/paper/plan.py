@@ -129,6 +129,7 @@ class PaperPlan(Plan):
             check_seed(key, getattr(self, key))
         if self.seed == self.test_seed:
             raise ValueError(f"test_seed must not be the seed that is trained on, got {self.test_seed} for both")
+        CORRUPTIONS["fog"](self.monitor_severity)
         self._check_sizes()
         self._check_held_out()
 

@@ -11,8 +11,6 @@ from viewshed.metrics import ConfusionCounts
 from viewshed_lab.data.drive import OBJECT_KINDS
 from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
 from viewshed_lab.studies.cases import DEFAULT
-from viewshed_lab.studies.deviation.page import monitor_table as table_of_monitor
-from viewshed_lab.studies.deviation.page import rows_of
 from viewshed_lab.studies.formatting import (
     CALIBRATION,
     best_of_row,
@@ -29,6 +27,7 @@ from viewshed_lab.studies.pages import Table
 from viewshed_lab.studies.paper.data import preset_of
 from viewshed_lab.studies.paper.jobs import TRADE
 from viewshed_lab.studies.paper.models import chosen_of, fold_scores
+from viewshed_lab.studies.paper.monitor import rows_of
 from viewshed_lab.studies.paper.plan import MIXTURES, VARIANTS, PaperPlan
 from viewshed_lab.studies.paper.protocols import setting_of
 from viewshed_lab.studies.paper.published import TESTED_ON, PaperResults, SubTable, targets_of
@@ -119,11 +118,23 @@ def trade_table(results: PaperResults) -> Table | None:
 
 
 def monitor_table(results: PaperResults, kind: str) -> Table | None:
-    """Return what the monitor does in each attack or corruption, by what its network was trained on."""
-    domain, seed = results.plan.monitor_domain, results.plan.test_seed
-    methods = Domain(results.monitor, domain).methods
-    rows = {f"{name}-trained": rows_of(results.monitor, domain, name, seed) for name in MIXTURES if name in methods}
-    return table_of_monitor(rows, kind) if results.monitor.facts else None
+    """Return AUROC, its interval, detections at 1 % and alarms for every attack or corruption; None without any.
+
+    By what the network was trained on.
+    """
+    domain = Domain(results.monitor, results.plan.monitor_domain)
+    trained = [name for name in MIXTURES if name in domain.methods]
+    words = ("AUROC [95 %]", "caught at 1 %", "alarms", "AUROC of the mean")
+    cells: dict[str, list[str]] = {}
+    for name in trained:
+        rows = rows_of(results.monitor, domain.name, name, results.plan.test_seed)
+        for row in rows[rows["kind"].isin(["benign", kind])].itertuples():
+            family = f" ({FAMILY[row.name]})" if row.name in FAMILY else ""
+            area = "–" if isnan(row.auroc) else format_interval(row.auroc, (row.low, row.high))
+            rates = map(format_rate, (row.caught, row.alarms, row.auroc_mean))
+            cells.setdefault(f"{row.name}{family}" if row.name else "*benign*", []).extend([area, *rates])
+    header = [kind, *(f"{word}, {name}-trained" for name in trained for word in words)]
+    return Table(header, [[name, *line] for name, line in cells.items()]) if results.monitor.facts else None
 
 
 def pair_table(results: PaperResults, protocol: str, table: SubTable) -> Table:

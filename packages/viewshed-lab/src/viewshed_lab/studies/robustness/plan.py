@@ -6,12 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from viewshed_lab.data.presets import preset_names
 from viewshed_lab.studies.cases import (
     FULL,
     MIXTURE,
     behind,
     budget_cases,
-    budgets_of,
     corruption_cases,
     strength_cases,
     strongest_case,
@@ -44,7 +44,7 @@ class RobustnessPlan(Plan):
 
     name: str
     about: str
-    domains: tuple[str, ...]  # presets of simulated data (held-out scenes are made as needed), or places of archives
+    domains: tuple[str, ...]  # presets of simulated data, of which held-out scenes are made as needed
     samples: tuple[int, ...]  # how many of each domain, one a scene as far as there are scenes
     seed: int  # of everything random; simulated domains are made with it, so it must not be one that anybody trained on
     attacks: tuple[str, ...]  # of ``ATTACKS``
@@ -54,7 +54,6 @@ class RobustnessPlan(Plan):
     severities: tuple[int, ...]  # of the corruptions, 1 to 5
     defenses: tuple[str, ...]  # of ``DEFENSES``
     defended: tuple[str, ...]  # estimators that the defenses stand before
-    defended_budgets: tuple[str, ...]  # what the defenses face besides the largest budget of each attack
     defended_severity: int  # of the corruptions that the defenses face
     paper_points: tuple[int, ...]  # numbers of points in the paper's own block
     # of ``attacks.adaptive.ADAPTIVE``: attackers who query their victim, each of all estimators
@@ -70,11 +69,10 @@ class RobustnessPlan(Plan):
             check_names(key, getattr(self, key), table)
         if not self.domains or len(self.domains) != len(self.samples) or min(self.samples) < 1:
             raise ValueError(f"samples must be a positive number for each of {list(self.domains)}, got {self.samples}")
-        if len(set(self.domains)) != len(self.domains):
-            raise ValueError(f"domains must be different, got {', '.join(self.domains)}")
+        check_names("domains", self.domains, preset_names(), once=True)
         check_seed("seed", self.seed)
         check_names("severities", (*self.severities, self.defended_severity), SEVERITIES)
-        for budget in (*self.budgets, *self.defended_budgets):
+        for budget in self.budgets:
             if budget != FULL and not budget.isdecimal():
                 raise ValueError(f"budgets must be whole numbers or {FULL}, got {budget!r}")
         if min(self.paper_points, default=0) < 0:
@@ -136,10 +134,7 @@ class RobustnessPlan(Plan):
         return iter(corruption_cases(self.corruptions, self.severities))
 
     def _defenses(self) -> Iterator[Case]:
-        faced = [BENIGN]
-        for name in self.attacks:
-            faced += [Case("attack", name, n) for n in budgets_of(name, self.defended_budgets) if n != "0"]
-            faced.append(self.strongest(name))
+        faced = [BENIGN, *map(self.strongest, self.attacks)]
         return behind([*faced, *corruption_cases(self.corruptions, (self.defended_severity,))], self.defenses)
 
     def _paper(self) -> Iterator[Case]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from viewshed.monitor.roc import auroc
 from viewshed_lab._page import facts
-from viewshed_lab.studies.formatting import commits, format_interval, format_number, format_rate
+from viewshed_lab.studies.formatting import by_name, commits, format_interval, format_number, format_rate, pivot
 from viewshed_lab.studies.pages import Table, fill_template
 from viewshed_lab.studies.plan import JobKey
 from viewshed_lab.studies.store import ResultStore
@@ -73,7 +74,7 @@ class TracksResults:
             theirs = np.array([one["gospa_m"][0] for one in self.outcomes(fov)])
             ratios.append(_ratio_of_drives(ours, theirs))
         attacked = [one for family in ("fabricate", "remove", "translate") for one in self.family(family)]
-        quiet, removed = self.outcomes(MAIN), self.family("remove")
+        quiet, removed = self.outcomes(MAIN), _forged(self.family("remove"), "removed")
         dropped = [_share(self.outcomes(fov), "occluded") for fov in (MAIN, "published")]
         lidar = [one for attack in self.plan.lidar_attacks for one in self._lidar(attack, MAIN)]
         return [
@@ -81,11 +82,11 @@ class TracksResults:
             dropped[0] / dropped[1] if dropped[1] > 0.0 else np.nan,
             _ratio(attacked),
             _share(quiet, "honest"),
-            _found(self.family("fabricate"), "ghosts", WITHIN_S),
-            _found(lidar, "ghosts"),
-            _found(removed, "removed", WITHIN_S), _found(removed, "removed"),
-            _found(self.family("translate"), "moved"),
-            _found(self.family("shift"), "moved"),
+            _found(_forged(self.family("fabricate"), "ghosts"), WITHIN_S),
+            _found(_forged(lidar, "ghosts")),
+            _found(removed, WITHIN_S), _found(removed),
+            _found(_forged(self.family("translate"), "moved")),
+            _found(_forged(self.family("shift"), "moved")),
             _ece(quiet), _ece(attacked),
         ]  # fmt: skip
 
@@ -98,11 +99,10 @@ class TracksResults:
         rows = [("Stone Soup, none", format_number(float(self._stone_soup().mean()), 2), "–", "–", "–")]
         for fov in self.plan.fovs:
             every = self.outcomes(fov)
-            before, after = _gospa(every)
             honest = np.sum([one["honest"] for one in every], axis=0)
             lost, hidden = np.sum([one["occluded"] for one in every], axis=0)
             rows.append((
-                NAMES[fov], f"{format_number(before, 2)} / {format_number(after, 2)}",
+                NAMES[fov], " / ".join(format_number(distance_m, 2) for distance_m in _gospa(every)),
                 f"{format_rate(_share(every, 'honest'))} of {honest[1]}", format_rate(_ece(every)),
                 f"{lost} of {hidden}",
             ))  # fmt: skip
@@ -110,41 +110,34 @@ class TracksResults:
 
     def found_table(self) -> Table:
         """Return the shares found by attack and field of view."""
-        rows = [(name, *(_shares(self.outcomes(fov, name)) for fov in self.plan.fovs)) for name in self.plan.attacks]
-        return Table(("attack", *(NAMES[fov] for fov in self.plan.fovs)), rows)
+        return pivot("attack", by_name(self.plan.attacks), {NAMES[fov]: fov for fov in self.plan.fovs},
+                     lambda name, fov: _shares(self.outcomes(fov, name)))  # fmt: skip
 
     def missed_table(self) -> Table:
         """Return what became of removed objects, by whether they had been tracked and could be seen."""
-        every, rows = [row for one in self.family("remove") for row in one["removed"]], []
-        for is_known, name in ((1.0, "tracked before"), (0.0, "never, or hardly, tracked")):
+        every, rows = _forged(self.family("remove"), "removed", least=0.0), []
+        for known, name in ((1.0, "tracked before"), (0.0, "never, or hardly, tracked")):
             for sure, seen in ((True, f"p ≥ {format_rate(SURE, 1)}"), (False, "less visible")):
-                found_s = [row[0] for row in every if row[3] == is_known and (row[1] >= SURE) == sure]
-                early = [0.0 <= each <= WITHIN_S + 1e-6 for each in found_s]
-                shares = [format_rate(float(np.mean(each)), 2) if found_s else "–"
-                          for each in (early, [each >= 0.0 for each in found_s])]  # fmt: skip
-                rows.append((name, seen, str(len(found_s)), *shares))
+                some = every[(every["known"] == known) & ((every["visible"] >= SURE) == sure)]
+                shares = [format_rate(_found(some, within_s), 2) for within_s in (WITHIN_S, np.inf)]
+                rows.append((name, seen, str(len(some)), *shares))
         return Table(("object", "visible", "removed", "found within 1 s", "found"), rows)
 
     def gospa_table(self) -> Table:
         """Return GOSPA by attack and field of view."""
-        rows = []
-        for name in self.plan.attacks:
-            cells = []
-            for fov in self.plan.fovs:
-                every = self.outcomes(fov, name)
-                before, after = _gospa(every)
-                cells.append(f"{before:.2f} / {after:.2f}, {format_rate(_ratio(every), 2)}")
-            rows.append((name, *cells))
-        return Table(("attack", *(NAMES[fov] for fov in self.plan.fovs)), rows)
+
+        def cell(name: str, fov: str) -> str:
+            every = self.outcomes(fov, name)
+            return f"{_both_gospa(every)}, {format_rate(_ratio(every), 2)}"
+
+        return pivot("attack", by_name(self.plan.attacks), {NAMES[fov]: fov for fov in self.plan.fovs}, cell)
 
     def auroc_table(self) -> Table:
         """Return how well what speaks against tracks tells forged objects from honest ones, whatever the limit."""
         honest, rows = [value for one in self.outcomes(MAIN) for value in one["highest"]], []
         for family, kind in FAMILIES.items():
-            forged = [
-                row[4] for one in self.family(family) for row in one[kind] if kind != "removed" or row[1] >= SURE
-            ]  # fmt: skip
-            area = auroc(honest, forged) if honest and forged else float("nan")
+            forged = _forged(self.family(family), kind)["highest"]
+            area = auroc(honest, forged) if honest and len(forged) else float("nan")
             rows.append((family, str(len(forged)), format_rate(area)))
         return Table(("attack", "forged objects", "AUROC"), rows)
 
@@ -156,32 +149,16 @@ class TracksResults:
             for fov in fovs:
                 every = self._lidar(attack, fov)
                 kind = "ghosts" if attack.startswith("ghost") else "removed"
-                forged = [row for one in every for row in one[kind] if kind == "ghosts" or row[1] >= SURE]
-                found = [row[0] >= 0.0 for row in forged]
-                alarmed = [not is_found and row[5] > 0.0 for row, is_found in zip(forged, found, strict=True)]
-                unknown = [
-                    not (is_found or is_alarmed) and row[3] == 0.0
-                    for row, is_found, is_alarmed in zip(forged, found, alarmed, strict=True)
-                ]
-                rest = len(forged) - sum(found) - sum(alarmed) - sum(unknown)
-                before, after = _gospa(every)
-                rows.append((
-                    attack, NAMES[fov], str(len(forged)), str(sum(found)), str(sum(alarmed)), str(sum(unknown)),
-                    str(rest), f"{before:.2f} / {after:.2f}",
-                ))  # fmt: skip
-        return Table(
-            (
-                "attack",
-                "field of view",
-                "objects",
-                "accused",
-                "only under alarm",
-                "never tracked",
-                "missed",
-                "GOSPA, m",
-            ),
-            rows,
-        )
+                forged = _forged(every, kind)
+                found = forged["found_s"] >= 0.0
+                alarmed = ~found & (forged["alarmed"] > 0.0)
+                unknown = ~found & ~alarmed & (forged["known"] == 0.0)
+                counts = [len(forged), found.sum(), alarmed.sum(), unknown.sum()]
+                rest = counts[0] - sum(counts[1:])
+                rows.append((attack, NAMES[fov], *map(str, (*counts, rest)), _both_gospa(every)))
+        header = ("attack", "field of view", "objects", "accused", "only under alarm", "never tracked", "missed",
+                  "GOSPA, m")  # fmt: skip
+        return Table(header, rows)
 
     def _lidar(self, attack: str, fov: str) -> Outcomes:
         return [one[fov][attack] for key, one in self.sweeps.items() if key[-1] == attack and fov in one]
@@ -218,28 +195,29 @@ def _ratio_of_drives(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> 
     return float(ours.mean() / theirs.mean()), float(low), float(high)
 
 
-def _rows(outcomes: Outcomes, kind: str) -> Iterator[float]:
-    """Yield seconds until accused (-1: never) of the forged objects of a kind; of removed ones the visible ones."""
-    for one in outcomes:
-        for row in one[kind]:
-            if kind != "removed" or row[1] >= SURE:
-                yield row[0]
+def _forged(outcomes: Outcomes, kind: str, least: float = SURE) -> pd.DataFrame:
+    """Return one row for each forged object of a kind, as :meth:`Forgery.row`; of removed ones those that were visible.
+
+    ``found_s`` is -1 for who was never accused.
+    """
+    rows = [row for one in outcomes for row in one[kind] if kind != "removed" or row[1] >= least]
+    return pd.DataFrame(rows, columns=["found_s", "visible", "shift_m", "known", "highest", "alarmed"])
 
 
-def _found(outcomes: Outcomes, kind: str, within_s: float = np.inf) -> float:
-    """Return the share of the forged objects of a kind that were accused in time; NaN of none."""
-    found = [0.0 <= found_s <= within_s + 1e-6 for found_s in _rows(outcomes, kind)]
-    return float(np.mean(found)) if found else float("nan")
+def _found(forged: pd.DataFrame, within_s: float = np.inf) -> float:
+    """Return the share of forged objects that were accused in time; NaN of none."""
+    return float(forged["found_s"].between(0.0, within_s + 1e-6).mean())
 
 
 def _shares(outcomes: Outcomes) -> str:
     """Return what was found in a case as words: of fabricated objects in time and at all, of others at all."""
     words = []
     for kind in ("ghosts", "removed", "moved"):
-        count = len(list(_rows(outcomes, kind)))
-        if count:
-            early = [format_rate(_found(outcomes, kind, WITHIN_S), 2)] if kind == "ghosts" else []
-            words.append(f"{' / '.join([*early, format_rate(_found(outcomes, kind), 2)])} of {count}")
+        forged = _forged(outcomes, kind)
+        if len(forged):
+            within_s = (WITHIN_S, np.inf) if kind == "ghosts" else (np.inf,)
+            shares = " / ".join(format_rate(_found(forged, each), 2) for each in within_s)
+            words.append(f"{shares} of {len(forged)}")
     return ", ".join(words) or "–"
 
 
@@ -249,6 +227,10 @@ def _gospa(outcomes: Outcomes) -> tuple[float, float]:
         return float("nan"), float("nan")
     before, after = np.mean([one["gospa_m"] for one in outcomes], axis=0)
     return float(before), float(after)
+
+
+def _both_gospa(outcomes: Outcomes) -> str:
+    return "{:.2f} / {:.2f}".format(*_gospa(outcomes))
 
 
 def _ratio(outcomes: Outcomes) -> float:

@@ -1,1 +1,0 @@
-"""How well the monitor's scores tell attacked sweeps from benign ones."""
