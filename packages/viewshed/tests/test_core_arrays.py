@@ -43,6 +43,9 @@ PLANE = np.zeros((4, 4), U1)
 BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_m": -2.0, "cell_m": 1.0}
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
+EVIDENCE = {"evidence": (np.full(GRID.shape, 0.4, F4),) * 5, "returns": KIND, "low_m": 0.3, "high_m": 3.0,
+         "table": _core.poisson_table(5)}  # fmt: skip
+
 GOOD: dict[str, dict[str, Any]] = {
     "range_image": {"points": POINTS, "ring": np.zeros(N, I2),
      "columns": 16, "rings": 4, "near_m": 0.5, "far_m": 100.0},
@@ -104,6 +107,7 @@ GOOD: dict[str, dict[str, Any]] = {
         "measured": KIND, "lost": (LONG,) * 5, "heights_m": FLAT, "std_m": FLAT,
         "half_extent_m": 20.0, "sensor_height_m": 1.8, "target_height_m": 1.5,
         "table": _core.poisson_table(5), "reach_m": 60.0},
+    "calibrated_prob": EVIDENCE, "cell_features": EVIDENCE,
     "CellWindows": {"range_m": np.ones((4, 4), F4), "azimuth": np.ones((4, 4), F4), "cell_m": 0.5, "width_m": 1.8},
     "interpolate": {"heights_m": FLAT, "node": np.zeros(1, I4), "down": np.zeros(1), "right": np.zeros(1)},
     "lattice_positions": {"xy": np.zeros((1, 2), F4), "half_extent_m": 1.0, "nodes": 8},
@@ -137,12 +141,18 @@ ANY_LENGTH = {
     "infer_sensor": ("points",), "find_motion": ("points",), "recover_rings": ("points",),
     "polar": ("points",), "azimuth_bins_filled": ("azimuth",), "fill_rings": ("edges",),
     "mean_and_deviation": ("probability",), "best_sectors": ("ranges",),
-    "star_vertices": ("ranges",), "beam_evidence": ("table",), "lattice_positions": ("xy",),
+    "star_vertices": ("ranges",), "beam_evidence": ("table",), "calibrated_prob": ("table",),
+    "cell_features": ("table",), "lattice_positions": ("xy",),
     "visible_before": ("boxes",), "look_at_boxes": ("boxes",), "mark_surfaces": ("surfaces",),
     "count_met": ("surfaces", "headings", "x_m", "y_m"), "compare_view": ("blockers",), "compare_past": ("places",),
     "decode_view": ("code",), "range_noise": ("points",),
 }  # fmt: skip
 """Function → arrays that may be of any length, whatever the others are."""
+
+BAD_CELLS = [
+    {"evidence": EVIDENCE["evidence"][1:]}, {"evidence": (np.zeros((4, 4), F4),) * 5}, {"returns": (LONG, LONG, SHORT)},
+    {"evidence": (*EVIDENCE["evidence"][1:], np.zeros((4, 4), F4))}, {"table": np.zeros(0, F4)},
+]  # fmt: skip
 
 REFUSED: dict[str, list[dict[str, Any]]] = {
     "range_image": [{"ring": np.full(N, 4, I2)}, {"ring": np.full(N, -2, I2)}, {"columns": 0}, {"columns": 1 << 40},
@@ -197,6 +207,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"measured": (LONG.astype(float), LONG, LONG)},
         {"heights_m": FLAT[:1, :1].copy(), "std_m": FLAT[:1, :1].copy()},
         {"std_m": FLAT[:7, :7].copy()}, {"table": np.zeros(0, F4)}, {"half_extent_m": NAN}],
+    "calibrated_prob": BAD_CELLS, "cell_features": BAD_CELLS,
     "CellWindows": [{"range_m": np.full((4, 4), -1, F4)}, {"range_m": np.full((4, 4), NAN, F4)},
                     {"azimuth": np.full((4, 4), 9, F4)}, {"range_m": np.full((4, 4), 1e9, F4)}, {"cell_m": 0.0}],
     "interpolate": [{"node": np.array([NODES * NODES - 1], I4)}],
@@ -217,9 +228,12 @@ for name in OF_VIEWS:
     REFUSED.setdefault(name, []).extend(({"x_m": NAN}, {"cell_m": 0.0}))
 
 
+OF_WINDOWS = ("beam_evidence", "calibrated_prob", "cell_features")
+
+
 def call(name: str, **changes: Any) -> Any:
     """Call a function of the core; nobody keeps the windows of cells, so that they end before it does."""
-    windows = {"windows": cell_windows(GRID, 1.8)} if name == "beam_evidence" else {}
+    windows = {"windows": cell_windows(GRID, 1.8)} if name in OF_WINDOWS else {}
     return getattr(_core, name)(**GOOD[name] | windows | changes)
 
 
