@@ -275,22 +275,10 @@ def methods() -> str:
     return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
 
 
-def doubts() -> str:
-    """Return F1 and AUROC of the doubt of the default and of the network on other worlds, from the page in the wild."""
-    part = _known("the maker's beam table")
-    rows = []
-    for method in ("shadow_map", "viewnet"):
-        agreement, beyond = re.findall(rf"^\| {method} \|.*$", part, re.MULTILINE)[:2]
-        f1, auroc = agreement.split(" | ")[4].split(" ")[0], beyond.split(" | ")[5].split(" / ")[1]
-        rows.append((f"`{method}`", f1, auroc))
-    return table(("method", "F1", "AUROC of the doubt"), rows)
-
-
 def figures() -> str:
     """Return the table of the README: what is asked, by which command, how well, on what, what was given, and where."""
     wild, ring, alone = "wild", _known("ring, time and intensity"), _known("points alone")
-    _, calibrated = re.findall(r"^\| viewnet \|.*$", _known("the maker's beam table"), re.MULTILINE)
-    doubt = calibrated.split(" | ")[5].split(" / ")[1]
+    doubt = _headline("calibration", "AUROC of its doubt").split(" → ")[1]
     over = _headline("crossview", "claimed though hidden, of the hidden columns, `shadow_map`, HDL-64E")
     alarms = _result("monitor")
     caught = next(iter(re.findall(r"^\| mean of the attacks \|.*$", alarms, re.MULTILINE))).split(" | ")[4]
@@ -303,8 +291,8 @@ def figures() -> str:
          "simulated", "points alone", wild),
         ("Is hidden ground claimed?", "evaluate crossview INDEX", f"{over} columns", "real, HDL-64E",
          "points, poses", "crossview"),
-        ("Which answers are wrong?", "estimate FILE --method viewnet", f"AUROC of the doubt {doubt}", "simulated",
-         "rings, sensor, height", "wild"),
+        ("Which answers are wrong?", "estimate FILE", f"AUROC of the doubt {doubt}", "simulated",
+         "rings; no sensor, no height", "calibration"),
         ("Is someone lying?", "monitor check DRIVE",
          f"{caught} of the attacks caught in .5 s, {false} false alarms an hour",
          "simulated, unseen places and attacks", "a limit for 6 an hour", "monitor"),
@@ -354,7 +342,7 @@ def _precision(part: str) -> str:
 GENERATED: dict[str, Callable[[], str]] = {
     make.__name__: make
     for make in (
-        command_table, attacks, corruptions, defenses, worlds, materials, weather, sensors, methods, doubts, figures
+        command_table, attacks, corruptions, defenses, worlds, materials, weather, sensors, methods, figures
     )
 }  # fmt: skip
 

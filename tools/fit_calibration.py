@@ -6,31 +6,50 @@
     python tools/fit_calibration.py make own road --scenes 40:640 --out cells
     python tools/fit_calibration.py make own indoor --scenes 16:416 --out cells
     python tools/fit_calibration.py fit cells --out packages/viewshed/src/core/calibration_network.inc
+    python tools/fit_calibration.py judge --page docs/results
 
 ``make`` writes one file for 10 scenes and goes on where it was stopped. ``fit`` keeps the last scenes of each file for
 validation, and writes the network as C++, which is compiled into the core; each part of each set counts the same. The
 scenes of ``own`` that the study of the wild judges (the first 40 and 16), the development and the sealed set are not
-used.
+used. ``judge`` writes the page of the calibration, of the former two, after the core is compiled.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 from torch import nn
 from torch.nn import functional
 
+from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.fov.visibility import TARGETS
 from viewshed.grid import polar_of_cells
 from viewshed.preprocess.evidence import beam_evidence, cell_features
 from viewshed.preprocess.leveling import level
-from viewshed_lab.data.wild import TOLD, WildScene, wild_tables
+from viewshed_lab._page import facts, page, table
+from viewshed_lab.data.wild import TOLD, WildScene, wild_scenes, wild_tables
 from viewshed_lab.sim.lidar.optics import optics_of
+from viewshed_lab.studies.formatting import format_rates
+from viewshed_lab.studies.wild.evaluate import row_of
+from viewshed_lab.studies.wild.figures import reliability_of
+from viewshed_lab.studies.wild.pool import Pool
 from viewshed_lab.training.no_return import source_of
+
+PARTS = {"road": "car", "indoor": "pedestrian"}
+COUNTED, CALIBRATED = "counted", "calibrated"
+WORDS = """What the default says of a cell, and how often it is so. *Counted*: the probability by counting beams alone.
+*Calibrated*: that of the estimate, by a network of eight units that was fitted to other worlds
+([evidence](../estimators.md#evidence)). *Development*: styles, sensors and mountings that share nothing with those it
+was fitted to; *own*: those of the presets, other scenes. Told: the maker's table, height and attitude; rings; nothing
+but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark target; the
+doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
 
 SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, UNITS, MOST_DEVIATIONS = 10, 400, 4096, 8e-3, 8, 6.0
 HELD_SHARE = 0.12
@@ -128,6 +147,41 @@ def fit(given: argparse.Namespace) -> None:
     print(f"{len(own)} cells fitted, {len(said)} held back; said/visible {text}")
 
 
+def judge(given: argparse.Namespace) -> None:
+    """Write the page: how well the probability is calibrated, beside that of counting alone."""
+    rows = []
+    for set_name, (domain, target) in product(("development", "own"), PARTS.items()):
+        for scene in wild_scenes(set_name, domain):
+            seen = scene.observe(0)
+            for told in TOLD:
+                sample = seen.sample(told)
+                leveled = level(sample.sweep, seen.truth.grid)
+                calibrated = ShadowMap(seen.truth.grid, TARGETS[target]).estimate(leveled)
+                counts = beam_evidence(leveled, seen.truth.grid, TARGETS[target]).visible_prob
+                for method, estimate in ((CALIBRATED, calibrated), (COUNTED, replace(calibrated, visible_prob=counts))):
+                    rows.append(row_of(seen, sample, estimate, leveled, method))
+    every = Pool(pd.DataFrame(rows))
+    lines = []
+    for set_name, domain, told in product(("development", "own"), PARTS, TOLD):
+        both = [every.of(set_name=set_name, domain=domain, told=told, method=name) for name in (COUNTED, CALIBRATED)]
+        f1 = format_rates(both[1].counts.f1)
+        eces = " → ".join(format_rates(pool.ece()) for pool in both)
+        aurocs = " → ".join(format_rates(pool.mean("auroc")) for pool in both)
+        lines.append((f"{domain}, {set_name}, {told}", str(len(both[0].names("scene"))), f1, eces, aurocs))
+    header = ("place", "scenes", "F1", "calibration error", "AUROC of the doubt")
+    picture = "calibration_reliability.png"
+    text = page(
+        "Calibration of the default",
+        facts(seeds="those of data/wild_sets.toml"),
+        WORDS,
+        "## Counted and calibrated\n\n" + table(header, lines),
+        f"![Share of cells that are visible over the probability said, development roads, rings given]({picture})",
+    )
+    roads = every.of(set_name="development", domain="road", told="rings")
+    (given.page / picture).write_bytes(reliability_of(roads))
+    (given.page / "calibration.md").write_text(text, encoding="utf-8")
+
+
 def make(given: argparse.Namespace) -> None:
     """Write the cells of a set."""
     first, last = map(int, given.scenes.split(":"))
@@ -157,6 +211,9 @@ def main(words: Sequence[str] | None = None) -> None:
     step.add_argument("folder", type=Path)
     step.add_argument("--steps", type=int, default=6000)
     step.add_argument("--out", type=Path, required=True)
+    step = steps.add_parser("judge")
+    step.set_defaults(work=judge)
+    step.add_argument("--page", type=Path, required=True)
     given = parser.parse_args(words)
     given.work(given)
 
