@@ -124,7 +124,7 @@ def fit(given: argparse.Namespace) -> None:
     parts = ["-".join(path.name.split("-")[:2]) for path in paths]
     cells = {part: sum(size for size, of in zip(sizes, parts, strict=True) if of == part) for part in parts}
     shares = [sum(sizes) / len(cells) / cells[part] for part in parts]
-    weight = torch.tensor(np.repeat(np.float32(shares), sizes))
+    weight = torch.tensor(np.repeat(np.array(shares, np.float32), sizes))
     own = torch.nonzero(~held)[:, 0]
     torch.manual_seed(0)
     torch.set_num_threads(1)
