@@ -69,20 +69,3 @@ def test_a_height_that_no_ground_gave_is_called_so() -> None:
     assumed = Basis(1.8, "assumed", 0.0, 1.0, 0.0, 20.0)
     assert assumed.height_line == "ground not seen, sensor taken to be 1.80 m above it, reach 20 m"
     assert replace(assumed, height_source="given").height_line == "sensor 1.80 m above the ground (given), reach 20 m"
-
-
-def test_doubt_is_larger_beside_an_edge_and_never_says_that_the_other_answer_is_likelier() -> None:
-    prob = np.zeros((32, 32), np.float32)
-    prob[:, 16:] = 1.0
-    prob[5, 5] = 1.0
-    doubt = FovEstimate(BevGrid(32, 8.0), prob, np.zeros((32, 32), np.uint8)).doubt()
-    across = doubt[20]
-    assert across[15] == pytest.approx(across[16], abs=1e-6)  # the two sides of an edge are alike
-    assert (np.diff(across[:16]) >= 0).all()
-    assert 0.1 < across[16] < 0.15
-    assert across[0] == across[-1] == 0.0
-    assert across[16] < doubt[5, 5] < 0.3  # what nothing around confirms is in the most doubt
-    rng = np.random.default_rng(0)
-    noise = FovEstimate(BevGrid(32, 8.0), rng.random((32, 32), np.float32), np.zeros((32, 32), np.uint8)).doubt()
-    assert noise.min() > 0.0
-    assert noise.max() == 0.5

@@ -84,7 +84,8 @@ def test_a_stream_of_two_sensors_is_seen_as_sweep_by_sweep(history: int, monkeyp
     monkeypatch.setattr(leveling, "identify_sensor", watched)
     for one, other in zip(single, alone.stream(iter(sweeps), history), strict=True):
         np.testing.assert_array_equal(one.state, other.state)
-        np.testing.assert_array_equal(one.visible_prob, other.visible_prob)
+        # A sensor at rest keeps its ground: its beams are counted over slightly other heights.
+        np.testing.assert_allclose(one.visible_prob, other.visible_prob, atol=0.01)
     assert asked == [None, *(lidar_model(name) for name in names[:-1])]
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed.estimators.classical import NEVER_ABSTAIN, ClassicalEstimator
+from viewshed.estimators.classical import NEVER_ABSTAIN, ClassicalEstimator, checked_abstention
 from viewshed.fov.visibility import CAR, Beams, Target, expected_returns, probability_of_visible
 from viewshed.grid import BevGrid
 from viewshed.preprocess.evidence import beam_evidence, calibrated_prob
@@ -49,6 +49,7 @@ class ShadowMap(ClassicalEstimator):
     abstain_below: float = NEVER_ABSTAIN  # cells of which it is less sure than this are UNKNOWN; .5 never abstains
 
     def __post_init__(self) -> None:
+        checked_abstention(self.abstain_below)
         if self.no_return not in NO_RETURN_RULES:
             raise ValueError(f"no_return must be one of {', '.join(NO_RETURN_RULES)}, got {self.no_return!r}")
 
