@@ -39,7 +39,7 @@ def test_cells_stay_on_their_side_and_cells_without_beams_are_silent() -> None:
     assert not prob[silent].any()
     assert prob.min() >= 0
     assert prob.max() <= 1
-    # Counting alone is surer than it may be: the same claims are said with other probabilities.
+    # The same claims are said with other probabilities.
     assert np.abs(prob - evidence.visible_prob)[~silent].mean() > 0.01
 
 
