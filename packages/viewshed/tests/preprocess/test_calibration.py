@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from viewshed import CAR, GRIDS, Sweep, load_estimator
 from viewshed.fov.estimate import THRESHOLD
+from viewshed.fov.visibility import probability_of_visible
 from viewshed.preprocess.evidence import beam_evidence, calibrated_prob, cell_features
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed_lab.data.wild import WildObservation, wild_scenes
@@ -55,6 +57,26 @@ def test_the_core_runs_the_network_whose_numbers_it_holds() -> None:
     inside = (prob > 0) & (np.abs(prob - THRESHOLD) > 1e-3)
     assert inside.mean() > 0.2
     assert np.abs(prob - said)[inside].max() < 1e-4
+
+
+def test_features_of_cells_are_those_of_numpy() -> None:
+    _, leveled = observed(3)
+    evidence = beam_evidence(leveled, GRIDS["road"], CAR)
+
+    def logit(prob: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.log2((prob + 0.01) / (1.01 - prob))
+
+    def mean_around(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+        return uniform_filter(uniform_filter(values, width, mode="nearest"), width, mode="nearest")
+
+    counted = evidence.visible_prob.astype(np.float64)
+    near = mean_around(counted, 5)
+    returns = [evidence.aimed, evidence.measured, evidence.reaching, evidence.measured + evidence.late]
+    own = probability_of_visible(evidence.reaching, CAR.min_returns).astype(np.float64)
+    wanted = [logit(counted), logit(near), logit(mean_around(near, 13)), logit(own)]
+    features = cell_features(leveled, evidence)
+    np.testing.assert_allclose(features[:4], wanted, atol=2e-3)
+    np.testing.assert_allclose(features[7:], np.log2(1 + np.maximum(returns, 0)), atol=1e-3)
 
 
 def test_features_of_a_wall_in_the_dark() -> None:
