@@ -43,8 +43,10 @@ PLANE = np.zeros((4, 4), U1)
 BOX, CORNER = np.array([[6.0, 2.0, 0.8, 4.0, 1.8, 1.5, 0.3]]), {"x_m": -2.0, "y_m": -2.0, "cell_m": 1.0}
 APEX = {"x_m": 0.0, "y_m": 0.0, "cell_m": 1.0, "apex_x_m": 1.5, "apex_y_m": 1.5, "half_m": 0.5, "bins": 8}
 
-EVIDENCE: dict[str, Any] = {"evidence": (np.full(GRID.shape, 0.4, F4),) * 5, "returns": KIND, "low_m": 0.3, "high_m": 3.0,
-         "table": _core.poisson_table(5)}  # fmt: skip
+EVIDENCE: dict[str, Any] = {
+    "evidence": (np.full(GRID.shape, 0.4, F4),) * 5, "returns": KIND, "low_m": 0.3, "high_m": 3.0,
+    "table": _core.poisson_table(5),
+}  # fmt: skip
 
 GOOD: dict[str, dict[str, Any]] = {
     "range_image": {"points": POINTS, "ring": np.zeros(N, I2),
