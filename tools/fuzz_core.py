@@ -130,6 +130,7 @@ def use_everything() -> None:
     from viewshed.io import read_sweep, write_sweep
     from viewshed.monitor.evidence import EVIDENCE, MonitoredSweep
     from viewshed.objects.detector import Detector
+    from viewshed.preprocess.evidence import beam_evidence, cell_features
     from viewshed.preprocess.leveling import level
     from viewshed.preprocess.no_return import no_return_beams, no_return_groups
     from viewshed_lab.sim import Box, Scene, cast
@@ -164,13 +165,14 @@ def use_everything() -> None:
     for words in ("replaced:5", "wedge:10", "dropped:5"):
         certify(leveled, estimate, Threat.parse(words))
     no_return_groups(leveled, 1.5)
+    cell_features(leveled, beam_evidence(leveled, grid, viewshed.CAR))
     no_return_beams(leveled, fill=True)
     inner_polygon_of_mask(estimate.visible(), grid, 12)
     sectors_of_mask(estimate.visible(), grid, 4)
     # 4. A stream: earlier sweeps end beams and confirm cells.
     poses = [viewshed.Rigid(np.eye(3), np.array([0.5 * k, 0.0, 1.8])) for k in range(4)]
     drive = [sweep.replace(world_from_sensor=pose, t_ns=k * 100_000_000) for k, pose in enumerate(poses)]
-    for _ in viewshed.load_estimator().stream(drive, history=3):
+    for _ in viewshed.load_estimator().stream(drive, history=3, require_confirmation=True):
         pass
 
 
