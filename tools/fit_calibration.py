@@ -35,12 +35,11 @@ from viewshed.preprocess.evidence import beam_evidence, cell_features
 from viewshed.preprocess.leveling import level
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.data.wild import TOLD, WildScene, wild_scenes, wild_tables
-from viewshed_lab.sim.lidar.optics import optics_of
 from viewshed_lab.studies.formatting import format_rates
-from viewshed_lab.studies.wild.evaluate import row_of
+from viewshed_lab.studies.wild.evaluate import reach_of, row_of
 from viewshed_lab.studies.wild.figures import reliability_of
 from viewshed_lab.studies.wild.pool import Pool
-from viewshed_lab.training.no_return import source_of
+from viewshed_lab.training.no_return import MOST_DEVIATIONS, source_of
 
 PARTS = {"road": "car", "indoor": "pedestrian"}
 COUNTED, CALIBRATED = "counted", "calibrated"
@@ -51,7 +50,7 @@ was fitted to; *own*: those of the presets, other scenes. Told: the maker's tabl
 but points. The calibration error is over all cells whose truth is known, as far as the sensor sees a dark target; the
 doubt is judged where beams aim. Both say the same of what is visible, so that they have one F1."""
 
-SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, UNITS, MOST_DEVIATIONS = 10, 400, 4096, 8e-3, 8, 6.0
+SCENES_OF_FILE, CELLS_OF_SWEEP, BATCH, RATE, UNITS = 10, 400, 4096, 8e-3, 8
 HELD_SHARE = 0.12
 OTHER_SHARE = 0.3
 """Of the sweeps that are also shown with the target of the other grid."""
@@ -66,10 +65,8 @@ def make_file(folder: Path, scenes: list[WildScene]) -> None:
     for scene in scenes:
         for number in range(scene.domain.sweeps):
             seen, rng = scene.observe(number), scene.rng(101, number)
-            grid, model = seen.truth.grid, seen.sensor.model
-            # As the study of the wild judges: where the truth is known, as far as the sensor sees a dark target.
-            reach_m = min(optics_of(model).reach_m, model.max_range_m)
-            known = np.flatnonzero(seen.known & (polar_of_cells(grid)[0] <= reach_m))
+            grid = seen.truth.grid
+            known = np.flatnonzero(seen.known & (polar_of_cells(grid)[0] <= reach_of(seen)))
             leveled = level(seen.told(TOLD[(scene.number + number) % len(TOLD)]), grid)
             for name, target in TARGETS.items():
                 is_own = (name == "car") == (scene.domain.name == "road")

@@ -24,7 +24,7 @@ constexpr float NO_OBSTACLE = std::numeric_limits<float>::infinity(), NO_RETURN 
 // until the one before is stored.
 constexpr std::size_t TABLES = 4;
 
-// LeveledReturns, and cells, of a part that is worth a thread.
+// Returns, and cells, of a part that is worth a thread.
 constexpr std::size_t PART = 16384;
 
 // Write the place of each return of a block in the tables.

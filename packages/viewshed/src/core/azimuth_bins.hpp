@@ -1,4 +1,4 @@
-// Azimuth bins: what the geometric estimators share. LeveledReturns by bin, and limits in range.
+// Azimuth bins: what the geometric estimators share. Returns by bin, and limits in range.
 #pragma once
 
 #include <numbers>

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <cstring>
 #include <iterator>
-#include <limits>
 
 #include "evidence.hpp"
 #include "parallel.hpp"
@@ -30,15 +29,8 @@ constexpr float LEAST_SHARE = 0.05f, FARTHEST_M = 200.0f, LEAST_RANGE_M = 0.5f;
 // A probability of 0 has the logit of this one.
 constexpr float LEAST_PROB = 0.01f;
 
-// Features are cut off this many standard deviations from their mean.
-constexpr float MOST_DEVIATIONS = 6.0f;
-
 // Cells of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
-
-// Cells that go through the network at once, and one number of each.
-constexpr std::size_t AT_ONCE = 16;
-typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
 
 INLINE float logit_of(float prob) {
     const float p = prob < 1.0f ? (prob > 0.0f ? prob : 0.0f) : 1.0f;

@@ -50,11 +50,7 @@ constexpr float LOG_NONE = 8.0f, LOG_LEAST = -1.0f;
 // Pixels of a part that is worth a thread.
 constexpr std::size_t PART = 8192;
 
-// Groups that go through the network at once, and one number of each.
-constexpr std::size_t AT_ONCE = 16;
-typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
-
-// Of these groups, number after number: features, logarithms of the ranges of stops, and 1 where nothing explains them.
+// Of the groups that go through the network at once, number after number: features, logarithms of the ranges of stops, and 1 where nothing explains them.
 struct alignas(Lanes) GroupsAtOnce {
     float feature[FEATURES * AT_ONCE], stop[STOPS * AT_ONCE], unexplained[AT_ONCE];
 };
@@ -64,9 +60,6 @@ struct alignas(Lanes) GroupsAtOnce {
 #include "no_return_network.inc"
 
 constexpr std::size_t MOST_UNITS = std::max(std::size(FIRST_BIAS), std::size(SECOND_BIAS));
-
-// Features are cut off this many standard deviations from their mean.
-constexpr float MOST_DEVIATIONS = 6.0f;
 
 // Shares of the beams of a group that went farther than their early, likely and late depth.
 constexpr std::array<float, 3> SURVIVED{0.8f, 0.5f, 0.2f};

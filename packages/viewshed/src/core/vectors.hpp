@@ -23,6 +23,12 @@ constexpr float PI = std::numbers::pi_v<float>;
 // Points of a block: columns of this length stay in the nearest memory.
 constexpr std::size_t BLOCK = 1024;
 
+// Inputs that go through a small network at once, and one number of each. Their features are cut off this many standard
+// deviations from their mean.
+constexpr std::size_t AT_ONCE = 16;
+typedef float Lanes __attribute__((vector_size(AT_ONCE * sizeof(float))));
+constexpr float MOST_DEVIATIONS = 6.0f;
+
 // The azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin. A minimax polynomial of the arctangent on
 // [0, 1], odd, to the eleventh power.
 INLINE float azimuth_of(float y, float x) {

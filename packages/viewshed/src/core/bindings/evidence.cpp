@@ -9,6 +9,7 @@
 
 #include "bindings.hpp"
 #include "calibration.hpp"
+#include "stages.hpp"
 
 namespace viewshed {
 namespace {
@@ -60,8 +61,7 @@ CellEvidence cells_of(const CellWindows& windows, const EvidenceArrays& arrays) 
 
 LeveledReturns returns_of(const ReturnArrays& arrays, float low_m, float high_m) {
     const auto& [azimuth, range_m, height_m] = arrays;
-    require(are_as_long(azimuth, range_m, height_m), "azimuth, range_m and height_m must have one shape (M,)");
-    return {view(azimuth), view(range_m), view(height_m), low_m, high_m};
+    return viewshed::returns_of(azimuth, range_m, height_m, low_m, high_m);
 }
 
 View1<const float> table_of(const In1<float>& table) {
@@ -138,7 +138,6 @@ void bind_evidence(nb::module_& m) {
         "sensor_height_m"_a, "target_height_m"_a, "table"_in, "reach_m"_a,
         "Measured, inferred, late, aimed, visible_prob, within_reach (cells, cells) of a target in each cell, from measured "
         "beams (azimuth, slope, depth), and lost ones (azimuth, slope, likely, early and late depth).");
-    m.attr("CELL_FEATURES") = int(CELL_FEATURES);
     m.def(
         "calibrated_prob",
         [](const CellWindows& windows, const EvidenceArrays& evidence, const ReturnArrays& returns, float low_m, float high_m,

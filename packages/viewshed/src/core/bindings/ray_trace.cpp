@@ -6,16 +6,17 @@
 #include "azimuth_bins.hpp"
 #include "bindings.hpp"
 #include "first_blocker.hpp"
+#include "stages.hpp"
 
 namespace viewshed {
 
-namespace {
-
 LeveledReturns returns_of(const In1<float>& azimuth, const In1<float>& range_m, const In1<float>& height_m, float low_m,
-                   float high_m) {
+                          float high_m) {
     require(are_as_long(azimuth, range_m, height_m), "azimuth, range_m and height_m must be as long");
     return {view(azimuth), view(range_m), view(height_m), low_m, high_m};
 }
+
+namespace {
 
 void require_bins(std::size_t bins) { require(bins >= 1 && bins <= MOST_BINS, "bins must lie in [1, 32767]"); }
 

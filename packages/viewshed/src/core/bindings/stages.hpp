@@ -8,11 +8,16 @@ namespace viewshed {
 // Results of stages that several bindings hand back.
 struct RangeImage;
 struct LevelPoints;
+struct LeveledReturns;
 using RangeImageArrays = Tuple<Out<std::int32_t>, Out<std::uint8_t>, Out<float>, Out<float>, Out<bool>, Out<bool>,
                                std::optional<Out<bool>>, bool>;
 using LevelArrays = Tuple<Out<float>, Out<float>, Out<float>, Out<float>, Out<std::int32_t>>;
 RangeImageArrays range_image_arrays(RangeImage&& image);
 LevelArrays level_arrays(LevelPoints&& level);
+
+// The returns (M,) of a leveled sweep that several bindings take.
+LeveledReturns returns_of(const In1<float>& azimuth, const In1<float>& range_m, const In1<float>& height_m, float low_m,
+                          float high_m);
 
 // The files of bindings, in the order in which the module offers them.
 #define VIEWSHED_BINDINGS(bind)                                                                                     \

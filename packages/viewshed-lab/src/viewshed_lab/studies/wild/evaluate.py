@@ -78,14 +78,8 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
         leveled: the sweep as it was leveled, whose ground is judged.
         method: of the row.
     """
-    grid, target, range_m, model = (
-        seen.truth.grid,
-        estimate.target,
-        polar_of_cells(seen.truth.grid)[0],
-        seen.sensor.model,
-    )
-    # The truth is geometry: beyond the range at which the sensor sees a dark target no cell is scored.
-    reach_m = min(optics_of(model).reach_m, model.max_range_m)
+    grid, target, reach_m = seen.truth.grid, estimate.target, reach_of(seen)
+    range_m, max_range_m = polar_of_cells(grid)[0], seen.sensor.model.max_range_m
     known = seen.known & (range_m <= reach_m)
     true, claimed, prob = seen.truth.visible(target), estimate.visible(), estimate.visible_prob
     unaimed = known & (seen.truth.state[target.name] == CellState.UNKNOWN)
@@ -104,7 +98,7 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
     off = known & (np.abs(ground_error_m(leveled, sample)) > OFF_M)
     areas = {
         "known_m2": known, "claimed_m2": seen.known & claimed,
-        "beyond_m2": seen.known & claimed & (range_m > model.max_range_m + grid.cell_m),
+        "beyond_m2": seen.known & claimed & (range_m > max_range_m + grid.cell_m),
         "beyond_reach_m2": seen.known & claimed & (range_m > reach_m + grid.cell_m), "off_m2": off,
         "off_sure_m2": off & claimed & (prob >= SURE),
     }  # fmt: skip
@@ -119,6 +113,12 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
         **asdict(ConfusionCounts.of(claimed, true, known, grid.cell_area_m2)),
         "bins": _bins(prob[known], true[known]).round(3).ravel().tolist(), **numbers,
     }  # fmt: skip
+
+
+def reach_of(seen: WildObservation) -> float:
+    """Return the range in meters beyond which no cell is scored: there the sensor sees no dark target."""
+    model = seen.sensor.model
+    return min(optics_of(model).reach_m, model.max_range_m)
 
 
 def ground_error_m(leveled: LeveledSweep, sample: WildSample) -> NDArray[np.float64]:
