@@ -67,7 +67,8 @@ def test_features_of_cells_are_those_of_numpy() -> None:
         return np.log2((prob + 0.01) / (1.01 - prob))
 
     def mean_around(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-        return uniform_filter(uniform_filter(values, width, mode="nearest"), width, mode="nearest")
+        filtered: NDArray[np.float64] = uniform_filter(values, width, mode="nearest")
+        return np.asarray(uniform_filter(filtered, width, mode="nearest"))
 
     counted = evidence.visible_prob.astype(np.float64)
     near = mean_around(counted, 5)
