@@ -96,10 +96,10 @@ $(VENV)/.torch: $(VENV)/.made
 	$(PIP) 'torch==2.13.0'
 	@touch $@
 
-$(VENV)/.test: $(CORE) packages/viewshed-lab/pyproject.toml $(VENV)/.torch
-	$(PIP) --editable packages/viewshed --editable 'packages/viewshed-lab[test]'
-	@touch $@ $(VENV)/.core
+$(VENV)/.test: packages/viewshed-lab/pyproject.toml $(VENV)/.core $(VENV)/.torch
+	$(PIP) --editable 'packages/viewshed-lab[test]'
+	@touch $@
 
-$(VENV)/.docs: $(CORE) $(VENV)/.made
-	$(PIP) --editable packages/viewshed --editable 'packages/viewshed-lab[docs]'
-	@touch $@ $(VENV)/.core
+$(VENV)/.docs: $(VENV)/.core
+	$(PIP) --editable 'packages/viewshed-lab[docs]'
+	@touch $@
