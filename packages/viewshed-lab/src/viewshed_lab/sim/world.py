@@ -268,9 +268,7 @@ def _across(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArra
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def poses_of_things(
-    t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def poses_of_things(t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any) -> None:
     """Fill x, y and yaw (n, k, 3) of k things ``which`` at n times, from where they rest or from their knots.
 
     Of all things: x, y, yaw at rest (things, 3) and first and last knot (things, 2); times (knots,), values (knots, 3).
@@ -284,9 +282,7 @@ def poses_of_things(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate_track(
-    t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def interpolate_track(t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any) -> None:
     """Fill x, y and yaw (n, 3) at n times, straight between the knots ``begin`` to ``end``, still outside."""
     for n in range(t_s.shape[0]):
         t = t_s[n]

@@ -39,7 +39,7 @@ def unpack_ranges(raw: Buffer, shape: tuple[int, int]) -> NDArray[np.uint16]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _unpack_ranges(raw: Any, steps: Any) -> None:  # pragma: no cover - compiled
+def _unpack_ranges(raw: Any, steps: Any) -> None:
     columns, rings = steps.shape
     high = columns * rings
     for ring in range(rings):
@@ -73,7 +73,7 @@ def unpack_states(raw: Buffer, shape: tuple[int, ...]) -> NDArray[np.uint8]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _unpack_states(raw: Any, states: Any) -> None:  # pragma: no cover - compiled
+def _unpack_states(raw: Any, states: Any) -> None:
     for k in range(states.shape[0]):
         states[k] = (raw[k >> 2] >> (2 * (k & 3))) & 3
 
@@ -107,7 +107,7 @@ def unpack_column(raw: Buffer, dtype: type[np.generic], shape: tuple[int, ...]) 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _merge(planes: Any, numbers: Any) -> None:  # pragma: no cover - compiled
+def _merge(planes: Any, numbers: Any) -> None:
     for byte in range(planes.shape[0]):
         for k in range(planes.shape[1]):
             numbers[k, byte] = planes[byte, k]

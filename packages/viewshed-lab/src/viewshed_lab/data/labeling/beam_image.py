@@ -135,7 +135,7 @@ def _mean_times(column: NDArray[np.int64], seconds: F32, columns: int) -> F32:
 @njit(cache=True, nogil=True, error_model="numpy")
 def beams_of_returns(
     points: Any, ring: Any, seconds: Any, turn: Any, velocity: Any, yaw_rate: Any, rise: Any, offset: Any
-) -> Any:  # pragma: no cover - compiled
+) -> Any:
     """Return starts (N, 3), unit directions (N, 3) in level axes, lengths (N,) and firing azimuths (N,).
 
     Of points (N, 3) in the reference frame with rings and times (N,). ``turn`` (3, 3) is level_from_sensor, velocity
@@ -169,7 +169,7 @@ def beams_of_returns(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> None:  # pragma: no cover - compiled
+def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> None:
     """Give each point a pixel of ``pixels`` (C, R): the nearer of two keeps it, the other takes an empty one nearby."""
     spare, spares = np.empty(ring.shape[0], np.int64), 0
     for n in range(ring.shape[0]):
@@ -187,7 +187,7 @@ def assign_pixels(ring: Any, column: Any, length: Any, pixels: Any) -> None:  # 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> None:  # pragma: no cover - compiled
+def _assign_nearby(n: Any, column: Any, ring: Any, pixels: Any) -> None:
     for step in range(1, JITTER_COLUMNS + 1):
         for side in (-1, 1):
             c = (column + side * step) % pixels.shape[0]
@@ -214,7 +214,7 @@ def fill_image(
     origins: Any,
     directions: Any,
     depth: Any,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Fill starts, directions (C, R, 3) and depths (C, R) from the returns and, where there is none, the pattern.
 
     ``pixels`` (C, R) are rows of the returns, whose starts, directions and lengths (N,) come from

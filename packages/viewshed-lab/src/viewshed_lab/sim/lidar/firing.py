@@ -68,9 +68,7 @@ def turned_by(rotation: NDArray[np.float64], matrices: NDArray[np.floating[Any]]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fire(
-    start_m: Any, direction: Any, turn: Any, shift_m: Any, starts: Any, turned: Any
-) -> None:  # pragma: no cover - compiled
+def _fire(start_m: Any, direction: Any, turn: Any, shift_m: Any, starts: Any, turned: Any) -> None:
     for c in range(direction.shape[0]):
         for r in range(direction.shape[1]):
             x, y, z, up = direction[c, r, 0], direction[c, r, 1], direction[c, r, 2], start_m[r]

@@ -12,7 +12,7 @@ from viewshed_lab.sim.raycast._solids import mixed
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def beam_number(c: Any, k: Any, columns: Any) -> Any:  # pragma: no cover - compiled
+def beam_number(c: Any, k: Any, columns: Any) -> Any:
     """Return where the beam of column c and ring k is in the order of the caster: blocks of rings, then columns."""
     return ((k // BLOCK) * columns + c) * BLOCK + k % BLOCK
 
@@ -20,7 +20,7 @@ def beam_number(c: Any, k: Any, columns: Any) -> Any:  # pragma: no cover - comp
 @njit(cache=True, nogil=True, error_model="numpy")
 def turn_beams(
     still: Any, turns: Any, shifts: Any, rises: Any, times: Any, direction: Any, origin: Any, beams: Any
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Fill unit directions and starts (C, R, 3) in world axes, and the same beams in the order of the caster.
 
     Args:
@@ -66,7 +66,7 @@ def measure_stops(
     thing: Any,
     material: Any,
     cosine: Any,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
 
     Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of
@@ -99,7 +99,7 @@ def measure_stops(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _planes(ground: Any) -> Any:  # pragma: no cover - compiled
+def _planes(ground: Any) -> Any:
     """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
     xs, ys, zs = ground.x, ground.y, ground.z
     planes = np.empty((2 * (xs.shape[0] - 1) * (ys.shape[0] - 1), 4))
@@ -120,7 +120,7 @@ def _planes(ground: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _on_ground(beam: Any, planes: Any, row: Any) -> Any:  # pragma: no cover - compiled
+def _on_ground(beam: Any, planes: Any, row: Any) -> Any:
     """Return depth and cosine of incidence of a beam (start and direction) on the plane of a triangle."""
     a, b = planes[row, 0], planes[row, 1]
     fall = a * beam[3] + b * beam[4] - beam[5]
@@ -128,7 +128,7 @@ def _on_ground(beam: Any, planes: Any, row: Any) -> Any:  # pragma: no cover - c
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _into(beam: Any, boxes: Any, s: Any, time: Any, local: Any) -> None:  # pragma: no cover - compiled
+def _into(beam: Any, boxes: Any, s: Any, time: Any, local: Any) -> None:
     """Store start and direction (6) of a beam in the frame of a solid."""
     x = beam[0] - boxes[s, 0, 0] - boxes[s, 5, 0] * time
     y = beam[1] - boxes[s, 0, 1] - boxes[s, 5, 1] * time
@@ -139,7 +139,7 @@ def _into(beam: Any, boxes: Any, s: Any, time: Any, local: Any) -> None:  # prag
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:
     """Depth at which the beam enters the solid, and its cosine there; ``t32`` where rounding makes it miss."""
     if kind == 0:
         return _enter_box(local, boxes, s, t32)
@@ -166,7 +166,7 @@ def _enter(local: Any, boxes: Any, s: Any, kind: Any, t32: Any) -> Any:  # pragm
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _enter_box(local: Any, boxes: Any, s: Any, t32: Any) -> Any:  # pragma: no cover - compiled
+def _enter_box(local: Any, boxes: Any, s: Any, t32: Any) -> Any:
     """The side that the beam enters last is the one it meets (slabs)."""
     near, cos = -np.inf, 1.0
     for k in range(3):

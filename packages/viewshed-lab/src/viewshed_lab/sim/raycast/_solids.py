@@ -18,7 +18,7 @@ _TINY = 1e-20
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) -> None:  # pragma: no cover - compiled
+def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) -> None:
     """Test every solid against the beams that may meet it, and keep the nearest stops.
 
     Args:
@@ -60,14 +60,14 @@ def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _speed(boxes: Any, s: Any, velocity: Any) -> Any:  # pragma: no cover - compiled
+def _speed(boxes: Any, s: Any, velocity: Any) -> Any:
     """Return how fast a solid moves, seen from the sensor."""
     x, y, z = boxes[s, 5, 0] - velocity[0], boxes[s, 5, 1] - velocity[1], boxes[s, 5, 2] - velocity[2]
     return np.sqrt(x**2 + y**2 + z**2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _local_frame(boxes: Any, s: Any, view: Any, local: Any) -> None:  # pragma: no cover - compiled
+def _local_frame(boxes: Any, s: Any, view: Any, local: Any) -> None:
     """Store rotation (9), sensor (3), the sensor's axis (3) and velocity (3) in units of the solid's half sizes.
 
     In those units every solid is a cube, a cylinder or a ball of half size 1 about the origin.
@@ -84,7 +84,7 @@ def _local_frame(boxes: Any, s: Any, view: Any, local: Any) -> None:  # pragma: 
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _ray(beams: Any, i: Any, m: Any) -> Any:  # pragma: no cover - compiled
+def _ray(beams: Any, i: Any, m: Any) -> Any:
     """Return start and direction of beam ``i`` in units of the solid's half sizes."""
     x, y, z, rise, time = beams.x[i], beams.y[i], beams.z[i], beams.rise[i], beams.time[i]
     p = m[9] + rise * m[12] + time * m[15]
@@ -95,7 +95,7 @@ def _ray(beams: Any, i: Any, m: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _between_slabs(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any) -> Any:  # pragma: no cover - compiled
+def _between_slabs(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any) -> Any:
     """Depths at which a beam enters and leaves a cube of half size 1 (slabs, Kay and Kajiya 1986)."""
     n0, f0 = _slab(p, u)
     n1, f1 = _slab(q, v)
@@ -105,7 +105,7 @@ def _between_slabs(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any) -> Any:  # pr
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _slab(start: Any, direction: Any) -> Any:  # pragma: no cover - compiled
+def _slab(start: Any, direction: Any) -> Any:
     """Depths at which a coordinate enters and leaves [-1, 1]; along it they are infinite."""
     per = np.float32(1.0) / direction
     a, b = (np.float32(-1.0) - start) * per, (np.float32(1.0) - start) * per
@@ -113,7 +113,7 @@ def _slab(start: Any, direction: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) -> Any:  # pragma: no cover - compiled
+def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) -> Any:
     """Depths at which a beam enters and leaves a cylinder (``flat``) or a ball of radius 1.
 
     Roots of |o + t d|² = 1 from the distance of the line to the middle, |o × d| / |d|, which does not cancel; a
@@ -135,9 +135,7 @@ def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _opaque_boxes(
-    beams: Any, local: Any, base: Any, many: Any, s: Any, nearest: Any
-) -> None:  # pragma: no cover - compiled
+def _opaque_boxes(beams: Any, local: Any, base: Any, many: Any, s: Any, nearest: Any) -> None:
     """Stop beams ``base`` to ``base + many`` where they enter box ``s``."""
     depth, winner = nearest.depth, nearest.winner
     for n in range(many):
@@ -150,9 +148,7 @@ def _opaque_boxes(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _opaque_rounds(
-    beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, nearest: Any
-) -> None:  # pragma: no cover - compiled
+def _opaque_rounds(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, nearest: Any) -> None:
     """Stop beams ``base`` to ``base + many`` where they enter cylinder (``flat``) or ellipsoid ``s``."""
     depth, winner = nearest.depth, nearest.winner
     for n in range(many):
@@ -165,9 +161,7 @@ def _opaque_rounds(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _box_volumes(
-    beams: Any, local: Any, base: Any, many: Any, s: Any, paths: Any, nearest: Any
-) -> None:  # pragma: no cover - compiled
+def _box_volumes(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: Any, nearest: Any) -> None:
     """Stop beams their free path into box ``s``, unless they leave it before."""
     depth, winner = nearest.depth, nearest.winner
     for n in range(many):
@@ -181,9 +175,7 @@ def _box_volumes(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _round_volumes(
-    beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, paths: Any, nearest: Any
-) -> None:  # pragma: no cover - compiled
+def _round_volumes(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
     """Stop beams their free path into cylinder (``flat``) or ellipsoid ``s``, unless they leave it before."""
     depth, winner = nearest.depth, nearest.winner
     for n in range(many):
@@ -197,9 +189,7 @@ def _round_volumes(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _draw_paths(
-    base: Any, many: Any, mean_m: Any, salt: Any, draws: Any, paths: Any
-) -> None:  # pragma: no cover - compiled
+def _draw_paths(base: Any, many: Any, mean_m: Any, salt: Any, draws: Any, paths: Any) -> None:
     """Store how many meters beams from ``base`` on get into a volume, drawn by beam and volume."""
     tickets = paths.view(np.uint32)
     # Two loops: the hashes fill vector registers, the look-ups cannot.
@@ -210,7 +200,7 @@ def _draw_paths(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def mixed(value: Any, salt: Any) -> Any:  # pragma: no cover - compiled
+def mixed(value: Any, salt: Any) -> Any:
     """Return 32 well-mixed bits of a counter and a salt (Wellons' lowbias32)."""
     h = np.uint32(value ^ salt)
     h = np.uint32((h ^ (h >> np.uint32(16))) * np.uint32(0x7FEB352D))

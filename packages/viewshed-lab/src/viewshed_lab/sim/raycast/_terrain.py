@@ -19,7 +19,7 @@ _EDGE = 1e-5
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: Any) -> None:  # pragma: no cover
+def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: Any) -> None:
     """Test every quad; its two triangles have the indices ``first_index`` + 2 · quad and the next.
 
     The arguments are the tuples of :mod:`viewshed_lab.sim.raycast._inputs`; ``nearest`` is improved in place.
@@ -50,7 +50,7 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(ground: Any, rotation: Any) -> Any:  # pragma: no cover - compiled
+def _nodes(ground: Any, rotation: Any) -> Any:
     """Return x, y, z (nx, ny, 3) of the nodes in the sensor's frame."""
     out = np.empty((ground.x.shape[0], ground.y.shape[0], 3))
     for i in range(ground.x.shape[0]):
@@ -63,7 +63,7 @@ def _nodes(ground: Any, rotation: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: Any) -> Any:  # pragma: no cover
+def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: Any) -> Any:
     """Return first column, number of columns, first block and last of the beams that may meet quad (i, j)."""
     # The nearest horizontal range, first along the world's axes.
     gap_x = max(ground.x[i] - drift_m, -(ground.x[i + 1] + drift_m), 0.0)
@@ -102,7 +102,7 @@ def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: An
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _quad_frame(ground: Any, i: Any, j: Any, view: Any, local: Any) -> Any:  # pragma: no cover - compiled
+def _quad_frame(ground: Any, i: Any, j: Any, view: Any, local: Any) -> Any:
     """Store slopes of both triangles (a, b, a, b), 1 / sizes, first corner, axis, velocity; return whether it is bent.
 
     Corner and heights are seen from the sensor with the sign turned: the beam starts there, seen from the corner.
@@ -119,9 +119,7 @@ def _quad_frame(ground: Any, i: Any, j: Any, view: Any, local: Any) -> Any:  # p
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _triangle(
-    beams: Any, local: Any, base: Any, many: Any, side: Any, index: Any, nearest: Any
-) -> None:  # pragma: no cover - compiled
+def _triangle(beams: Any, local: Any, base: Any, many: Any, side: Any, index: Any, nearest: Any) -> None:
     """Stop beams ``base`` to ``base + many`` on the plane z = z0 + a (x - x0) + b (y - y0), within its triangle.
 
     That is where ``side`` · (u - v) ≥ 0, with u and v from 0 to 1 over the quad.

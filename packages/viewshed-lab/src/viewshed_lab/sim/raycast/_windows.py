@@ -15,7 +15,7 @@ _MARGIN = 2e-4
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> Any:  # pragma: no cover - compiled
+def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> Any:
     """Return first column, number of columns, first block and last of the beams that may meet solid ``s``.
 
     The solid is widened by ``drift_m``, how far it moves within half the period as the sensor sees it; ``corners``
@@ -43,12 +43,12 @@ def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _length(boxes: Any, s: Any, row: Any) -> Any:  # pragma: no cover - compiled
+def _length(boxes: Any, s: Any, row: Any) -> Any:
     return np.sqrt(boxes[s, row, 0] ** 2 + boxes[s, row, 1] ** 2 + boxes[s, row, 2] ** 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gaps(boxes: Any, s: Any, drift_m: Any) -> Any:  # pragma: no cover - compiled
+def _gaps(boxes: Any, s: Any, drift_m: Any) -> Any:
     """Return whether the sensor is in an oriented box, and the squares of its distance, in space and from above."""
     inside, apart2, flat2 = True, 0.0, 0.0
     for k in range(3):
@@ -61,7 +61,7 @@ def _gaps(boxes: Any, s: Any, drift_m: Any) -> Any:  # pragma: no cover - compil
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _corners(boxes: Any, s: Any, rotation: Any, drift_m: Any, corners: Any) -> Any:  # pragma: no cover - compiled
+def _corners(boxes: Any, s: Any, rotation: Any, drift_m: Any, corners: Any) -> Any:
     """Store x and y of the corners (2, 8) in the sensor's frame; return the center, half the height, and far².
 
     The latter is the square of the largest horizontal range of a corner.
@@ -87,7 +87,7 @@ def _corners(boxes: Any, s: Any, rotation: Any, drift_m: Any, corners: Any) -> A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _into_sensor(boxes: Any, s: Any, row: Any, rotation: Any) -> Any:  # pragma: no cover - compiled
+def _into_sensor(boxes: Any, s: Any, row: Any, rotation: Any) -> Any:
     """Return a vector of a solid in the sensor's frame."""
     a, b, c = boxes[s, row, 0], boxes[s, row, 1], boxes[s, row, 2]
     x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
@@ -96,7 +96,7 @@ def _into_sensor(boxes: Any, s: Any, row: Any, rotation: Any) -> Any:  # pragma:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spread(corners: Any, cos: Any, sin: Any) -> Any:  # pragma: no cover - compiled
+def spread(corners: Any, cos: Any, sin: Any) -> Any:
     """Return the least and the largest azimuth of corners (2, n) from a direction."""
     low, high = 0.0, 0.0
     for corner in range(corners.shape[1]):
@@ -107,7 +107,7 @@ def spread(corners: Any, cos: Any, sin: Any) -> Any:  # pragma: no cover - compi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ring_blocks(slopes: Any, low: Any, high: Any) -> Any:  # pragma: no cover - compiled
+def ring_blocks(slopes: Any, low: Any, high: Any) -> Any:
     """Return the first block of rings, and the one after the last, that may lie between two slopes."""
     first, last = np.searchsorted(slopes, low), np.searchsorted(slopes, high)
     if first >= last:
@@ -116,7 +116,7 @@ def ring_blocks(slopes: Any, low: Any, high: Any) -> Any:  # pragma: no cover - 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def slopes_of(low_z: Any, high_z: Any, near: Any, far: Any) -> Any:  # pragma: no cover - compiled
+def slopes_of(low_z: Any, high_z: Any, near: Any, far: Any) -> Any:
     """Return bounds of z over horizontal range for heights in [low, high] and ranges in [near, far]."""
     near = max(near, 1e-3)
     low = low_z / near if low_z < 0 else low_z / far
@@ -125,7 +125,7 @@ def slopes_of(low_z: Any, high_z: Any, near: Any, far: Any) -> Any:  # pragma: n
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def column_range(view: Any, center: Any, low: Any, high: Any) -> Any:  # pragma: no cover - compiled
+def column_range(view: Any, center: Any, low: Any, high: Any) -> Any:
     """Return the first column and the number of columns whose azimuth may lie in center + [low, high]."""
     if high - low >= np.pi - 0.01:
         return 0, view.columns

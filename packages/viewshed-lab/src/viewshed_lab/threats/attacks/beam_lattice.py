@@ -268,7 +268,7 @@ def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
+def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:
     """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
 
     Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
@@ -284,7 +284,7 @@ def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:
     """Search the pixel's own column, then one column earlier at a time: those are stored before it."""
     rings, columns = rows.shape
     for away in range(columns):
@@ -295,7 +295,7 @@ def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:
     """Search the pixel's own ring, then the rings below and above it, farther and farther away."""
     rings, columns = rows.shape
     for away in range(rings):
@@ -308,7 +308,7 @@ def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - c
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_in_line(rows: Any, at: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_in_line(rows: Any, at: Any) -> Any:
     """Search a column or a ring; rows are stored from its first pixel on: beyond its ends is no neighbor."""
     for away in range(rows.shape[0]):
         if at - away >= 0 and rows[at - away] >= 0:
@@ -321,7 +321,7 @@ def _nearest_in_line(rows: Any, at: Any) -> Any:  # pragma: no cover - compiled
 @njit(cache=True, nogil=True, error_model="numpy")
 def beams_of_pixels(
     ring: Any, column: Any, elevation: Any, offset: Any, origin_m: Any, azimuth: Any, turn: Any, shift_m: Any
-) -> Any:  # pragma: no cover - compiled
+) -> Any:
     """Return starts (K, 3) and unit directions (K, 3) of the beams of pixels (K,), by the beam table and the motion.
 
     ``elevation``, azimuth ``offset`` and ``origin_m`` (R,) are the rings'; firing ``azimuth`` (C,), rotations ``turn``

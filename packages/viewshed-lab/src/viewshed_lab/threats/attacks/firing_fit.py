@@ -172,7 +172,7 @@ def _residuals(
     motion: Any,
     axis: Any,
     limit_m: float,
-) -> Any:  # pragma: no cover - compiled
+) -> Any:
     """Return how far returns lie beside their beams (n,) meters, and one step of Gauss and Newton towards the motion.
 
     ``motion`` (4,) is a velocity and a turn rate about ``axis`` (3,). The step's normal equations, a matrix (4, 4) and
@@ -208,7 +208,7 @@ def _residuals(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:  # pragma: no cover - compiled
+def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:
     """Fill ``slope`` (4, 3): how the residual of one return follows velocity and turn rate.
 
     Their part across the beam, times the time; ``sideways`` is what a turn of one radian moves the return by.
@@ -221,12 +221,12 @@ def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _cross(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
+def _cross(a: Any, b: Any) -> Any:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _rotate(v: Any, axis: Any, angle: Any) -> Any:  # pragma: no cover - compiled
+def _rotate(v: Any, axis: Any, angle: Any) -> Any:
     """Rodrigues' rotation of v (3,) about a unit axis (3,)."""
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = _cross(axis, v)

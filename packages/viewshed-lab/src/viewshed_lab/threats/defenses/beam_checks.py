@@ -73,7 +73,7 @@ class OneReturnPerBeam:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _farther_on_beam(ring: Any, azimuth: Any, nearest_first: Any, reach: float) -> Any:  # pragma: no cover - compiled
+def _farther_on_beam(ring: Any, azimuth: Any, nearest_first: Any, reach: float) -> Any:
     """Return (N,) bool: returns that lie within ``reach`` of a kept nearer one; sorted by ring and azimuth."""
     count = len(ring)
     starts = np.searchsorted(ring, ring, side="left")
