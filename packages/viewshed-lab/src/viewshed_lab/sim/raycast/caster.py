@@ -11,10 +11,19 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim.assets.shapes import GLOSS, PER_M
 from viewshed_lab.sim.lidar.firing import column_poses, still_firing, turned_by
-from viewshed_lab.sim.raycast._inputs import BLOCK, DRAWS, Beams, Ground, Nearest, Solids, View
-from viewshed_lab.sim.raycast._refine import measure_stops, turn_beams
-from viewshed_lab.sim.raycast._solids import cast_solids
-from viewshed_lab.sim.raycast._terrain import cast_terrain
+from viewshed_lab.sim.raycast._loops import (
+    BLOCK,
+    DRAWS,
+    Beams,
+    Ground,
+    Nearest,
+    Solids,
+    View,
+    cast_solids,
+    cast_terrain,
+    measure_stops,
+    turn_beams,
+)
 from viewshed_lab.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed_lab.sim.world import NOTHING, Snapshot
 
