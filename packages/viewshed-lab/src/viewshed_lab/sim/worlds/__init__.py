@@ -8,11 +8,9 @@ import numpy as np
 
 from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds.bridge import bridge
-from viewshed_lab.sim.worlds.country_road import country_road
-from viewshed_lab.sim.worlds.cutting import cutting
-from viewshed_lab.sim.worlds.embankment import embankment
+from viewshed_lab.sim.worlds.country_roads import country_road, cutting, embankment, open_field
+from viewshed_lab.sim.worlds.drop_roads import pit, quay
 from viewshed_lab.sim.worlds.garage import garage
-from viewshed_lab.sim.worlds.glass_fronts import glass_fronts
 from viewshed_lab.sim.worlds.highway import highway
 from viewshed_lab.sim.worlds.indoor.atrium import atrium
 from viewshed_lab.sim.worlds.indoor.corridors import corridors
@@ -24,14 +22,11 @@ from viewshed_lab.sim.worlds.indoor.warehouse import warehouse
 from viewshed_lab.sim.worlds.junction import junction
 from viewshed_lab.sim.worlds.land import land
 from viewshed_lab.sim.worlds.oblique import oblique
-from viewshed_lab.sim.worlds.open_field import open_field
 from viewshed_lab.sim.worlds.parking import parking
-from viewshed_lab.sim.worlds.pit import pit
-from viewshed_lab.sim.worlds.quay import quay
 from viewshed_lab.sim.worlds.residential import residential
 from viewshed_lab.sim.worlds.site import site
 from viewshed_lab.sim.worlds.slope_town import slope_town
-from viewshed_lab.sim.worlds.street import street
+from viewshed_lab.sim.worlds.street import glass_fronts, street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
 """Makes a world with the agents of a plan; the same state of the generator gives the same world."""

@@ -12,8 +12,7 @@ from viewshed_lab.sim.assets.furniture import standing
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import Rise, floor, lay, raised_room
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, Rise, floor, lay, raised_room
 from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 

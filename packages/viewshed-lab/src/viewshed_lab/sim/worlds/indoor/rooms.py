@@ -8,8 +8,7 @@ import numpy as np
 
 from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import Rise, floor, lay, raised_room
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, Rise, floor, lay, raised_room, shrunk
 from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 

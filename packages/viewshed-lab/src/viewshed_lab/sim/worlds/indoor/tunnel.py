@@ -13,8 +13,7 @@ from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import floor
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, floor
 from viewshed_lab.sim.worlds.indoor.walls import ceiling
 
 _HALF_M = 34.0

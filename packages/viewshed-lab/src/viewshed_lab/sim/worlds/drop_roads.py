@@ -1,4 +1,4 @@
-"""Construction pits beside a street: upright faces of 2 to 6 m next to the drive lane, machines and ramps in them."""
+"""Roads beside an edge where the ground drops by 2 to 6 m: construction pits, quays, loading yards, terraces."""
 
 from __future__ import annotations
 
@@ -7,9 +7,20 @@ from collections.abc import Callable
 import numpy as np
 
 from viewshed_lab.sim.assets.buildings import town_house
-from viewshed_lab.sim.assets.street import cone, group, lamp_post, person, pick, place_at, sign, tree, wall
-from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle
-from viewshed_lab.sim.assets.yard import barrels, container, dumper, excavator, heap, pipes, scaffold, site_office
+from viewshed_lab.sim.assets.shapes import Box, Cylinder
+from viewshed_lab.sim.assets.street import bench, bin_, cone, group, lamp_post, person, pick, place_at, sign, tree, wall
+from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle, truck
+from viewshed_lab.sim.assets.yard import (
+    barrels,
+    container,
+    dumper,
+    excavator,
+    heap,
+    pipes,
+    scaffold,
+    site_office,
+    tower_crane,
+)
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.drops import Drop, guarded, mirrored, terrain_with
 from viewshed_lab.sim.worlds.layout import Contents, Span, assembled, plots, spots
@@ -18,7 +29,7 @@ from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Bend, Roadway, masts_b
 from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
-_PACE = Pace(110.0, 50.0, (3.0, 12.0), (6.0, 25.0, 90.0))
+_PIT_PACE = Pace(110.0, 50.0, (3.0, 12.0), (6.0, 25.0, 90.0))
 
 _MACHINES: tuple[Callable[[np.random.Generator], Thing], ...] = (
     excavator, dumper, pipes, barrels, lambda rng: heap(rng, rng.uniform(2.0, 6.0)), person, container,
@@ -43,7 +54,7 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
     for drop in drops:
         _fill(rng, site, drop)
     _opposite(rng, site, road, -side)
-    moving = driven(rng, plan, road.lane_lines(), _PACE, street_vehicle)
+    moving = driven(rng, plan, road.lane_lines(), _PIT_PACE, street_vehicle)
     return assembled("pit", terrain_with(road, drops), plan, Contents(site.things, moving, masts))
 
 
@@ -109,3 +120,86 @@ def house_row(rng: np.random.Generator, site: SitePlan, lots: list[Span], y_m: f
     for x, long in lots:
         if not site.put(place_at(town_house(rng, long, 11.0, abs(x) > 45.0), x, y_m, facing)):
             site.put(place_at(wall(0.5 * long, 2.0), x, y_m))
+
+
+_QUAY_PACE = Pace(110.0, 50.0, (3.0, 11.0), (6.0, 25.0, 110.0))
+
+
+def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
+    """Return a road along the edge of a quay or of a lower yard, with the agents of ``plan``."""
+    level = Bank((0.0, 1.0), (0.0, 0.0))
+    road = Roadway(
+        Bend(0.0, 300.0, 0.0), climb(rng, 0.012), 1, rng.uniform(2.8, 3.6), rng.uniform(0.3, 1.5), (level, level),
+        rough=fields(rng, 0.2, 0.005), soil=pick(rng, ("concrete", "asphalt", "grass")),
+    )  # fmt: skip
+    side, water = pick(rng, (-1, 1)), rng.random() < 0.45
+    drops = _edges(rng, road, side, water)
+    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
+    site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
+    near = min(abs(edge) for edge in drops[0].rect[1::2])
+    for thing in guarded(rng, (-HALF_M, HALF_M), side * (near - 0.4)):
+        site.put(thing, 0.02)
+    site.reserve(*(edge for drop in drops for edge in drop.edges()))
+    _below(rng, site, drops[0], side, water)
+    _behind(rng, site, road, -side)
+    moving = driven(rng, plan, road.lane_lines(), _QUAY_PACE, street_vehicle)
+    return assembled("quay", terrain_with(road, drops), plan, Contents(site.things, moving, masts))
+
+
+def _edges(rng: np.random.Generator, road: Roadway, side: int, water: bool) -> list[Drop]:
+    """Return the lower ground, as far as the world goes, and at times a second step down, or an inlet."""
+    near, deep = road.edge_m + rng.uniform(0.6, 6.0), rng.uniform(2.0, 6.0)
+    floor = "absorber" if water else pick(rng, ("asphalt", "concrete", "grass"))
+    ramp = None
+    if not water and rng.random() < 0.5:
+        x = rng.uniform(-60.0, 20.0)
+        ramp = mirrored((x, near, x + deep / rng.uniform(0.1, 0.2), near + rng.uniform(4.0, 6.0)), side)
+    drops = [Drop(mirrored((-HALF_M - 1.0, near, HALF_M + 1.0, HALF_M + 1.0), side), deep, floor, ramp)]
+    if rng.random() < 0.5:
+        out = near + rng.uniform(15.0, 40.0)
+        below = "absorber" if water or rng.random() < 0.5 else floor
+        rect = mirrored((-HALF_M - 1.0, out, HALF_M + 1.0, HALF_M + 1.0), side)
+        drops.append(Drop(rect, deep + rng.uniform(1.0, 4.0), below))
+    return drops
+
+
+def _below(rng: np.random.Generator, site: SitePlan, drop: Drop, side: int, water: bool) -> None:
+    """Put ships on the water, or vehicles, goods and people into the lower yard."""
+    near = drop.rect[1] if side > 0 else -drop.rect[3]
+    if water:
+        for x in spots(rng, (-90.0, 90.0), 18.0, (2.0, rng.uniform(20.0, 120.0))):
+            site.put(place_at(_ship(rng, drop.deep_m), x, side * (near + 3.2)))
+        return
+    makers = (container, parked_vehicle, truck, barrels, pipes, person)
+    goods = [pick(rng, makers)(rng) for _ in range(int(rng.integers(5, 40)))]
+    low, high = side * (near + 3.0), side * (near + rng.uniform(15.0, 60.0))
+    site.scatter(rng, goods, (-100.0, min(low, high), 100.0, max(low, high)))
+
+
+def _ship(rng: np.random.Generator, deep_m: float) -> Thing:
+    """Return a barge or a boat along x, its foot on the water."""
+    long, deck = rng.uniform(9.0, 17.0), rng.uniform(0.8, 2.6)
+    parts = (
+        Box(0.0, 0.0, long, 4.2, deck, -0.3, 0.0, pick(rng, ("dark_paint", "paint"))),
+        Box(-0.3 * long, 0.0, 0.2 * long, 3.0, deck + 2.3, deck, 0.0, "paint"),
+        Cylinder(0.1 * long, 0.0, 0.08, deck + 0.6 * deep_m + 2.0, deck, "metal"),
+    )
+    return Thing("ship", parts)
+
+
+def _behind(rng: np.random.Generator, site: SitePlan, road: Roadway, side: int) -> None:
+    """Put what a quay has on its landward side: parked vehicles, goods or benches, trees, cranes, houses or sheds."""
+    port = rng.random() < 0.5
+    y = side * (road.edge_m + 2.2)
+    for x in spots(rng, (-HALF_M, HALF_M), 1.2, (3.0, 22.0)):
+        thing = pick(rng, (lamp_post(rng), bin_(rng), bench(), person(rng), sign(rng), tree(rng, 2.4, 4.5)))
+        site.put(place_at(thing, x, y, -side * np.pi / 2))
+    for x in spots(rng, (-HALF_M, HALF_M), 13.0, (1.0, 25.0)):
+        thing = container(rng) if port else parked_vehicle(rng)
+        site.put(place_at(thing, x, side * (road.edge_m + rng.uniform(5.0, 7.0)), rng.normal(0.0, 0.05)))
+    if port and rng.random() < 0.7:
+        site.put(place_at(tower_crane(rng), rng.uniform(-40, 40), side * (road.edge_m + 11.0), rng.uniform(-3, 3)))
+    for at in rng.uniform(-50, 50, int(rng.integers(0, 4))).tolist():
+        site.put_all(group(rng, at, side * (road.edge_m + 3.5)))
+    if rng.random() < 0.8:
+        house_row(rng, site, plots(rng, (-HALF_M, HALF_M), (10.0, 28.0), 14.0, 0.5), side * (road.edge_m + 16.0))
