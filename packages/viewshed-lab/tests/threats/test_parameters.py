@@ -10,7 +10,7 @@ import pytest
 from viewshed_lab.threats import corruptions, defenses
 from viewshed_lab.threats.adversary import Adversary
 from viewshed_lab.threats.attacks import ATTACKS, Spoofer
-from viewshed_lab.threats.defenses.seen_through import TemporalConsistency
+from viewshed_lab.threats.defenses import TemporalConsistency
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
 
 
