@@ -36,9 +36,9 @@ from viewshed_lab.threats.attacks.points import (
     Uniform,
     WedgeCluster,
 )
-from viewshed_lab.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed_lab.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
+from viewshed_lab.threats.attacks.wedge_attack import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed_lab.threats.attacks.whole_cloud import (
     Blinding,
     Mirror,
