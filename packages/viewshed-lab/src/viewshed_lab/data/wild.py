@@ -2,16 +2,16 @@
 
 Everything random in a sample follows from its set's seed and its number, so that samples can be made in any order. The
 ``sealed`` set is for final tables alone: it opens only for one who gives :data:`OPEN_SEALED`, and each opening is to be
-logged (:mod:`viewshed_lab.studies.wild.openings`).
+logged (:mod:`viewshed_lab.studies.wild.openings`). An archive of a set has a shard for each scene.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
 
 import numpy as np
@@ -19,11 +19,18 @@ from numpy.typing import NDArray
 
 from viewshed.fov.height_map import NODES, HeightMap
 from viewshed.fov.truth import Truth
+from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import attitude_of
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.sensors import sensor_names
 from viewshed.sweep import Sweep, bare_points
 from viewshed_lab import _config as flat
+from viewshed_lab._jobs import Engine
+from viewshed_lab.data.archive.archive import Archive
+from viewshed_lab.data.archive.build import ShardJob, ShardResult, build_archive
+from viewshed_lab.data.archive.schema import Layout
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.sample import Sample
 from viewshed_lab.sim.lidar.random_sensors import DrawnSensor, SensorFamily, draw_sensor
 from viewshed_lab.sim.lidar.weather import CONDITIONS, conditions_named
 from viewshed_lab.sim.mounting import Mounting, MountingFamily, draw_mounting
@@ -372,6 +379,61 @@ def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
         moving=1, sensor_height_m=mounting.height_m, duration_s=scene.domain.sweeps * _SWEEPS_APART_S
     )  # fmt: skip
     return mounting.mounted(WORLDS[scene.style](scene.rng(_SeedPurpose.WORLD), plan), 0)
+
+
+def _samples(scene: WildScene, told: tuple[str, ...], _: list[str]) -> Iterator[Sample]:
+    split = split_of_set(scene.domain.set_name)
+    for sweep in range(scene.domain.sweeps):
+        seen = scene.observe(sweep)
+        given = seen.told(told[(scene.number + sweep) % len(told)])
+        yield Sample(given, seen.truth, seen.known, scene.name, split)
+
+
+def split_of_set(set_name: str) -> str:
+    """Return the split of a set's samples: ``train`` for the training set, as in every archive, else its own name."""
+    return "train" if set_name == "training" else set_name
+
+
+def make_wild_archive(
+    set_name: str,
+    domain: str,
+    store: Storage,
+    engine: Engine,
+    *,
+    told: tuple[str, ...] = ("rings", "nothing"),
+    scenes: int | None = None,
+    on_progress: Callable[[ShardResult], None] | None = None,
+) -> Archive:
+    """Return the archive of one domain of a set, made into ``store``; its bytes do not depend on the engine.
+
+    Shards of an earlier run of the same set that was stopped are kept where they are whole. The sealed set has no
+    archive: it is run by its study alone.
+
+    Args:
+        set_name: of ``datasets.wild.SETS`` but ``sealed``.
+        domain: ``road`` or ``indoor``.
+        store: where it goes.
+        engine: makes the shards.
+        told: of ``TOLD``: what the sweeps say beside their points, in turn.
+        scenes: at most this number of scenes, the first ones.
+        on_progress: is called with each shard that is finished, also of an earlier run.
+
+    Raises:
+        ValueError: a name is unknown, the set is sealed or has no such domain, or the place holds something else.
+        OSError: a shard could not be made or written; those that are finished stay.
+    """
+    if not told or not set(told) <= set(TOLD):
+        raise ValueError(f"told must be one or more of {', '.join(TOLD)}, got {', '.join(told) or 'none'}")
+    chosen = wild_scenes(set_name, domain)[:scenes]
+    if not chosen:
+        raise ValueError(f"{set_name} must have a domain {domain!r}, got none; choose road or indoor")
+    one = chosen[0].domain
+    about = {"command": "dataset wild", "set": set_name, "domain": domain, "seed": one.seed}
+    config = flat.to_dict(one) | {"told": list(told), "scenes": len(chosen)}
+    recipe = about | {"config": config, "targets": {name: asdict(target) for name, target in TARGETS.items()}}
+    jobs = [ShardJob(f"{scene.name}.parquet", partial(_samples, scene, told)) for scene in chosen]
+    layout = Layout(one.grid, tuple(sorted(TARGETS)), ())
+    return build_archive(recipe, layout, jobs, store, engine, on_progress)
 
 
 __all__ = [
