@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.sim.oracle import firing
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import lidar_model
-from viewshed_lab.sim.lidar.firing import firing
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 from viewshed_lab.sim.raycast.scan import STILL, Motion
 

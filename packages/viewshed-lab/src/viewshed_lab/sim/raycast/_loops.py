@@ -84,13 +84,18 @@ _MARGIN = 2e-4
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _length(vector: Any) -> Any:
+    return np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> Any:
     """Return first column, number of columns, first block and last of the beams that may meet solid ``s``.
 
     The solid is widened by ``drift_m``, how far it moves within half the period as the sensor sees it; ``corners``
     (2, 8) is scratch memory.
     """
-    if _length(boxes, s, 0) - _length(boxes, s, 4) - drift_m > view.max_range_m:
+    if _length(boxes[s, 0]) - _length(boxes[s, 4]) - drift_m > view.max_range_m:
         return 0, 0, 0, 0
     inside, apart2, flat2 = _gaps(boxes, s, drift_m)
     if inside:
@@ -112,11 +117,6 @@ def solid_window(boxes: Any, s: Any, view: Any, drift_m: Any, corners: Any) -> A
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _length(boxes: Any, s: Any, row: Any) -> Any:
-    return np.sqrt(boxes[s, row, 0] ** 2 + boxes[s, row, 1] ** 2 + boxes[s, row, 2] ** 2)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _gaps(boxes: Any, s: Any, drift_m: Any) -> Any:
     """Return whether the sensor is in an oriented box, and the squares of its distance, in space and from above."""
     inside, apart2, flat2 = True, 0.0, 0.0
@@ -135,30 +135,27 @@ def _corners(boxes: Any, s: Any, rotation: Any, drift_m: Any, corners: Any) -> A
 
     The latter is the square of the largest horizontal range of a corner.
     """
-    x, y, z = _into_sensor(boxes, s, 0, rotation)
+    x, y, z = _into_sensor(boxes[s, 0, 0], boxes[s, 0, 1], boxes[s, 0, 2], rotation)
     tall, far2 = 0.0, 0.0
     for corner in range(8):
         corners[0, corner], corners[1, corner] = x, y
     for k in range(3):
         # One half axis of the box, in the sensor's frame; bit k of a corner's number is its sign.
         size = boxes[s, 4, k] + drift_m
-        p, q, r = boxes[s, 1, k], boxes[s, 2, k], boxes[s, 3, k]
-        a = size * (rotation[0, 0] * p + rotation[1, 0] * q + rotation[2, 0] * r)
-        b = size * (rotation[0, 1] * p + rotation[1, 1] * q + rotation[2, 1] * r)
-        tall += abs(size * (rotation[0, 2] * p + rotation[1, 2] * q + rotation[2, 2] * r))
+        a, b, c = _into_sensor(boxes[s, 1, k], boxes[s, 2, k], boxes[s, 3, k], rotation)
+        tall += abs(size * c)
         for corner in range(8):
             sign = 1.0 - 2.0 * ((corner >> k) & 1)
-            corners[0, corner] += sign * a
-            corners[1, corner] += sign * b
+            corners[0, corner] += sign * (size * a)
+            corners[1, corner] += sign * (size * b)
     for corner in range(8):
         far2 = max(far2, corners[0, corner] * corners[0, corner] + corners[1, corner] * corners[1, corner])
     return x, y, z, tall, far2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _into_sensor(boxes: Any, s: Any, row: Any, rotation: Any) -> Any:
-    """Return a vector of a solid in the sensor's frame."""
-    a, b, c = boxes[s, row, 0], boxes[s, row, 1], boxes[s, row, 2]
+def _into_sensor(a: Any, b: Any, c: Any, rotation: Any) -> Any:
+    """Return a vector in the sensor's frame."""
     x = rotation[0, 0] * a + rotation[1, 0] * b + rotation[2, 0] * c
     y = rotation[0, 1] * a + rotation[1, 1] * b + rotation[2, 1] * c
     return x, y, rotation[0, 2] * a + rotation[1, 2] * b + rotation[2, 2] * c
@@ -222,11 +219,11 @@ def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) ->
         nearest: :class:`~viewshed_lab.sim.raycast._loops.Nearest`, improved in place.
     """
     boxes, columns = solids.boxes, view.columns
-    paths = np.empty(columns * BLOCK, np.float32)
+    paths, none = np.empty(columns * BLOCK, np.float32), np.zeros(columns * BLOCK, np.float32)
     corners, local = np.empty((2, 8)), np.empty(18, np.float32)
     for s in range(boxes.shape[0]):
         # The window of beams that point at the box around the solid, wherever it moves within the revolution.
-        drift_m = _speed(boxes, s, view.velocity) * view.half_period_s
+        drift_m = _length(boxes[s, 5] - view.velocity) * view.half_period_s
         start, count, first, last = solid_window(boxes, s, view, drift_m, corners)
         if first >= last:
             continue
@@ -241,22 +238,12 @@ def cast_solids(beams: Any, solids: Any, view: Any, draws: Any, nearest: Any) ->
                 base, many = np.uint64((block * columns + low) * BLOCK), np.uint64((high - low) * BLOCK)
                 if not opaque:
                     _draw_paths(base, many, np.float32(1.0 / per_m), solids.salts[s], draws, paths)
-                # One loop for each kind, so that none has a branch.
-                if kind == 0 and opaque:
-                    _opaque_boxes(beams, local, base, many, s, nearest)
-                elif opaque:
-                    _opaque_rounds(beams, local, base, many, s, kind == 1, nearest)
-                elif kind == 0:
-                    _box_volumes(beams, local, base, many, s, paths, nearest)
+                # One loop for each kind, so that none has a branch; the free path into opaque solids is 0.
+                into = none if opaque else paths
+                if kind == 0:
+                    _stop_in_box(beams, local, base, many, s, into, nearest)
                 else:
-                    _round_volumes(beams, local, base, many, s, kind == 1, paths, nearest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _speed(boxes: Any, s: Any, velocity: Any) -> Any:
-    """Return how fast a solid moves, seen from the sensor."""
-    x, y, z = boxes[s, 5, 0] - velocity[0], boxes[s, 5, 1] - velocity[1], boxes[s, 5, 2] - velocity[2]
-    return np.sqrt(x**2 + y**2 + z**2)
+                    _stop_in_round(beams, local, base, many, s, kind == 1, into, nearest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -328,33 +315,7 @@ def _between_sides(p: Any, q: Any, r: Any, u: Any, v: Any, w: Any, flat: Any) ->
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _opaque_boxes(beams: Any, local: Any, base: Any, many: Any, s: Any, nearest: Any) -> None:
-    """Stop beams ``base`` to ``base + many`` where they enter box ``s``."""
-    depth, winner = nearest.depth, nearest.winner
-    for n in range(many):
-        i = base + n
-        p, q, r, u, v, w = _ray(beams, i, local)
-        near, far = _between_slabs(p, q, r, u, v, w)
-        hit = (near <= far) & (near > np.float32(_NEAR_M)) & (near < depth[i])
-        depth[i] = near if hit else depth[i]
-        winner[i] = np.int32(s) if hit else winner[i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _opaque_rounds(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, nearest: Any) -> None:
-    """Stop beams ``base`` to ``base + many`` where they enter cylinder (``flat``) or ellipsoid ``s``."""
-    depth, winner = nearest.depth, nearest.winner
-    for n in range(many):
-        i = base + n
-        p, q, r, u, v, w = _ray(beams, i, local)
-        near, far = _between_sides(p, q, r, u, v, w, flat)
-        hit = (near <= far) & (near > np.float32(_NEAR_M)) & (near < depth[i])
-        depth[i] = near if hit else depth[i]
-        winner[i] = np.int32(s) if hit else winner[i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _box_volumes(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: Any, nearest: Any) -> None:
+def _stop_in_box(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: Any, nearest: Any) -> None:
     """Stop beams their free path into box ``s``, unless they leave it before."""
     depth, winner = nearest.depth, nearest.winner
     for n in range(many):
@@ -368,7 +329,7 @@ def _box_volumes(beams: Any, local: Any, base: Any, many: Any, s: Any, paths: An
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _round_volumes(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
+def _stop_in_round(beams: Any, local: Any, base: Any, many: Any, s: Any, flat: Any, paths: Any, nearest: Any) -> None:
     """Stop beams their free path into cylinder (``flat``) or ellipsoid ``s``, unless they leave it before."""
     depth, winner = nearest.depth, nearest.winner
     for n in range(many):
@@ -411,14 +372,13 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
 
     The arguments are the tuples of :mod:`viewshed_lab.sim.raycast._loops`; ``nearest`` is improved in place.
     """
-    columns, velocity = view.columns, view.velocity
+    columns = view.columns
     # The ground stands still, so it drifts by the sensor's own way within half the period.
-    drift_m = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2) * view.half_period_s
-    nodes = _nodes(ground, view.rotation)
-    local = np.empty(15, np.float32)
+    drift_m = _length(view.velocity) * view.half_period_s
+    corners, local = np.empty((2, 4)), np.empty(15, np.float32)
     for i in range(ground.x.shape[0] - 1):
         for j in range(ground.y.shape[0] - 1):
-            start, count, first, last = _quad_window(nodes, ground, i, j, view, drift_m)
+            start, count, first, last = _quad_window(ground, i, j, view, drift_m, corners)
             if first >= last:
                 continue
             bent = _quad_frame(ground, i, j, view, local)
@@ -437,21 +397,11 @@ def cast_terrain(beams: Any, ground: Any, view: Any, nearest: Any, first_index: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nodes(ground: Any, rotation: Any) -> Any:
-    """Return x, y, z (nx, ny, 3) of the nodes in the sensor's frame."""
-    out = np.empty((ground.x.shape[0], ground.y.shape[0], 3))
-    for i in range(ground.x.shape[0]):
-        for j in range(ground.y.shape[0]):
-            for k in range(3):
-                out[i, j, k] = (
-                    rotation[0, k] * ground.x[i] + rotation[1, k] * ground.y[j] + rotation[2, k] * ground.z[i, j]
-                )
-    return out
+def _quad_window(ground: Any, i: Any, j: Any, view: Any, drift_m: Any, corners: Any) -> Any:
+    """Return first column, number of columns, first block and last of the beams that may meet quad (i, j).
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: Any) -> Any:
-    """Return first column, number of columns, first block and last of the beams that may meet quad (i, j)."""
+    ``corners`` (2, 4) is scratch memory.
+    """
     # The nearest horizontal range, first along the world's axes.
     gap_x = max(ground.x[i] - drift_m, -(ground.x[i + 1] + drift_m), 0.0)
     gap_y = max(ground.y[j] - drift_m, -(ground.y[j + 1] + drift_m), 0.0)
@@ -463,9 +413,10 @@ def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: An
     low_z, high_z = np.inf, -np.inf
     for corner in range(4):
         k, n = i + (corner & 1), j + (corner >> 1)
-        u, v = nodes[k, n, 0], nodes[k, n, 1]
+        u, v, w = _into_sensor(ground.x[k], ground.y[n], ground.z[k, n], view.rotation)
+        corners[0, corner], corners[1, corner] = u, v
         x, y, far2 = x + u / 4, y + v / 4, max(far2, u * u + v * v)
-        low_z, high_z = min(low_z, nodes[k, n, 2]), max(high_z, nodes[k, n, 2])
+        low_z, high_z = min(low_z, w), max(high_z, w)
     if view.rotation[2, 2] < 0.999999:  # a tilted sensor: what is left of the distance by the height in its frame
         near = max(np.sqrt(max(near * near - max(low_z * low_z, high_z * high_z), 0.0)) - drift_m, 0.0)
     low_z, high_z = low_z - view.lift_m - drift_m, high_z + view.lift_m + drift_m
@@ -475,12 +426,7 @@ def _quad_window(nodes: Any, ground: Any, i: Any, j: Any, view: Any, drift_m: An
         return 0, 0, 0, 0
     # Azimuths of the corners about that of the middle, and how far the drift swings them.
     middle = float(atan2(np.float32(y), np.float32(x)))
-    cos, sin = np.cos(middle), np.sin(middle)
-    low, high = 0.0, 0.0
-    for corner in range(4):
-        u, v = nodes[i + (corner & 1), j + (corner >> 1), 0], nodes[i + (corner & 1), j + (corner >> 1), 1]
-        turned = float(atan2(np.float32(v * cos - u * sin), np.float32(u * cos + v * sin)))
-        low, high = min(low, turned), max(high, turned)
+    low, high = spread(corners, np.cos(middle), np.sin(middle))
     if drift_m > 0.0:
         swing = np.pi if near <= drift_m else np.arcsin(drift_m / near)
         low, high = low - swing, high + swing
@@ -575,6 +521,7 @@ def measure_stops(
     times: Any,
     solids: Any,
     ground: Any,
+    planes: Any,
     draws: Any,
     glossy: Any,
     max_range_m: Any,
@@ -586,11 +533,11 @@ def measure_stops(
 ) -> None:
     """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
 
-    Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of
-    :mod:`viewshed_lab.sim.raycast._loops`, the free paths (DRAWS,), the gloss of materials, and the range from which
-    nothing is met. Volumes without gloss have no normal: their cosine is 1.
+    Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of this module,
+    the planes (T, 4) of the triangles, the free paths (DRAWS,), the gloss of materials, and the range from which nothing
+    is met. Volumes without gloss have no normal: their cosine is 1.
     """
-    planes, materials, local, count = _planes(ground), ground.material.reshape(-1), np.empty(6), solids.boxes.shape[0]
+    materials, local, count = ground.material.reshape(-1), np.empty(6), solids.boxes.shape[0]
     for c in range(depth.shape[0]):
         for k in range(depth.shape[1]):
             i = beam_number(c, k, depth.shape[0])
@@ -613,27 +560,6 @@ def measure_stops(
             if t > max_range_m:
                 t, cos, met, made_of = np.inf, 0.0, -2, 0
             depth[c, k], cosine[c, k], thing[c, k], material[c, k] = t, cos, met, made_of
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _planes(ground: Any) -> Any:
-    """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
-    xs, ys, zs = ground.x, ground.y, ground.z
-    planes = np.empty((2 * (xs.shape[0] - 1) * (ys.shape[0] - 1), 4))
-    row = 0
-    for i in range(xs.shape[0] - 1):
-        for j in range(ys.shape[0] - 1):
-            wide, deep = xs[i + 1] - xs[i], ys[j + 1] - ys[j]
-            for upper in range(2):
-                if upper == 0:
-                    a, b = (zs[i + 1, j] - zs[i, j]) / wide, (zs[i + 1, j + 1] - zs[i + 1, j]) / deep
-                else:
-                    a, b = (zs[i + 1, j + 1] - zs[i, j + 1]) / wide, (zs[i, j + 1] - zs[i, j]) / deep
-                planes[row, 0], planes[row, 1] = a, b
-                planes[row, 2] = zs[i, j] - a * xs[i] - b * ys[j]
-                planes[row, 3] = 1.0 / np.sqrt(1.0 + a * a + b * b)
-                row += 1
-    return planes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -63,7 +63,7 @@ def cast_world(
     depth, thing = np.empty(shape, np.float32), np.empty(shape, np.int32)
     material, cosine = np.empty(shape, np.uint8), np.empty(shape, np.float32)
     measure_stops(
-        origin, direction, time_s, solids, ground, _free_paths(), GLOSS, model.max_range_m, nearest,
+        origin, direction, time_s, solids, ground, _planes(ground), _free_paths(), GLOSS, model.max_range_m, nearest,
         depth, thing, material, cosine,
     )  # fmt: skip
     if model.fired is not None:
@@ -101,6 +101,15 @@ def _ground(snapshot: Snapshot, pose: Rigid) -> Ground:
     """Return the ground from the sensor's position."""
     terrain, (x, y, z) = snapshot.terrain, pose.translation
     return Ground(terrain.x_m - x, terrain.y_m - y, terrain.heights_m - z, terrain.material)
+
+
+def _planes(ground: Ground) -> NDArray[np.float64]:
+    """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
+    x, y, z = ground.x, ground.y, ground.z
+    along, across = np.diff(z, axis=0) / np.diff(x)[:, None], np.diff(z, axis=1) / np.diff(y)
+    a, b = np.stack([along[:, :-1], along[:, 1:]], axis=-1), np.stack([across[1:], across[:-1]], axis=-1)
+    c = z[:-1, :-1, None] - a * x[:-1, None, None] - b * y[:-1, None]
+    return np.stack([a, b, c, 1.0 / np.sqrt(1.0 + a * a + b * b)], axis=-1).reshape(-1, 4)
 
 
 def _view(model: LidarModel, pose: Rigid, motion: Motion) -> View:
