@@ -13,7 +13,7 @@ from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 from viewshed_lab import _config as flat
 from viewshed_lab.sim.assets.shapes import Box
-from viewshed_lab.sim.world import Agent, Thing, World
+from viewshed_lab.sim.world import Agent, Thing, World, tilted
 
 FRAMES = ("sensor", "base_shifted_back", "base")
 """In which frame points are given: the ``sensor``'s; the carrier's axes with the origin at the sensor (its offset is
@@ -86,11 +86,7 @@ class Mounting:
     @property
     def rotation(self) -> NDArray[np.float64]:
         """Rotation (3, 3) of ``carrier_from_sensor``."""
-        c, s, cr, sr = np.cos(self.pitch), np.sin(self.pitch), np.cos(self.roll), np.sin(self.roll)
-        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-        rotation: NDArray[np.float64] = Rigid.from_yaw(self.yaw).rotation @ down @ lean
-        return rotation
+        return tilted(self.yaw, self.pitch, self.roll)
 
     def mounted(self, world: World, number: int) -> tuple[World, Agent]:
         """Return the world with one agent, its sensor mounted so, and that agent.

@@ -242,6 +242,14 @@ class World:
         return rotation, origin
 
 
+def tilted(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a sensor turned to the left, tilted down and rolled, all in radians."""
+    c, s, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(Rigid.from_yaw(yaw).rotation @ down @ lean)
+
+
 def turns_of(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return rotations (…, 3, 3) about z."""
     turns = np.zeros((*yaw.shape, 3, 3))

@@ -18,9 +18,9 @@ def wooden_fence(length_m: float, height_m: float, rails: int = 3) -> Thing:
     return Thing("fence", (*boards, *_posts(length_m, 0.06, height_m + 0.08)), tilts=True)
 
 
-def wire_fence(length_m: float, height_m: float, wires: int = 4) -> Thing:
+def wire_fence(length_m: float, height_m: float) -> Thing:
     """Return a fence along x of thin posts and wires of 5 mm."""
-    tops = np.linspace(0.25, 1.0, wires) * height_m
+    tops = np.linspace(0.25, 1.0, 4) * height_m
     lines = [Box(0.0, 0.0, length_m, 0.005, float(top), float(top) - 0.005, 0.0, "metal") for top in tops]
     return Thing("fence", (*lines, *_posts(length_m, 0.04, height_m + 0.1)), tilts=True)
 

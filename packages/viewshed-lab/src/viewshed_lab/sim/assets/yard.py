@@ -9,9 +9,9 @@ from viewshed_lab.sim.assets.street import pick
 from viewshed_lab.sim.world import Thing
 
 
-def container(rng: np.random.Generator, stacked: bool = True) -> Thing:
+def container(rng: np.random.Generator) -> Thing:
     """Return a container of 6.1 or 12.2 m along x, now and then two or three on each other."""
-    long, count = pick(rng, (6.06, 6.06, 12.19)), int(rng.integers(1, 4)) if stacked and rng.random() < 0.35 else 1
+    long, count = pick(rng, (6.06, 6.06, 12.19)), int(rng.integers(1, 4)) if rng.random() < 0.35 else 1
     parts = [Box(0.0, 0.0, long, 2.44, 2.6 * (k + 1), 2.6 * k - 0.3 * (k == 0), 0.0,
                  pick(rng, ("paint", "metal", "dark_paint"))) for k in range(count)]  # fmt: skip
     return Thing("container", tuple(parts))

@@ -533,9 +533,9 @@ def measure_stops(
 ) -> None:
     """Fill depth, thing, material and cosine of incidence (C, R) from the winners of the caster.
 
-    Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of this module,
-    the planes (T, 4) of the triangles, the free paths (DRAWS,), the gloss of materials, and the range from which nothing
-    is met. Volumes without gloss have no normal: their cosine is 1.
+    Starts and directions (C, R, 3) and times (C,) are the beams'; the others the tuples of this module, the planes
+    (T, 4) of the triangles, the free paths (DRAWS,), the gloss of materials, and the range from which nothing is met.
+    Volumes without gloss have no normal: their cosine is 1.
     """
     materials, local, count = ground.material.reshape(-1), np.empty(6), solids.boxes.shape[0]
     for c in range(depth.shape[0]):

@@ -22,7 +22,7 @@ from viewshed_lab.sim.worlds.roadsides import (
     trees,
     wires,
 )
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, Swell, masts_beside, random_bend, row
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bank, Roadway, Swell, masts_beside, random_bend, row
 from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
@@ -70,11 +70,8 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
     lot = rng.random() < 0.35
     land = fields(rng, 0.15 if lot else 1.8, 0.015 if lot else 0.05)
     ground = "asphalt" if lot and rng.random() < 0.7 else "concrete" if lot else "grass"
-    level = Bank((0.0, 1.0), (0.0, 0.0))
     bend, grade = random_bend(rng, 0.25), climb(rng, 0.01 if lot else 0.07)
-    road = Roadway(
-        bend, grade, 1, 2.6, 0.3, (level, level), rough=land, soil=ground, paved="asphalt" if lot else "grass"
-    )
+    road = Roadway(bend, grade, 1, 2.6, 0.3, LEVEL, rough=land, soil=ground, paved="asphalt" if lot else "grass")
     masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
     site = SitePlan.along(road.bend, road.edge_m, masts)
     if lot:

@@ -25,7 +25,7 @@ from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.drops import Drop, guarded, mirrored, terrain_with
 from viewshed_lab.sim.worlds.layout import Contents, Span, assembled, plots, spots
 from viewshed_lab.sim.worlds.roadsides import climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Bend, Roadway, masts_beside
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bend, Roadway, masts_beside
 from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
@@ -39,10 +39,9 @@ _MACHINES: tuple[Callable[[np.random.Generator], Thing], ...] = (
 
 def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a street beside one to three construction pits, with the agents of ``plan``."""
-    level = Bank((0.0, 1.0), (0.0, 0.0))
     road = Roadway(
         Bend(0.0, 300.0, 0.0), climb(rng, 0.03), 2 if rng.random() < 0.2 else 1, rng.uniform(2.8, 3.5),
-        rng.uniform(0.4, 1.6), (level, level), rough=fields(rng, 0.3, 0.01), soil=pick(rng, ("grass", "concrete")),
+        rng.uniform(0.4, 1.6), LEVEL, rough=fields(rng, 0.3, 0.01), soil=pick(rng, ("grass", "concrete")),
     )  # fmt: skip
     side = pick(rng, (-1, 1))
     drops = _pits(rng, road, side)
@@ -127,9 +126,8 @@ _QUAY_PACE = Pace(110.0, 50.0, (3.0, 11.0), (6.0, 25.0, 110.0))
 
 def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a road along the edge of a quay or of a lower yard, with the agents of ``plan``."""
-    level = Bank((0.0, 1.0), (0.0, 0.0))
     road = Roadway(
-        Bend(0.0, 300.0, 0.0), climb(rng, 0.012), 1, rng.uniform(2.8, 3.6), rng.uniform(0.3, 1.5), (level, level),
+        Bend(0.0, 300.0, 0.0), climb(rng, 0.012), 1, rng.uniform(2.8, 3.6), rng.uniform(0.3, 1.5), LEVEL,
         rough=fields(rng, 0.2, 0.005), soil=pick(rng, ("concrete", "asphalt", "grass")),
     )  # fmt: skip
     side, water = pick(rng, (-1, 1)), rng.random() < 0.45

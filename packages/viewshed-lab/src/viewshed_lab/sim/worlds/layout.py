@@ -12,7 +12,7 @@ from viewshed_lab.sim.assets.shapes import Cylinder
 from viewshed_lab.sim.assets.street import place_at
 from viewshed_lab.sim.assets.vehicles import sensor_car
 from viewshed_lab.sim.terrain import Terrain
-from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World
+from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
 
 Span = tuple[float, float]
 
@@ -69,13 +69,8 @@ class Mast:
 
     def pose(self, terrain: Terrain) -> Rigid:
         """Return ``world_from_sensor``."""
-        c, s, cr, sr = np.cos(self.pitch), np.sin(self.pitch), np.cos(self.roll), np.sin(self.roll)
-        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
         ground = float(terrain.at([[self.x_m, self.y_m]])[0])
-        return Rigid(
-            Rigid.from_yaw(self.yaw).rotation @ down @ lean, np.array([self.x_m, self.y_m, ground + self.height_m])
-        )
+        return Rigid(tilted(self.yaw, self.pitch, self.roll), np.array([self.x_m, self.y_m, ground + self.height_m]))
 
 
 def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Mast:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 
 from viewshed_lab.sim.assets.buildings import family_house, town_house
 from viewshed_lab.sim.assets.shapes import Box, Cylinder
@@ -10,6 +11,7 @@ from viewshed_lab.sim.assets.street import (
     bench,
     bin_,
     bush,
+    footprint,
     group,
     lamp_post,
     person,
@@ -25,7 +27,7 @@ from viewshed_lab.sim.assets.warehouse import stall
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import Contents, assembled, plots, spots
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, masts_beside, random_bend
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, masts_beside, random_bend
 from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow
 
@@ -34,9 +36,9 @@ _PACE = Pace(110.0, 50.0, (2.0, 8.0), (8.0, 40.0, 160.0))
 
 def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a winding lane of an old town with the agents of ``plan``."""
-    level, lanes = Bank((0.0, 1.0), (0.0, 0.0)), rng.uniform(2.3, 2.9)
+    lane_m = rng.uniform(2.3, 2.9)
     road = Roadway(
-        random_bend(rng, 0.55, (70.0, 200.0)), climb(rng, 0.06), 1, lanes, rng.uniform(0.2, 0.6), (level, level),
+        random_bend(rng, 0.55, (70.0, 200.0)), climb(rng, 0.06), 1, lane_m, rng.uniform(0.2, 0.6), LEVEL,
         rough=fields(rng, 0.3, 0.01), soil="concrete", paved="concrete",
     )  # fmt: skip
     masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.5)
@@ -128,7 +130,8 @@ def _curved_wall(rng: np.random.Generator, site: SitePlan) -> None:
         part = Box(0.0, 0.0, 1.02 * radius * sweep / count, 0.35, high, -1.0, 0.0, material)
         at = x + radius * np.cos(angle), y + radius * np.sin(angle)
         area.append(place_at(Thing("wall", (part,)), *at, angle + np.pi / 2))
-    site.put_row(area)
+    # Its pieces may touch each other.
+    site.stand(*(one for one in area if site.clear(shapely.Polygon(footprint(one)), 0.02)))
 
 
 def _behind(rng: np.random.Generator, site: SitePlan) -> None:

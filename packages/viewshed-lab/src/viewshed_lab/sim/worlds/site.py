@@ -28,7 +28,7 @@ from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import Contents, assembled
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, masts_beside, random_bend
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, masts_beside, random_bend
 from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
@@ -72,10 +72,10 @@ class Grounds:
 
 def site(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a building site or a yard with the agents of ``plan`` on its haul road."""
-    level, yard = Bank((0.0, 1.0), (0.0, 0.0)), rng.random() < 0.35
+    yard = rng.random() < 0.35
     road = Roadway(
         random_bend(rng, 0.4, (110.0, 260.0)), climb(rng, 0.02 if yard else 0.1), 1, rng.uniform(3.0, 4.0),
-        rng.uniform(0.4, 1.5), (level, level), rough=fields(rng, 0.2 if yard else 1.2, 0.01),
+        rng.uniform(0.4, 1.5), LEVEL, rough=fields(rng, 0.2 if yard else 1.2, 0.01),
     )  # fmt: skip
     count = 0 if yard else int(rng.integers(6, 26))
     spread, highs = rng.uniform(-95, 95, (count, 2)), rng.uniform(-2.0, 3.5, count)

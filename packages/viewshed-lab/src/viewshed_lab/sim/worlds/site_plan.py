@@ -64,9 +64,9 @@ class SitePlan:
         near &= (bounds[:, 1] < y1 + gap_m) & (bounds[:, 3] > y0 - gap_m)
         return not any(self._taken[k].distance(area) < gap_m for k in np.flatnonzero(near))
 
-    def put(self, thing: Thing, gap_m: float = _GAP_M, below_m: float = 2.1) -> bool:
-        """Let a thing stand where it is if what of it begins below ``below_m`` is clear of others, and say so."""
-        area = shapely.Polygon(footprint(thing, below_m=below_m))
+    def put(self, thing: Thing, gap_m: float = _GAP_M) -> bool:
+        """Let a thing stand where it is if what of it is not overhead is clear of others, and say so."""
+        area = shapely.Polygon(footprint(thing))
         if not self.clear(area, gap_m) or self._blinds(thing):
             return False
         self.things.append(thing)
@@ -80,21 +80,16 @@ class SitePlan:
         whole = shapely.Polygon(footprint(thing, below_m=np.inf))
         return bool(shapely.intersects(whole, np.array(self._open)).any())
 
-    def put_all(self, things: list[Thing], gap_m: float = _GAP_M) -> None:
+    def put_all(self, things: list[Thing]) -> None:
         """Let those things stand that are clear of others, one after the other."""
         for thing in things:
-            self.put(thing, gap_m)
+            self.put(thing)
 
-    def put_row(self, things: list[Thing]) -> None:
-        """Let those pieces of one row stand that are clear of all others; they may touch each other."""
-        free = [one for one in things if self.clear(shapely.Polygon(footprint(one)), 0.02)]
-        self.stand(*free)
-
-    def stand(self, *things: Thing, below_m: float = 2.1) -> None:
+    def stand(self, *things: Thing) -> None:
         """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
         for thing in things:
             self.things.append(thing)
-            self.reserve(shapely.Polygon(footprint(thing, below_m=below_m)))
+            self.reserve(shapely.Polygon(footprint(thing)))
 
     def scatter(
         self, rng: np.random.Generator, things: list[Thing], spread_m: tuple[float, float, float, float]

@@ -14,7 +14,7 @@ from viewshed_lab.sim.assets.furniture import bounds
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.assets.street import drive, person
 from viewshed_lab.sim.terrain import Terrain
-from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World
+from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
 from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
 from viewshed_lab.sim.worlds.indoor.routes import Network, RoadMap, drive_route, open_floor
 
@@ -56,7 +56,10 @@ def inhabited(floor_plan: FloorPlan, terrain: Terrain, building: Building, plan:
     mount = Rigid(np.eye(3), np.array([0.0, 0.0, plan.sensor_height_m]))
     agents = [Agent(f"robot_{k}", plan.sensor, mount, k) for k in range(len(robots))]
     agents += [Agent(f"ceiling_{k}", plan.roadside_sensor, pose) for k, pose in enumerate(hung)]
-    rods = [_rod(pose, building.ceiling_m) for pose in hung]
+    rods = [
+        Thing("rod", (Cylinder(x, y, 0.02, building.ceiling_m, z + 0.08, "metal"),), z_m=0.0)
+        for x, y, z in (pose.translation.tolist() for pose in hung)
+    ]
     return World(building.name, terrain, (*robots, *people, *rods, *floor_plan.things), tuple(agents), indoor=True)
 
 
@@ -192,9 +195,7 @@ def _hung(
         some = spots[rng.integers(len(spots), size=8)]
         gaps = [min([float(np.linalg.norm(spot - pose.translation)) for pose in poses], default=0.0) for spot in some]
         tilt, yaw = rng.uniform(0.05, 0.25), rng.uniform(-np.pi, np.pi)
-        c, s = np.cos(tilt), np.sin(tilt)
-        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        poses.append(Rigid(Rigid.from_yaw(yaw).rotation @ down, some[int(np.argmax(gaps))]))
+        poses.append(Rigid(tilted(yaw, tilt, 0.0), some[int(np.argmax(gaps))]))
     return poses
 
 
@@ -204,8 +205,3 @@ def _hangs_free(spots: F64, solids: NDArray[np.float64], z_m: float) -> NDArray[
     x, y = spots[:, :1], spots[:, 1:]
     near = (x > above[:, 0] - 0.3) & (x < above[:, 2] + 0.3) & (y > above[:, 1] - 0.3) & (y < above[:, 3] + 0.3)
     return np.asarray(~near.any(axis=1))
-
-
-def _rod(pose: Rigid, ceiling_m: float) -> Thing:
-    x, y, z = pose.translation.tolist()
-    return Thing("rod", (Cylinder(x, y, 0.02, ceiling_m, z + 0.08, "metal"),), z_m=0.0)

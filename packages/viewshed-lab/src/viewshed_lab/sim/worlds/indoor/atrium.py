@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets import warehouse as stock
 from viewshed_lab.sim.assets.furniture import Group, Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
@@ -20,7 +19,7 @@ from viewshed_lab.sim.worlds.indoor.walls import around, build, ceiling
 _HALF_M, _FACE_M = 60.0, 0.02
 
 _BELOW: tuple[Maker, ...] = (
-    stock.bistro, stock.planter, stock.totem, fittings.talking, fittings.standing, furniture.plant, stock.stall,
+    stock.bistro, stock.planter, stock.totem, furniture.talking, furniture.standing, furniture.plant, stock.stall,
 )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets import warehouse as stock
 from viewshed_lab.sim.assets.furniture import Group, place_group
 from viewshed_lab.sim.assets.shapes import Box, Cylinder
@@ -20,11 +19,11 @@ from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, around, build, c
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 
 _WISHES = (
-    (stock.totem, 5, "inside"), (stock.planter, 5, "inside"), (fittings.bench, 3, "inside"),
+    (stock.totem, 5, "inside"), (stock.planter, 5, "inside"), (furniture.bench, 3, "inside"),
     (stock.bistro, 6, "inside"), (stock.queue, 1, "inside"), (furniture.bin_, 4, "inside"), (stock.cart, 1, "inside"),
-    (fittings.talking, 6, "free"), (fittings.standing, 8, "free"), (furniture.plant, 3, "wall"),
-    (fittings.locker, 4, "wall"), (fittings.extinguisher, 3, "wall"), (fittings.mirror, 3, "wall"),
-    (fittings.bench, 3, "wall"),
+    (furniture.talking, 6, "free"), (furniture.standing, 8, "free"), (furniture.plant, 3, "wall"),
+    (furniture.locker, 4, "wall"), (furniture.extinguisher, 3, "wall"), (furniture.mirror, 3, "wall"),
+    (furniture.bench, 3, "wall"),
 )  # fmt: skip
 
 
@@ -80,7 +79,7 @@ def back_wall(rng: np.random.Generator, wall: Wall) -> Wall:
 
 def _pillars(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
     pitch, side = floor_plan.rng.uniform(6.0, 9.0, 2), floor_plan.rng.uniform(0.4, 0.8)
-    one = fittings.pillar(floor_plan.rng, top_m, side)
+    one = furniture.pillar(floor_plan.rng, top_m, side)
     for x in np.arange(inside[0] + pitch[0] / 1.5, inside[2] - 2.0, pitch[0]).tolist():
         for y in np.arange(inside[1] + pitch[1] / 1.5, inside[3] - 2.0, pitch[1]).tolist():
             floor_plan.put(place_group(one, x, y))

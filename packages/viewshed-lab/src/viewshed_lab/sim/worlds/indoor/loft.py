@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
@@ -20,8 +19,8 @@ _PIECE_M = 0.55
 
 _PIECES: tuple[tuple[Maker, int], ...] = (
     (furniture.desk, 6), (furniture.dining, 3), (furniture.sofa, 4), (furniture.low_table, 3), (furniture.shelf, 6),
-    (furniture.boxes, 6), (furniture.plant, 5), (furniture.bed, 2), (furniture.meeting, 1), (fittings.standing, 4),
-    (fittings.bench, 3), (furniture.chair, 6), (fittings.talking, 2),
+    (furniture.boxes, 6), (furniture.plant, 5), (furniture.bed, 2), (furniture.meeting, 1), (furniture.standing, 4),
+    (furniture.bench, 3), (furniture.chair, 6), (furniture.talking, 2),
 )  # fmt: skip
 
 
@@ -38,7 +37,7 @@ def loft(rng: np.random.Generator, plan: AgentPlan) -> World:
     _columns(floor_plan, inside, top)
     for maker, most in _PIECES:
         for _ in range(int(rng.integers(most // 2, most + 1))):
-            if maker in (furniture.shelf, furniture.sofa, furniture.desk, fittings.bench) and rng.random() < 0.5:
+            if maker in (furniture.shelf, furniture.sofa, furniture.desk, furniture.bench) and rng.random() < 0.5:
                 floor_plan.against(inside, maker)
             else:
                 floor_plan.inside(shrunk(inside, 0.5), maker)

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets import warehouse as stock
 from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Shape
@@ -19,8 +18,8 @@ from viewshed_lab.sim.worlds.indoor.walls import ceiling
 _HALF_M = 34.0
 
 _ALONG: tuple[tuple[Maker, float], ...] = (
-    (fittings.extinguisher, 3.0), (furniture.boxes, 3.0), (fittings.radiator, 2.0), (furniture.bin_, 2.0),
-    (fittings.bench, 1.0), (furniture.cabinet, 2.0), (stock.cage, 2.0), (stock.pallet, 2.0), (fittings.locker, 1.0),
+    (furniture.extinguisher, 3.0), (furniture.boxes, 3.0), (furniture.radiator, 2.0), (furniture.bin_, 2.0),
+    (furniture.bench, 1.0), (furniture.cabinet, 2.0), (stock.cage, 2.0), (stock.pallet, 2.0), (furniture.locker, 1.0),
 )  # fmt: skip
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets import warehouse as stock
 from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box
@@ -22,7 +21,7 @@ _STAGING_M, _CROSS_M, _MOST_PARTS = 10.0, 3.2, 560
 
 _STAGED: tuple[tuple[Maker, int], ...] = (
     (stock.forklift, 2), (stock.conveyor, 1), (stock.pallet, 8), (stock.cage, 4), (stock.cart, 3),
-    (furniture.table, 2), (furniture.boxes, 5), (fittings.standing, 4),
+    (furniture.table, 2), (furniture.boxes, 5), (furniture.standing, 4),
 )  # fmt: skip
 
 
@@ -45,7 +44,7 @@ def warehouse(rng: np.random.Generator, plan: AgentPlan) -> World:
     rise = _dock(floor_plan, staging, gates) if rng.random() < 0.5 else None
     for maker, limit in _STAGED:
         for _ in range(int(rng.integers(limit // 2, limit + 1))):
-            floor_plan.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not fittings.standing else ())
+            floor_plan.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not furniture.standing else ())
     _along_walls(floor_plan, inside, gates)
     _roof(floor_plan, inside, top)
     building = Building("warehouse", inside, top, 3, (store, staging, staging) + ((rise.rect,) if rise else ()))
@@ -130,7 +129,7 @@ def _dock(floor_plan: FloorPlan, staging: Rect, gates: int) -> Rise | None:
 
 def _along_walls(floor_plan: FloorPlan, inside: Rect, gates: int) -> None:
     sides = tuple(side for side in range(4) if side != gates)
-    for maker, limit in ((fittings.extinguisher, 4), (fittings.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
+    for maker, limit in ((furniture.extinguisher, 4), (furniture.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
                         (stock.cage, 2), (furniture.desk, 2)):  # fmt: skip
         for _ in range(int(floor_plan.rng.integers(1, limit + 1))):
             floor_plan.against(inside, maker, sides)
