@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from viewshed._extras import needed_for
+from viewshed_lab._config import one_of
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -310,6 +311,5 @@ def engine_named(name: str, workers: int | None = None) -> Engine:
         ValueError: there is no such engine, or ``workers`` is below 1.
         ImportError: the engine needs an extra that is not installed.
     """
-    if name not in ENGINES:
-        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+    one_of("engine", name, ENGINES)
     return ENGINES[name](workers)

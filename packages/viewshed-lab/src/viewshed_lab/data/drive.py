@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.recordings.write.moment import DriveTruth, ObjectTruth
 from viewshed.sweep import Sweep
+from viewshed_lab._config import one_of
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
 from viewshed_lab.sim.assets.street import extent
@@ -51,8 +52,7 @@ def drive_plan(
             f" {hz:g} Hz and {agents}"
         )
     name = preset.worlds[0] if world is None else world
-    if name not in WORLDS:
-        raise ValueError(f"world must be one of {', '.join(WORLDS)}, got {name!r}")
+    one_of("world", name, WORLDS)
     frames = int(seconds * hz + 1e-9) * (agents + preset.roadside)
     one = replace(
         preset, worlds=(name,), world_weights=(1.0,), splits=("drive",), scenes=(1,), frames=(frames,), moving=agents,

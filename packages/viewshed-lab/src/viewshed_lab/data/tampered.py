@@ -23,6 +23,7 @@ from viewshed.grid import BevGrid
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import SweepSource
 from viewshed.sweep import Sweep
+from viewshed_lab._config import one_of
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.archive.archive import Archive
 from viewshed_lab.data.archive.build import FRAMES_PER_SHARD, ShardJob, ShardResult, build_archive
@@ -154,8 +155,7 @@ class AttackPlan:
     estimator: FovEstimator | None = None  # that estimator
 
     def __post_init__(self) -> None:
-        if self.attack != PAPER and self.attack not in _FACTORIES:
-            raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
+        one_of("attack", self.attack, (*_FACTORIES, PAPER))
         self._made((Sweep(np.zeros((0, 3), np.float32)),))
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
@@ -205,8 +205,7 @@ class CorruptionPlan:
     severity: int = 3  # 1 to 5
 
     def __post_init__(self) -> None:
-        if self.corruption not in CORRUPTIONS:
-            raise ValueError(f"corruption must be one of {', '.join(CORRUPTIONS)}, got {self.corruption!r}")
+        one_of("corruption", self.corruption, CORRUPTIONS)
         CORRUPTIONS[self.corruption](self.severity)
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:

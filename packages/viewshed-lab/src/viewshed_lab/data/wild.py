@@ -25,6 +25,7 @@ from viewshed.grid import GRIDS, BevGrid
 from viewshed.sensors import sensor_names
 from viewshed.sweep import Sweep, bare_points
 from viewshed_lab import _config as flat
+from viewshed_lab._config import one_of
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.archive.archive import Archive
 from viewshed_lab.data.archive.build import ShardJob, ShardResult, build_archive
@@ -117,8 +118,7 @@ class WildTables:
         Raises:
             ValueError: there is none of that name.
         """
-        if name not in SETS:
-            raise ValueError(f"set must be one of {', '.join(SETS)}, got {name!r}")
+        one_of("set", name, SETS)
         return tuple(domain for domain in self.domains if domain.set_name == name)
 
 
@@ -275,8 +275,7 @@ class WildObservation:
         Raises:
             ValueError: ``told`` is not of ``TOLD``.
         """
-        if told not in TOLD:
-            raise ValueError(f"told must be one of {', '.join(TOLD)}, got {told!r}")
+        one_of("told", told, TOLD)
         if told == "nothing":
             return bare_points(self.delivered)
         sweep = self.delivered.replace(world_from_sensor=None, sensor_height_m=None, attitude=None, azimuth=None)

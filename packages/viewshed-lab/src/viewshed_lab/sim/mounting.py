@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
 from viewshed_lab import _config as flat
+from viewshed_lab._config import one_of
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import Agent, Thing, World, tilted
 
@@ -50,8 +51,7 @@ class MountingFamily:
     frame: str  # of ``FRAMES``
 
     def __post_init__(self) -> None:
-        if self.frame not in FRAMES:
-            raise ValueError(f"{self.name}: frame must be one of {', '.join(FRAMES)}, got {self.frame!r}")
+        one_of(f"{self.name}: frame", self.frame, FRAMES)
         for key in ("height_m", "yaw_deg", "pitch_deg", "roll_deg", "forward_m", "left_m"):
             low, high = getattr(self, key)
             if not low <= high:

@@ -17,11 +17,11 @@ from viewshed.preprocess.leveling import level
 from viewshed.preprocess.ring_recovery import rings_of_sweep
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Between, Checked, Share
 from viewshed_lab.sim.assets.shapes import PER_M, material_index
 from viewshed_lab.sim.lidar.measurement import air, detection_probability, particle_reach_m
 from viewshed_lab.sim.lidar.optics import Optics, optics_of
 from viewshed_lab.sim.lidar.weather import CONDITIONS, Conditions
-from viewshed_lab.threats.parameters import Between, Checked, Share
 
 NEAREST_M = 0.05
 """A return that is moved along its ray stays at least this far from the sensor."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -16,6 +16,7 @@ from viewshed.geometry import Rigid, polar
 from viewshed.preprocess.leveling import MAX_RANGE_M, NULL_RANGE_M
 from viewshed.preprocess.ring_recovery import RingAssignment, rings_of_sweep
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Between, Checked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,7 @@ class RangeValidation:
 
 
 @dataclass(frozen=True, slots=True)
-class OneReturnPerBeam:
+class OneReturnPerBeam(Checked):
     """Drops all returns of a beam but the nearest. Needs rings.
 
     Two returns share a beam if they share a ring and their firing azimuths (those of the points where the sweep has
@@ -88,11 +89,7 @@ class OneReturnPerBeam:
     claim to see through a surface is the dangerous one. Returns nearer than 1 m, and those of no ring, are left alone.
     """
 
-    tolerance: float = 0.25  # share of the azimuth step between two firings
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.tolerance < 1:
-            raise ValueError(f"tolerance must lie in [0, 1), got {self.tolerance}")
+    tolerance: Annotated[float, Between(0, 0.999)] = 0.25  # share of the azimuth step between two firings
 
     def apply(self, sweep: Sweep) -> Defended:
         """Return ``sweep`` with one return a beam.
@@ -136,19 +133,15 @@ def _farther_on_beam(ring: Any, azimuth: Any, nearest_first: Any, reach: float) 
 
 
 @dataclass(frozen=True, slots=True)
-class EmptySectorCheck:
+class EmptySectorCheck(Checked):
     """Raises an alarm where a sector of the revolution has hardly any returns; drops nothing.
 
     A bin of one degree is empty with fewer returns than ``share`` of the median bin (of those with any). The score is
     the widest run of empty bins as a share of the revolution.
     """
 
-    width_deg: float = 5.0  # a run at least this wide raises the alarm
-    share: float = 0.1  # of the median bin
-
-    def __post_init__(self) -> None:
-        if not (0 < self.width_deg <= 360 and 0 < self.share <= 1):
-            raise ValueError(f"width_deg must lie in (0, 360] and share in (0, 1], got {self}")
+    width_deg: Annotated[float, Between(0, 360, open=True)] = 5.0  # a run at least this wide raises the alarm
+    share: Annotated[float, Between(0, 1, open=True)] = 0.1  # of the median bin
 
     def apply(self, sweep: Sweep) -> Defended:
         """Return ``sweep`` as it is, with an alarm; an empty sweep raises it."""
@@ -174,19 +167,16 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class StatisticalOutlierRemoval:
+class StatisticalOutlierRemoval(Checked):
     """Drops returns whose mean distance to their nearest neighbors exceeds mean + ``deviations`` σ over the sweep.
 
     Rusu et al. 2008 ("Towards 3D point cloud based object maps for household environments"), as PCL's
     ``StatisticalOutlierRemoval`` with the parameters of its tutorial.
     """
 
-    neighbors: int = 50  # nearest others of each return; all others where there are fewer
-    deviations: float = 1.0  # multiples of the standard deviation (of N - 1)
-
-    def __post_init__(self) -> None:
-        if not (1 <= self.neighbors <= 1000 and np.isfinite(self.deviations)):
-            raise ValueError(f"neighbors must lie in [1, 1000] and deviations be finite, got {self}")
+    # nearest others of each return; all others where there are fewer
+    neighbors: Annotated[int, Between(1, 1000)] = 50
+    deviations: Annotated[float, Between(-1e6, 1e6)] = 1.0  # multiples of the standard deviation (of N - 1)
 
     def apply(self, sweep: Sweep) -> Defended:
         """Return ``sweep`` without statistical outliers; one of fewer than three returns is kept."""
@@ -202,18 +192,14 @@ class StatisticalOutlierRemoval:
 
 
 @dataclass(frozen=True, slots=True)
-class RadiusOutlierRemoval:
+class RadiusOutlierRemoval(Checked):
     """Drops returns with fewer than ``neighbors`` others within ``radius_m``.
 
     As PCL's ``RadiusOutlierRemoval`` with the parameters of its tutorial.
     """
 
-    radius_m: float = 0.8  # the distance itself counts as within
-    neighbors: int = 2  # others that a return needs
-
-    def __post_init__(self) -> None:
-        if not (0 < self.radius_m < 1e3 and self.neighbors >= 1):
-            raise ValueError(f"radius_m must lie in (0, 1000) and neighbors be at least 1, got {self}")
+    radius_m: Annotated[float, Between(0, 1000, open=True)] = 0.8  # the distance itself counts as within
+    neighbors: Annotated[int, Between(1)] = 2  # others that a return needs
 
     def apply(self, sweep: Sweep) -> Defended:
         """Return ``sweep`` without lonely returns."""
@@ -222,19 +208,16 @@ class RadiusOutlierRemoval:
 
 
 @dataclass(frozen=True, slots=True)
-class ClusteringOutlierRemoval:
+class ClusteringOutlierRemoval(Checked):
     """Drops returns that DBSCAN calls noise: no cluster's core lies within ``radius_m``.
 
     Ester et al. 1996 with scikit-learn's parameters: a core has ``fewest`` returns within the radius, itself included.
     The clusters themselves are not needed to know what belongs to none.
     """
 
-    radius_m: float = 0.5  # the distance itself counts as within (``eps``)
-    fewest: int = 5  # returns about a core (``min_samples``)
-
-    def __post_init__(self) -> None:
-        if not (0 < self.radius_m < 1e3 and self.fewest >= 2):
-            raise ValueError(f"radius_m must lie in (0, 1000) and fewest be at least 2, got {self}")
+    # the distance itself counts as within (``eps``)
+    radius_m: Annotated[float, Between(0, 1000, open=True)] = 0.5
+    fewest: Annotated[int, Between(2)] = 5  # returns about a core (``min_samples``)
 
     def apply(self, sweep: Sweep) -> Defended:
         """Return ``sweep`` without noise."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
 from viewshed.detections import Detections, ObjectKind
-from viewshed_lab.threats.parameters import Ascending, Between, Checked
+from viewshed_lab._config import Ascending, Between, Checked
 
 Motion = Literal["static", "markov", "trajectory"]
 """Stays; walks at random (velocity with a normal start and normal steps); keeps to a path."""

@@ -12,6 +12,7 @@ from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import COUNTS, TRUTHS, NetworkCard
 from viewshed_lab import _config as flat
+from viewshed_lab._config import Between, one_of
 from viewshed_lab.data.presets import MAX_SEED, preset_named, preset_names
 from viewshed_lab.threats.attacks import ATTACKS
 
@@ -84,11 +85,9 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for key, names in CHOICES.items():
-            if getattr(self, key) not in names:
-                raise ValueError(f"{key} must be one of {', '.join(names)}, got {getattr(self, key)!r}")
+            one_of(key, getattr(self, key), names)
         for key, (low, high) in _LIMITS.items():
-            if not low <= getattr(self, key) <= high:
-                raise ValueError(f"{key} must lie in [{low:g}, {high:g}], got {getattr(self, key)}")
+            Between(low, high).check(key, getattr(self, key))
         self._check_attacks()
         self._check_data()
         _ = self.card()

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from viewshed._extras import needed_for
+from viewshed_lab._config import Between, Checked
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import Fold, check_data, check_folds
@@ -43,8 +44,6 @@ WIDTHS = (4, 8, 16, 32)
 DROPOUTS = (0.05, 0.10, 0.15)
 LEARNING_RATES = (1e-4, 1e-3, 1e-2)
 """The settings of arXiv 2503.07375."""
-
-SAMPLERS = ("grid", "optuna")
 
 FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
 """What cross-validation leaves in its folder, beside the trainings."""
@@ -73,7 +72,7 @@ class Hyperparameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class Search(Checked):
     """Which settings are tried.
 
     Raises:
@@ -81,20 +80,12 @@ class Search:
     """
 
     # ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for
-    sampler: str = "grid"
-    trials: int | None = None  # how many; None is all of the grid
-    folds: int = 5  # of the scenes
+    sampler: Literal["grid", "optuna"] = "grid"
+    trials: Annotated[int | None, Between(1)] = None  # how many; None is all of the grid
+    folds: Annotated[int, Between(2)] = 5  # of the scenes
     widths: tuple[int, ...] = WIDTHS  # to choose from
     dropouts: tuple[float, ...] = DROPOUTS  # to choose from
     learning_rates: tuple[float, ...] = LEARNING_RATES  # to choose from
-
-    def __post_init__(self) -> None:
-        if self.sampler not in SAMPLERS:
-            raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
-        if self.trials is not None and self.trials < 1:
-            raise ValueError(f"trials must be at least 1, got {self.trials}")
-        if self.folds < 2:
-            raise ValueError(f"folds must be at least 2, got {self.folds}")
 
     @property
     def grid(self) -> list[Hyperparameters]:

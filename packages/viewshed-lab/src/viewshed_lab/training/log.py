@@ -10,16 +10,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
+from viewshed_lab._config import Between, Checked
 from viewshed_lab._jobs import J, LocalEngine
 from viewshed_lab.training.config import TrainConfig
 
-DEVICES = ("cpu", "cuda")
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
@@ -27,19 +27,12 @@ CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "netw
 
 
 @dataclass(frozen=True, slots=True)
-class Machines:
+class Machines(Checked):
     """What a training runs on: ``cpu`` or ``cuda``, processes or graphics cards of each machine, and machines."""
 
-    device: str = "cpu"
-    devices: int = 1
-    nodes: int = 1
-
-    def __post_init__(self) -> None:
-        if self.device not in DEVICES:
-            raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
-        for name in ("devices", "nodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+    device: Literal["cpu", "cuda"] = "cpu"
+    devices: Annotated[int, Between(1)] = 1
+    nodes: Annotated[int, Between(1)] = 1
 
 
 def save(path: Path, content: bytes) -> None:

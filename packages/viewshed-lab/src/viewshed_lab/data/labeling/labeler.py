@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Between, Checked
 from viewshed_lab.data.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
 from viewshed_lab.data.labeling.beam_image import BeamImage, beam_image
 from viewshed_lab.data.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
@@ -34,7 +35,7 @@ from viewshed_lab.sim.truth.exact import MAX_BINS
 
 Definition = Literal["probe", "farthest", "first_blocker"]
 
-DEFINITIONS: tuple[Definition, ...] = ("probe", "farthest", "first_blocker")
+DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
 """For which of them a label can say where it is known; it holds the masks of all."""
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
@@ -53,32 +54,18 @@ LOWS_REACH = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class LabelRules:
+class LabelRules(Checked):
     """How sweeps are labeled.
-
-    Attributes:
-        grid: where the cells are.
-        definition: what ``known`` is about.
-        target: what would have to be seen, for ``probe``.
-        neighbors: sweeps before and after one that help to label it, at most; 0 labels each sweep by itself.
-        node_m: side of the nodes on which ground is kept.
 
     Raises:
         ValueError: a value is out of range.
     """
 
-    grid: BevGrid = GRIDS["road"]
-    definition: Definition = "probe"
-    target: str = "car"
-    neighbors: int = 20
-
-    def __post_init__(self) -> None:
-        if self.definition not in DEFINITIONS:
-            raise ValueError(f"definition must be one of {', '.join(DEFINITIONS)}, got {self.definition!r}")
-        if self.target not in {target.name for target in TARGETS}:
-            raise ValueError(f"target must be one of {', '.join(t.name for t in TARGETS)}, got {self.target!r}")
-        if not 0 <= self.neighbors <= 1000:
-            raise ValueError(f"neighbors must lie in [0, 1000], got {self.neighbors}")
+    grid: BevGrid = GRIDS["road"]  # where the cells are
+    definition: Definition = "probe"  # what ``known`` is about
+    target: Literal["car", "pedestrian"] = "car"  # what would have to be seen, for ``probe``
+    # sweeps before and after one that help to label it, at most; 0 labels each sweep by itself
+    neighbors: Annotated[int, Between(0, 1000)] = 20
 
     @property
     def node_m(self) -> float:

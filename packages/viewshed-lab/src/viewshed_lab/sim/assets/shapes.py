@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed_lab._config import one_of
+
 
 @dataclass(frozen=True, slots=True)
 class Material:
@@ -79,8 +81,7 @@ def material_index(name: str) -> int:
     >>> MATERIALS[material_index("glass")].reflectivity
     0.0
     """
-    if name not in _INDEX:
-        raise ValueError(f"material must be one of {', '.join(_INDEX)}, got {name!r}")
+    one_of("material", name, _INDEX)
     return _INDEX[name]
 
 

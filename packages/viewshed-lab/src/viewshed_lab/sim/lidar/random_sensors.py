@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab import _config as flat
+from viewshed_lab._config import one_of
 from viewshed_lab.sim.lidar.optics import optics_of
 
 PATTERNS = ("rings", "rosette", "weave")
@@ -64,9 +65,8 @@ class SensorFamily:
     leaves_out: tuple[str, ...]  # of ``COLUMNS``, those that its sweeps never have
 
     def __post_init__(self) -> None:
-        for key, value, table in (("pattern", self.pattern, PATTERNS), ("order", self.order, ORDERS)):
-            if value not in table:
-                raise ValueError(f"{self.name}: {key} must be one of {', '.join(table)}, got {value!r}")
+        one_of(f"{self.name}: pattern", self.pattern, PATTERNS)
+        one_of(f"{self.name}: order", self.order, ORDERS)
         if not set(self.leaves_out) <= set(COLUMNS):
             raise ValueError(f"{self.name}: leaves_out must be among {', '.join(COLUMNS)}, got {self.leaves_out}")
         if self.pattern != "rings" and ("ring" not in self.leaves_out or self.order == "by_ring"):

@@ -18,6 +18,7 @@ from viewshed.arrays import F64
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Azimuth, Between, Budget, Checked, Range, Sector
 from viewshed_lab.threats.attacks.assembly import add_points, untouched
 from viewshed_lab.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, rays_in, within
@@ -35,7 +36,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     street_depth_m,
     to_sensor,
 )
-from viewshed_lab.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector
 
 DRAWN_SHARE = 0.3
 """Share of the queries of an evolution that its random draws may use."""

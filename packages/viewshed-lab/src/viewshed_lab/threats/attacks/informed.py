@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from viewshed.arrays import F64, Mask
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Azimuth, Budget, Checked, Range, Sector
 from viewshed_lab.threats.attacks.assembly import untouched
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, rays_in
@@ -28,7 +29,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     level_rays,
     scene_of,
 )
-from viewshed_lab.threats.parameters import Azimuth, Budget, Checked, Range, Sector
 
 Ints = NDArray[np.intp]
 

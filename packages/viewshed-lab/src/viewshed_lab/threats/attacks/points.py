@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from viewshed.arrays import F64
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Ascending, Azimuth, Between, Budget, Checked, Points, Share
 from viewshed_lab.threats.attacks.assembly import add_points, untouched
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
@@ -38,7 +39,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     street_depth_m,
     to_sensor,
 )
-from viewshed_lab.threats.parameters import Ascending, Azimuth, Between, Budget, Checked, Points, Share
 
 Mode = Literal["free_form", "beam_constrained"]
 

@@ -16,11 +16,11 @@ from viewshed.arrays import F64, Mask
 from viewshed.grid import GRIDS
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M, LeveledSweep, level
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Between, Checked
 from viewshed_lab.sim.lidar.optics import Optics, optics_of
 from viewshed_lab.threats.attacks.assembly import Forged, assemble, untouched
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, within
-from viewshed_lab.threats.parameters import Between, Checked
 
 RELIABILITY: dict[str, float] = {"VLP-16": 0.985, "VLP-32C": 0.83, "OS1-32": 0.44, "OS1-32 gradient": 0.44}
 """Share of the aimed beams that a spoofer wins, by the name of the sensor."""

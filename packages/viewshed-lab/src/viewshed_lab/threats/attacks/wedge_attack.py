@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Azimuth, Between, Budget, Checked, Range, Sector, Share
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed_lab.threats.attacks.placement import Placement, placed_azimuth
@@ -26,7 +27,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     limits_m,
     random_obstacle_azimuth,
 )
-from viewshed_lab.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector, Share
 
 
 @dataclass(frozen=True, slots=True)

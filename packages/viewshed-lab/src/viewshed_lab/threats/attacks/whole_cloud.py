@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from viewshed.arrays import F64, Mask
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Azimuth, Between, Checked, Range, Share
 from viewshed_lab.threats.attacks.assembly import add_points
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.spoofer import (
@@ -26,7 +27,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     scene_of,
     to_sensor,
 )
-from viewshed_lab.threats.parameters import Azimuth, Between, Checked, Range, Share
 
 _CAR_M = (4.2, 1.8, 1.5)
 _APART_RAD = 0.01
