@@ -32,9 +32,7 @@ ROAD_SENSORS = (
 """Sensors that take turns in these worlds."""
 
 INDOOR_WORLDS = ("rooms", "corridors", "hall", "warehouse")
-
 INDOOR_SENSORS = ("vlp16", "os0_32", "os1_32", "hdl32e")
-
 _SECONDS, _HZ = 6.0, 1 / 3
 
 KIND_OF_CATEGORY = {

@@ -54,9 +54,7 @@ TOLD = ("table", "rings", "nothing")
 where the points lie in the sensor's frame. ``rings``: ring, time and intensity. ``nothing``: no more than points."""
 
 _SWEEPS_APART_S = 3.0
-
 _REVOLUTION_S = 0.1
-
 _TABLE = "data/wild_sets.toml"
 
 

@@ -11,7 +11,6 @@ from viewshed_lab.sim.assets.street import pick
 from viewshed_lab.sim.world import Thing
 
 _SUNK_M = -4.0
-
 _PANE_M = 0.02
 
 

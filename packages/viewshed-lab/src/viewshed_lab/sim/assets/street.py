@@ -16,9 +16,7 @@ from viewshed_lab.sim.assets.shapes import Box, Cylinder, Ellipsoid, ends_of
 from viewshed_lab.sim.world import Thing, Track
 
 _T = TypeVar("_T")
-
 _OVERHEAD_M = 2.1
-
 _POST_STEP_M = 4.0
 
 

@@ -41,13 +41,9 @@ _ENDLESS_M = 1e6
 
 # SplitMix64's multipliers, and the shifts that cut a hash into four numbers of 16 bits.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)
-
 _MIX_B = np.uint64(0x94D049BB133111EB)
-
 _LOW = np.uint64(0xFFFF)
-
 _S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(shift) for shift in (16, 27, 30, 31, 32, 48))
 
 _NORMAL = np.float32(1.0 / np.sqrt(4.0 * (65536.0**2 - 1.0) / 12.0))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from viewshed.sensors import LidarModel
 
 _FINEST_STEP_M = 0.002
-
 _REACH_SHARE = 0.6
 
 

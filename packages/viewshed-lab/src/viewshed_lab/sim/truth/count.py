@@ -42,9 +42,7 @@ _SIDE = 4
 """Cells along a side of a patch."""
 
 _ROUNDING = 1e-6
-
 _PI = np.float32(np.pi)
-
 FREE, SURFACE, HIDDEN, UNKNOWN = (np.uint8(CellState[name]) for name in ("FREE", "SURFACE", "HIDDEN", "UNKNOWN"))
 
 SURFACE_FROM_M = 0.2

@@ -20,9 +20,7 @@ from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Lane, Pace, driven, straight_lane
 
 _PACE = Pace(110.0, 50.0, (6.0, 18.0), (7.0, 25.0, 90.0))
-
 _FACE_M = 0.03
-
 _LEAST_CLEAR_M = 4.4
 
 

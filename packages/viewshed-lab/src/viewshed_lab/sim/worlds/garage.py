@@ -21,7 +21,6 @@ from viewshed_lab.sim.worlds.roadway import HALF_M
 from viewshed_lab.sim.worlds.traffic import Lane, Rider, straight_lane
 
 _BAY_M, _DEEP_M, _AISLE_M, _END_M, _RAMP_M = 2.6, 5.0, 6.2, 6.5, 4.4
-
 _FACE_M = 0.03
 
 

@@ -33,9 +33,7 @@ from viewshed_lab.sim.worlds.roadway import Bend, masts_beside
 from viewshed_lab.sim.worlds.traffic import Lane, Rider, Stream, filled, flow
 
 _LANE_M, _SHOULDER_M, _MARGIN_M = 3.6, 2.8, 66.0
-
 _SHORTEST_ROAM_M, _LONGEST_ROAM_M = 50.0, 240.0
-
 _LATTICE = 34
 
 

@@ -16,9 +16,7 @@ from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, right_turn, straight_lane
 
 _HALF_M, _ROAM_M = 112.0, 50.0
-
 _CROSSWALK_M = 4.8
-
 _TURN_CLEARANCE_M, _BEHIND_TURN_M = 1.4, 12.0
 
 

@@ -45,7 +45,6 @@ _STEP_M = 2.0
 """Between two lines of the terrain within 76 m; beyond they lie 6 m apart."""
 
 _SOLID, _GLASS = ("concrete", "plaster", "brick", "wood", "metal", "dark_paint"), ("glass", "window", "tinted")
-
 _SOILS = ("grass", "concrete", "asphalt", "brick", "rubber")
 
 _THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (

@@ -13,11 +13,8 @@ from viewshed_lab.sim.assets.shapes import material_index
 from viewshed_lab.sim.terrain import Terrain
 
 _CURB_WIDTH_M = 0.03
-
 _CROWN = 0.02
-
 _FALL = 0.015
-
 _BUMP_HALF_M, _BUMP_M = 1.0, 0.09
 
 

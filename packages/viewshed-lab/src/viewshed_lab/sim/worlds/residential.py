@@ -14,9 +14,7 @@ from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Pace, driven, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
-
 _DRIVE_M = 3.6
-
 _PACE = Pace(_HALF_X_M, _ROAM_M, (4.0, 9.0), (15.0, 40.0, 120.0))
 
 

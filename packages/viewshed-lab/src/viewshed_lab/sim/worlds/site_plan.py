@@ -15,7 +15,6 @@ from viewshed_lab.sim.worlds.layout import Mast
 from viewshed_lab.sim.worlds.roadway import HALF_M, Bend
 
 _GAP_M, _TALL_M = 0.15, 3.0
-
 _ROOM = 8192
 
 

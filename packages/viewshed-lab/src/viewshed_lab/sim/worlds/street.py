@@ -17,7 +17,6 @@ from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Driver, Lane, Pace, Rider, driven, flow, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
-
 _PACE = Pace(_HALF_X_M, _ROAM_M, (5.0, 14.0), (6.0, 20.0, 60.0), (0.8, 1.6))
 
 

@@ -13,17 +13,11 @@ from viewshed_lab.sim.world import AgentPlan, Thing, Track
 from viewshed_lab.sim.worlds.layout import carriers
 
 _STEP_S = 0.5
-
 _SMOOTH_STEPS = 2
-
 _LEAD_S = 3.0
-
 _FAR_M = 1500.0
-
 _QUEUE_GAP_M = 2.0
-
 _DELAY_STEPS = 2
-
 _REACTION_S = _DELAY_STEPS * _STEP_S
 
 

@@ -199,7 +199,8 @@ class BeamSearchSpace:
         height, sharp, street, wall = candidate[3 * f : 3 * f + 4]
         residual = candidate[3 * f + 4 :]
         priority = priority + residual[:k] - max(sharp, 0.0) * np.abs(self.features[:, 3] - height)
-        low_m, high_m = _reach_m(self.sweep)
+        least_m, most_m = limits_m(self.sweep)
+        low_m, high_m = min(least_m + _MARGIN_M, most_m), max(most_m - _MARGIN_M, least_m)
         if street > 0.0:
             wall_m = low_m + (high_m - low_m) * float(_sigmoid(wall))
             wanted = street_depth_m(self.sweep, self.rays, wall_m)
@@ -287,11 +288,6 @@ def _spread(number: NDArray[np.intp]) -> F64:
 def _sigmoid(value: F64 | float) -> F64:
     squashed: F64 = 0.5 + 0.5 * np.tanh(0.5 * np.asarray(value))
     return squashed
-
-
-def _reach_m(sweep: Sweep) -> tuple[float, float]:
-    low_m, high_m = limits_m(sweep)
-    return min(low_m + _MARGIN_M, high_m), max(high_m - _MARGIN_M, low_m)
 
 
 Value = Callable[[Sweep], float]
@@ -410,7 +406,11 @@ class BlackBox(Checked):
         wedge = aimed.aim(sweep, rng)
         value_of = self.objective.on(sweep, wedge)
         nothing, seed = value_of(sweep), int(rng.integers(2**62))
-        space = self._space(sweep, wedge)
+        space: BeamSearchSpace | PointSearchSpace
+        if self.mode == "free_form":
+            space = PointSearchSpace(sweep, wedge, self.budget or 0)
+        else:
+            space = BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
 
         def worth(candidate: F64) -> float:
             """Return what a plan is worth under noise that is the same for every plan."""
@@ -423,11 +423,6 @@ class BlackBox(Checked):
         if best.candidate is None or best.value <= nothing:
             return SearchResult(untouched(sweep, wedge), nothing, history, queries)
         return SearchResult(space.tampered(best.candidate, rng), best.value, history, queries)
-
-    def _space(self, sweep: Sweep, wedge: Wedge) -> BeamSearchSpace | PointSearchSpace:
-        if self.mode == "free_form":
-            return PointSearchSpace(sweep, wedge, self.budget or 0)
-        return BeamSearchSpace.of(sweep, wedge, self.budget, self.spoofer)
 
 
 def _black_box(

@@ -219,7 +219,12 @@ class VanishedObject(_OfObjects):
         """Return the attacked sweep and what was done to it."""
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
-        for chosen in _drawn(objects, rng) if self.azimuth is None else _nearest_first(image, objects, self.azimuth):
+        if self.azimuth is None:
+            objects = _drawn(objects, rng)
+        else:  # the nearest first
+            apart = np.array([_azimuth_of(image, one) for one in objects]) - self.azimuth
+            objects = [objects[k] for k in np.argsort(np.abs((apart + np.pi) % (2 * np.pi) - np.pi), kind="stable")]
+        for chosen in objects:
             number, background_m = _background(sweep, image, chosen, rng)
             behind = background_m > image.rays.depth_m[number] + _BEHIND_M
             if behind.mean() > _VANISHING_SHARE:
@@ -241,11 +246,6 @@ def _random_one(objects: list[_Object], rng: np.random.Generator) -> int:
     """Return the number of an object drawn in proportion to its returns: large ones hide more."""
     returns = np.array([len(one.ring) for one in objects], np.float64)
     return int(rng.choice(len(objects), p=returns / returns.sum()))
-
-
-def _nearest_first(image: _RayImage, objects: list[_Object], azimuth: float) -> list[_Object]:
-    """Return the objects by how far their middle is from an azimuth."""
-    return sorted(objects, key=lambda one: abs((_azimuth_of(image, one) - azimuth + np.pi) % (2 * np.pi) - np.pi))
 
 
 def _azimuth_of(image: _RayImage, one: _Object) -> float:

@@ -19,9 +19,7 @@ from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
 from viewshed_lab.sim.worlds.indoor.routes import Network, RoadMap, drive_route, open_floor
 
 ROBOT_RADIUS_M = 0.18
-
 _CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.3, 0.5
-
 _LEAD_S, _SENSOR_M = 12.0, (0.3, 1.85)
 
 

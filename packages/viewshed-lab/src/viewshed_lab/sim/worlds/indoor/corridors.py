@@ -17,7 +17,6 @@ from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 
 _THICK_M, _NICHE_M = 0.12, 0.9
-
 _USES = ("office", "office", "meeting", "office", "store", "lounge")
 
 Span = tuple[float, float]

@@ -19,7 +19,6 @@ Rect = tuple[float, float, float, float]
 """x and y from, x and y to, in meters."""
 
 _GAP_M, _OVERHEAD_M = 0.04, 2.0
-
 _ROOM = 4096
 
 
@@ -153,7 +152,6 @@ def _at_wall(room: Rect, outline: Rect, side: int, share: float) -> tuple[float,
 
 
 _EDGE_M = 0.01
-
 _HALF_M, _SLOPE = 60.0, 0.09
 
 Heights = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]

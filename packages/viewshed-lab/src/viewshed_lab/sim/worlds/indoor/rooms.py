@@ -13,11 +13,8 @@ from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
 
 _LEAST_M, _DOOR_M = 3.0, 1.6
-
 _OFFICES = ("office", "meeting", "office", "office", "lounge", "office")
-
 _HOMES = ("living", "bedroom", "kitchen", "study", "bedroom")
-
 _SMALL = ("bathroom", "store", "office")
 
 

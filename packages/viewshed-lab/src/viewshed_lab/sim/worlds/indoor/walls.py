@@ -18,7 +18,6 @@ DOORS = ("open", "ajar", "shut", "passage")
 """Openings with a lintel above :data:`DOOR_TOP_M`; the others are ``window`` and ``pane``."""
 
 _POST_M, _ZONE_M = 0.06, 0.9
-
 _PANE_M = 0.02
 
 

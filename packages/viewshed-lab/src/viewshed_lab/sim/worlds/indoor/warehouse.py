@@ -16,7 +16,6 @@ from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, Rise, flo
 from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, around, build, ceiling
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-
 _STAGING_M, _CROSS_M, _MOST_PARTS = 10.0, 3.2, 560
 
 _STAGED: tuple[tuple[Maker, int], ...] = (
