@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
+from operator import getitem
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -50,11 +51,6 @@ SceneFrames = Callable[[int], Sample]
 """Returns a frame of one scene by its number, or raises a ValueError or an OSError; it travels to other processes."""
 
 
-def _archived(archive: Archive, index: int) -> Sample:
-    """Return a frame of an archive, as it is stored."""
-    return archive[index]
-
-
 def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> Sample:
     """Return a sweep of a recording as a frame whose truth is nowhere known."""
     source = opened(place, kind)
@@ -63,7 +59,7 @@ def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> S
 
 def _of_file(path: Path, read: ReadFile, grid: BevGrid, index: int) -> Sample:
     """Return a sweep of a file as a frame whose truth is nowhere known."""
-    return without_truth(_cursor(path, read).at(index), grid, path.name)
+    return without_truth(_Cursor(path, read).at(index), grid, path.name)
 
 
 def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
@@ -77,6 +73,7 @@ def opened(place: str, kind: str) -> SweepSource:
     return open_source(place, kind)
 
 
+@lru_cache(maxsize=2)
 class _Cursor:
     """Reads a file forward, and from its start again for a sweep that has passed."""
 
@@ -96,11 +93,6 @@ class _Cursor:
         return self._last
 
 
-@lru_cache(maxsize=2)
-def _cursor(path: Path, read: ReadFile) -> _Cursor:
-    return _Cursor(path, read)
-
-
 ReadEarlier = Callable[[], tuple[Sweep, ...]]
 """Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
 
@@ -108,31 +100,6 @@ PAPER = "paper"
 _LASTING = EARLIER | {"coherent_phantom"}
 _FACTORIES = ATTACKS | INFORMED | ADAPTIVE | WHOLE_CLOUD
 _ROOM_M = 20.0
-
-
-class TamperPlan(Protocol):
-    """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
-
-    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample with its sweep changed; its truth stays. A ValueError where that cannot be done to it.
-
-        ``history`` returns earlier sweeps, and is called only where they are needed; ``rng`` is all that is random.
-        """
-        ...
-
-    @property
-    def command(self) -> str:
-        """What makes such a data set."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """Name in its table."""
-        ...
-
-    def config(self) -> dict[str, Any]:
-        """Return all its parameters, as plain values."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +189,10 @@ class CorruptionPlan:
         return asdict(self)
 
 
+TamperPlan = AttackPlan | CorruptionPlan
+"""What is done to a sweep, the same for the same generator; it travels to other processes."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
     """Frames of one scene that become one shard."""
@@ -257,7 +228,7 @@ def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     for number, scene in enumerate(archive.scenes):
         # Jobs travel to other processes, with no more of the manifest than they need.
         shards = tuple(shard for shard in archive.shards if shard.scene == scene)
-        frames = partial(_archived, Archive(archive.store, replace(archive.manifest, shards=shards)))
+        frames = partial(getitem, Archive(archive.store, replace(archive.manifest, shards=shards)))
         first = 0
         for shard in shards:
             if shard.name in wanted:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from enum import IntEnum
 from functools import lru_cache, partial
 from importlib import resources
 
@@ -58,13 +57,7 @@ _REVOLUTION_S = 0.1
 _TABLE = "data/wild_sets.toml"
 
 
-class _SeedPurpose(IntEnum):
-    WORLD = 0
-    SENSOR = 1
-    MOUNTING = 2
-    OBSERVATION = 3
-    DELIVERY = 4
-    CONDITIONS = 5
+_FOR_WORLD, _FOR_SENSOR, _FOR_MOUNTING, _FOR_OBSERVATION, _FOR_DELIVERY, _FOR_CONDITIONS = range(6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,18 +201,18 @@ class WildScene:
     @property
     def conditions(self) -> str:
         """Weather and faults."""
-        return str(self.rng(_SeedPurpose.CONDITIONS).choice(self.domain.conditions))
+        return str(self.rng(_FOR_CONDITIONS).choice(self.domain.conditions))
 
     def drawn_mounting(self) -> Mounting:
         """Return its mounting."""
-        return draw_mounting(wild_tables().mountings[self.mounting], self.rng(_SeedPurpose.MOUNTING))
+        return draw_mounting(wild_tables().mountings[self.mounting], self.rng(_FOR_MOUNTING))
 
     def drawn_sensor(self, sweep: int = 0) -> DrawnSensor:
         """Return its sensor, as it fires one of its sweeps."""
         families = wild_tables().sensors
         if self.sensor not in families:
             return DrawnSensor.of_table(self.sensor)
-        return draw_sensor(families[self.sensor], self.rng(_SeedPurpose.SENSOR), sweep)
+        return draw_sensor(families[self.sensor], self.rng(_FOR_SENSOR), sweep)
 
     def observe(self, sweep: int) -> WildObservation:
         """Return one of its sweeps with all that the simulator knows of it."""
@@ -230,7 +223,7 @@ class WildScene:
         own = self.domain.grid
         grid = replace(own, offset_m=(float(away[0]), float(away[1]))) if away.any() else own
         setting = Setting(grid, CONDITIONS[self.conditions], _REVOLUTION_S)
-        seed, t_s = self.seed(_SeedPurpose.OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
+        seed, t_s = self.seed(_FOR_OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
         seen = observe(world, agent, t_s, setting, seed, sensor.model)
         # The exact ground, first from the sensor's height, then from the ground below the origin of the points.
         centers, pose, terrain = grid.centers, seen.scan.world_from_sensor, world.ground_of(agent)
@@ -239,7 +232,7 @@ class WildScene:
         world_from_carrier = pose.rotation @ agent.mount.rotation.T
         height_m = float((world_from_carrier @ away)[2] - below)
         # The sweep as it is handed out, in the frame in which it is given.
-        delivered = sensor.deliver(seen.image.sweep(), self.rng(_SeedPurpose.DELIVERY, sweep))
+        delivered = sensor.deliver(seen.image.sweep(), self.rng(_FOR_DELIVERY, sweep))
         turn = pose.rotation if mounting.family.frame == "sensor" else world_from_carrier
         truth = Truth(own, seen.truth.expected_returns, seen.truth.state)
         return WildObservation(
@@ -375,7 +368,7 @@ def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
     plan = AgentPlan(
         moving=1, sensor_height_m=mounting.height_m, duration_s=scene.domain.sweeps * _SWEEPS_APART_S
     )  # fmt: skip
-    return mounting.mounted(WORLDS[scene.style](scene.rng(_SeedPurpose.WORLD), plan), 0)
+    return mounting.mounted(WORLDS[scene.style](scene.rng(_FOR_WORLD), plan), 0)
 
 
 def _samples(scene: WildScene, told: tuple[str, ...], _: list[str]) -> Iterator[Sample]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,17 +128,12 @@ def is_finished(history: Sequence[Epoch], config: TrainConfig) -> bool:
     return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
 
 
-def history_to_json(history: Sequence[Epoch]) -> list[dict[str, Any]]:
-    """Return a history as plain values."""
-    return [asdict(epoch) for epoch in history]
-
-
 def csv_of(history: Sequence[Epoch]) -> str:
     """Return a history as a table with commas, one epoch a line."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, [item.name for item in fields(Epoch)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(history_to_json(history))
+    writer.writerows(map(asdict, history))
     return buffer.getvalue()
 
 

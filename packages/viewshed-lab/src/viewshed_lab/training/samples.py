@@ -17,7 +17,6 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
@@ -41,7 +40,7 @@ from viewshed_lab.threats.attacks import (
 )
 from viewshed_lab.training.config import PAPER, TrainConfig
 from viewshed_lab.training.log import build_files, mapped_array, write_array
-from viewshed_lab.training.sources import CleanSamples
+from viewshed_lab.training.sources import ArchivedSamples
 
 
 def draw_attacked_sweep(
@@ -97,10 +96,7 @@ BLANK = -1
 """Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
 
 
-class _Purpose(IntEnum):
-    ATTACK = 1
-    MASKS = 2
-    TURN = 3
+_FOR_ATTACK, _FOR_MASKS, _FOR_TURN = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +129,7 @@ def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
 class TrainingFrames:
     """Frames of one config as a map-style data set, in any number of processes."""
 
-    source: CleanSamples  # the clean frames
+    source: ArchivedSamples  # the clean frames
     config: TrainConfig  # attacks, variant and seed
     # returns the sample of an epoch and a number that was drawn before; None draws each when it is needed
     cached: Callable[[int, int], TrainingSample] | None = None
@@ -159,18 +155,18 @@ class TrainingFrames:
             return self._blank()
         sample = self.draw(epoch, index) if self.cached is None else self.cached(epoch, index)
         if self.mirrored:
-            sample = sample.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
+            sample = sample.turned(int(self._rng(epoch, index, _FOR_TURN).integers(8)))
         return {
             "inputs": self.config.card().shown(sample.maps),
             "visible": sample.visible.astype(np.float32),
             "known": sample.known.astype(np.float32),
-            "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
+            "masks": self.config.shape.masks(1, self._rng(epoch, index, _FOR_MASKS))[0],
         }
 
     def draw(self, epoch: int, index: int) -> TrainingSample:
         """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(index)
-        rng = self._rng(epoch, index, _Purpose.ATTACK)
+        rng = self._rng(epoch, index, _FOR_ATTACK)
         shown = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
         return TrainingSample(self.config.card().maps_of(shown), clean.visible, clean.known)
 
@@ -276,16 +272,8 @@ class SampleCache:
         """Draw the samples of the blocks that are missing, in ``workers`` processes; see :func:`build_files`."""
         blocks = range(-(-self.frames // _BLOCK))
         places = [(version, block) for version in range(self.versions) for block in blocks]
-        jobs = [_BlockJob(self, frames, *place) for place in places if not self.path(*place, _TRUTH).is_file()]
+        jobs = [(self, frames, *place) for place in places if not self.path(*place, _TRUTH).is_file()]
         build_files(_write_block, self.folder, jobs, workers, on_progress)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _BlockJob:
-    cache: SampleCache
-    frames: TrainingFrames
-    version: int
-    block: int
 
 
 def sample_cache_of(
@@ -300,12 +288,12 @@ def sample_cache_of(
     return SampleCache(folder / name, config.cells, sum(map(len, archives)), first, versions)
 
 
-def _write_block(job: _BlockJob) -> int:
+def _write_block(job: tuple[SampleCache, TrainingFrames, int, int]) -> int:
     """Return the number of frames of a block, whose counts and then their truth are written."""
-    start = job.block * _BLOCK
-    numbers = range(start, min(start + _BLOCK, job.cache.frames))
-    samples = [job.frames.draw(job.cache.first + job.version, number) for number in numbers]
-    path = partial(job.cache.path, job.version, job.block)
+    cache, frames, version, block = job
+    numbers = range(block * _BLOCK, min((block + 1) * _BLOCK, cache.frames))
+    samples = [frames.draw(cache.first + version, number) for number in numbers]
+    path = partial(cache.path, version, block)
     write_array(path(_COUNTS), np.stack([sample.maps.reshape(-1) for sample in samples]))
     bits = np.stack([np.reshape([sample.visible, sample.known], (2, -1)) for sample in samples])
     write_array(path(_TRUTH), np.packbits(bits, axis=2))

@@ -10,7 +10,6 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,27 +53,18 @@ class PaperLabels:
     def build(self, archive: Archive, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
         """Label the shards of an archive that have no labels yet, in ``workers`` processes; see :func:`build_files`."""
         missing = [shard for shard in archive.shards if not self.path(shard).is_file()]
-        jobs = [_LabelJob(self, archive.of_scenes([shard.scene]), shard) for shard in missing]
+        jobs = [(self, archive.of_scenes([shard.scene]), shard) for shard in missing]
         build_files(_label_shard, self.folder, jobs, workers, on_progress)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LabelJob:
-    """What a worker must know to label one shard: how and where, the archive of its scene, and which shard it is."""
-
-    labels: PaperLabels
-    scene: Archive
-    shard: ShardFacts
-
-
-def _label_shard(job: _LabelJob) -> int:
-    """Return the number of frames of a shard, whose labels are written."""
-    names = [shard.name for shard in job.scene.shards]
-    first = sum(shard.frames for shard in job.scene.shards[: names.index(job.shard.name)])
-    sweeps = (job.scene[first + row].sweep for row in range(job.shard.frames))
-    masks = [paper_label(sweep, job.labels.grid, job.labels.indoor) for sweep in sweeps]
-    write_array(job.labels.path(job.shard), np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
-    return job.shard.frames
+def _label_shard(job: tuple[PaperLabels, Archive, ShardFacts]) -> int:
+    """Return the number of frames of a shard in the archive of its scene, whose labels are written."""
+    labels, scene, shard = job
+    first = sum(one.frames for one in scene.shards[: scene.shards.index(shard)])
+    sweeps = (scene[first + row].sweep for row in range(shard.frames))
+    masks = [paper_label(sweep, labels.grid, labels.indoor) for sweep in sweeps]
+    write_array(labels.path(shard), np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
+    return shard.frames
 
 
 _LOOK_BACK_FRAMES = 24
@@ -95,20 +85,6 @@ class CleanSample:
 def labeled(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
     """Return a sweep with the paper's label, which is known everywhere."""
     return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
-
-
-class CleanSamples(Protocol):
-    """Frames by number, in any process."""
-
-    def __len__(self) -> int: ...
-
-    def clean(self, index: int) -> CleanSample:
-        """Return one frame."""
-        ...
-
-    def earlier(self, index: int) -> tuple[Sweep, ...]:
-        """Return the last sweep before it of the same sensor and scene, or none."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -94,7 +94,8 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Label
     leveled = level(sweep, rules.grid)
     image = beam_image(sweep, leveled.level_from_sensor.rotation, drift)
     patch = patch_of(leveled, (*around, _lows_of_level(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
-    return _Labeling(rules, image, patch, beam_ends_of(image, patch), _has_vehicle(leveled)).result()
+    has_vehicle = EGO_HEIGHTS_M[0] <= leveled.sensor_height_m <= EGO_HEIGHTS_M[1]
+    return _Labeling(rules, image, patch, beam_ends_of(image, patch), has_vehicle).result()
 
 
 def _lows_of_level(leveled: LeveledSweep, rules: LabelRules) -> Lows:
@@ -102,27 +103,15 @@ def _lows_of_level(leveled: LeveledSweep, rules: LabelRules) -> Lows:
     return lows_of(leveled.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
 
-def _has_vehicle(leveled: LeveledSweep) -> bool:
-    return EGO_HEIGHTS_M[0] <= leveled.sensor_height_m <= EGO_HEIGHTS_M[1]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Labeling:
-    """One sweep on its way to its label.
+    """One sweep on its way to its label."""
 
-    Attributes:
-        rules: how it is labeled.
-        image: its beams.
-        patch: the ground about it.
-        stops: where its beams ended.
-        has_vehicle: whether a vehicle is assumed below the sensor.
-    """
-
-    rules: LabelRules
-    image: BeamImage
-    patch: Patch
-    ends: BeamEnds
-    has_vehicle: bool
+    rules: LabelRules  # how it is labeled
+    image: BeamImage  # its beams
+    patch: Patch  # the ground about it
+    ends: BeamEnds  # where its beams ended
+    has_vehicle: bool  # whether a vehicle is assumed below the sensor
 
     def result(self) -> tuple[Truth, Mask]:
         """Return the label and where it is trusted."""

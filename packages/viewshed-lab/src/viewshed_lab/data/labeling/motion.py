@@ -92,11 +92,9 @@ def well_spaced(poses: Sequence[StampedPose | None], spacing_m: float) -> list[i
     for place, pose in enumerate(poses):
         if pose is None or pose.world_from_sensor is None:
             continue
-        if last is None or (_reachable(last, pose) and _apart(last, pose, spacing_m)):
+        if last is None or (
+            _reachable(last, pose) and (last.meters_to(pose) >= spacing_m or last.seconds_to(pose) >= POST_S)
+        ):
             posts.append(place)
             last = pose
     return posts
-
-
-def _apart(one: StampedPose, other: StampedPose, spacing_m: float) -> bool:
-    return one.meters_to(other) >= spacing_m or one.seconds_to(other) >= POST_S
