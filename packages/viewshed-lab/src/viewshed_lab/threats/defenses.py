@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from viewshed.arrays import F64, Mask
 from viewshed.geometry import Rigid, polar
 from viewshed.preprocess.leveling import MAX_RANGE_M, NULL_RANGE_M
-from viewshed.preprocess.ring_recovery import RingAssignment, rings_of_sweep
+from viewshed.preprocess.ring_recovery import rings_of_sweep
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Between, Checked
 
@@ -302,7 +302,8 @@ class _View:
         depth_m = np.full((beams.rings, beams.columns), np.inf)
         used = (beams.ring >= 0) & (range_m > _NEAREST_M)
         np.minimum.at(depth_m, (beams.ring[used], beams.column[used]), range_m[used])
-        order = _rings_with_returns(beams, used)
+        rings = np.unique(beams.ring[used]).astype(np.intp)
+        order = rings[np.argsort(beams.elevation[rings], kind="stable")]
         return cls(pose.inverse(), beams.elevation[order], order, depth_m)
 
     def judge(self, in_world: F64, margin_m: float, gap_m: float) -> tuple[Mask, Mask]:
@@ -323,12 +324,6 @@ class _View:
         nearest_m = seen_m.min(axis=(0, 1))
         surface = between & (np.abs(seen_m - range_m) <= margin_m).any(axis=(0, 1))
         return between & returned & (nearest_m > range_m + margin_m), surface
-
-
-def _rings_with_returns(beams: RingAssignment, used: Mask) -> NDArray[np.intp]:
-    """Return the rings that have returns, from the lowest elevation up."""
-    rings = np.unique(beams.ring[used]).astype(np.intp)
-    return rings[np.argsort(beams.elevation[rings], kind="stable")]
 
 
 __all__ = [

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -168,7 +168,9 @@ def _search_grid(search: Search, config: TrainConfig, score: ScoreFolds) -> Trie
 
 def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
     """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
-    optuna = _optuna()
+    with needed_for("--sampler optuna"):
+        import optuna
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
     choices = {"width": search.widths, "dropout": search.dropouts, "learning_rate": search.learning_rates}
     spaces = {name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()}
@@ -178,13 +180,6 @@ def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) 
         scores = score(setting)
         study.tell(trial, mean_f1(scores))
         yield setting, scores
-
-
-def _optuna() -> Any:
-    with needed_for("--sampler optuna"):
-        import optuna
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    return optuna
 
 
 def mean_f1(scores: Sequence[FoldScore]) -> float:

@@ -75,7 +75,9 @@ class Learner(L.LightningModule):
         They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
         """
         self._step_s = time.perf_counter()
-        self._set_momentum(1.0 if self.trainer.global_step == 0 else _MOMENTUM)
+        for module in self.network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.momentum = 1.0 if self.trainer.global_step == 0 else _MOMENTUM
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Return the loss of a batch."""
@@ -152,11 +154,6 @@ class Learner(L.LightningModule):
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
         self._busy_s += time.perf_counter() - self._step_s
-
-    def _set_momentum(self, momentum: float) -> None:
-        for module in self.network.modules():
-            if isinstance(module, torch.nn.BatchNorm2d):
-                module.momentum = momentum
 
     def _logits(self, batch: Batch) -> Tensor:
         inputs = batch["inputs"].contiguous(memory_format=torch.channels_last)

@@ -152,7 +152,8 @@ class TrainingFrames:
         """
         epoch, index = key
         if index == BLANK:
-            return self._blank()
+            zeros, masks = np.zeros(self.config.grid.shape, np.float32), self.config.shape.no_masks(1)[0]
+            return {"inputs": zeros[None].copy(), "visible": zeros, "known": zeros.copy(), "masks": masks}
         sample = self.draw(epoch, index) if self.cached is None else self.cached(epoch, index)
         if self.mirrored:
             sample = sample.turned(int(self._rng(epoch, index, _FOR_TURN).integers(8)))
@@ -169,10 +170,6 @@ class TrainingFrames:
         rng = self._rng(epoch, index, _FOR_ATTACK)
         shown = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
         return TrainingSample(self.config.card().maps_of(shown), clean.visible, clean.known)
-
-    def _blank(self) -> Arrays:
-        zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
-        return {"inputs": zeros[None].copy(), "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
 
     def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, epoch, index, purpose])

@@ -238,12 +238,9 @@ class LabeledDrive(Generic[R]):
         now = StampedPose(sweep.world_from_sensor, sweep.t_ns)
         before = self.poses[index - 1] if index else None
         after = self.poses[index + 1] if index + 1 < len(self.refs) else None
-        near = [] if now.world_from_sensor is None else self._helpers(index)
+        # The lows of the nearest posts before and after, its own left out.
+        near = [k for k in self.lows if k < index][-self.rules.neighbors :]
+        near += [k for k in self.lows if k > index][: self.rules.neighbors]
+        near = [] if now.world_from_sensor is None else near
         drift = drift_of(before, now, after) if self.rules.neighbors else drift_of(None, now, None)
-        return label_sweep(sweep, drift, near, self.rules)
-
-    def _helpers(self, index: int) -> list[Lows]:
-        """Return the lows of the nearest posts before and after ``place``, its own left out."""
-        before = [k for k in self.lows if k < index][-self.rules.neighbors :]
-        after = [k for k in self.lows if k > index][: self.rules.neighbors]
-        return [self.lows[k] for k in (*before, *after)]
+        return label_sweep(sweep, drift, [self.lows[k] for k in near], self.rules)

@@ -54,7 +54,9 @@ def cast_world(
     # The nearest stop of each, in single precision.
     count = len(beams.x)
     nearest = Nearest(np.full(count, np.inf, np.float32), np.full(count, -1, np.int32))
-    solids, ground = _solids(snapshot, world_from_sensor.translation, seed), _ground(snapshot, world_from_sensor)
+    solids = _solids(snapshot, world_from_sensor.translation, seed)
+    terrain, (x, y, z) = snapshot.terrain, world_from_sensor.translation
+    ground = Ground(terrain.x_m - x, terrain.y_m - y, terrain.heights_m - z, terrain.material)
     view = _view(model, world_from_sensor, motion)
     cast_solids(beams, solids, view, _free_paths(), nearest)
     cast_terrain(beams, ground, view, nearest, len(snapshot.kind))
@@ -95,12 +97,6 @@ def _solids(snapshot: Snapshot, origin: NDArray[np.float64], seed: int) -> Solid
     boxes[:, 0], boxes[:, 1:4] = snapshot.center_m - origin, snapshot.rotation
     boxes[:, 4], boxes[:, 5] = snapshot.half_m, snapshot.velocity_mps
     return Solids(boxes, snapshot.kind, PER_M[snapshot.material], salts, snapshot.thing, snapshot.material)
-
-
-def _ground(snapshot: Snapshot, pose: Rigid) -> Ground:
-    """Return the ground from the sensor's position."""
-    terrain, (x, y, z) = snapshot.terrain, pose.translation
-    return Ground(terrain.x_m - x, terrain.y_m - y, terrain.heights_m - z, terrain.material)
 
 
 def _planes(ground: Ground) -> NDArray[np.float64]:

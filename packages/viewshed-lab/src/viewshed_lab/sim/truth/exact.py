@@ -64,7 +64,8 @@ def exact_truth(
         raise ValueError("targets must be at least one, got none")
     terrain = world.ground_of(agent) if isinstance(world, World) else world
     if isinstance(world, World) and terrain is world.upper:
-        scan = _with_decks_as_ground(scan, world)
+        decks = [k for k, one in enumerate(world.things) if one.kind == DECK]  # the upper level's ground
+        scan = replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
     centers = grid.centers
     ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
     ground, pose, vehicle = ground.reshape(-1), scan.world_from_sensor, None if agent is None else agent.carrier
@@ -76,12 +77,6 @@ def exact_truth(
         known &= ~_covered(world.things[vehicle], pose @ agent.mount.inverse(), grid, pose)
     reached, state = reached_and_states(lines, flags & BLOCKS, ground, grid, targets)
     return Truth(grid, reached, state, _definitions(lines, flags, ground, grid, scan.model)), known
-
-
-def _with_decks_as_ground(scan: ExactScan, world: World) -> ExactScan:
-    """Return the scan with the decks as ground: to those on the upper level they are that."""
-    decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
-    return replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
 
 
 def _definitions(

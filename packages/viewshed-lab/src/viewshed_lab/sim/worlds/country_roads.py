@@ -86,7 +86,8 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
 def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a road on an embankment, at times with a hillside or level ground at one of its sides."""
     high = rng.uniform(2.0, 8.0)
-    sides = (_fall(rng, high), _fall(rng, rng.uniform(0.4, 1.0) * high) if rng.random() < 0.75 else _other(rng))
+    sides = (_fall(rng, high), _fall(rng, rng.uniform(0.4, 1.0) * high) if rng.random() < 0.75 else
+             Bank((0.0, 1.0, 1.0 + rng.uniform(2.0, 8.0)), (0.0, -0.3, rng.uniform(-0.3, 3.0))))  # fmt: skip
     road = Roadway(
         random_bend(rng, 0.2, (180.0, 420.0)), climb(rng, 0.06), 2 if rng.random() < 0.2 else 1,
         rng.uniform(3.0, 3.6), rng.uniform(1.3, 2.6), sides if rng.random() < 0.5 else sides[::-1],
@@ -117,17 +118,13 @@ def _fall(rng: np.random.Generator, high_m: float) -> Bank:
     return Bank((0.0, 0.3, 0.3 + wide, 0.3 + wide + 2.0), (0.0, -0.05, -0.97 * high_m, -high_m))
 
 
-def _other(rng: np.random.Generator) -> Bank:
-    wide = rng.uniform(2.0, 8.0)
-    return Bank((0.0, 1.0, 1.0 + wide), (0.0, -0.3, rng.uniform(-0.3, 3.0)))
-
-
 def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a road in a cutting of 2 to 8 m; each of its sides is a slope or a wall, as high as the land beside it."""
     high = rng.uniform(2.0, 8.0)
     walled = (rng.random() < 0.4, rng.random() < 0.4)
     rises = (high, high * rng.uniform(0.3, 1.1))
-    left, right = (_walled(rise) if wall else _slope(rng, rise) for wall, rise in zip(walled, rises, strict=True))
+    left, right = (Bank((0.0, 2.6, 3.6), (0.0, 0.0, rise)) if wall else _slope(rng, rise)
+                   for wall, rise in zip(walled, rises, strict=True))  # fmt: skip
     road = Roadway(
         random_bend(rng, 0.16, (200.0, 420.0)), climb(rng, 0.07), 2 if rng.random() < 0.25 else 1,
         rng.uniform(3.0, 3.6), rng.uniform(0.8, 2.2), (left, right),
@@ -163,8 +160,3 @@ def _slope(rng: np.random.Generator, high_m: float) -> Bank:
     berm = rng.uniform(1.0, 3.0) if high_m > 4.0 and rng.random() < 0.4 else 0.1
     beyond = (0.0, 0.8, 1.4, 1.4 + wide / 2, 1.4 + wide / 2 + berm, 1.4 + wide + berm)
     return Bank(beyond, (0.0, -ditch, -ditch, high_m / 2, high_m / 2 + 0.05, high_m))
-
-
-def _walled(high_m: float) -> Bank:
-    """Return level ground that jumps up behind a wall."""
-    return Bank((0.0, 2.6, 3.6), (0.0, 0.0, high_m))

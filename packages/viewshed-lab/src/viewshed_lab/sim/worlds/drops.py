@@ -14,11 +14,8 @@ from viewshed_lab.sim.assets.shapes import material_index
 from viewshed_lab.sim.assets.street import concrete_barrier, cone, fence, guard_rail, place_at, pole, work_barrier
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Thing
-from viewshed_lab.sim.worlds.layout import Span
+from viewshed_lab.sim.worlds.layout import Rect, Span, lines_of, within
 from viewshed_lab.sim.worlds.roadway import HALF_M, Roadway
-
-Rect = tuple[float, float, float, float]
-"""x and y from, x and y to, in meters."""
 
 FACE_M = 0.03
 """Width over which the ground falls at an upright face."""
@@ -47,11 +44,11 @@ class Drop:
 
     def lowered(self, z: F64, x: F64, y: F64, level_m: float) -> F64:
         """Return heights ``z`` at places of the same shape with this drop in them; ``level_m`` is the road's."""
-        floor = np.where(_within(self.rect, x, y), level_m - self.deep_m, z)
+        floor = np.where(within(self.rect, x, y), level_m - self.deep_m, z)
         if self.ramp is None:
             return floor
         share = np.clip((x - self.ramp[0]) / (self.ramp[2] - self.ramp[0]), 0.0, 1.0)
-        return np.where(_within(self.ramp, x, y), z + share * (level_m - self.deep_m - z), floor)
+        return np.where(within(self.ramp, x, y), z + share * (level_m - self.deep_m - z), floor)
 
 
 def terrain_with(road: Roadway, drops: list[Drop]) -> Terrain:
@@ -68,19 +65,15 @@ def terrain_with(road: Roadway, drops: list[Drop]) -> Terrain:
     def material(x: F64, y: F64) -> NDArray[np.uint8]:
         out = road.material(x, y)
         for drop in drops:
-            inside, face = (_within(_grown(drop.rect, by), x, y) for by in (-FACE_M, FACE_M))
+            inside, face = (within(drop.rect, x, y, by) for by in (-FACE_M, FACE_M))
             out = np.where(inside, material_index(drop.floor), np.where(face, material_index("concrete"), out))
         return out.astype(np.uint8)
 
     plain = np.linspace(-HALF_M, HALF_M, 26)
     across = [way * at for way in (-1, 1) for at in (road.edge_m, road.edge_m + 1.5, road.edge_m + 4.0)]
-    return Terrain.of(lines_of([*plain, *edges_x]), lines_of([*plain, *across, 0.0, *edges_y]), height, material)
-
-
-def lines_of(lines: list[float]) -> F64:
-    """Return the lines within the world in ascending order, without those that lie closer than 1 cm to another."""
-    ordered = np.unique(np.clip(np.array(lines), -HALF_M, HALF_M))
-    return ordered[np.r_[True, np.diff(ordered) > 0.01]]
+    return Terrain.of(
+        lines_of([*plain, *edges_x], HALF_M), lines_of([*plain, *across, 0.0, *edges_y], HALF_M), height, material
+    )
 
 
 def guarded(rng: np.random.Generator, span_m: Span, y_m: float) -> list[Thing]:
@@ -107,11 +100,3 @@ def guarded(rng: np.random.Generator, span_m: Span, y_m: float) -> list[Thing]:
 def mirrored(rect: Rect, side: int) -> Rect:
     """Return a rectangle left of the x axis, or for side -1 its mirror image right of it."""
     return rect if side > 0 else (rect[0], -rect[3], rect[2], -rect[1])
-
-
-def _grown(rect: Rect, by_m: float) -> Rect:
-    return rect[0] - by_m, rect[1] - by_m, rect[2] + by_m, rect[3] + by_m
-
-
-def _within(rect: Rect, x: F64, y: F64) -> NDArray[np.bool_]:
-    return (x > rect[0]) & (x < rect[2]) & (y > rect[1]) & (y < rect[3])

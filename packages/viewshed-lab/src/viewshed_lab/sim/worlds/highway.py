@@ -59,7 +59,9 @@ class Route:
 
 def highway(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a highway long enough for the agents of ``plan`` to drive along it."""
-    route = _route(rng)
+    route = Route(Bend(rng.uniform(0, 14), rng.uniform(420, 700), rng.uniform(0, 6.28)), rng.uniform(1.2, 3.5),
+                  int(rng.integers(2, 4)), pick(rng, (-1.5, 0.3, 0.8, 2.0)) * rng.uniform(0.7, 1.3),
+                  rng.uniform(5.0, 9.0))  # fmt: skip
     fastest = rng.uniform(20.0, 35.0)
     roam = float(np.clip(0.5 * fastest * plan.duration_s + 25.0, _SHORTEST_ROAM_M, _LONGEST_ROAM_M))
     speed = min(fastest, 2.0 * (roam - 20.0) / plan.duration_s)
@@ -70,12 +72,6 @@ def highway(rng: np.random.Generator, plan: AgentPlan) -> World:
     for side in (-1, 1):
         still += _roadside(rng, route, half, side, masts)
     return assembled("highway", _terrain(relief(rng, 0.04), route, half), plan, Contents(still, moving, masts))
-
-
-def _route(rng: np.random.Generator) -> Route:
-    return Route(Bend(rng.uniform(0, 14), rng.uniform(420, 700), rng.uniform(0, 6.28)), rng.uniform(1.2, 3.5),
-                 int(rng.integers(2, 4)), pick(rng, (-1.5, 0.3, 0.8, 2.0)) * rng.uniform(0.7, 1.3),
-                 rng.uniform(5.0, 9.0))  # fmt: skip
 
 
 def _terrain(land: Relief, route: Route, half_m: float) -> Terrain:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from viewshed.arrays import F64
 from viewshed.geometry import Rigid
 from viewshed_lab.sim.assets.shapes import Cylinder
 from viewshed_lab.sim.assets.street import place_at
@@ -15,9 +17,22 @@ from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
 
 Span = tuple[float, float]
+Rect = tuple[float, float, float, float]
+"""x and y from, x and y to, in meters."""
 
 MOST_MOVING = 40
 """How many things of a world have tracks, at most."""
+
+
+def within(rect: Sequence[float], x: F64, y: F64, by_m: float = 0.0) -> NDArray[np.bool_]:
+    """Return which places lie in a rectangle that is larger by ``by_m`` at each of its sides."""
+    return (x > rect[0] - by_m) & (x < rect[2] + by_m) & (y > rect[1] - by_m) & (y < rect[3] + by_m)
+
+
+def lines_of(lines: list[float], half_m: float, apart_m: float = 0.01) -> F64:
+    """Return the lines of a terrain within ±half_m in ascending order, without those that lie closer to another."""
+    ordered = np.unique(np.clip(np.array(lines), -half_m, half_m))
+    return ordered[np.r_[True, np.diff(ordered) > apart_m]]
 
 
 def spots(

@@ -52,14 +52,20 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
         _courtyard(rng, site)
     for _ in range(int(rng.integers(3, 9))):
         _curved_wall(rng, site)
-    _behind(rng, site)
+    houses = [town_house(rng, rng.uniform(8.0, 16.0), rng.uniform(7.0, 11.0), True) for _ in range(40)]
+    site.scatter(rng, houses, (WHOLE[0], WHOLE[0], WHOLE[1], WHOLE[1]))
     _small(rng, site, road)
-    moving = [*driven(rng, plan, road.lane_lines(), _PACE, _vehicle), *walks]
+    moving = [
+        *driven(
+            rng,
+            plan,
+            road.lane_lines(),
+            _PACE,
+            lambda rng: cyclist(rng) if rng.random() < 0.25 else parked_vehicle(rng),
+        ),
+        *walks,
+    ]
     return assembled("oblique", road.terrain(5.6, 2.4), plan, Contents(site.things, moving, masts))
-
-
-def _vehicle(rng: np.random.Generator) -> Thing:
-    return cyclist(rng) if rng.random() < 0.25 else parked_vehicle(rng)
 
 
 def _walkers(rng: np.random.Generator, site: SitePlan, road: Roadway, duration_s: float) -> list[Rider]:
@@ -132,12 +138,6 @@ def _curved_wall(rng: np.random.Generator, site: SitePlan) -> None:
         area.append(place_at(Thing("wall", (part,)), *at, angle + np.pi / 2))
     # Its pieces may touch each other.
     site.stand(*(one for one in area if site.clear(shapely.Polygon(footprint(one)), 0.02)))
-
-
-def _behind(rng: np.random.Generator, site: SitePlan) -> None:
-    """Put houses at any angle wherever there is room behind the first row."""
-    houses = [town_house(rng, rng.uniform(8.0, 16.0), rng.uniform(7.0, 11.0), True) for _ in range(40)]
-    site.scatter(rng, houses, (WHOLE[0], WHOLE[0], WHOLE[1], WHOLE[1]))
 
 
 def _small(rng: np.random.Generator, site: SitePlan, road: Roadway) -> None:

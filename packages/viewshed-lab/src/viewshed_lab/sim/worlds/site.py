@@ -92,12 +92,8 @@ def site(rng: np.random.Generator, plan: AgentPlan) -> World:
         place.put_all(group(rng, *rng.uniform(-60, 60, 2).tolist()))
     loose = [maker(rng) for maker, mean in _LOOSE for _ in range(rng.poisson(mean * rng.uniform(0.5, 2.2)))]
     place.scatter(rng, loose, (WHOLE[0] + 4, WHOLE[0] + 4, WHOLE[1] - 4, WHOLE[1] - 4))
-    moving = driven(rng, plan, road.lane_lines(), _PACE, _vehicle)
+    moving = driven(rng, plan, road.lane_lines(), _PACE, lambda rng: pick(rng, (dumper, truck, van, car))(rng))
     return assembled("site", grounds.terrain(), plan, Contents(place.things, moving, masts))
-
-
-def _vehicle(rng: np.random.Generator) -> Thing:
-    return pick(rng, (dumper, truck, van, car))(rng)
 
 
 def _raw(rng: np.random.Generator, place: SitePlan) -> None:

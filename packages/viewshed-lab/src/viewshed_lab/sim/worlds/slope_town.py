@@ -45,7 +45,12 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         walks += _walkers(rng, road, side, plan.duration_s)
         _curb(rng, site, road, side)
         _houses(rng, site, road, side, walk)
-    moving = [*driven(rng, plan, road.lane_lines(), _PACE, _vehicle), *walks]
+    moving = [
+        *driven(
+            rng, plan, road.lane_lines(), _PACE, lambda rng: cyclist(rng) if rng.random() < 0.1 else street_vehicle(rng)
+        ),
+        *walks,
+    ]
     return assembled("slope_town", road.terrain(5.0, 1.5), plan, Contents(site.things, moving, masts))
 
 
@@ -64,10 +69,6 @@ def _terraces(walk_m: float, step_m: float) -> Bank:
         beyond += [at + 0.5, at + _RUN_M]
         rise += [0.05 + (k + 1) * step_m, 0.1 + (k + 1) * step_m]
     return Bank(tuple(beyond), tuple(rise))
-
-
-def _vehicle(rng: np.random.Generator) -> Thing:
-    return cyclist(rng) if rng.random() < 0.1 else street_vehicle(rng)
 
 
 def _walkers(rng: np.random.Generator, road: Roadway, side: int, duration_s: float) -> list[Rider]:

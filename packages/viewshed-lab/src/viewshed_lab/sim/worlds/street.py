@@ -14,7 +14,7 @@ from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
 from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, mast, plots
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
-from viewshed_lab.sim.worlds.traffic import Driver, Lane, Pace, Rider, driven, flow, straight_lane
+from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
 _PACE = Pace(_HALF_X_M, _ROAM_M, (5.0, 14.0), (6.0, 20.0, 60.0), (0.8, 1.6))
@@ -39,7 +39,9 @@ def street_of(rng: np.random.Generator, plan: AgentPlan, name: str, houses: Hous
     sides = [random_side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
     masts = _masts(rng, plan.roadside, road)
     still = [thing for one in sides for thing in _lined(rng, one, masts, bumps, houses)]
-    moving = driven(rng, plan, _lanes(lanes, wide), _PACE, street_vehicle)
+    across = [(k + 0.5) * wide for k in range(lanes) for _ in range(2)]
+    ways = [straight_lane(0.0, at * (-1) ** (k + 1), np.pi * (k % 2)) for k, at in enumerate(across)]
+    moving = driven(rng, plan, ways, _PACE, street_vehicle)
     if biking:
         moving += _cyclists(rng, plan, lanes * wide + 0.8)
     moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
@@ -69,12 +71,6 @@ def _lined(
         *furniture(rng, one, span, kept),
         *houses(rng, one, (-_HALF_X_M + rng.uniform(-8, 0), _HALF_X_M)),
     ]
-
-
-def _lanes(count: int, wide: float) -> list[Lane]:
-    """Return the lanes from the axis outward, one way and back by turns."""
-    across = [(k + 0.5) * wide for k in range(count)]
-    return [straight_lane(0.0, at if back else -at, np.pi if back else 0.0) for at in across for back in (False, True)]
 
 
 def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> list[Rider]:

@@ -15,8 +15,9 @@ from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.assets.street import drive, person
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
 from viewshed_lab.sim.worlds.indoor.routes import Network, RoadMap, drive_route, open_floor
+from viewshed_lab.sim.worlds.layout import Rect, within
 
 ROBOT_RADIUS_M = 0.18
 _CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.3, 0.5
@@ -149,10 +150,8 @@ def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...],
 
 def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: F64, rows: NDArray[np.intp]) -> int:
     """Return one of some nodes: any of those in the first haunt, in random order, that has one."""
-    x, y = nodes_m[rows].T
     for k in rng.permutation(len(haunts)).tolist():
-        a, b, c, d = haunts[k]
-        inside = rows[(x > a) & (x < c) & (y > b) & (y < d)]
+        inside = rows[within(haunts[k], *nodes_m[rows].T)]
         if inside.size:
             return int(rng.choice(inside))
     return int(rng.choice(rows))
@@ -160,8 +159,7 @@ def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: F64, rows
 
 def _within(haunts: tuple[Rect, ...], nodes_m: F64, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return those of some nodes that lie in one of the haunts; all if fewer than three do."""
-    x, y = nodes_m[rows].T
-    inside = np.array([(x > a) & (x < c) & (y > b) & (y < d) for a, b, c, d in haunts]).reshape(-1, len(rows))
+    inside = np.array([within(rect, *nodes_m[rows].T) for rect in haunts]).reshape(-1, len(rows))
     some = rows[inside.any(axis=0)]
     return some if len(some) > 2 else rows
 

@@ -12,9 +12,10 @@ from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, shrunk
 from viewshed_lab.sim.worlds.indoor.hall import back_wall, gallery, glass_wall, scattered, stairs_up
 from viewshed_lab.sim.worlds.indoor.walls import around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect, within
 
 _HALF_M, _FACE_M = 60.0, 0.02
 
@@ -116,14 +117,10 @@ def _floor(inside: Rect, well: Rect | None, depth_m: float) -> Terrain:
         xs += [edge + step for edge in hole[::2] for step in (-_FACE_M / 2, _FACE_M / 2)]
         ys += [edge + step for edge in hole[1::2] for step in (-_FACE_M / 2, _FACE_M / 2)]
 
-    def below(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return (x > hole[0]) & (x < hole[2]) & (y > hole[1]) & (y < hole[3])
-
     def height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.where(below(x, y), -depth_m, 0.0)
+        return np.where(within(hole, x, y), -depth_m, 0.0)
 
     def material(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint8]:
-        inner = (x > inside[0]) & (x < inside[2]) & (y > inside[1]) & (y < inside[3])
-        return np.where(inner, material_index("concrete"), material_index("asphalt")).astype(np.uint8)
+        return np.where(within(inside, x, y), material_index("concrete"), material_index("asphalt")).astype(np.uint8)
 
     return Terrain.of(xs, ys, height, material)

@@ -12,14 +12,13 @@ from viewshed_lab.sim.assets.furniture import standing
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, Rise, floor, lay, raised_room
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rise, floor, lay, raised_room
 from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect, Span
 
 _THICK_M, _NICHE_M = 0.12, 0.9
 _USES = ("office", "office", "meeting", "office", "store", "lounge")
-
-Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,10 @@ def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
         entries.append((office, office.free[int(rng.integers(len(office.free)))]))
         walls += _faces(rng, *entries[-1], niches)
     rise = _raised(rng, walls, entries) if rng.random() < 0.5 else None
-    passages = _passages(xs, ys)
+    passages: list[tuple[Rect, tuple[int, int]]] = [  # each stretch between two crossings, and its sides with walls
+        *(((a[1], y[0], b[0], y[1]), (0, 2)) for (a, b), y in product(pairwise(xs), ys)),
+        *(((x[0], a[1], x[1], b[0]), (1, 3)) for x, (a, b) in product(xs, pairwise(ys))),
+    ]
     build(floor_plan, [*walls, *_fire_doors(rng, passages)], top)
     if rise is not None:
         lay(floor_plan, rise)
@@ -157,12 +159,6 @@ def _niche(rng: np.random.Generator, face: Wall, side: int, niches: list[tuple[R
               for u in (a - _THICK_M / 2, b + _THICK_M / 2)]  # fmt: skip
     behind = replace(face, at_m=back, start_m=a - _THICK_M, stop_m=b + _THICK_M)
     return [replace(face, stop_m=a), replace(face, start_m=b), behind, *cheeks]
-
-
-def _passages(xs: list[Span], ys: list[Span]) -> list[tuple[Rect, tuple[int, int]]]:
-    """Return each stretch of a corridor between two crossings with the sides that have walls."""
-    along_y = [((a[1], y[0], b[0], y[1]), (0, 2)) for (a, b), y in product(pairwise(xs), ys)]
-    return [*along_y, *(((x[0], a[1], x[1], b[0]), (1, 3)) for x, (a, b) in product(xs, pairwise(ys)))]
 
 
 def _fire_doors(rng: np.random.Generator, passages: Iterable[tuple[Rect, tuple[int, int]]]) -> list[Wall]:

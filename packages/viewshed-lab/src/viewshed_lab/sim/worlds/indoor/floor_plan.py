@@ -14,9 +14,7 @@ from viewshed_lab.sim.assets.furniture import Group, Maker, bounds, footprint, p
 from viewshed_lab.sim.assets.shapes import material_index
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import Thing
-
-Rect = tuple[float, float, float, float]
-"""x and y from, x and y to, in meters."""
+from viewshed_lab.sim.worlds.layout import Rect, lines_of, within
 
 _GAP_M, _OVERHEAD_M = 0.04, 2.0
 _ROOM = 4096
@@ -220,19 +218,12 @@ def floor(rise: Rise | None, inside: Rect, material: str, outside: str = "asphal
         for k, lines in ((0, xs), (1, ys)):
             for rect in (rise.rect, rise.ramp):
                 lines += [rect[k] - _EDGE_M, rect[k] + _EDGE_M, rect[k + 2] - _EDGE_M, rect[k + 2] + _EDGE_M]
-    within, beyond = material_index(material), material_index(outside)
+    inner, beyond = material_index(material), material_index(outside)
 
     def made_of(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint8]:
-        inner = (x > inside[0]) & (x < inside[2]) & (y > inside[1]) & (y < inside[3])
-        return np.where(inner, within, beyond).astype(np.uint8)
+        return np.where(within(inside, x, y), inner, beyond).astype(np.uint8)
 
-    return Terrain.of(_apart(xs), _apart(ys), _heights(rise), made_of)
-
-
-def _apart(lines: list[float]) -> NDArray[np.float64]:
-    """Return the lines in ascending order without those that differ by rounding only."""
-    ordered = np.sort(np.array(lines))
-    return ordered[np.r_[True, np.diff(ordered) > 1e-6]]
+    return Terrain.of(lines_of(xs, _HALF_M, 1e-6), lines_of(ys, _HALF_M, 1e-6), _heights(rise), made_of)
 
 
 def _heights(rise: Rise | None) -> Heights:
@@ -241,12 +232,8 @@ def _heights(rise: Rise | None) -> Heights:
             return np.zeros_like(x)
         a, b, c, d = rise.ramp
         share = ((x - a) / (c - a), (y - b) / (d - b), (c - x) / (c - a), (d - y) / (d - b))[rise.side]
-        on_ramp = _within(rise.ramp, x, y)
+        on_ramp = within(rise.ramp, x, y)
         raised = np.where(on_ramp, rise.height_m * np.clip(share, 0.0, 1.0), rise.height_m)
-        return np.where(_within(rise.rect, x, y), raised, 0.0)
+        return np.where(within(rise.rect, x, y), raised, 0.0)
 
     return height
-
-
-def _within(rect: Rect, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return (x > rect[0]) & (x < rect[2]) & (y > rect[1]) & (y < rect[3])

@@ -8,7 +8,8 @@ import numpy as np
 
 from viewshed_lab.sim.assets import furniture
 from viewshed_lab.sim.assets.furniture import Maker
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
+from viewshed_lab.sim.worlds.layout import Rect
 
 Wish = tuple[str, Maker, float]
 """Where (``wall``, ``corner``, ``middle`` or ``anywhere``), what, and how many on average: the share after the whole

@@ -11,9 +11,10 @@ from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, floor, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, floor, shrunk
 from viewshed_lab.sim.worlds.indoor.hall import back_wall
 from viewshed_lab.sim.worlds.indoor.walls import around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _PIECE_M = 0.55
 

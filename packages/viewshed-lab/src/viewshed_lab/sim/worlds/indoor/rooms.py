@@ -8,9 +8,10 @@ import numpy as np
 
 from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, Rise, floor, lay, raised_room, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rise, floor, lay, raised_room, shrunk
 from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _LEAST_M, _DOOR_M = 3.0, 1.6
 _OFFICES = ("office", "meeting", "office", "office", "lounge", "office")

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.world import Track
-from viewshed_lab.sim.worlds.indoor.floor_plan import Rect
+from viewshed_lab.sim.worlds.layout import Rect
 
 _CELL_M, _BIN_M, _REACH_M = 0.1, 1.8, 3.8
 

@@ -12,8 +12,9 @@ from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, floor
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, floor
 from viewshed_lab.sim.worlds.indoor.walls import ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _HALF_M = 34.0
 

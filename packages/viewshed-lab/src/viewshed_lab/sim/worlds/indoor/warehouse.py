@@ -12,8 +12,9 @@ from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, Rise, floor, lay, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rise, floor, lay, shrunk
 from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 _STAGING_M, _CROSS_M, _MOST_PARTS = 10.0, 3.2, 560
