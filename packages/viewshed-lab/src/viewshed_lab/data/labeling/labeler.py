@@ -25,9 +25,8 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Between, Checked
 from viewshed_lab.data.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
-from viewshed_lab.data.labeling.beam_image import BeamImage, beam_image
+from viewshed_lab.data.labeling.beam_image import BeamImage, Drift, StampedPose, beam_image, drift_of, well_spaced
 from viewshed_lab.data.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
-from viewshed_lab.data.labeling.motion import Drift, StampedPose, drift_of, well_spaced
 from viewshed_lab.sim.truth.beam_lines import BeamLines
 from viewshed_lab.sim.truth.count import count_targets, reached_and_states
 from viewshed_lab.sim.truth.definitions import BLOCKS, RETURNS, stop_limits

@@ -12,9 +12,8 @@ from viewshed_lab.sim.worlds.country_roads import country_road, cutting, embankm
 from viewshed_lab.sim.worlds.drop_roads import pit, quay
 from viewshed_lab.sim.worlds.garage import garage
 from viewshed_lab.sim.worlds.highway import highway
-from viewshed_lab.sim.worlds.indoor.atrium import atrium
 from viewshed_lab.sim.worlds.indoor.corridors import corridors
-from viewshed_lab.sim.worlds.indoor.hall import hall
+from viewshed_lab.sim.worlds.indoor.halls import atrium, hall
 from viewshed_lab.sim.worlds.indoor.loft import loft
 from viewshed_lab.sim.worlds.indoor.rooms import rooms
 from viewshed_lab.sim.worlds.indoor.tunnel import tunnel

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.assets.buildings import town_house
-from viewshed_lab.sim.assets.country import animal, bale, rock
+from viewshed_lab.sim.assets.country import animal, bale, barrels, container, heap, pipes, rock
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
 from viewshed_lab.sim.assets.street import (
     bush,
@@ -30,10 +30,9 @@ from viewshed_lab.sim.assets.street import (
     wall,
 )
 from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle
-from viewshed_lab.sim.assets.yard import barrels, container, heap, pipes
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.drops import Drop, mirrored
+from viewshed_lab.sim.worlds.drop_roads import Drop, mirrored
 from viewshed_lab.sim.worlds.layout import Contents, assembled, lines_of, within
 from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, masts_beside, random_bend
 from viewshed_lab.sim.worlds.site_plan import SitePlan

@@ -55,17 +55,9 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
     houses = [town_house(rng, rng.uniform(8.0, 16.0), rng.uniform(7.0, 11.0), True) for _ in range(40)]
     site.scatter(rng, houses, (WHOLE[0], WHOLE[0], WHOLE[1], WHOLE[1]))
     _small(rng, site, road)
-    moving = [
-        *driven(
-            rng,
-            plan,
-            road.lane_lines(),
-            _PACE,
-            lambda rng: cyclist(rng) if rng.random() < 0.25 else parked_vehicle(rng),
-        ),
-        *walks,
-    ]
-    return assembled("oblique", road.terrain(5.6, 2.4), plan, Contents(site.things, moving, masts))
+    lanes = road.lane_lines()
+    moving = driven(rng, plan, lanes, _PACE, lambda r: cyclist(r) if r.random() < 0.25 else parked_vehicle(r))
+    return assembled("oblique", road.terrain(5.6, 2.4), plan, Contents(site.things, [*moving, *walks], masts))
 
 
 def _walkers(rng: np.random.Generator, site: SitePlan, road: Roadway, duration_s: float) -> list[Rider]:

@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64
-from viewshed_lab.sim.assets.shapes import material_index
-from viewshed_lab.sim.assets.street import cone, fence, group, lamp_post, person, pick, place_at, work_barrier
-from viewshed_lab.sim.assets.vehicles import car, truck, van
-from viewshed_lab.sim.assets.yard import (
+from viewshed_lab.sim.assets.country import (
     barrels,
     container,
     dumper,
@@ -24,6 +21,9 @@ from viewshed_lab.sim.assets.yard import (
     site_office,
     tower_crane,
 )
+from viewshed_lab.sim.assets.shapes import material_index
+from viewshed_lab.sim.assets.street import cone, fence, group, lamp_post, person, pick, place_at, work_barrier
+from viewshed_lab.sim.assets.vehicles import car, truck, van
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import Contents, assembled

@@ -45,13 +45,9 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         walks += _walkers(rng, road, side, plan.duration_s)
         _curb(rng, site, road, side)
         _houses(rng, site, road, side, walk)
-    moving = [
-        *driven(
-            rng, plan, road.lane_lines(), _PACE, lambda rng: cyclist(rng) if rng.random() < 0.1 else street_vehicle(rng)
-        ),
-        *walks,
-    ]
-    return assembled("slope_town", road.terrain(5.0, 1.5), plan, Contents(site.things, moving, masts))
+    lanes = road.lane_lines()
+    moving = driven(rng, plan, lanes, _PACE, lambda r: cyclist(r) if r.random() < 0.1 else street_vehicle(r))
+    return assembled("slope_town", road.terrain(5.0, 1.5), plan, Contents(site.things, [*moving, *walks], masts))
 
 
 def _climbing(rng: np.random.Generator) -> Relief:

@@ -27,7 +27,6 @@ from viewshed_lab.threats.attacks.adaptive import (
 from viewshed_lab.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
 from viewshed_lab.threats.attacks.informed import CopiedObject, VanishedObject
-from viewshed_lab.threats.attacks.placement import Placement
 from viewshed_lab.threats.attacks.points import (
     PAPER_ATTACK,
     PAPER_INDOOR_ATTACK,
@@ -38,7 +37,7 @@ from viewshed_lab.threats.attacks.points import (
 )
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed_lab.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
-from viewshed_lab.threats.attacks.wedge_attack import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
+from viewshed_lab.threats.attacks.wedge_attack import HighFrequencyRemoval, Jamming, PhysicalRemoval, Placement, Relay
 from viewshed_lab.threats.attacks.whole_cloud import (
     Blinding,
     Mirror,

@@ -19,23 +19,24 @@ from viewshed.fov.estimate import THRESHOLD, FovEstimator
 from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Azimuth, Between, Budget, Checked, Range, Sector
-from viewshed_lab.threats.attacks.assembly import add_points, untouched
 from viewshed_lab.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, rays_in, within
 from viewshed_lab.threats.attacks.ghosts import FarWall
-from viewshed_lab.threats.attacks.placement import Placement
 from viewshed_lab.threats.attacks.points import HEIGHTS_M, Mode, check_free_budget
 from viewshed_lab.threats.attacks.spoofer import (
     LEAVE,
     MEASURED_SPOOFER,
     NO_RETURN,
     Spoofer,
+    add_points,
     is_obstacle,
     limits_m,
     scene_of,
     street_depth_m,
     to_sensor,
+    untouched,
 )
+from viewshed_lab.threats.attacks.wedge_attack import Placement
 
 DRAWN_SHARE = 0.3
 """Share of the queries of an evolution that its random draws may use."""

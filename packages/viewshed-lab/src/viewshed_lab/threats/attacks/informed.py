@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import connected_components
 from viewshed.arrays import F64, Mask
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Azimuth, Budget, Checked, Range, Sector
-from viewshed_lab.threats.attacks.assembly import untouched
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, rays_in
 from viewshed_lab.threats.attacks.spoofer import (
@@ -28,6 +27,7 @@ from viewshed_lab.threats.attacks.spoofer import (
     is_obstacle,
     level_rays,
     scene_of,
+    untouched,
 )
 
 Ints = NDArray[np.intp]

@@ -16,7 +16,6 @@ from viewshed.arrays import F64
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Ascending, Azimuth, Between, Budget, Checked, Points, Share
-from viewshed_lab.threats.attacks.assembly import add_points, untouched
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed_lab.threats.attacks.spoofer import (
@@ -25,6 +24,7 @@ from viewshed_lab.threats.attacks.spoofer import (
     MEASURED_SPOOFER,
     GroundBox,
     Spoofer,
+    add_points,
     azimuth_or_random,
     choose_random,
     chord_m,
@@ -37,6 +37,7 @@ from viewshed_lab.threats.attacks.spoofer import (
     scene_of,
     street_depth_m,
     to_sensor,
+    untouched,
 )
 
 Mode = Literal["free_form", "beam_constrained"]

@@ -14,12 +14,19 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Angle, Ascending, Between, Budget, Checked, Sector
-from viewshed_lab.threats.attacks.assembly import COLUMNS, untouched
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed_lab.threats.attacks.ghosts import CAR_M, GhostCar
 from viewshed_lab.threats.attacks.points import Mode
-from viewshed_lab.threats.attacks.spoofer import FULL_CIRCLE, MEASURED_SPOOFER, NO_RETURN, NOISELESS_SPOOFER, Spoofer
+from viewshed_lab.threats.attacks.spoofer import (
+    COLUMNS,
+    FULL_CIRCLE,
+    MEASURED_SPOOFER,
+    NO_RETURN,
+    NOISELESS_SPOOFER,
+    Spoofer,
+    untouched,
+)
 
 Anchor = Literal["world", "sensor"]
 

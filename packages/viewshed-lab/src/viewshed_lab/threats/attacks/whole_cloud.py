@@ -17,9 +17,9 @@ from viewshed.arrays import F64, Mask
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Azimuth, Between, Checked, Range, Share
-from viewshed_lab.threats.attacks.assembly import add_points
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.spoofer import (
+    add_points,
     azimuth_or_random,
     ground_at,
     position_at,

@@ -12,7 +12,7 @@ from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
 from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, floor, shrunk
-from viewshed_lab.sim.worlds.indoor.hall import back_wall
+from viewshed_lab.sim.worlds.indoor.halls import back_wall
 from viewshed_lab.sim.worlds.indoor.walls import around, build, ceiling
 from viewshed_lab.sim.worlds.layout import Rect
 
