@@ -110,13 +110,8 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     """
     reach, low_m = np.float32(image.max_range_m), np.float32(OBSTACLE_HEIGHTS_M[0])
     to_ground, thing = np.empty(image.depth_m.shape, np.float32), np.empty(image.depth_m.shape, np.bool_)
-    frame = GroundFrame(
-        np.float32(patch.ground.half_extent_m),
-        np.float32(patch.center_m[0]),
-        np.float32(patch.center_m[1]),
-        np.float32(np.cos(patch.yaw)),
-        np.float32(np.sin(patch.yaw)),
-    )
+    (x_m, y_m), yaw = patch.center_m[:2], patch.yaw
+    frame = GroundFrame(*map(np.float32, (patch.ground.half_extent_m, x_m, y_m, np.cos(yaw), np.sin(yaw))))
     heights, beams = patch.ground.heights_m, (image.origin_m, image.direction)
     cast_to_ground(*beams, image.depth_m, heights, frame, reach, low_m, to_ground, thing)
     # Drops and flakes count as missing where they are many.

@@ -160,17 +160,8 @@ def shelf(rng: np.random.Generator) -> Group:
 def _books(rng: np.random.Generator, width_m: float, bottom_m: float) -> Box:
     long = rng.uniform(0.3, 0.9) * (width_m - 0.06)
     slack = (width_m - 0.06 - long) / 2
-    y = rng.uniform(-slack, slack)
-    return Box(
-        -0.02,
-        y,
-        0.2,
-        long,
-        bottom_m + rng.uniform(0.2, 0.5),
-        bottom_m,
-        0.0,
-        pick(rng, ("clothes", "paint", "dark_paint")),
-    )
+    y, high = rng.uniform(-slack, slack), rng.uniform(0.2, 0.5)
+    return Box(-0.02, y, 0.2, long, bottom_m + high, bottom_m, 0.0, pick(rng, ("clothes", "paint", "dark_paint")))
 
 
 def cabinet(rng: np.random.Generator) -> Group:

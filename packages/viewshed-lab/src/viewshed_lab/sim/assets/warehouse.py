@@ -52,11 +52,8 @@ def rack(rng: np.random.Generator, bays: int, levels: int) -> Group:
     ends = (np.arange(bays + 1) - bays / 2) * pitch
     top, middle = levels * rise + 0.6, bays * pitch
     posts = [Box(s * (depth / 2 - 0.04), y, 0.07, 0.09, top, 0.0, 0.0, "metal") for y in ends for s in (-1, 1)]
-    beams = [
-        Box(s * (depth / 2 - 0.04), 0.0, 0.05, middle - 0.1, k * rise, k * rise - 0.12, 0.0, "paint")
-        for k in range(1, levels + 1)
-        for s in (-1, 1)
-    ]
+    beams = [Box(s * (depth / 2 - 0.04), 0.0, 0.05, middle - 0.1, k * rise, k * rise - 0.12, 0.0, "paint")
+             for k in range(1, levels + 1) for s in (-1, 1)]  # fmt: skip
     goods = [part for y in ends[:-1] + pitch / 2 for part in _bay(rng, float(y), levels, rise)]
     return Thing("rack", (*posts, *beams)), *((Thing("goods", tuple(goods)),) if goods else ())
 
@@ -168,12 +165,8 @@ def reception(rng: np.random.Generator) -> Group:
 def totem(rng: np.random.Generator) -> Group:
     """Return an upright screen or a ticket machine."""
     if rng.random() < 0.5:
-        return (
-            Thing(
-                "totem",
-                (slab(0.14, 0.7, 0.0, 1.95, "dark_paint"), Box(0.08, 0.0, 0.02, 0.6, 1.85, 0.7, 0.0, "absorber")),
-            ),
-        )
+        screen = Box(0.08, 0.0, 0.02, 0.6, 1.85, 0.7, 0.0, "absorber")
+        return (Thing("totem", (slab(0.14, 0.7, 0.0, 1.95, "dark_paint"), screen)),)
     body, top = slab(0.5, 0.7, 0.0, 1.6, "paint"), Box(-0.1, 0.0, 0.3, 0.7, 1.8, 1.6, 0.0, "paint")
     return (Thing("machine", (body, top)),)
 
@@ -191,12 +184,8 @@ def queue(rng: np.random.Generator) -> Group:
 def planter(rng: np.random.Generator) -> Group:
     """Return a long trough with a hedge in it."""
     width = rng.uniform(1.2, 2.6)
-    return (
-        Thing(
-            "plant",
-            (slab(0.5, width, 0.0, 0.5, "concrete"), slab(0.46, width - 0.1, 0.5, rng.uniform(0.9, 1.4), "hedge")),
-        ),
-    )
+    plants = slab(0.46, width - 0.1, 0.5, rng.uniform(0.9, 1.4), "hedge")
+    return (Thing("plant", (slab(0.5, width, 0.0, 0.5, "concrete"), plants)),)
 
 
 def double_seats(rng: np.random.Generator) -> Group:
@@ -229,9 +218,7 @@ def trailer(rng: np.random.Generator) -> Group:
     """Return the inside of a trailer that stands at a gate with its open end toward the highest x."""
     long, wide, top = 8.0, 2.5, 2.7
     sides = [Box(0.0, s * (wide / 2 - 0.03), long, 0.06, top, 0.02, 0.0, "metal") for s in (-1, 1)]
-    front, roof = (
-        Box(-long / 2 + 0.03, 0.0, 0.06, wide - 0.12, top, 0.02, 0.0, "metal"),
-        slab(long, wide, top, top + 0.06, "metal"),
-    )
+    front = Box(-long / 2 + 0.03, 0.0, 0.06, wide - 0.12, top, 0.02, 0.0, "metal")
+    roof = slab(long, wide, top, top + 0.06, "metal")
     load = Box(-long / 2 + 1.5, 0.0, 2.6, 2.2, rng.uniform(1.2, 2.3), 0.15, 0.0, _load(rng))
     return (Thing("trailer", (*sides, front, roof, load)),)

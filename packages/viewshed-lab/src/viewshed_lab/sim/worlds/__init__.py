@@ -1,4 +1,4 @@
-"""Procedural worlds: one file a kind, one line a kind in the table ``WORLDS``."""
+"""Procedural worlds: one function a kind, by name in the table ``WORLDS``."""
 
 from __future__ import annotations
 
@@ -30,33 +30,13 @@ from viewshed_lab.sim.worlds.street import glass_fronts, street
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
 """Makes a world with the agents of a plan; the same state of the generator gives the same world."""
 
-WORLDS: dict[str, WorldMaker] = {
-    "street": street,
-    "junction": junction,
-    "highway": highway,
-    "parking": parking,
-    "residential": residential,
-    "rooms": rooms,
-    "corridors": corridors,
-    "hall": hall,
-    "warehouse": warehouse,
-    "bridge": bridge,
-    "pit": pit,
-    "quay": quay,
-    "garage": garage,
-    "glass_fronts": glass_fronts,
-    "oblique": oblique,
-    "slope_town": slope_town,
-    "site": site,
-    "open_field": open_field,
-    "tunnel": tunnel,
-    "loft": loft,
-    "atrium": atrium,
-    "embankment": embankment,
-    "cutting": cutting,
-    "country_road": country_road,
-    "land": land,
-}
-"""Every kind of world by name; to add one, write a file and add a line."""
+_MAKERS = (
+    street, junction, highway, parking, residential, rooms, corridors, hall, warehouse, bridge, pit, quay, garage,
+    glass_fronts, oblique, slope_town, site, open_field, tunnel, loft, atrium, embankment, cutting, country_road,
+    land,
+)  # fmt: skip
+
+WORLDS: dict[str, WorldMaker] = {maker.__name__: maker for maker in _MAKERS}
+"""Every kind of world by name; to add one, write its function and name it above."""
 
 __all__ = ["WORLDS", "WorldMaker"]

@@ -17,18 +17,7 @@ from viewshed.arrays import F64
 from viewshed_lab.sim.assets.buildings import town_house
 from viewshed_lab.sim.assets.country import animal, bale, barrels, container, heap, pipes, rock
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
-from viewshed_lab.sim.assets.street import (
-    bush,
-    conifer,
-    fence,
-    hedge,
-    lamp_post,
-    person,
-    pick,
-    pole,
-    tree,
-    wall,
-)
+from viewshed_lab.sim.assets.street import bush, conifer, fence, hedge, lamp_post, person, pick, pole, tree, wall
 from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World

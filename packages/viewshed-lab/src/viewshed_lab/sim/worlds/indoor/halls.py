@@ -197,12 +197,8 @@ def _outside(rng: np.random.Generator, inside: Rect) -> Iterator[Thing]:
                                 (inside[2] + far, 0.0, 6.0, 44.0), (inside[0] - far, 0.0, 6.0, 40.0)):  # fmt: skip
         yield Thing("building", (Box(x, y, length, width, rng.uniform(6.0, 15.0), -1.0, 0.0, "brick"),))
     for x in (inside[0] * 0.6, 0.0, inside[2] * 0.6):
-        yield from _out(stock.planter(rng), x + rng.uniform(-2.0, 2.0), inside, rng)
-
-
-def _out(group: Group, at_m: float, inside: Rect, rng: np.random.Generator) -> Group:
-    high = rng.random() < 0.5
-    return place_group(group, at_m, inside[3] + 3.0 if high else inside[1] - 3.0, np.pi / 2)
+        planter, at = stock.planter(rng), x + rng.uniform(-2.0, 2.0)
+        yield from place_group(planter, at, inside[3] + 3.0 if rng.random() < 0.5 else inside[1] - 3.0, np.pi / 2)
 
 
 _HALF_M, _FACE_M = 60.0, 0.02
