@@ -121,8 +121,10 @@ def wild_tables() -> WildTables:
         ValueError: the table is wrong: a value, or a style, sensor or mounting that two sets share.
     """
     table = tomllib.loads(resources.files("viewshed_lab").joinpath(_TABLE).read_text(encoding="utf-8"))
-    sensors = {name: SensorFamily.from_json({"name": name} | one) for name, one in table["sensor"].items()}
-    mountings = {name: MountingFamily.from_json({"name": name} | one) for name, one in table["mounting"].items()}
+    sensors = {name: SensorFamily(**flat.from_dict(SensorFamily, {"name": name} | one, "sensor family"))
+               for name, one in table["sensor"].items()}  # fmt: skip
+    mountings = {name: MountingFamily(**flat.from_dict(MountingFamily, {"name": name} | one, "mounting family"))
+                 for name, one in table["mounting"].items()}  # fmt: skip
     domains = tuple(
         WildDomain(**flat.from_dict(WildDomain, {"set_name": set_name, "name": name} | one, "domain"))
         for set_name, parts in table["set"].items()

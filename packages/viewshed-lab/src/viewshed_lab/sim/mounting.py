@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
-from viewshed_lab import _config as flat
 from viewshed_lab._config import one_of
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import Agent, Thing, World, tilted
@@ -60,15 +57,6 @@ class MountingFamily:
             raise ValueError(f"{self.name}: yaw_deg must be 0, 0 in frame {self.frame}, got {self.yaw_deg}")
         if self.height_m[0] < 0.2:
             raise ValueError(f"{self.name}: height_m must be 0.2 or more, got {self.height_m[0]}")
-
-    @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> MountingFamily:
-        """Return the family in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
-        return cls(**flat.from_dict(cls, table, "mounting family"))
 
 
 @dataclass(frozen=True, slots=True)

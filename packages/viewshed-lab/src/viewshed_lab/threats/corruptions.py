@@ -433,40 +433,23 @@ __all__ = [
 ]  # fmt: skip
 
 
-def _like(name: str, extinction_per_m: float, particles_per_m: float, wet: float, noise: float) -> Conditions:
-    return replace(
-        CONDITIONS[name], extinction_per_m=extinction_per_m, particles_per_m=particles_per_m, wet=wet, noise=noise
-    )
+_COLUMNS = ("extinction_per_m", "particles_per_m", "wet", "noise")
+_WEATHER: dict[str, tuple[str | tuple[float, ...], ...]] = {
+    "rain": ((0.0007, 0.0015, 0.7, 1.05), "rain", (0.0021, 0.0075, 0.4, 1.2), "heavy_rain", (0.0054, 0.03, 0.25, 1.5)),
+    "fog": ((0.006, 0.01, 0.9, 1.1), "fog", (0.03, 0.11, 0.75, 1.3), "dense_fog", (0.12, 0.8, 0.65, 1.5)),
+    "snow": ((0.0013, 0.01, 0.95, 1.1), "snow", (0.0058, 0.03, 0.85, 1.3), (0.0118, 0.05, 0.8, 1.4),
+             (0.0225, 0.08, 0.75, 1.5)),
+}  # fmt: skip
+"""Conditions by name, or those of the same name as here with other numbers."""
 
 
-_RAIN = (
-    _like("rain", 0.0007, 0.0015, 0.7, 1.05),
-    CONDITIONS["rain"],
-    _like("rain", 0.0021, 0.0075, 0.4, 1.2),
-    CONDITIONS["heavy_rain"],
-    _like("rain", 0.0054, 0.03, 0.25, 1.5),
-)
+def _like(name: str, numbers: tuple[float, ...]) -> Conditions:
+    return replace(CONDITIONS[name], **dict(zip(_COLUMNS, numbers, strict=True)))
 
-_FOG = (
-    _like("fog", 0.006, 0.01, 0.9, 1.1),
-    CONDITIONS["fog"],
-    _like("fog", 0.03, 0.11, 0.75, 1.3),
-    CONDITIONS["dense_fog"],
-    _like("fog", 0.12, 0.8, 0.65, 1.5),
-)
-
-_SNOW = (
-    _like("snow", 0.0013, 0.01, 0.95, 1.1),
-    CONDITIONS["snow"],
-    _like("snow", 0.0058, 0.03, 0.85, 1.3),
-    _like("snow", 0.0118, 0.05, 0.8, 1.4),
-    _like("snow", 0.0225, 0.08, 0.75, 1.5),
-)
 
 SEVERITIES: dict[str, tuple[Corruption, ...]] = {
-    "rain": tuple(map(Weather, _RAIN)),
-    "fog": tuple(map(Weather, _FOG)),
-    "snow": tuple(map(Weather, _SNOW)),
+    **{name: tuple(Weather(CONDITIONS[one] if isinstance(one, str) else _like(name, one)) for one in rows)
+       for name, rows in _WEATHER.items()},
     "dropped_beams": tuple(map(DroppedBeams, (0.05, 0.1, 0.2, 0.4, 0.7))),
     "dropped_sectors": tuple(map(DroppedSectors, (1, 1, 1, 2, 3), (5.0, 15.0, 30.0, 30.0, 45.0))),
     "dead_rings": tuple(map(DeadRings, (0.03, 0.06, 0.12, 0.25, 0.5))),
@@ -477,7 +460,7 @@ SEVERITIES: dict[str, tuple[Corruption, ...]] = {
     "glass": tuple(map(GlassPatches, (1, 2, 4, 8, 16), (1.0, 1.5, 2.0, 2.5, 3.0))),
     "vegetation": tuple(map(Vegetation, (2, 4, 8, 12, 20), (0.8, 1.0, 1.2, 1.5, 2.0))),
     "slope": tuple(map(Slope, (0.02, 0.04, 0.06, 0.09, 0.12), (5.0, 5.0, 5.0, 5.0, 5.0))),
-}
+}  # fmt: skip
 """By name, from severity 1 to 5; rain of 5, 10, 25, 50 and 100 mm/h, fog with 500, 200, 100, 50 and 25 m of visibility,
 and snow of 1, 2, 3, 5 and 8 mm/h."""
 
