@@ -88,11 +88,6 @@ class TrainConfig:
             one_of(key, getattr(self, key), names)
         for key, (low, high) in _LIMITS.items():
             Between(low, high).check(key, getattr(self, key))
-        self._check_attacks()
-        self._check_data()
-        _ = self.card()
-
-    def _check_attacks(self) -> None:
         for attack in self.attacks:
             if attack != PAPER and attack not in ATTACKS:
                 raise ValueError(f"attacks must be among {PAPER}, {', '.join(ATTACKS)}, got {attack!r}")
@@ -101,8 +96,6 @@ class TrainConfig:
                 f"attacks and attack_share must both be given or both be empty, got {list(self.attacks)} and "
                 f"{self.attack_share:g}; benign training has attacks = [] and attack_share = 0"
             )
-
-    def _check_data(self) -> None:
         simulated = [place for place in self.data if place in preset_names()]
         if not self.data or len(set(self.data)) != len(self.data):
             raise ValueError(f"data must name different presets or archives, got {list(self.data)}")
@@ -112,6 +105,7 @@ class TrainConfig:
             if self.train_split not in preset_named(place).splits:
                 names = ", ".join(preset_named(place).splits)
                 raise ValueError(f"train_split must be one of {names} of {place}, got {self.train_split!r}")
+        _ = self.card()
 
     @property
     def simulated(self) -> bool:

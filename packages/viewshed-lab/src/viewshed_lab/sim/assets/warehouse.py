@@ -22,7 +22,8 @@ def pallet(rng: np.random.Generator) -> Group:
         return (Thing("pallet", (slab(depth, width, 0.0, top * int(rng.integers(2, 9)), "wood"),)),)
     load = rng.uniform(0.5, 1.7)
     body = slab(depth - rng.uniform(0, 0.15), width - rng.uniform(0, 0.2), top, top + load, _load(rng))
-    return (Thing("pallet", (*_deck(depth, width), body)),)
+    runners = [Box(0.0, s * (width / 2 - 0.05), depth, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 1)]
+    return (Thing("pallet", (*runners, slab(depth, width, 0.1, 0.144, "wood"), body)),)
 
 
 def stack(rng: np.random.Generator) -> Group:
@@ -34,12 +35,6 @@ def stack(rng: np.random.Generator) -> Group:
     body = _load(rng)
     loads = [slab(depth - 0.06, width - 0.08, z + foot, z + foot + high - 0.001, body) for z in floors]
     return (Thing("pallet", (*decks, *loads)),)
-
-
-def _deck(depth_m: float, width_m: float) -> tuple[Box, ...]:
-    """Return the boards of a pallet and the two outer runners that keep it off the floor."""
-    runners = tuple(Box(0.0, s * (width_m / 2 - 0.05), depth_m, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 1))
-    return (*runners, slab(depth_m, width_m, 0.1, 0.144, "wood"))
 
 
 def _load(rng: np.random.Generator) -> str:
@@ -69,17 +64,13 @@ def _bay(rng: np.random.Generator, middle_m: float, levels: int, rise_m: float) 
         parts.append(Box(0.0, middle_m, 1.05, 2.66, 0.143, 0.05, 0.0, "wood"))
     for k in range(1, levels + 1):
         if rng.random() < 0.6:
-            wide, slack = _share(rng, BAY_M - 0.2)
+            # One, two or three thirds of a bay, anywhere in it.
+            thirds, room = int(rng.integers(1, 4)), BAY_M - 0.2
+            wide, slack = thirds * room / 3, float(rng.integers(-1, 2)) * (3 - thirds) / 2 * room / 3
             bottom = k * rise_m + 0.001
             top = bottom + rng.uniform(0.5, rise_m - 0.35)
             parts.append(Box(0.0, middle_m + slack, rng.uniform(0.8, 1.0), wide, top, bottom, 0.0, _load(rng)))
     return parts
-
-
-def _share(rng: np.random.Generator, room_m: float) -> tuple[float, float]:
-    """Return how wide one, two or three thirds of a bay are and how far off its middle they lie."""
-    thirds = int(rng.integers(1, 4))
-    return thirds * room_m / 3, float(rng.integers(-1, 2)) * (3 - thirds) / 2 * room_m / 3
 
 
 def forklift(rng: np.random.Generator) -> Group:

@@ -217,8 +217,11 @@ def atrium(rng: np.random.Generator, plan: AgentPlan) -> World:
     build(floor_plan, [glass_wall(rng, wall, top) if k in glazed else back_wall(rng, wall)
                  for k, wall in enumerate(around(inside, 0.35, "concrete"))], top)  # fmt: skip
     floor_plan.things.extend(ceiling(inside, top, "metal"))
-    well = _well(rng, inside) if rng.random() < 0.65 else None
-    if well is not None:
+    well: Rect | None = None
+    if rng.random() < 0.65:  # an opening in the floor, somewhere near the middle
+        wide, long = rng.uniform(5.0, 13.0), rng.uniform(5.0, 13.0)
+        x, y = rng.uniform(6.5 - half_x, half_x - 6.5 - wide), rng.uniform(6.5 - half_y, half_y - 6.5 - long)
+        well = (x, y, x + wide, y + long)
         floor_plan.steps += _edges(well)
         floor_plan.reserve(tuple(np.add(well, (-0.5, -0.5, 0.5, 0.5)).tolist()))
         floor_plan.things += _balustrade(rng, well)
@@ -237,14 +240,6 @@ def atrium(rng: np.random.Generator, plan: AgentPlan) -> World:
         floor_plan.things += _down_there(rng, well)
     building = Building("atrium", inside, top, 5, (inside,) * 3)
     return inhabited(floor_plan, _floor(inside, well, depth), building, plan)
-
-
-def _well(rng: np.random.Generator, inside: Rect) -> Rect:
-    """Return an opening in the floor, somewhere near the middle."""
-    wide, long = rng.uniform(5.0, 13.0), rng.uniform(5.0, 13.0)
-    x = rng.uniform(inside[0] + 6.5, inside[2] - 6.5 - wide)
-    y = rng.uniform(inside[1] + 6.5, inside[3] - 6.5 - long)
-    return x, y, x + wide, y + long
 
 
 def _edges(rect: Rect) -> list[Rect]:

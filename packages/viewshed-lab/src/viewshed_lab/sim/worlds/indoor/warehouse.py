@@ -38,7 +38,9 @@ def warehouse(rng: np.random.Generator, plan: AgentPlan) -> World:
     trucks = [one for one in walls[gates].openings if one.kind == "gate"]
     floor_plan.things.extend(truck for one in trucks for truck in _truck(rng, one, walls[gates], gates))
     floor_plan.things.extend(ceiling(inside, top, "metal"))
-    staging, store = _zones(inside, gates)
+    edge = half_y - _STAGING_M if gates == 3 else _STAGING_M - half_y
+    low, high = (-half_x, -half_y, half_x, edge), (-half_x, edge, half_x, half_y)
+    staging, store = (high, low) if gates == 3 else (low, high)  # the floor before the gates, and the rest
     edge = _racks(floor_plan, store, top)
     _floor_storage(floor_plan, (edge, store[1] + 1.5, store[2] - 1.0, store[3] - 1.0))
     rise = _dock(floor_plan, staging, gates) if rng.random() < 0.5 else None
@@ -65,14 +67,6 @@ def _truck(rng: np.random.Generator, gate: Opening, wall: Wall, side: int) -> tu
     out = 4.0 + wall.thick_m
     turn = -np.pi / 2 if side == 3 else np.pi / 2
     return place_group(stock.trailer(rng), gate.middle_m, wall.at_m + (out if side == 3 else -out), turn)
-
-
-def _zones(inside: Rect, gates: int) -> tuple[Rect, Rect]:
-    """Return the floor before the gates, and the rest."""
-    x0, y0, x1, y1 = inside
-    if gates == 3:
-        return (x0, y1 - _STAGING_M, x1, y1), (x0, y0, x1, y1 - _STAGING_M)
-    return (x0, y0, x1, y0 + _STAGING_M), (x0, y0 + _STAGING_M, x1, y1)
 
 
 def _racks(floor_plan: FloorPlan, store: Rect, top_m: float) -> float:
