@@ -27,7 +27,7 @@ from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 from viewshed_lab.sim.raycast.scan import Motion
 
 if TYPE_CHECKING:
-    from viewshed_lab.threats.attacks.base import Tampered, Wedge
+    from viewshed_lab.threats.attacks.base import Tampered
 
 Buffer = bytes | memoryview
 Bytes = NDArray[np.uint8]
@@ -200,11 +200,13 @@ def sample_of_row(row: Row, footer: Footer) -> Sample:
         about, sensors = json.loads(text), footer.sensors
         measured = _image(about, ranges, intensity, sensors) if points is None else _sweep(about, points, sensors)
         if touched is not None:
-            from viewshed_lab.threats.attacks.base import (
-                Tampered,  # what simulates and reads clean sweeps needs no attacks
-            )
+            # What simulates and reads clean sweeps needs no attacks.
+            from viewshed_lab.threats.attacks.base import Tampered, Wedge
 
-            added, removed, wedge = _unpack_touched(about[TOUCHED], touched)
+            rows, gone = int(about[TOUCHED]["added"]), int(about[TOUCHED]["removed"])
+            added, removed = np.split(unpack_masks(touched, (1, 1, rows + gone))[0, 0], [rows])
+            ends = about[TOUCHED]["wedge"]
+            wedge = None if ends is None else Wedge(float(ends[0]), float(ends[1]))
             if "clean" in about and isinstance(measured, Sweep):
                 clean = _image(about["clean"], ranges, intensity, sensors)
                 measured = merge_rows(clean.sweep(), measured, added, removed)
@@ -213,15 +215,6 @@ def sample_of_row(row: Row, footer: Footer) -> Sample:
         raise ValueError(f"about must describe the frame: {error!r}") from error
     truth, known = _truth(footer.layout, returns, states, masks)
     return Sample(measured, truth, known, footer.scene, footer.split, tampered, clean)
-
-
-def _unpack_touched(about: dict[str, Any], raw: Buffer) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Wedge | None]:
-    """Return the rows that an attacker added, those that are gone, and the wedge."""
-    from viewshed_lab.threats.attacks.base import Wedge
-
-    rows, wedge = int(about["added"]), about["wedge"]
-    masks = unpack_masks(raw, (1, 1, rows + int(about["removed"])))[0, 0]
-    return masks[:rows], masks[rows:], None if wedge is None else Wedge(float(wedge[0]), float(wedge[1]))
 
 
 def made_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:

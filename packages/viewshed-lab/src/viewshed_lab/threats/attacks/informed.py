@@ -192,11 +192,11 @@ def _with_base(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int
 class _OfObjects(Checked):
     """The parameters that attacks on the objects near a sensor share."""
 
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
-    near_m: Range = 25.0
-    spoofer: Spoofer = EXACT_SPOOFER
+    budget: Budget = None  # objects with more beams are left alone; None for any
+    sector_deg: Sector = 30.0  # objects must be narrower than this
+    azimuth: Azimuth = None  # in the sensor's frame, of the object nearest to it or of the copy; None draws one
+    near_m: Range = 25.0  # objects nearer than this vanish, or are copied
+    spoofer: Spoofer = EXACT_SPOOFER  # how well the beams are won
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,13 +206,6 @@ class VanishedObject(_OfObjects):
     Ground goes on where both sides show ground, at the heights that they show; else the farther side goes on. No part
     of the object is left, nothing lies below the ground, nothing is seen through; noise and lost beams are as beside
     it. Without an object that fits into the sector nothing is done.
-
-    Attributes:
-        budget: objects with more beams stay; None for any.
-        sector_deg: objects must be narrower than this.
-        azimuth: the object nearest to it in the sensor's frame vanishes; None draws one.
-        near_m: objects nearer than this vanish.
-        spoofer: how well the beams are won.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
@@ -355,14 +348,7 @@ class CopiedObject(_OfObjects):
     """A real object of the sweep appears a second time, at another azimuth, before everything that is there.
 
     Its surface, edges, noise and losses are those of a real one. It stands on ground of the same height, where the view
-    is open. Without such an object and place nothing is done.
-
-    Attributes:
-        budget: objects with more beams stay; None for any.
-        sector_deg: objects must be narrower than this.
-        azimuth: middle of the copy in the sensor's frame, where the largest object that fits is shown; None draws both.
-        near_m: objects nearer than this are copied.
-        spoofer: how well the beams are won.
+    is open. Without such an object and place nothing is done. At a given azimuth the largest object that fits is shown.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
