@@ -94,12 +94,8 @@ def _slanted(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
 def _columns(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
     """Add columns on a grid that is turned against the walls."""
     rng = floor_plan.rng
-    pitch, turn, size, rounded = (
-        rng.uniform(4.0, 7.0),
-        rng.uniform(0, np.pi / 2),
-        rng.uniform(0.2, 0.45),
-        rng.random() < 0.4,
-    )
+    pitch, turn = rng.uniform(4.0, 7.0), rng.uniform(0, np.pi / 2)
+    size, rounded = rng.uniform(0.2, 0.45), rng.random() < 0.4
     c, s = np.cos(turn), np.sin(turn)
     part: Shape = (Cylinder(0.0, 0.0, size / 2, top_m, 0.0, "metal") if rounded
                    else Box(0.0, 0.0, size, size, top_m, 0.0, 0.0, "wood"))  # fmt: skip

@@ -67,9 +67,8 @@ def _passages(rng: np.random.Generator) -> list[Rect]:
         for _ in range(int(rng.integers(0, 3))):  # branches that end blind or meet another
             at, broad, far = rng.uniform(a + 1.5, c - 1.5), rng.uniform(1.6, 3.2), rng.uniform(4.0, 15.0)
             up = rng.random() < 0.5
-            passages.append(
-                (at - broad / 2, b if up else max(b - far, -19.0), at + broad / 2, min(d + far, 19.0) if up else d)
-            )
+            low, high = (b, min(d + far, 19.0)) if up else (max(b - far, -19.0), d)
+            passages.append((at - broad / 2, low, at + broad / 2, high))
             if rng.random() < 0.5:
                 end = passages[-1][3] if up else passages[-1][1]
                 deep = rng.uniform(2.5, 6.0)
@@ -78,11 +77,8 @@ def _passages(rng: np.random.Generator) -> list[Rect]:
                                  min(at + rng.uniform(2.0, 6.0), _HALF_M - 1), min(low + deep, 19.0)))  # fmt: skip
         for at in rng.uniform(a + 0.8, c - 0.8, int(rng.integers(0, 3))).tolist():  # niches
             deep = rng.uniform(0.3, 1.0)
-            passages.append(
-                (at - 0.6, b - deep, at + 0.6, b + 0.1)
-                if rng.random() < 0.5
-                else (at - 0.6, d - 0.1, at + 0.6, d + deep)
-            )
+            low, high = (b - deep, b + 0.1) if rng.random() < 0.5 else (d - 0.1, d + deep)
+            passages.append((at - 0.6, low, at + 0.6, high))
     return passages
 
 
