@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, Protocol
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed.fov.estimate import THRESHOLD, FovEstimator
-from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
 from viewshed_lab._config import Azimuth, Between, Budget, Checked, Range, Sector
 from viewshed_lab.threats.attacks.base import NOTHING, Attack, AttackFactory, Knowledge, Tampered, Wedge
@@ -313,9 +312,19 @@ class OverClaim:
     estimator: FovEstimator  # what the victim runs
     threshold: float = THRESHOLD  # probability from which a cell is claimed
 
+    claimed: ClassVar[bool] = True
+    """Whether cells are to be claimed that were not, or the other way round."""
+
     def on(self, clean: Sweep, wedge: Wedge) -> Value:
         """Return the objective; the victim is queried once."""
-        return _changed_area(self, clean, wedge, claimed=True)
+        grid = self.estimator.grid
+
+        def claims(sweep: Sweep) -> NDArray[np.bool_]:
+            return np.asarray(self.estimator.estimate(sweep).visible(self.threshold) == self.claimed)
+
+        x, y = np.moveaxis(grid.centers @ scene_of(clean).level_from_sensor.rotation[:2, :2], -1, 0)
+        others = ~claims(clean) & wedge.holds(np.arctan2(y, x))
+        return lambda sweep: float((others & claims(sweep)).sum()) * grid.cell_area_m2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -325,20 +334,7 @@ class UnderClaim(OverClaim):
     Its attributes are those of :class:`OverClaim`.
     """
 
-    def on(self, clean: Sweep, wedge: Wedge) -> Value:
-        """Return the objective; the victim is queried once."""
-        return _changed_area(self, clean, wedge, claimed=False)
-
-
-def _changed_area(aim: OverClaim, clean: Sweep, wedge: Wedge, claimed: bool) -> Value:
-    """Return the area in m² of the wedge's cells that become ``claimed`` and were not, for any sweep."""
-    grid = aim.estimator.grid
-
-    def claims(sweep: Sweep) -> NDArray[np.bool_]:
-        return np.asarray(aim.estimator.estimate(sweep).visible(aim.threshold) == claimed)
-
-    others = ~claims(clean) & cells_in(grid, clean, wedge)
-    return lambda sweep: float((others & claims(sweep)).sum()) * grid.cell_area_m2
+    claimed = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -355,13 +351,6 @@ class Evade(Checked):
         """Return the aim less the penalty."""
         aim = self.aim.on(clean, wedge)
         return lambda sweep: aim(sweep) - self.penalty * max(0.0, float(self.score(sweep)) - self.limit)
-
-
-def cells_in(grid: BevGrid, sweep: Sweep, wedge: Wedge) -> NDArray[np.bool_]:
-    """Return which cells (cells, cells) have their center in the wedge, seen from the sensor of ``sweep``."""
-    rotation = scene_of(sweep).level_from_sensor.rotation
-    x, y = np.moveaxis(grid.centers @ rotation[:2, :2], -1, 0)
-    return wedge.holds(np.arctan2(y, x))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

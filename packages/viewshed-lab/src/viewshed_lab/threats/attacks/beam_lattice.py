@@ -48,15 +48,11 @@ class Firing:
     shift_m: F64  # (C, 3) float64 positions of the sensor
     time_s: NDArray[np.float32] | None = None  # (C,) float32 seconds, or None where the sweep has none
 
-
-def at_rest(columns: int) -> tuple[F64, F64]:
-    """Return rotations (C, 3, 3) and positions (C, 3) of a sensor that does not move."""
-    return np.tile(np.eye(3), (columns, 1, 1)), np.zeros((columns, 3))
-
-
-def even_azimuths(columns: int, phase: float) -> F64:
-    """Return (columns,) float64 azimuths in radians, the first at -π and ``phase`` steps."""
-    return (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
+    @classmethod
+    def at_rest(cls, column: Ints, columns: int, phase: float, time_s: NDArray[np.float32] | None = None) -> Firing:
+        """Return that of a sensor that does not move, its azimuths even, the first at -π and ``phase`` steps."""
+        azimuth = (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
+        return cls(column, azimuth, np.tile(np.eye(3), (columns, 1, 1)), np.zeros((columns, 3)), time_s)
 
 
 def fit_firing(sweep: Sweep, model: LidarModel) -> Firing | None:
@@ -76,7 +72,7 @@ def _fit_at_rest(sweep: Sweep, model: LidarModel) -> Firing | None:
     phase = float(np.angle(np.exp(2j * np.pi * position[_sample(sweep)]).sum())) / (2 * np.pi) % 1.0
     column = np.rint(position - phase).astype(np.int32) % columns
     time_s = None if sweep.time_s is None else np.full(columns, sweep.time_s[0], np.float32)
-    firing = Firing(column, even_azimuths(columns, phase), *at_rest(columns), time_s)
+    firing = Firing.at_rest(column, columns, phase, time_s)
     off_m, *_ = _fit_step(sweep, model, firing, np.zeros(4), np.inf)
     return firing if np.quantile(off_m, 0.75) < ON_BEAM_M else None
 
@@ -93,7 +89,7 @@ def _fit_in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
     if column.min() < 0 or column.max() >= len(columns) or np.abs(position - first - column).max() > 0.2:
         return None
     time_s = ((columns + first) * step_s).astype(np.float32)
-    firing = Firing(column, even_azimuths(len(columns), 0.5), *at_rest(len(columns)), time_s)
+    firing = Firing.at_rest(column, len(columns), 0.5, time_s)
     motion = np.zeros(4)
     for limit_m in _LIMITS_M:
         _, matrix, right, used = _fit_step(sweep, model, firing, motion, limit_m)
@@ -274,21 +270,6 @@ class BeamLattice:
         start_m = np.take(self.firing.shift_m, column, 0) + np.take(self.firing.turn[:, :, 2], column, 0) * lift_m
         return start_m, *_towards(np.take(points, row, 0) - start_m)
 
-    def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[F64, F64]:
-        """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
-        firing = self.firing
-        beams: tuple[F64, F64] = beams_of_pixels(
-            ring,
-            column,
-            self.elevation,
-            self.azimuth_offset,
-            self.origin_m,
-            firing.azimuth,
-            firing.turn,
-            firing.shift_m,
-        )
-        return beams
-
     def nearest_pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the ring and column (K,) of the beams that pass nearest to points (K, 3), seen from the sensor."""
         x, y, z = points.astype(np.float64).T
@@ -330,7 +311,11 @@ def lattice_of(sweep: Sweep) -> BeamLattice | None:
     beams = recover_rings(sweep)
     if beams.source == "elevation bins" or len(sweep) == 0:
         return None
-    return _lattice(beams.ring, *_recovered_table(beams, model), _recovered_firing(sweep, beams), 0.0)
+    none = np.zeros(beams.rings)
+    elevation, origin_m = beams.elevation, none
+    if model is not None and model.rings == beams.rings:
+        elevation, origin_m = model.elevation, model.origin_m
+    return _lattice(beams.ring, elevation, none, origin_m, _recovered_firing(sweep, beams), 0.0)
 
 
 def _lattice(
@@ -343,22 +328,10 @@ def _lattice(
     if not exact and not by_column:
         several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
     empty = _empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
-    seam = 0 if by_column or len(ends) == 0 else _seam(firing.column[ends], columns)
+    # The column at which rings begin, by the circular mean of the columns at their ends.
+    turn = np.angle(np.exp(2j * np.pi * firing.column[ends] / columns).sum()) / (2 * np.pi)
+    seam = 0 if by_column or len(ends) == 0 else int(np.ceil(turn * columns)) % columns
     return BeamLattice(ring, elevation, azimuth_offset, origin_m, firing, rows, empty, step_m, by_column, sense, seam)
-
-
-def _seam(column: NDArray[np.int32], columns: int) -> int:
-    """Return the column at which rings begin, by the circular mean of the columns at their ends."""
-    turn = np.angle(np.exp(2j * np.pi * column / columns).sum()) / (2 * np.pi)
-    return int(np.ceil(turn * columns)) % columns
-
-
-def _recovered_table(beams: RingAssignment, model: LidarModel | None) -> tuple[F64, F64, F64]:
-    """Return elevation, azimuth offset and height of the start of each ring (R,), as far as they are known."""
-    none = np.zeros(beams.rings)
-    if model is not None and model.rings == beams.rings:
-        return model.elevation, none, model.origin_m
-    return beams.elevation, none, none
 
 
 def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
@@ -367,7 +340,7 @@ def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
     sampled = position[:: max(len(position) // _SAMPLED, 1)].astype(np.float64)
     phase = float(np.angle(np.exp(2j * np.pi * sampled).sum())) / (2 * np.pi) % 1.0
     column = np.rint(position - np.float32(phase)).astype(np.int32) % beams.columns
-    return Firing(column, even_azimuths(beams.columns, phase), *at_rest(beams.columns))
+    return Firing.at_rest(column, beams.columns, phase)
 
 
 def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
@@ -450,7 +423,11 @@ def _towards(reach: F64) -> tuple[F64, F64]:
 
 def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
     ring, column = np.nonzero(lattice.empty)
-    start_m, direction = lattice.of_pixels(ring, column)
+    firing = lattice.firing
+    start_m, direction = beams_of_pixels(
+        ring, column, lattice.elevation, lattice.azimuth_offset, lattice.origin_m,
+        firing.azimuth, firing.turn, firing.shift_m,
+    )  # fmt: skip
     none = np.full(len(ring), -1)
     missing = Rays(none, ring, column, start_m, direction, np.full(len(ring), np.inf))
     return missing if wedge.width >= 2 * np.pi else missing.select(within(direction, wedge))
