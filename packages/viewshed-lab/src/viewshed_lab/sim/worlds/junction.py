@@ -18,6 +18,7 @@ from viewshed_lab.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled,
 _HALF_M, _ROAM_M = 112.0, 50.0
 _CROSSWALK_M = 4.8
 _TURN_CLEARANCE_M, _BEHIND_TURN_M = 1.4, 12.0
+_TURN = frozenset({"car", "robot", "cyclist", "motorcycle"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +139,7 @@ def _turning(
     line = right_turn(lane, corner, radius)
     out, turned = [], False
     for driver in drivers:
-        before = driver.start_m < corner - radius - 4.0 and driver.thing.kind in {
-            "car",
-            "robot",
-            "cyclist",
-            "motorcycle",
-        }
+        before = driver.start_m < corner - radius - 4.0 and driver.thing.kind in _TURN
         if before and rng.random() < 0.3:
             turned = True
             speed, hold = min(driver.speed_mps, rng.uniform(3.5, 5.0)), driver.hold_m - _BEHIND_TURN_M

@@ -97,12 +97,8 @@ def _offices(rng: np.random.Generator, xs: list[Span], ys: list[Span]) -> tuple[
         cut = low + (high - low) * rng.uniform(0.38, 0.62)
         across = (x, y)[axis]
         walls.append(Wall(axis == 0, cut, *across))
-        halves = (
-            ((x[0], y[0], x[1], cut), (x[0], cut, x[1], y[1]))
-            if axis == 0
-            else ((x[0], y[0], cut, y[1]), (cut, y[0], x[1], y[1]))
-        )
-        for rect, gone in zip(halves, (3 - axis, 1 - axis), strict=True):
+        inner = (x[1], cut, x[0], cut) if axis == 0 else (cut, y[1], cut, y[0])
+        for rect, gone in (((x[0], y[0], *inner[:2]), 3 - axis), ((*inner[2:], x[1], y[1]), 1 - axis)):
             offices.append(Office(rect, tuple(side for side in free if side != gone)))
     return offices, walls
 
@@ -167,9 +163,8 @@ def _fire_doors(rng: np.random.Generator, passages: Iterable[tuple[Rect, tuple[i
     for (x0, y0, x1, y1), sides in passages:
         if rng.random() < 0.14:
             start, stop, at = (y0, y1, x0 + 0.15) if sides[0] else (x0, x1, y0 + 0.15)
-            door = Opening(
-                (start + stop) / 2, min(1.5, stop - start - 0.3), "open" if rng.random() < 0.6 else "passage"
-            )
+            kind = "open" if rng.random() < 0.6 else "passage"
+            door = Opening((start + stop) / 2, min(1.5, stop - start - 0.3), kind)
             walls.append(Wall(bool(not sides[0]), at, start, stop, 0.1, "paint", (door,)))
     return walls
 
