@@ -12,7 +12,7 @@ from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
 from viewshed_lab.sim.assets.street import bush, concrete_barrier, guard_rail, lamp_post, pick, place_at, sign, tree
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import DECK, AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, lines_of, mast, spots
+from viewshed_lab.sim.worlds.layout import Mast, assembled, lines_of, mast, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief, relief
 from viewshed_lab.sim.worlds.roadsides import country_vehicle
 from viewshed_lab.sim.worlds.roadway import HALF_M
@@ -102,7 +102,7 @@ def bridge(rng: np.random.Generator, plan: AgentPlan) -> World:
         (replace(thing, upper=True) if abs(np.cos(thing.yaw)) > 0.5 else thing, ahead)
         for thing, ahead in driven(rng, plan, cross.lanes(), _PACE, country_vehicle)
     ]
-    return assembled("bridge", terrain, plan, Contents(site.things, moving, masts), upper)
+    return assembled("bridge", terrain, plan, site.things, moving, masts, upper)
 
 
 def _crossing(rng: np.random.Generator) -> Crossing:

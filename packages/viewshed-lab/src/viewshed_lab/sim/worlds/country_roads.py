@@ -6,7 +6,7 @@ import numpy as np
 
 from viewshed_lab.sim.assets.street import concrete_barrier, lamp_post, place_at
 from viewshed_lab.sim.world import AgentPlan, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled
+from viewshed_lab.sim.worlds.layout import assembled
 from viewshed_lab.sim.worlds.roadsides import (
     COUNTRY_PACE,
     WHOLE,
@@ -50,7 +50,7 @@ def country_road(rng: np.random.Generator, plan: AgentPlan) -> World:
         site.put_all(trees(rng, road, side, (near, near + rng.uniform(0.5, 9.0)), (2.0, rng.uniform(6.0, 60.0))))
     in_fields(rng, site, rng.uniform(0.2, 1.6))
     moving = driven(rng, plan, road.lane_lines(), COUNTRY_PACE, country_vehicle)
-    return assembled("country_road", road.terrain(6.2, 1.6), plan, Contents(site.things, moving, masts))
+    return assembled("country_road", road.terrain(6.2, 1.6), plan, site.things, moving, masts)
 
 
 def _bank(rng: np.random.Generator, slope: float) -> Bank:
@@ -80,7 +80,7 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
     elif rng.random() < 0.7:
         in_fields(rng, site, rng.uniform(0.05, 0.35))
     moving = driven(rng, plan, road.lane_lines(), _PACE, country_vehicle)
-    return assembled("open_field", road.terrain(8.0, 3.0), plan, Contents(site.things, moving, masts))
+    return assembled("open_field", road.terrain(8.0, 3.0), plan, site.things, moving, masts)
 
 
 def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
@@ -109,7 +109,7 @@ def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
             site.put_all(trees(rng, road, side, (road.edge_m + 1.5, foot), (4.0, rng.uniform(15.0, 60.0))))
     in_fields(rng, site, rng.uniform(0.2, 1.2))
     moving = driven(rng, plan, road.lane_lines(), COUNTRY_PACE, country_vehicle)
-    return assembled("embankment", road.terrain(), plan, Contents(site.things, moving, masts))
+    return assembled("embankment", road.terrain(), plan, site.things, moving, masts)
 
 
 def _fall(rng: np.random.Generator, high_m: float) -> Bank:
@@ -151,7 +151,7 @@ def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
             site.put_all(trees(rng, road, side, (road.edge_m + 1.5, foot), (3.0, rng.uniform(10.0, 60.0))))
     in_fields(rng, site, rng.uniform(0.1, 0.7))
     moving = driven(rng, plan, road.lane_lines(), COUNTRY_PACE, country_vehicle)
-    return assembled("cutting", road.terrain(), plan, Contents(site.things, moving, masts))
+    return assembled("cutting", road.terrain(), plan, site.things, moving, masts)
 
 
 def _slope(rng: np.random.Generator, high_m: float) -> Bank:

@@ -47,7 +47,7 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle, truck
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Rect, Span, assembled, lines_of, plots, spots, within
+from viewshed_lab.sim.worlds.layout import Rect, Span, assembled, lines_of, plots, spots, within
 from viewshed_lab.sim.worlds.roadsides import climb, fields
 from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bend, Roadway, masts_beside
 from viewshed_lab.sim.worlds.site_plan import SitePlan
@@ -163,7 +163,7 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
         _fill(rng, site, drop)
     _opposite(rng, site, road, -side)
     moving = driven(rng, plan, road.lane_lines(), _PIT_PACE, street_vehicle)
-    return assembled("pit", terrain_with(road, drops), plan, Contents(site.things, moving, masts))
+    return assembled("pit", terrain_with(road, drops), plan, site.things, moving, masts)
 
 
 def _pits(rng: np.random.Generator, road: Roadway, side: int) -> list[Drop]:
@@ -250,7 +250,7 @@ def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
     _below(rng, site, drops[0], side, water)
     _behind(rng, site, road, -side)
     moving = driven(rng, plan, road.lane_lines(), _QUAY_PACE, street_vehicle)
-    return assembled("quay", terrain_with(road, drops), plan, Contents(site.things, moving, masts))
+    return assembled("quay", terrain_with(road, drops), plan, site.things, moving, masts)
 
 
 def _edges(rng: np.random.Generator, road: Roadway, side: int, water: bool) -> list[Drop]:

@@ -14,7 +14,7 @@ from viewshed_lab.sim.assets.street import person, pick, place_at, tree
 from viewshed_lab.sim.assets.vehicles import car
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Rect, assembled, lines_of, within
+from viewshed_lab.sim.worlds.layout import Mast, Rect, assembled, lines_of, within
 from viewshed_lab.sim.worlds.parking import aisle_walkers, aisles_driven
 from viewshed_lab.sim.worlds.roadway import HALF_M
 from viewshed_lab.sim.worlds.traffic import Lane, Rider, straight_lane
@@ -79,7 +79,7 @@ def garage(rng: np.random.Generator, plan: AgentPlan) -> World:
     if storey.outside_m < 0.0:
         still += _around(rng, storey)
     moving = _traffic(rng, plan, storey)
-    return replace(assembled("garage", storey.terrain(), plan, Contents(still, moving, masts)), indoor=True)
+    return replace(assembled("garage", storey.terrain(), plan, still, moving, masts), indoor=True)
 
 
 def _storey(rng: np.random.Generator, sensor_m: float) -> Storey:

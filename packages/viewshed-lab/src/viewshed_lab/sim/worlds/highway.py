@@ -27,7 +27,7 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import highway_vehicle, van
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, carriers, spots
+from viewshed_lab.sim.worlds.layout import Mast, assembled, carriers, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief, relief
 from viewshed_lab.sim.worlds.roadway import Bend, masts_beside
 from viewshed_lab.sim.worlds.traffic import Lane, Rider, Stream, filled, flow
@@ -71,7 +71,7 @@ def highway(rng: np.random.Generator, plan: AgentPlan) -> World:
     still = [*_median(rng, route, half), *_overhead(rng, route), *_works(rng, route)]
     for side in (-1, 1):
         still += _roadside(rng, route, half, side, masts)
-    return assembled("highway", _terrain(relief(rng, 0.04), route, half), plan, Contents(still, moving, masts))
+    return assembled("highway", _terrain(relief(rng, 0.04), route, half), plan, still, moving, masts)
 
 
 def _terrain(land: Relief, route: Route, half_m: float) -> Terrain:

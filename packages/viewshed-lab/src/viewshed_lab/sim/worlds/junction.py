@@ -11,7 +11,7 @@ from viewshed_lab.sim.assets.street import person, pick, traffic_light
 from viewshed_lab.sim.assets.vehicles import street_vehicle
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, carriers, mast
+from viewshed_lab.sim.worlds.layout import Mast, Span, assembled, carriers, mast
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, right_turn, straight_lane
 
@@ -55,7 +55,7 @@ def junction(rng: np.random.Generator, plan: AgentPlan) -> World:
             seats = [dealt.pop() for _ in range(one.lanes)]
             moving += _one_way(rng, one, other, direction, seats, plan.duration_s)
     terrain = ground.terrain(_HALF_M, _HALF_M, 11.0)
-    return assembled("junction", terrain, plan, Contents(still, moving, masts))
+    return assembled("junction", terrain, plan, still, moving, masts)
 
 
 def _street(rng: np.random.Generator, yaw: float, curb_m: float, free: bool) -> Street:

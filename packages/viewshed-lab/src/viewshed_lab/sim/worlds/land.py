@@ -22,7 +22,7 @@ from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.drop_roads import Drop, mirrored
-from viewshed_lab.sim.worlds.layout import Contents, assembled, lines_of, within
+from viewshed_lab.sim.worlds.layout import assembled, lines_of, within
 from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, masts_beside, random_bend
 from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Pace, driven
@@ -182,7 +182,7 @@ def land(rng: np.random.Generator, plan: AgentPlan) -> World:
     site.scatter(rng, [pick(rng, _THINGS)(rng) for _ in range(count)], (-70.0, -70.0, 70.0, 70.0))
     lanes = [lie.bend.lane(side * 0.5 * lie.half_m, side > 0) for side in (-1, 1)]
     moving = driven(rng, plan, lanes, _PACE, street_vehicle)
-    return assembled("land", lie.terrain(), plan, Contents(site.things, moving, masts))
+    return assembled("land", lie.terrain(), plan, site.things, moving, masts)
 
 
 def _ridge(rng: np.random.Generator, bend: Bend, half_m: float) -> Ridge:

@@ -126,41 +126,38 @@ def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list
     return dealt
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Contents:
-    """What is put into a world."""
-
-    still: Sequence[Thing]  # things that rest
-    # things with tracks, and for agents how far ahead of the middle the sensor sits
-    moving: Sequence[tuple[Thing, float | None]]
-    masts: Sequence[Mast] = ()  # roadside sensors
+Riders = Sequence[tuple[Thing, float | None]]
+"""Things with tracks, and for agents how far ahead of the middle the sensor sits."""
 
 
-def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents, upper: Terrain | None = None) -> World:
+def assembled(
+    name: str, terrain: Terrain, plan: AgentPlan, still: Sequence[Thing], riders: Riders, masts: Sequence[Mast] = (),
+    upper: Terrain | None = None,
+) -> World:  # fmt: skip
     """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on.
 
-    ``upper`` is the ground of the upper level, of a world that has one.
+    ``still`` are things that rest. ``upper`` is the ground of the upper level, of a world that has one.
     """
-    agents, moving = [], _nearest(contents, plan.duration_s)
+    agents, moving = [], _nearest(riders, masts, plan.duration_s)
     ridden = [(k, ahead) for k, (_, ahead) in enumerate(moving) if ahead is not None]
     for number, (index, ahead) in enumerate(ridden):
         mount = Rigid.from_yaw(0.0, (ahead, 0.0, plan.sensor_height_m))
         agents.append(Agent(f"vehicle_{number}", plan.sensor, mount, index))
-    for number, post in enumerate(contents.masts):
+    for number, post in enumerate(masts):
         agents.append(Agent(f"roadside_{number}", plan.roadside_sensor, post.pose(terrain)))
-    things = [thing for thing, _ in moving] + [*contents.still, *(post.pole for post in contents.masts)]
+    things = [thing for thing, _ in moving] + [*still, *(post.pole for post in masts)]
     return World(name, terrain, tuple(things), tuple(agents), upper=upper)
 
 
-def _nearest(contents: Contents, duration_s: float) -> list[tuple[Thing, float | None]]:
+def _nearest(riders: Riders, masts: Sequence[Mast], duration_s: float) -> Riders:
     """Return the agents' vehicles and those that come nearest to a sensor, as many as may move."""
     times = (0.0, duration_s / 2, duration_s)
-    positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in contents.moving]).reshape(-1, 3, 2)
-    ridden = np.array([ahead is not None for _, ahead in contents.moving], bool)
-    rests = np.array([one.track is None for one, _ in contents.moving], bool)
-    posts = np.array([[(post.x_m, post.y_m)] * 3 for post in contents.masts]).reshape(-1, 3, 2)
+    positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in riders]).reshape(-1, 3, 2)
+    ridden = np.array([ahead is not None for _, ahead in riders], bool)
+    rests = np.array([one.track is None for one, _ in riders], bool)
+    posts = np.array([[(post.x_m, post.y_m)] * 3 for post in masts]).reshape(-1, 3, 2)
     eyes = np.concatenate([positions[ridden], posts])
     gaps = np.hypot(*np.moveaxis(positions[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
     order = np.argsort(np.where(ridden | rests, -1.0, gaps), kind="stable")
     kept = set(order[: MOST_MOVING + int((rests & ~ridden).sum())].tolist())
-    return [rider for k, rider in enumerate(contents.moving) if k in kept]
+    return [rider for k, rider in enumerate(riders) if k in kept]

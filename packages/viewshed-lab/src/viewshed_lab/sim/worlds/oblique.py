@@ -25,7 +25,7 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import cyclist, motorcycle, parked_vehicle
 from viewshed_lab.sim.assets.warehouse import stall
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled, plots, spots
+from viewshed_lab.sim.worlds.layout import assembled, plots, spots
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
 from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, masts_beside, random_bend
 from viewshed_lab.sim.worlds.site_plan import SitePlan
@@ -57,7 +57,7 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
     _small(rng, site, road)
     lanes = road.lane_lines()
     moving = driven(rng, plan, lanes, _PACE, lambda r: cyclist(r) if r.random() < 0.25 else parked_vehicle(r))
-    return assembled("oblique", road.terrain(5.6, 2.4), plan, Contents(site.things, [*moving, *walks], masts))
+    return assembled("oblique", road.terrain(5.6, 2.4), plan, site.things, [*moving, *walks], masts)
 
 
 def _walkers(rng: np.random.Generator, site: SitePlan, road: Roadway, duration_s: float) -> list[Rider]:

@@ -30,7 +30,7 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import car, parked_vehicle
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, carriers, mast, plots, spots
+from viewshed_lab.sim.worlds.layout import Mast, assembled, carriers, mast, plots, spots
 from viewshed_lab.sim.worlds.outdoor_ground import relief
 from viewshed_lab.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, straight_lane
 
@@ -71,7 +71,7 @@ def parking(rng: np.random.Generator, plan: AgentPlan) -> World:
     still = [thing for y in lot.rows_m for thing in _row(rng, lot, y, masts)]
     still += [*_market(rng, lot), *_rim(rng, lot)]
     moving = _traffic(rng, plan, lot)
-    return assembled("parking", _terrain(rng, lot), plan, Contents(still, moving, masts))
+    return assembled("parking", _terrain(rng, lot), plan, still, moving, masts)
 
 
 def _lot(rng: np.random.Generator) -> Lot:

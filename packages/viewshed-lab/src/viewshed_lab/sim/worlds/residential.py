@@ -9,7 +9,7 @@ from viewshed_lab.sim.assets.street import bin_, bush, conifer, fence, hedge, la
 from viewshed_lab.sim.assets.vehicles import car, cyclist, parked_vehicle, street_vehicle, van
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, parked, walkers
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, mast, spots
+from viewshed_lab.sim.worlds.layout import Mast, Span, assembled, mast, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Pace, driven, straight_lane
 
@@ -31,7 +31,7 @@ def residential(rng: np.random.Generator, plan: AgentPlan) -> World:
     lanes = [straight_lane(0.0, -wide / 2, 0.0), straight_lane(0.0, wide / 2, np.pi)]
     moving = driven(rng, plan, lanes, _PACE, _vehicle)
     moving += [rider for one in sides for rider in walkers(rng, one, 60.0, plan.duration_s)]
-    return assembled("residential", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
+    return assembled("residential", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, still, moving, masts)
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:

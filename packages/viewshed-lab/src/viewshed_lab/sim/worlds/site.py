@@ -26,7 +26,7 @@ from viewshed_lab.sim.assets.street import cone, fence, group, lamp_post, person
 from viewshed_lab.sim.assets.vehicles import car, truck, van
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled
+from viewshed_lab.sim.worlds.layout import assembled
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
 from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, masts_beside, random_bend
 from viewshed_lab.sim.worlds.site_plan import SitePlan
@@ -93,7 +93,7 @@ def site(rng: np.random.Generator, plan: AgentPlan) -> World:
     loose = [maker(rng) for maker, mean in _LOOSE for _ in range(rng.poisson(mean * rng.uniform(0.5, 2.2)))]
     place.scatter(rng, loose, (WHOLE[0] + 4, WHOLE[0] + 4, WHOLE[1] - 4, WHOLE[1] - 4))
     moving = driven(rng, plan, road.lane_lines(), _PACE, lambda rng: pick(rng, (dumper, truck, van, car))(rng))
-    return assembled("site", grounds.terrain(), plan, Contents(place.things, moving, masts))
+    return assembled("site", grounds.terrain(), plan, place.things, moving, masts)
 
 
 def _raw(rng: np.random.Generator, place: SitePlan) -> None:

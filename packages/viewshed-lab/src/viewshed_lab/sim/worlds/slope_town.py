@@ -9,7 +9,7 @@ from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.assets.street import bin_, bush, hedge, lamp_post, person, pick, place_at, pole, sign, tree
 from viewshed_lab.sim.assets.vehicles import cyclist, parked_vehicle, street_vehicle
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled, plots, spots
+from viewshed_lab.sim.worlds.layout import assembled, plots, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief
 from viewshed_lab.sim.worlds.roadsides import WHOLE, retaining_wall, upright
 from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, Swell, masts_beside, random_bend
@@ -47,7 +47,7 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         _houses(rng, site, road, side, walk)
     lanes = road.lane_lines()
     moving = driven(rng, plan, lanes, _PACE, lambda r: cyclist(r) if r.random() < 0.1 else street_vehicle(r))
-    return assembled("slope_town", road.terrain(5.0, 1.5), plan, Contents(site.things, [*moving, *walks], masts))
+    return assembled("slope_town", road.terrain(5.0, 1.5), plan, site.things, [*moving, *walks], masts)
 
 
 def _climbing(rng: np.random.Generator) -> Relief:

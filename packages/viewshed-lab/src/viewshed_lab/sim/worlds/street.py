@@ -12,7 +12,7 @@ from viewshed_lab.sim.assets.street import cone, place_at, wall, work_barrier
 from viewshed_lab.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, mast, plots
+from viewshed_lab.sim.worlds.layout import Mast, Span, assembled, mast, plots
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow, straight_lane
 
@@ -47,7 +47,7 @@ def street_of(rng: np.random.Generator, plan: AgentPlan, name: str, houses: Hous
     moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
     if not sides[0].parked and rng.random() < 0.5:
         still += _works(rng, half)
-    return assembled(name, ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
+    return assembled(name, ground.terrain(_HALF_X_M, _HALF_Y_M), plan, still, moving, masts)
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
