@@ -22,8 +22,8 @@ from viewshed_lab.sim.worlds.roadsides import (
     trees,
     wires,
 )
-from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bank, Roadway, Swell, masts_beside, random_bend, row
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bank, Roadway, Swell, random_bend, row
+from viewshed_lab.sim.worlds.site_plan import beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 
@@ -35,8 +35,7 @@ def country_road(rng: np.random.Generator, plan: AgentPlan) -> World:
         (_bank(rng, slope), _bank(rng, -slope)), Swell(1.0, rng.uniform(0.0, 0.6), rng.uniform(90, 200), 0.0),
         fields(rng, 1.4), "grass", "asphalt" if rng.random() < 0.8 else "concrete",
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
-    site = SitePlan.along(road.bend, road.edge_m - 0.4, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 1.6, road.edge_m - 0.4)
     for side in (-1, 1):
         beyond = road.edge_m + road.bank(side).beyond_m[-2]  # where the ditch ends
         if rng.random() < 0.6:
@@ -72,8 +71,7 @@ def open_field(rng: np.random.Generator, plan: AgentPlan) -> World:
     ground = "asphalt" if lot and rng.random() < 0.7 else "concrete" if lot else "grass"
     bend, grade = random_bend(rng, 0.25), climb(rng, 0.01 if lot else 0.07)
     road = Roadway(bend, grade, 1, 2.6, 0.3, LEVEL, rough=land, soil=ground, paved="asphalt" if lot else "grass")
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 1.6)
-    site = SitePlan.along(road.bend, road.edge_m, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 1.6, road.edge_m)
     if lot:
         spots = rng.uniform(-0.9, 0.9, (int(rng.integers(0, 5)), 3)) * (HALF_M, HALF_M, np.pi)
         site.put_all([place_at(lamp_post(rng), *spot) for spot in spots.tolist()])
@@ -93,8 +91,7 @@ def embankment(rng: np.random.Generator, plan: AgentPlan) -> World:
         rng.uniform(3.0, 3.6), rng.uniform(1.3, 2.6), sides if rng.random() < 0.5 else sides[::-1],
         Swell(1.0, rng.uniform(0.0, 0.25), rng.uniform(120, 260), rng.uniform(0, 6.28)), fields(rng, 0.8),
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.3)
-    site = SitePlan.along(road.bend, road.edge_m - 1.1, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m - 0.3, road.edge_m - 1.1)
     for side in (-1, 1):
         if rng.random() < 0.5:
             site.put_all(rail(rng, road, side))
@@ -131,8 +128,7 @@ def cutting(rng: np.random.Generator, plan: AgentPlan) -> World:
         Swell(1.0, rng.uniform(0.0, 0.35), rng.uniform(120, 300), rng.uniform(0, 6.28)), fields(rng, 1.0),
         "grass" if rng.random() < 0.7 else "concrete",
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m - 0.2)
-    site = SitePlan.along(road.bend, road.edge_m - 0.9, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m - 0.2, road.edge_m - 0.9)
     for side, wall, rise in ((1, walled[0], rises[0]), (-1, walled[1], rises[1])):
         if wall:
             site.stand(*retaining_wall(rng, road, side, (1.25, rise)))

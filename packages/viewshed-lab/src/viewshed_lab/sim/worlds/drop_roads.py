@@ -49,8 +49,8 @@ from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import Rect, Span, assembled, lines_of, plots, spots, within
 from viewshed_lab.sim.worlds.roadsides import climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bend, Roadway, masts_beside
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Bend, Roadway
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 FACE_M = 0.03
@@ -154,8 +154,7 @@ def pit(rng: np.random.Generator, plan: AgentPlan) -> World:
     )  # fmt: skip
     side = pick(rng, (-1, 1))
     drops = _pits(rng, road, side)
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
-    site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 0.9, road.edge_m - 0.2, (-side,))
     for drop in drops:
         _guard(rng, site, drop)
     site.reserve(*(edge for drop in drops for edge in drop.edges()))
@@ -241,8 +240,7 @@ def quay(rng: np.random.Generator, plan: AgentPlan) -> World:
     )  # fmt: skip
     side, water = pick(rng, (-1, 1)), rng.random() < 0.45
     drops = _edges(rng, road, side, water)
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.9, (-side,))
-    site = SitePlan.along(road.bend, road.edge_m - 0.2, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 0.9, road.edge_m - 0.2, (-side,))
     near = min(abs(edge) for edge in drops[0].rect[1::2])
     for thing in guarded(rng, (-HALF_M, HALF_M), side * (near - 0.4)):
         site.put(thing, 0.02)

@@ -23,8 +23,8 @@ from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.drop_roads import Drop, mirrored
 from viewshed_lab.sim.worlds.layout import assembled, lines_of, within
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, random_bend
+from viewshed_lab.sim.worlds.site_plan import beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 _PACE = Pace(110.0, 50.0, (1.0, 12.0), (6.0, 25.0, 150.0))
@@ -172,8 +172,7 @@ class Land:
 def land(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return land at random with the agents of ``plan`` on its road."""
     lie = Land.drawn(rng)
-    masts = masts_beside(rng, plan.roadside, lie.bend, lie.half_m + 1.0)
-    site = SitePlan.along(lie.bend, lie.half_m, masts)
+    masts, site = beside(rng, plan, lie.bend, lie.half_m + 1.0, lie.half_m)
     site.reserve(*(edge for drop in lie.drops for edge in drop.edges()))
     built = [maker(rng, lie) for maker in (_deck, _roof, _walls, _stairs) if rng.random() < 0.35]
     for part in built:

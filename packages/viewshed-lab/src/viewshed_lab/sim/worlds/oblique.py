@@ -27,8 +27,8 @@ from viewshed_lab.sim.assets.warehouse import stall
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import assembled, plots, spots
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, random_bend
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow
 
 _PACE = Pace(110.0, 50.0, (2.0, 8.0), (8.0, 40.0, 160.0))
@@ -41,8 +41,7 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
         random_bend(rng, 0.55, (70.0, 200.0)), climb(rng, 0.06), 1, lane_m, rng.uniform(0.2, 0.6), LEVEL,
         rough=fields(rng, 0.3, 0.01), soil="concrete", paved="concrete",
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.5)
-    site = SitePlan.along(road.bend, road.edge_m + 0.3, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 0.5, road.edge_m + 0.3)
     for _ in range(int(rng.integers(0, 4))):
         _square(rng, site, road)
     walks = _walkers(rng, site, road, plan.duration_s)

@@ -28,8 +28,8 @@ from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import assembled
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, random_bend
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 _PACE = Pace(110.0, 50.0, (2.0, 7.0), (10.0, 50.0, 200.0))
@@ -80,8 +80,7 @@ def site(rng: np.random.Generator, plan: AgentPlan) -> World:
     count = 0 if yard else int(rng.integers(6, 26))
     spread, highs = rng.uniform(-95, 95, (count, 2)), rng.uniform(-2.0, 3.5, count)
     grounds = Grounds(road, np.column_stack([spread, highs, rng.uniform(4.0, 12.0, count)]))
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.8)
-    place = SitePlan.along(road.bend, road.edge_m + 0.2, masts)
+    masts, place = beside(rng, plan, road.bend, road.edge_m + 0.8, road.edge_m + 0.2)
     for _ in range(int(rng.integers(0, 4)) if not yard else 1):
         _raw(rng, place)
     if yard:

@@ -10,9 +10,9 @@ import shapely
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.assets.street import footprint, place_at
-from viewshed_lab.sim.world import Thing
+from viewshed_lab.sim.world import AgentPlan, Thing
 from viewshed_lab.sim.worlds.layout import Mast
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bend
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, masts_beside
 
 _GAP_M, _TALL_M = 0.15, 3.0
 _ROOM = 8192
@@ -32,13 +32,6 @@ class SitePlan:
         for area in areas:
             self._bounds[len(self._taken)] = area.bounds
             self._taken.append(area)
-
-    @classmethod
-    def along(cls, bend: Bend, half_m: float, masts: Sequence[Mast]) -> SitePlan:
-        """Return an empty plan that keeps free a road, within ``half_m`` meters of its axis, and roadside sensors."""
-        plan = cls.around(masts)
-        plan.keep_road(bend, half_m)
-        return plan
 
     @classmethod
     def around(cls, masts: Sequence[Mast]) -> SitePlan:
@@ -99,3 +92,16 @@ class SitePlan:
             for u, v, turn in rng.random((4, 3)).tolist():
                 if self.put(place_at(thing, x0 + u * (x1 - x0), y0 + v * (y1 - y0), 2 * np.pi * turn)):
                     break
+
+
+def beside(
+    rng: np.random.Generator, plan: AgentPlan, bend: Bend, mast_m: float, free_m: float, sides: Sequence[int] = (-1, 1)
+) -> tuple[list[Mast], SitePlan]:
+    """Return roadside sensors ``mast_m`` from the axis of a road, and an empty plan that keeps both free.
+
+    The road is kept free within ``free_m`` meters of its axis.
+    """
+    masts = masts_beside(rng, plan.roadside, bend, mast_m, sides)
+    site = SitePlan.around(masts)
+    site.keep_road(bend, free_m)
+    return masts, site

@@ -12,8 +12,8 @@ from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.layout import assembled, plots, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief
 from viewshed_lab.sim.worlds.roadsides import WHOLE, retaining_wall, upright
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, Swell, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, Swell, random_bend
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow
 
 _PACE = Pace(110.0, 50.0, (3.0, 11.0), (8.0, 30.0, 120.0))
@@ -32,8 +32,7 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         (_terraces(walk, left), _terraces(walk, right)),
         Swell(1.0, rng.uniform(0.0, 0.3), rng.uniform(120, 300), rng.uniform(0, 6.28)), soil="concrete",
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.4)
-    site = SitePlan.along(road.bend, road.edge_m - 2.0, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 0.4, road.edge_m - 2.0)
     walks: list[Rider] = []
     for side, step in ((1, left), (-1, right)):
         gate = rng.uniform(-60, 60)
