@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
-from operator import getitem
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -228,7 +227,7 @@ def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     for number, scene in enumerate(archive.scenes):
         # Jobs travel to other processes, with no more of the manifest than they need.
         shards = tuple(shard for shard in archive.shards if shard.scene == scene)
-        frames = partial(getitem, Archive(archive.store, replace(archive.manifest, shards=shards)))
+        frames = Archive(archive.store, replace(archive.manifest, shards=shards)).__getitem__
         first = 0
         for shard in shards:
             if shard.name in wanted:
