@@ -103,8 +103,8 @@ class TrainConfig:
             raise ValueError(f"data must be presets or archives, not both, got {list(self.data)}")
         for place in simulated:
             if self.train_split not in preset_named(place).splits:
-                names = ", ".join(preset_named(place).splits)
-                raise ValueError(f"train_split must be one of {names} of {place}, got {self.train_split!r}")
+                known = ", ".join(preset_named(place).splits)
+                raise ValueError(f"train_split must be one of {known} of {place}, got {self.train_split!r}")
         _ = self.card()
 
     @property

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
 from viewshed._extras import needed_for
-from viewshed_lab._config import Between, Checked
+from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import Fold, check_data, check_folds
@@ -80,7 +80,7 @@ class Search(Checked):
     """
 
     # ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for
-    sampler: Literal["grid", "optuna"] = "grid"
+    sampler: Annotated[str, OneOf(("grid", "optuna"))] = "grid"
     trials: Annotated[int | None, Between(1)] = None  # how many; None is all of the grid
     folds: Annotated[int, Between(2)] = 5  # of the scenes
     widths: tuple[int, ...] = WIDTHS  # to choose from
@@ -173,7 +173,9 @@ def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
     choices = {"width": search.widths, "dropout": search.dropouts, "learning_rate": search.learning_rates}
-    spaces = {name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()}
+    spaces: dict[str, Any] = {
+        name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()
+    }
     for _ in range(search.trials or len(search.grid)):
         trial = study.ask(spaces)
         setting = Hyperparameters(**trial.params)

@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
-from viewshed_lab._config import Between, Checked
+from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab._jobs import J, LocalEngine
 from viewshed_lab.training.config import TrainConfig
 
@@ -30,7 +30,7 @@ CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "netw
 class Machines(Checked):
     """What a training runs on: ``cpu`` or ``cuda``, processes or graphics cards of each machine, and machines."""
 
-    device: Literal["cpu", "cuda"] = "cpu"
+    device: Annotated[str, OneOf(("cpu", "cuda"))] = "cpu"
     devices: Annotated[int, Between(1)] = 1
     nodes: Annotated[int, Between(1)] = 1
 

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +110,20 @@ class CleanSample:
 def labeled(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
     """Return a sweep with the paper's label, which is known everywhere."""
     return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
+
+
+class CleanSamples(Protocol):
+    """Frames by number, in any process."""
+
+    def __len__(self) -> int: ...
+
+    def clean(self, index: int) -> CleanSample:
+        """Return one frame."""
+        ...
+
+    def earlier(self, index: int) -> tuple[Sweep, ...]:
+        """Return the last sweep before it of the same sensor and scene, or none."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,7 +275,7 @@ def _turned(maps: NDArray[Scalar], turn: int) -> NDArray[Scalar]:
 class TrainingFrames:
     """Frames of one config as a map-style data set, in any number of processes."""
 
-    source: ArchivedSamples  # the clean frames
+    source: CleanSamples  # the clean frames
     config: TrainConfig  # attacks, variant and seed
     # returns the sample of an epoch and a number that was drawn before; None draws each when it is needed
     cached: Callable[[int, int], TrainingSample] | None = None

@@ -23,7 +23,7 @@ from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
-from viewshed_lab._config import Between, Checked
+from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab.data.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
 from viewshed_lab.data.labeling.beam_image import BeamImage, Drift, StampedPose, beam_image, drift_of, well_spaced
 from viewshed_lab.data.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
@@ -62,7 +62,7 @@ class LabelRules(Checked):
 
     grid: BevGrid = GRIDS["road"]  # where the cells are
     definition: Definition = "probe"  # what ``known`` is about
-    target: Literal["car", "pedestrian"] = "car"  # what would have to be seen, for ``probe``
+    target: Annotated[str, OneOf(("car", "pedestrian"))] = "car"  # what would have to be seen, for ``probe``
     # sweeps before and after one that help to label it, at most; 0 labels each sweep by itself
     neighbors: Annotated[int, Between(0, 1000)] = 20
 
