@@ -14,8 +14,7 @@ from pathlib import Path
 from viewshed.objects import detection_table, shape_classifier
 from viewshed.objects.detector import Detector
 from viewshed_lab._page import facts
-from viewshed_lab.data.detector_counts import measure_table
-from viewshed_lab.data.object_truth import indoor_sweeps, road_sweeps
+from viewshed_lab.data.object_truth import indoor_sweeps, measure_table, road_sweeps
 from viewshed_lab.training.shape_classifier import fit_shape_classifier
 
 INDOOR_SEED, TABLE_SEED = 30_000, 50_000

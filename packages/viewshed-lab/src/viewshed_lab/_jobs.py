@@ -22,9 +22,10 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Annotated, Any, Generic, Protocol, TypeVar
 
 from viewshed._extras import needed_for
+from viewshed_lab._config import Between, Checked, one_of
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -94,17 +95,17 @@ def cores() -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class LocalEngine:
+class LocalEngine(Checked):
     """Runs jobs in ``workers`` processes, None is one for each core; with one worker in this process, without any.
 
     Processes are spawned, so a script must call it below ``if __name__ == "__main__":``. Ctrl-C or closing the iterator
     ends them, and they end by themselves soon after this process is gone.
     """
 
-    workers: int | None = None
+    workers: Annotated[int | None, Between(1)] = None
 
     def __post_init__(self) -> None:
-        _check_workers(self.workers)
+        Checked.__post_init__(self)
         if self.workers != 1:
             with needed_for("more than one worker"):
                 import pebble  # noqa: F401
@@ -143,7 +144,7 @@ class LocalEngine:
 
 
 @dataclass(frozen=True, slots=True)
-class RayEngine:
+class RayEngine(Checked):
     """Runs jobs as Ray tasks of one core each, at most ``workers`` at a time; None is one for each core of the cluster.
 
     Uses the cluster that the program has already joined or that ``RAY_ADDRESS`` names or that runs on this machine;
@@ -151,10 +152,10 @@ class RayEngine:
     versions of Python, Ray and viewshed.
     """
 
-    workers: int | None = None
+    workers: Annotated[int | None, Between(1)] = None
 
     def __post_init__(self) -> None:
-        _check_workers(self.workers)
+        Checked.__post_init__(self)
         with needed_for("engine ray"):
             import ray  # noqa: F401
 
@@ -246,15 +247,15 @@ def _do_locally(work: bytes, message: bytes) -> bytes:
 
 def _watch_parent() -> None:
     """End this worker when its parent is gone."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
 
+    def end_with_parent() -> None:
+        if parent := multiprocessing.parent_process():
+            parent.join()
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(_GRACE_S)
+            os._exit(1)
 
-def _end_with_parent() -> None:
-    if parent := multiprocessing.parent_process():
-        parent.join()
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(_GRACE_S)
-        os._exit(1)
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @contextlib.contextmanager
@@ -294,11 +295,6 @@ def _cluster() -> Iterator[None]:
         ray.shutdown()
 
 
-def _check_workers(workers: int | None) -> None:
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers must be at least 1, got {workers}")
-
-
 ENGINES: dict[str, Callable[[int | None], Engine]] = {"local": LocalEngine, "ray": RayEngine}
 """From a name to a function that makes the engine for a number of workers; None is one for each core."""
 
@@ -310,6 +306,5 @@ def engine_named(name: str, workers: int | None = None) -> Engine:
         ValueError: there is no such engine, or ``workers`` is below 1.
         ImportError: the engine needs an extra that is not installed.
     """
-    if name not in ENGINES:
-        raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+    one_of("engine", name, ENGINES)
     return ENGINES[name](workers)

@@ -12,7 +12,7 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def atan2(y: Any, x: Any) -> Any:  # pragma: no cover - compiled
+def atan2(y: Any, x: Any) -> Any:
     """Return the float32 azimuth of (x, y) in [-π, π) radians, within 2e-5; 0 at the origin.
 
     A minimax polynomial of the arctangent on [0, 1], odd, to the eleventh power.
@@ -37,7 +37,7 @@ BLOCK = 1024
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def split(points: Any, start: int, x: Any, y: Any, z: Any) -> Any:  # pragma: no cover - compiled
+def split(points: Any, start: int, x: Any, y: Any, z: Any) -> Any:
     """Write the coordinates of the block of ``points`` (N, 3) from ``start`` on, and return how many it has."""
     count = min(BLOCK, points.shape[0] - start)
     for k in range(count):

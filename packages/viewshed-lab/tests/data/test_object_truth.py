@@ -12,8 +12,7 @@ import pytest
 from viewshed.detections import Detections, ObjectKind
 from viewshed.objects.detection_table import RANGE_M, RETURNS, DetectionTable
 from viewshed.objects.detector import Detector
-from viewshed_lab.data.detector_counts import match_any, measure_table
-from viewshed_lab.data.object_truth import ObjectSweep, road_sweeps
+from viewshed_lab.data.object_truth import ObjectSweep, match_any, measure_table, road_sweeps
 
 
 @pytest.fixture(scope="module")

@@ -18,11 +18,12 @@ from viewshed_lab.data.wild import (
     WildObservation,
     WildScene,
     check_apart,
+    make_wild_archive,
+    split_of_set,
     wild_samples,
     wild_scenes,
     wild_tables,
 )
-from viewshed_lab.data.wild_archive import make_wild_archive, split_of_set
 from viewshed_lab.sim.world import GROUND
 
 TABLES = wild_tables()

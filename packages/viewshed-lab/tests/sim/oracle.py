@@ -8,12 +8,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from viewshed.arrays import F64
+from viewshed.arrays import F32, F64
+from viewshed.geometry import Rigid
+from viewshed.sensors import LidarModel
 from viewshed_lab.sim.assets.shapes import BOX, CYLINDER, PER_M
-from viewshed_lab.sim.raycast.scan import ExactScan
+from viewshed_lab.sim.lidar.firing import column_poses, still_firing
+from viewshed_lab.sim.raycast.scan import ExactScan, Motion
 from viewshed_lab.sim.world import Snapshot
 
 NEAREST_M = 1e-3
+
+
+def firing(model: LidarModel, motion: Motion, pose: Rigid) -> tuple[F32, F32, F32]:
+    """Return starts (C, R, 3), unit directions (C, R, 3) in the sensor's reference frame, and times (C,) in seconds."""
+    start_m, direction, _ = still_firing(model)
+    turn, shift_m, time_s = column_poses(model, motion, pose)
+    starts = turn[:, None, :, 2] * start_m[:, None] + shift_m[:, None]
+    return starts, np.einsum("cij,crj->cri", turn, direction), time_s
 
 
 def rays_of(scan: ExactScan) -> tuple[F64, F64, F64]:

@@ -10,7 +10,7 @@ from viewshed import Archive
 from viewshed.cli import main
 from viewshed_lab.training import Fold, TrainConfig
 from viewshed_lab.training.data import TrainingData, prepare
-from viewshed_lab.training.sources import ArchivedSamples
+from viewshed_lab.training.samples import ArchivedSamples
 
 pytestmark = pytest.mark.slow
 

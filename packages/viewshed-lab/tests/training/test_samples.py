@@ -17,8 +17,7 @@ from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import simulate
 from viewshed_lab.training import TrainConfig
 from viewshed_lab.training.data import prepare
-from viewshed_lab.training.samples import BLANK, Share, TrainingFrames, TrainingOrder, ValidationOrder
-from viewshed_lab.training.sources import ArchivedSamples
+from viewshed_lab.training.samples import BLANK, ArchivedSamples, Share, TrainingFrames, TrainingOrder, ValidationOrder
 
 pytestmark = pytest.mark.slow
 

@@ -142,7 +142,7 @@ def wild(
     """
     from viewshed_lab._jobs import LocalEngine
     from viewshed_lab.data.archive.storage import Storage
-    from viewshed_lab.data.wild_archive import make_wild_archive
+    from viewshed_lab.data.wild import make_wild_archive
 
     store = Storage.of(out or f"{set_name}-{domain}")
     names = tuple(told.split(","))

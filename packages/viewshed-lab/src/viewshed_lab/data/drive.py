@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from viewshed.geometry import Rigid
 from viewshed.recordings.write.moment import DriveTruth, ObjectTruth
 from viewshed.sweep import Sweep
+from viewshed_lab._config import one_of
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, scan_frame, world_of
+from viewshed_lab.sim.assets.street import extent
 from viewshed_lab.sim.world import Agent, Thing, World
 from viewshed_lab.sim.worlds import WORLDS
 
@@ -50,8 +52,7 @@ def drive_plan(
             f" {hz:g} Hz and {agents}"
         )
     name = preset.worlds[0] if world is None else world
-    if name not in WORLDS:
-        raise ValueError(f"world must be one of {', '.join(WORLDS)}, got {name!r}")
+    one_of("world", name, WORLDS)
     frames = int(seconds * hz + 1e-9) * (agents + preset.roadside)
     one = replace(
         preset, worlds=(name,), world_weights=(1.0,), splits=("drive",), scenes=(1,), frames=(frames,), moving=agents,
@@ -105,15 +106,9 @@ def _carrier(world: World, agent: Agent, t_s: float) -> tuple[Rigid, NDArray[np.
 
 def box_of(thing: Thing) -> tuple[NDArray[np.float64], tuple[float, float, float]]:
     """Return center (3,) and size of the box about all parts of a thing, in its own frame."""
-    corners = []
-    for part in thing.parts:
-        x_m, y_m, _ = part.half_sizes_m
-        turn = Rigid.from_yaw(part.yaw).rotation
-        for sign in (-1, 1):
-            across = np.abs(turn[:2, :2]) @ (x_m, y_m)
-            z_m = part.top_m if sign > 0 else part.bottom_m
-            corners.append((part.x_m + sign * across[0], part.y_m + sign * across[1], z_m))
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    rear, front, right, left = extent(thing, np.inf)
+    low = np.array([rear, right, min(part.bottom_m for part in thing.parts)])
+    high = np.array([front, left, max(part.top_m for part in thing.parts)])
     length_m, width_m, height_m = (float(side) for side in high - low)
     return (low + high) / 2, (length_m, width_m, height_m)
 

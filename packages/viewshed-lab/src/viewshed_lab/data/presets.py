@@ -49,8 +49,23 @@ class Preset:
     seed: int  # of everything random
 
     def __post_init__(self) -> None:
-        self._check_lists()
-        self._check_names()
+        for names, numbers in (("worlds", "world_weights"), ("conditions", "condition_weights"),
+                               ("splits", "scenes"), ("splits", "frames")):  # fmt: skip
+            keys, values = getattr(self, names), getattr(self, numbers)
+            if not keys or len(keys) != len(values) or len(set(keys)) != len(keys):
+                raise ValueError(f"{self.name}: {names} must be different names with {numbers} of the same length")
+            if min(values) <= 0:
+                raise ValueError(f"{self.name}: {numbers} must be positive, got {list(values)}")
+        for split, scenes, frames in zip(self.splits, self.scenes, self.frames, strict=True):
+            if frames < scenes:
+                raise ValueError(f"{self.name}: {split} must have a frame for each scene, got {frames} for {scenes}")
+        for world in self.worlds:
+            if world not in WORLDS:
+                raise ValueError(f"{self.name}: worlds must be among {', '.join(WORLDS)}, got {world!r}")
+        for condition in self.conditions:
+            conditions_named(condition)
+        for sensor in (*self.sensors, self.roadside_sensor):
+            lidar_model(sensor)
         if not 0 <= self.seed <= MAX_SEED:
             raise ValueError(f"seed must lie in [0, {MAX_SEED}], got {self.seed}")
         if not 1 <= self.grid_cells <= MAX_CELLS:
@@ -62,27 +77,6 @@ class Preset:
             raise ValueError(f"{self.name}: interval_s must be positive and revolution_s lie in [0, 1]")
         self.plan(0, 1.0)
         _ = self.grid
-
-    def _check_lists(self) -> None:
-        for names, numbers in (("worlds", "world_weights"), ("conditions", "condition_weights"),
-                               ("splits", "scenes"), ("splits", "frames")):  # fmt: skip
-            keys, values = getattr(self, names), getattr(self, numbers)
-            if not keys or len(keys) != len(values) or len(set(keys)) != len(keys):
-                raise ValueError(f"{self.name}: {names} must be different names with {numbers} of the same length")
-            if min(values) <= 0:
-                raise ValueError(f"{self.name}: {numbers} must be positive, got {list(values)}")
-        for split, scenes, frames in zip(self.splits, self.scenes, self.frames, strict=True):
-            if frames < scenes:
-                raise ValueError(f"{self.name}: {split} must have a frame for each scene, got {frames} for {scenes}")
-
-    def _check_names(self) -> None:
-        for world in self.worlds:
-            if world not in WORLDS:
-                raise ValueError(f"{self.name}: worlds must be among {', '.join(WORLDS)}, got {world!r}")
-        for condition in self.conditions:
-            conditions_named(condition)
-        for sensor in (*self.sensors, self.roadside_sensor):
-            lidar_model(sensor)
 
     @classmethod
     def from_json(cls, table: dict[str, Any]) -> Preset:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from enum import IntEnum
 from functools import lru_cache, partial
 from itertools import accumulate, pairwise
 
@@ -35,12 +34,7 @@ _SILVER = 2**0.5 - 1
 _BRONZE = (13**0.5 - 3) / 2
 
 
-class _SeedPurpose(IntEnum):
-    WORLD = 0
-    OBSERVATION = 1
-    WORLD_KIND = 2
-    CONDITIONS = 3
-    SENSOR = 4
+_FOR_WORLD, _FOR_OBSERVATION, _FOR_WORLD_KIND, _FOR_CONDITIONS, _FOR_SENSOR = range(5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,17 +69,17 @@ class ScenePlan:
     @property
     def world_kind(self) -> str:
         """What kind of place it is."""
-        return self.preset.worlds[self._turn(_SeedPurpose.WORLD_KIND, _GOLDEN, self.preset.world_weights)]
+        return self.preset.worlds[self._turn(_FOR_WORLD_KIND, _GOLDEN, self.preset.world_weights)]
 
     @property
     def conditions(self) -> str:
         """Weather and faults."""
-        return self.preset.conditions[self._turn(_SeedPurpose.CONDITIONS, _SILVER, self.preset.condition_weights)]
+        return self.preset.conditions[self._turn(_FOR_CONDITIONS, _SILVER, self.preset.condition_weights)]
 
     @property
     def sensor(self) -> int:
         """Which of the preset's sensors the moving agents have."""
-        return self._turn(_SeedPurpose.SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
+        return self._turn(_FOR_SENSOR, _BRONZE, (1.0,) * len(self.preset.sensors))
 
     def chunks(self) -> Iterator[tuple[int, int]]:
         """Yield the first frame of each shard and the one after its last: whole times, 48 frames if they fit."""
@@ -134,7 +128,7 @@ def simulate_frame(scene: ScenePlan, frame: int) -> Sample:
 
 def observe_frame(scene: ScenePlan, frame: int) -> Observation:
     """Return what is observed in one frame of a scene: beside what is stored, what every beam met."""
-    return observe(*_place_of(scene, frame), scene.seed(_SeedPurpose.OBSERVATION, frame))
+    return observe(*_place_of(scene, frame), scene.seed(_FOR_OBSERVATION, frame))
 
 
 def scan_frame(scene: ScenePlan, frame: int, world: World | None = None) -> tuple[ExactScan, StoredSweep]:
@@ -142,7 +136,7 @@ def scan_frame(scene: ScenePlan, frame: int, world: World | None = None) -> tupl
 
     A ``world`` with the same agents takes the place of the scene's own.
     """
-    for_paths, for_noise = scene.seed(_SeedPurpose.OBSERVATION, frame).spawn(2)
+    for_paths, for_noise = scene.seed(_FOR_OBSERVATION, frame).spawn(2)
     return measure_sweep(*_place_of(scene, frame, world), for_paths, for_noise)
 
 
@@ -157,7 +151,7 @@ def _place_of(scene: ScenePlan, frame: int, world: World | None = None) -> tuple
 @lru_cache(maxsize=2)
 def world_of(scene: ScenePlan) -> World:
     """Return the world of a scene."""
-    rng = np.random.Generator(np.random.PCG64(scene.seed(_SeedPurpose.WORLD)))
+    rng = np.random.Generator(np.random.PCG64(scene.seed(_FOR_WORLD)))
     world = WORLDS[scene.world_kind](rng, scene.preset.plan(scene.sensor, scene.duration_s))
     if len(world.agents) != scene.preset.agents:
         raise ValueError(f"{scene.name} must have {scene.preset.agents} agents, got {len(world.agents)}")

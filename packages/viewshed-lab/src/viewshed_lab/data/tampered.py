@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from viewshed.grid import BevGrid
 from viewshed.recordings.read import open_source
 from viewshed.recordings.read.source import SweepSource
 from viewshed.sweep import Sweep
+from viewshed_lab._config import one_of
 from viewshed_lab._jobs import Engine
 from viewshed_lab.data.archive.archive import Archive
 from viewshed_lab.data.archive.build import FRAMES_PER_SHARD, ShardJob, ShardResult, build_archive
@@ -49,11 +50,6 @@ SceneFrames = Callable[[int], Sample]
 """Returns a frame of one scene by its number, or raises a ValueError or an OSError; it travels to other processes."""
 
 
-def _archived(archive: Archive, index: int) -> Sample:
-    """Return a frame of an archive, as it is stored."""
-    return archive[index]
-
-
 def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> Sample:
     """Return a sweep of a recording as a frame whose truth is nowhere known."""
     source = opened(place, kind)
@@ -62,7 +58,7 @@ def _recorded(place: str, kind: str, scene: str, grid: BevGrid, index: int) -> S
 
 def _of_file(path: Path, read: ReadFile, grid: BevGrid, index: int) -> Sample:
     """Return a sweep of a file as a frame whose truth is nowhere known."""
-    return without_truth(_cursor(path, read).at(index), grid, path.name)
+    return without_truth(_Cursor(path, read).at(index), grid, path.name)
 
 
 def without_truth(sweep: Sweep, grid: BevGrid, scene: str) -> Sample:
@@ -76,6 +72,7 @@ def opened(place: str, kind: str) -> SweepSource:
     return open_source(place, kind)
 
 
+@lru_cache(maxsize=2)
 class _Cursor:
     """Reads a file forward, and from its start again for a sweep that has passed."""
 
@@ -95,11 +92,6 @@ class _Cursor:
         return self._last
 
 
-@lru_cache(maxsize=2)
-def _cursor(path: Path, read: ReadFile) -> _Cursor:
-    return _Cursor(path, read)
-
-
 ReadEarlier = Callable[[], tuple[Sweep, ...]]
 """Earlier sweeps of the same agent: its first and the one before, () for the first of all."""
 
@@ -107,31 +99,6 @@ PAPER = "paper"
 _LASTING = EARLIER | {"coherent_phantom"}
 _FACTORIES = ATTACKS | INFORMED | ADAPTIVE | WHOLE_CLOUD
 _ROOM_M = 20.0
-
-
-class TamperPlan(Protocol):
-    """Anything that changes a sweep, the same way for the same generator; it travels to other processes."""
-
-    def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
-        """Return the sample with its sweep changed; its truth stays. A ValueError where that cannot be done to it.
-
-        ``history`` returns earlier sweeps, and is called only where they are needed; ``rng`` is all that is random.
-        """
-        ...
-
-    @property
-    def command(self) -> str:
-        """What makes such a data set."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """Name in its table."""
-        ...
-
-    def config(self) -> dict[str, Any]:
-        """Return all its parameters, as plain values."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +121,7 @@ class AttackPlan:
     estimator: FovEstimator | None = None  # that estimator
 
     def __post_init__(self) -> None:
-        if self.attack != PAPER and self.attack not in _FACTORIES:
-            raise ValueError(f"attack must be one of {', '.join((*_FACTORIES, PAPER))}, got {self.attack!r}")
+        one_of("attack", self.attack, (*_FACTORIES, PAPER))
         self._made((Sweep(np.zeros((0, 3), np.float32)),))
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
@@ -205,8 +171,7 @@ class CorruptionPlan:
     severity: int = 3  # 1 to 5
 
     def __post_init__(self) -> None:
-        if self.corruption not in CORRUPTIONS:
-            raise ValueError(f"corruption must be one of {', '.join(CORRUPTIONS)}, got {self.corruption!r}")
+        one_of("corruption", self.corruption, CORRUPTIONS)
         CORRUPTIONS[self.corruption](self.severity)
 
     def apply(self, sample: Sample, history: ReadEarlier, rng: np.random.Generator) -> Sample:
@@ -221,6 +186,10 @@ class CorruptionPlan:
     def config(self) -> dict[str, Any]:
         """Return all its parameters, as plain values."""
         return asdict(self)
+
+
+TamperPlan = AttackPlan | CorruptionPlan
+"""What is done to a sweep, the same for the same generator; it travels to other processes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +227,7 @@ def sweeps_of_archive(archive: Archive, split: str | None = None) -> Sweeps:
     for number, scene in enumerate(archive.scenes):
         # Jobs travel to other processes, with no more of the manifest than they need.
         shards = tuple(shard for shard in archive.shards if shard.scene == scene)
-        frames = partial(_archived, Archive(archive.store, replace(archive.manifest, shards=shards)))
+        frames = Archive(archive.store, replace(archive.manifest, shards=shards)).__getitem__
         first = 0
         for shard in shards:
             if shard.name in wanted:

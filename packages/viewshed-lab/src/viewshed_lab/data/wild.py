@@ -2,16 +2,15 @@
 
 Everything random in a sample follows from its set's seed and its number, so that samples can be made in any order. The
 ``sealed`` set is for final tables alone: it opens only for one who gives :data:`OPEN_SEALED`, and each opening is to be
-logged (:mod:`viewshed_lab.studies.wild.openings`).
+logged (:mod:`viewshed_lab.studies.wild.openings`). An archive of a set has a shard for each scene.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from enum import IntEnum
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
 from importlib import resources
 
 import numpy as np
@@ -19,11 +18,19 @@ from numpy.typing import NDArray
 
 from viewshed.fov.height_map import NODES, HeightMap
 from viewshed.fov.truth import Truth
+from viewshed.fov.visibility import TARGETS
 from viewshed.geometry import attitude_of
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.sensors import sensor_names
 from viewshed.sweep import Sweep, bare_points
 from viewshed_lab import _config as flat
+from viewshed_lab._config import one_of
+from viewshed_lab._jobs import Engine
+from viewshed_lab.data.archive.archive import Archive
+from viewshed_lab.data.archive.build import ShardJob, ShardResult, build_archive
+from viewshed_lab.data.archive.schema import Layout
+from viewshed_lab.data.archive.storage import Storage
+from viewshed_lab.data.sample import Sample
 from viewshed_lab.sim.lidar.random_sensors import DrawnSensor, SensorFamily, draw_sensor
 from viewshed_lab.sim.lidar.weather import CONDITIONS, conditions_named
 from viewshed_lab.sim.mounting import Mounting, MountingFamily, draw_mounting
@@ -46,19 +53,11 @@ TOLD = ("table", "rings", "nothing")
 where the points lie in the sensor's frame. ``rings``: ring, time and intensity. ``nothing``: no more than points."""
 
 _SWEEPS_APART_S = 3.0
-
 _REVOLUTION_S = 0.1
-
 _TABLE = "data/wild_sets.toml"
 
 
-class _SeedPurpose(IntEnum):
-    WORLD = 0
-    SENSOR = 1
-    MOUNTING = 2
-    OBSERVATION = 3
-    DELIVERY = 4
-    CONDITIONS = 5
+_FOR_WORLD, _FOR_SENSOR, _FOR_MOUNTING, _FOR_OBSERVATION, _FOR_DELIVERY, _FOR_CONDITIONS = range(6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +109,7 @@ class WildTables:
         Raises:
             ValueError: there is none of that name.
         """
-        if name not in SETS:
-            raise ValueError(f"set must be one of {', '.join(SETS)}, got {name!r}")
+        one_of("set", name, SETS)
         return tuple(domain for domain in self.domains if domain.set_name == name)
 
 
@@ -123,8 +121,10 @@ def wild_tables() -> WildTables:
         ValueError: the table is wrong: a value, or a style, sensor or mounting that two sets share.
     """
     table = tomllib.loads(resources.files("viewshed_lab").joinpath(_TABLE).read_text(encoding="utf-8"))
-    sensors = {name: SensorFamily.from_json({"name": name} | one) for name, one in table["sensor"].items()}
-    mountings = {name: MountingFamily.from_json({"name": name} | one) for name, one in table["mounting"].items()}
+    sensors = {name: SensorFamily(**flat.from_dict(SensorFamily, {"name": name} | one, "sensor family"))
+               for name, one in table["sensor"].items()}  # fmt: skip
+    mountings = {name: MountingFamily(**flat.from_dict(MountingFamily, {"name": name} | one, "mounting family"))
+                 for name, one in table["mounting"].items()}  # fmt: skip
     domains = tuple(
         WildDomain(**flat.from_dict(WildDomain, {"set_name": set_name, "name": name} | one, "domain"))
         for set_name, parts in table["set"].items()
@@ -203,18 +203,18 @@ class WildScene:
     @property
     def conditions(self) -> str:
         """Weather and faults."""
-        return str(self.rng(_SeedPurpose.CONDITIONS).choice(self.domain.conditions))
+        return str(self.rng(_FOR_CONDITIONS).choice(self.domain.conditions))
 
     def drawn_mounting(self) -> Mounting:
         """Return its mounting."""
-        return draw_mounting(wild_tables().mountings[self.mounting], self.rng(_SeedPurpose.MOUNTING))
+        return draw_mounting(wild_tables().mountings[self.mounting], self.rng(_FOR_MOUNTING))
 
     def drawn_sensor(self, sweep: int = 0) -> DrawnSensor:
         """Return its sensor, as it fires one of its sweeps."""
         families = wild_tables().sensors
         if self.sensor not in families:
             return DrawnSensor.of_table(self.sensor)
-        return draw_sensor(families[self.sensor], self.rng(_SeedPurpose.SENSOR), sweep)
+        return draw_sensor(families[self.sensor], self.rng(_FOR_SENSOR), sweep)
 
     def observe(self, sweep: int) -> WildObservation:
         """Return one of its sweeps with all that the simulator knows of it."""
@@ -225,7 +225,7 @@ class WildScene:
         own = self.domain.grid
         grid = replace(own, offset_m=(float(away[0]), float(away[1]))) if away.any() else own
         setting = Setting(grid, CONDITIONS[self.conditions], _REVOLUTION_S)
-        seed, t_s = self.seed(_SeedPurpose.OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
+        seed, t_s = self.seed(_FOR_OBSERVATION, sweep), (sweep + 0.5) * _SWEEPS_APART_S
         seen = observe(world, agent, t_s, setting, seed, sensor.model)
         # The exact ground, first from the sensor's height, then from the ground below the origin of the points.
         centers, pose, terrain = grid.centers, seen.scan.world_from_sensor, world.ground_of(agent)
@@ -234,7 +234,7 @@ class WildScene:
         world_from_carrier = pose.rotation @ agent.mount.rotation.T
         height_m = float((world_from_carrier @ away)[2] - below)
         # The sweep as it is handed out, in the frame in which it is given.
-        delivered = sensor.deliver(seen.image.sweep(), self.rng(_SeedPurpose.DELIVERY, sweep))
+        delivered = sensor.deliver(seen.image.sweep(), self.rng(_FOR_DELIVERY, sweep))
         turn = pose.rotation if mounting.family.frame == "sensor" else world_from_carrier
         truth = Truth(own, seen.truth.expected_returns, seen.truth.state)
         return WildObservation(
@@ -268,8 +268,7 @@ class WildObservation:
         Raises:
             ValueError: ``told`` is not of ``TOLD``.
         """
-        if told not in TOLD:
-            raise ValueError(f"told must be one of {', '.join(TOLD)}, got {told!r}")
+        one_of("told", told, TOLD)
         if told == "nothing":
             return bare_points(self.delivered)
         sweep = self.delivered.replace(world_from_sensor=None, sensor_height_m=None, attitude=None, azimuth=None)
@@ -371,7 +370,62 @@ def _mounted_world(scene: WildScene) -> tuple[World, Agent]:
     plan = AgentPlan(
         moving=1, sensor_height_m=mounting.height_m, duration_s=scene.domain.sweeps * _SWEEPS_APART_S
     )  # fmt: skip
-    return mounting.mounted(WORLDS[scene.style](scene.rng(_SeedPurpose.WORLD), plan), 0)
+    return mounting.mounted(WORLDS[scene.style](scene.rng(_FOR_WORLD), plan), 0)
+
+
+def _samples(scene: WildScene, told: tuple[str, ...], _: list[str]) -> Iterator[Sample]:
+    split = split_of_set(scene.domain.set_name)
+    for sweep in range(scene.domain.sweeps):
+        seen = scene.observe(sweep)
+        given = seen.told(told[(scene.number + sweep) % len(told)])
+        yield Sample(given, seen.truth, seen.known, scene.name, split)
+
+
+def split_of_set(set_name: str) -> str:
+    """Return the split of a set's samples: ``train`` for the training set, as in every archive, else its own name."""
+    return "train" if set_name == "training" else set_name
+
+
+def make_wild_archive(
+    set_name: str,
+    domain: str,
+    store: Storage,
+    engine: Engine,
+    *,
+    told: tuple[str, ...] = ("rings", "nothing"),
+    scenes: int | None = None,
+    on_progress: Callable[[ShardResult], None] | None = None,
+) -> Archive:
+    """Return the archive of one domain of a set, made into ``store``; its bytes do not depend on the engine.
+
+    Shards of an earlier run of the same set that was stopped are kept where they are whole. The sealed set has no
+    archive: it is run by its study alone.
+
+    Args:
+        set_name: of ``datasets.wild.SETS`` but ``sealed``.
+        domain: ``road`` or ``indoor``.
+        store: where it goes.
+        engine: makes the shards.
+        told: of ``TOLD``: what the sweeps say beside their points, in turn.
+        scenes: at most this number of scenes, the first ones.
+        on_progress: is called with each shard that is finished, also of an earlier run.
+
+    Raises:
+        ValueError: a name is unknown, the set is sealed or has no such domain, or the place holds something else.
+        OSError: a shard could not be made or written; those that are finished stay.
+    """
+    if not told or not set(told) <= set(TOLD):
+        raise ValueError(f"told must be one or more of {', '.join(TOLD)}, got {', '.join(told) or 'none'}")
+    chosen = wild_scenes(set_name, domain)[:scenes]
+    if not chosen:
+        raise ValueError(f"{set_name} must have a domain {domain!r}, got none; choose road or indoor")
+    one = chosen[0].domain
+    about = {"command": "dataset wild", "set": set_name, "domain": domain, "seed": one.seed}
+    config = flat.to_dict(one) | {"told": list(told), "scenes": len(chosen)}
+    recipe = about | {"config": config, "targets": {name: asdict(target) for name, target in TARGETS.items()}}
+    jobs = [ShardJob(f"{scene.name}.parquet", partial(_samples, scene, told)) for scene in chosen]
+    layout = Layout(one.grid, tuple(sorted(TARGETS)), ())
+    return build_archive(recipe, layout, jobs, store, engine, on_progress)
 
 
 __all__ = [

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
-from viewshed_lab import _config as flat
+from viewshed_lab._config import one_of
 from viewshed_lab.sim.assets.shapes import Box
-from viewshed_lab.sim.world import Agent, Thing, World
+from viewshed_lab.sim.world import Agent, Thing, World, tilted
 
 FRAMES = ("sensor", "base_shifted_back", "base")
 """In which frame points are given: the ``sensor``'s; the carrier's axes with the origin at the sensor (its offset is
@@ -50,8 +48,7 @@ class MountingFamily:
     frame: str  # of ``FRAMES``
 
     def __post_init__(self) -> None:
-        if self.frame not in FRAMES:
-            raise ValueError(f"{self.name}: frame must be one of {', '.join(FRAMES)}, got {self.frame!r}")
+        one_of(f"{self.name}: frame", self.frame, FRAMES)
         for key in ("height_m", "yaw_deg", "pitch_deg", "roll_deg", "forward_m", "left_m"):
             low, high = getattr(self, key)
             if not low <= high:
@@ -60,15 +57,6 @@ class MountingFamily:
             raise ValueError(f"{self.name}: yaw_deg must be 0, 0 in frame {self.frame}, got {self.yaw_deg}")
         if self.height_m[0] < 0.2:
             raise ValueError(f"{self.name}: height_m must be 0.2 or more, got {self.height_m[0]}")
-
-    @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> MountingFamily:
-        """Return the family in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
-        return cls(**flat.from_dict(cls, table, "mounting family"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +74,7 @@ class Mounting:
     @property
     def rotation(self) -> NDArray[np.float64]:
         """Rotation (3, 3) of ``carrier_from_sensor``."""
-        c, s, cr, sr = np.cos(self.pitch), np.sin(self.pitch), np.cos(self.roll), np.sin(self.roll)
-        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-        rotation: NDArray[np.float64] = Rigid.from_yaw(self.yaw).rotation @ down @ lean
-        return rotation
+        return tilted(self.yaw, self.pitch, self.roll)
 
     def mounted(self, world: World, number: int) -> tuple[World, Agent]:
         """Return the world with one agent, its sensor mounted so, and that agent.

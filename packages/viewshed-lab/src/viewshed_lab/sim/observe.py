@@ -18,7 +18,10 @@ from viewshed_lab.sim.lidar.weather import CONDITIONS, Conditions
 from viewshed_lab.sim.raycast.caster import cast_world
 from viewshed_lab.sim.raycast.scan import ExactScan, Motion
 from viewshed_lab.sim.truth.exact import exact_truth
-from viewshed_lab.sim.world import Agent, Snapshot, World
+from viewshed_lab.sim.world import Agent, World
+
+_shared_snapshot = lru_cache(maxsize=1)(World.snapshot)
+"""The snapshot that all agents of a world share at one time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +88,7 @@ def measure_sweep(
     """
     pose, motion = pose_and_motion(world, agent, t_s, setting.revolution_s)
     paths = int(for_paths.generate_state(1)[0])
-    scan = cast_world(_snapshot(world, t_s), model or lidar_model(agent.sensor), pose, motion, paths)
+    scan = cast_world(_shared_snapshot(world, t_s), model or lidar_model(agent.sensor), pose, motion, paths)
     image = measure(
         scan,
         setting.conditions,
@@ -109,9 +112,3 @@ def pose_and_motion(world: World, agent: Agent, t_s: float, period_s: float) -> 
     turned = turns[2] @ turns[0].T
     yaw = float(np.arctan2(turned[1, 0], turned[0, 0]))
     return Rigid(turns[1], positions[1]), Motion((vx, vy, vz), yaw / period_s, period_s)
-
-
-@lru_cache(maxsize=1)
-def _snapshot(world: World, t_s: float) -> Snapshot:
-    """Return the snapshot that all agents of a world share at one time."""
-    return world.snapshot(t_s)

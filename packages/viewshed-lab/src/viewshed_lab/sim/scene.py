@@ -106,42 +106,34 @@ def junction() -> Scene:
     >>> len(junction().boxes) > 30
     True
     """
-    return Scene(boxes=(*_buildings(), *_walls(), *_traffic()), cylinders=(*_people_and_poles(), *_trees()))
+    trunks = [Cylinder(x, y, 0.22, 3.0) for x, y, _ in _TREES]
+    crowns = [Cylinder(x, y, crown, 3.0 + 1.6 * crown, bottom_m=2.6) for x, y, crown in _TREES]
+    people, poles = [Cylinder(x, y, 0.27, 1.72) for x, y in _PEOPLE], [Cylinder(x, y, 0.11, 7.0) for x, y in _POLES]
+    cars = [part for pose in _CARS for part in _car(*pose)]
+    return Scene((*_BLOCKS, *cars), (*people, *poles, *trunks, *crowns))
 
 
-def _buildings() -> list[Box]:
-    return [
-        Box(-24, 22, 58, 20, 11),
-        Box(-8, -19, 26, 17, 8),
-        Box(-45, -24, 30, 24, 14),
-        Box(50, 29, 30, 30, 12, yaw=0.12),
-        Box(44, -21, 16, 22, 6.5),
-        Box(47, -50, 20, 26, 9, yaw=-0.2),
-        Box(14, 58, 26, 16, 7),
-        Box(12, -55, 14, 20, 5, yaw=0.3),
-    ]
+_BLOCKS = (
+    Box(-24, 22, 58, 20, 11), Box(-8, -19, 26, 17, 8), Box(-45, -24, 30, 24, 14), Box(50, 29, 30, 30, 12, yaw=0.12),
+    Box(44, -21, 16, 22, 6.5), Box(47, -50, 20, 26, 9, yaw=-0.2), Box(14, 58, 26, 16, 7),
+    Box(12, -55, 14, 20, 5, yaw=0.3),
+    Box(56, -8.5, 12, 0.3, 2.2), Box(9, -30, 0.3, 24, 1.9), Box(-26, -9, 9, 0.3, 1.1), Box(12, 34, 0.3, 20, 2.4),
+    Box(10.5, 10.5, 2.6, 1.6, 2.6), Box(22.5, 13.0, 12.0, 2.55, 3.1, 0.35, np.pi / 2),
+    Box(43.5, 3.6, 6.5, 2.5, 3.6, 0.7),
+    Box(39.2, 3.6, 1.9, 2.4, 2.7, 0.4),
+)  # fmt: skip
+"""Houses, walls, a bus and a truck."""
 
-
-def _walls() -> list[Box]:
-    return [
-        Box(56, -8.5, 12, 0.3, 2.2),
-        Box(9, -30, 0.3, 24, 1.9),
-        Box(-26, -9, 9, 0.3, 1.1),
-        Box(12, 34, 0.3, 20, 2.4),
-        Box(10.5, 10.5, 2.6, 1.6, 2.6),
-    ]
-
-
-def _traffic() -> list[Box]:
-    bus = [Box(22.5, 13.0, 12.0, 2.55, 3.1, bottom_m=0.35, yaw=np.pi / 2)]
-    truck = [Box(43.5, 3.6, 6.5, 2.5, 3.6, bottom_m=0.7), Box(39.2, 3.6, 1.9, 2.4, 2.7, bottom_m=0.4)]
-    poses = [
-        (8.0, 0.1, 0.0), (-8.5, 3.6, np.pi), (-19.0, 0.0, 0.02), (27.5, -17.0, -np.pi / 2), (22.3, 31.0, np.pi / 2),
-        (60.0, 0.2, 0.0), (9.2, -3.4, 0.0), (3.0, -3.5, 0.03), (-9.6, -3.4, 0.0), (-15.8, -3.5, 0.0),
-        (-33.0, -3.4, 0.02), (-3.5, 7.1, np.pi), (-21.0, 7.0, 3.1), (-38.5, 7.1, np.pi), (31.5, -33.0, 1.55),
-        (31.5, -39.2, 1.57), (18.4, 44.0, 1.6),
-    ]  # fmt: skip
-    return [*bus, *truck, *(part for pose in poses for part in _car(*pose))]
+_CARS = (
+    (8.0, 0.1, 0.0), (-8.5, 3.6, np.pi), (-19.0, 0.0, 0.02), (27.5, -17.0, -np.pi / 2), (22.3, 31.0, np.pi / 2),
+    (60.0, 0.2, 0.0), (9.2, -3.4, 0.0), (3.0, -3.5, 0.03), (-9.6, -3.4, 0.0), (-15.8, -3.5, 0.0),
+    (-33.0, -3.4, 0.02), (-3.5, 7.1, np.pi), (-21.0, 7.0, 3.1), (-38.5, 7.1, np.pi), (31.5, -33.0, 1.55),
+    (31.5, -39.2, 1.57), (18.4, 44.0, 1.6),
+)  # fmt: skip
+_PEOPLE = ((15.2, -1.6), (15.6, -2.5), (14.9, 4.4), (11.0, -6.3), (1.5, 9.3), (34.5, -7.0), (-12.0, -6.8))
+_POLES = ((12.6, -5.6), (12.4, 8.6), (33.8, 8.8), (34.2, -6.2), (-14.5, 9.6), (-22.0, -6.4), (56.0, 8.0))
+_TREES = ((-4.5, -7.6, 1.9), (-29.5, -6.9, 2.3), (36.5, -9.5, 2.6), (17.0, -38.0, 2.8), (4.5, 10.0, 1.6))
+"""Where cars stand and head; where people, poles and trees stand, with the radius of their crowns."""
 
 
 def _car(x_m: float, y_m: float, yaw: float) -> list[Box]:
@@ -151,15 +143,3 @@ def _car(x_m: float, y_m: float, yaw: float) -> list[Box]:
         Box(x_m, y_m, 4.3, 1.8, 0.85, bottom_m=0.2, yaw=yaw),
         Box(cabin_x, cabin_y, 2.3, 1.6, 1.48, bottom_m=0.85, yaw=yaw),
     ]
-
-
-def _people_and_poles() -> list[Cylinder]:
-    people = [(15.2, -1.6), (15.6, -2.5), (14.9, 4.4), (11.0, -6.3), (1.5, 9.3), (34.5, -7.0), (-12.0, -6.8)]
-    poles = [(12.6, -5.6), (12.4, 8.6), (33.8, 8.8), (34.2, -6.2), (-14.5, 9.6), (-22.0, -6.4), (56.0, 8.0)]
-    return [*(Cylinder(x, y, 0.27, 1.72) for x, y in people), *(Cylinder(x, y, 0.11, 7.0) for x, y in poles)]
-
-
-def _trees() -> list[Cylinder]:
-    positions = [(-4.5, -7.6, 1.9), (-29.5, -6.9, 2.3), (36.5, -9.5, 2.6), (17.0, -38.0, 2.8), (4.5, 10.0, 1.6)]
-    trunks = [Cylinder(x, y, 0.22, 3.0) for x, y, _ in positions]
-    return [*trunks, *(Cylinder(x, y, crown, 3.0 + 1.6 * crown, bottom_m=2.6) for x, y, crown in positions)]

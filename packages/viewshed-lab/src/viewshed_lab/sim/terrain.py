@@ -126,7 +126,7 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _line(lines: Any, lookup: Any, value: Any) -> Any:  # pragma: no cover - compiled
+def _line(lines: Any, lookup: Any, value: Any) -> Any:
     step = min(max(int((value - lines[0]) / _LOOKUP_M), 0), lookup.shape[0] - 1)
     i = lookup[step]
     while i < lines.shape[0] - 2 and value >= lines[i + 1]:
@@ -135,13 +135,13 @@ def _line(lines: Any, lookup: Any, value: Any) -> Any:  # pragma: no cover - com
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _quad(xs: Any, ys: Any, z: Any, i: Any, j: Any) -> Any:  # pragma: no cover - compiled
+def _quad(xs: Any, ys: Any, z: Any, i: Any, j: Any) -> Any:
     """Return corner, sides and the heights of the four nodes of a quad."""
     return xs[i], ys[j], xs[i + 1] - xs[i], ys[j + 1] - ys[j], z[i, j], z[i + 1, j], z[i, j + 1], z[i + 1, j + 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _height(quad: Any, x: Any, y: Any) -> Any:  # pragma: no cover - compiled
+def _height(quad: Any, x: Any, y: Any) -> Any:
     """Return z at a point of a quad."""
     x0, y0, wide, deep, a, b, c, d = quad
     u, v = (x - x0) / wide, (y - y0) / deep
@@ -150,7 +150,7 @@ def _height(quad: Any, x: Any, y: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _heights(xs: Any, ys: Any, z: Any, lookups: Any, points: Any, out: Any) -> None:  # pragma: no cover - compiled
+def _heights(xs: Any, ys: Any, z: Any, lookups: Any, points: Any, out: Any) -> None:
     for k in range(points.shape[0]):
         x = min(max(points[k, 0], xs[0]), xs[-1])
         y = min(max(points[k, 1], ys[0]), ys[-1])
@@ -158,9 +158,7 @@ def _heights(xs: Any, ys: Any, z: Any, lookups: Any, points: Any, out: Any) -> N
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _heights_about(
-    terrain: Any, forward: Any, left: Any, pose: Any, heights: Any, inside: Any
-) -> None:  # pragma: no cover - compiled
+def _heights_about(terrain: Any, forward: Any, left: Any, pose: Any, heights: Any, inside: Any) -> None:
     """Fill z (n, m) above a pose's origin and whether the terrain is there, going from quad to quad."""
     (xs, ys, z), (c, s, x0, y0, z0) = terrain, pose
     i, j, quad = 0, 0, _quad(xs, ys, z, 0, 0)
@@ -176,7 +174,7 @@ def _heights_about(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(lines: Any, i: Any, value: Any) -> Any:  # pragma: no cover - compiled
+def _walk(lines: Any, i: Any, value: Any) -> Any:
     """Return the line at or before a value, but the last, found from a guess."""
     while i > 0 and value < lines[i]:
         i -= 1

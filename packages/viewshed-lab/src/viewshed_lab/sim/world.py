@@ -218,7 +218,7 @@ class World:
         self, rows: NDArray[np.intp], rotation: NDArray[np.float64], origin: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         center, yaw = self._parts[4][rows], self._parts[5][rows]
-        return (rotation @ center[..., None])[..., 0] + origin, rotation @ _turns(yaw)
+        return (rotation @ center[..., None])[..., 0] + origin, rotation @ turns_of(yaw)
 
     def _poses(
         self, t_s: NDArray[np.float64], which: NDArray[np.intp]
@@ -227,7 +227,7 @@ class World:
         at_rest, z_m, (tilts, upper), spans, (times, knots) = self._courses
         positions = np.empty((len(t_s), len(which), 3))
         poses_of_things(t_s, which, at_rest, spans, times, knots, positions)
-        origin, rotation = positions.copy(), _turns(positions[..., 2])
+        origin, rotation = positions.copy(), turns_of(positions[..., 2])
         origin[..., 2] = self.terrain.at(positions)
         for ground, rows in ((self.terrain, ~upper[which]), (self.upper, upper[which])):
             if ground is None or not rows.any():
@@ -242,7 +242,15 @@ class World:
         return rotation, origin
 
 
-def _turns(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
+def tilted(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
+    """Return the rotation (3, 3) of a sensor turned to the left, tilted down and rolled, all in radians."""
+    c, s, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(Rigid.from_yaw(yaw).rotation @ down @ lean)
+
+
+def turns_of(yaw: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return rotations (…, 3, 3) about z."""
     turns = np.zeros((*yaw.shape, 3, 3))
     turns[..., 0, 0] = turns[..., 1, 1] = np.cos(yaw)
@@ -257,20 +265,11 @@ def _along(normals: NDArray[np.float64], yaw: NDArray[np.float64]) -> NDArray[np
     forward = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
     forward = forward - (forward * normals).sum(axis=-1, keepdims=True) * normals
     forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
-    left = np.stack([_across(normals, forward, axis) for axis in range(3)], axis=-1)
-    return np.stack([forward, left, normals], axis=-1)
-
-
-def _across(a: NDArray[np.float64], b: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Return one component (…,) of the cross product of vectors (…, 3)."""
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    return a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return np.stack([forward, np.cross(normals, forward), normals], axis=-1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def poses_of_things(
-    t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def poses_of_things(t_s: Any, which: Any, at_rest: Any, spans: Any, times: Any, values: Any, out: Any) -> None:
     """Fill x, y and yaw (n, k, 3) of k things ``which`` at n times, from where they rest or from their knots.
 
     Of all things: x, y, yaw at rest (things, 3) and first and last knot (things, 2); times (knots,), values (knots, 3).
@@ -284,9 +283,7 @@ def poses_of_things(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate_track(
-    t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def interpolate_track(t_s: Any, times: Any, values: Any, begin: Any, end: Any, out: Any) -> None:
     """Fill x, y and yaw (n, 3) at n times, straight between the knots ``begin`` to ``end``, still outside."""
     for n in range(t_s.shape[0]):
         t = t_s[n]

@@ -16,6 +16,7 @@ from viewshed.fov.estimate import FovEstimate
 from viewshed.geometry import Rigid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
+from viewshed_lab._config import one_of
 from viewshed_lab.threats.attacks import ATTACKS, Attack, Knowledge
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS, RunningAttack
 from viewshed_lab.threats.view_attacks import VIEW_LIES, ViewLie
@@ -66,9 +67,7 @@ class Adversary:
     _met: set[str] = field(default_factory=set, repr=False)
 
     def __post_init__(self) -> None:
-        known = (*ATTACKS, *OBJECT_ATTACKS, *VIEW_LIES)
-        if self.attack not in known:
-            raise ValueError(f"attack must be one of {', '.join(known)}, got {self.attack!r}")
+        one_of("attack", self.attack, (*ATTACKS, *OBJECT_ATTACKS, *VIEW_LIES))
         if not (0.0 <= self.start_s < self.end_s and self.reset_s >= 0.1 and self.count >= 1 and self.seed >= 0):
             raise ValueError(
                 "an attack must start at 0 s or later, before it ends, reset after .1 s or more and forge an object or"

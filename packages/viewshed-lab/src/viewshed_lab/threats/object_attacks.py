@@ -16,14 +16,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
 from viewshed.detections import Detections, ObjectKind
-from viewshed_lab.threats.parameters import Ascending, Between, Checked
+from viewshed_lab._config import Ascending, Between, Checked
 
 Motion = Literal["static", "markov", "trajectory"]
 """Stays; walks at random (velocity with a normal start and normal steps); keeps to a path."""
@@ -115,17 +115,12 @@ class ObjectAttack(Checked, ABC):
         """Return the attack at its beginning, for one drive."""
         return RunningAttack(self, rng)
 
-    def draw_count(self, rng: np.random.Generator) -> int:
-        """Return how many objects are forged until the next reset."""
-        return int(self.mean_count) if self.counts == "exact" else int(rng.poisson(self.mean_count))
-
     def step(self, targets: Targets, dt_s: float, rng: np.random.Generator) -> None:
         """Move the targets by their motion."""
         targets.age_s += dt_s
         if self.motion == "markov":
             changed = targets.velocity + rng.normal(0.0, self.step_std_mps, targets.velocity.shape)
-            speed = np.linalg.norm(changed, axis=1, keepdims=True)
-            targets.velocity = changed * np.minimum(1.0, self.max_speed_mps / np.maximum(speed, 1e-9))
+            targets.velocity = _limited(changed, self.max_speed_mps)
             targets.places[:, :2] += targets.velocity * dt_s
         elif self.motion == "trajectory":
             t_s, forward_m, left_m = np.array(self.trajectory, np.float64).T
@@ -179,7 +174,8 @@ class RunningAttack:
 
     def _draw(self, detections: Detections, ground: F64) -> Targets:
         attack, rng = self.attack, self.rng
-        places = attack.choose(detections, ground, attack.draw_count(rng), rng)
+        most = int(attack.mean_count) if attack.counts == "exact" else int(rng.poisson(attack.mean_count))
+        places = attack.choose(detections, ground, most, rng)
         count, first = len(places), self._given
         self._given += count
         return Targets(
@@ -212,16 +208,12 @@ class Fabricate(ObjectAttack):
         ghosts = np.column_stack([targets.places, np.tile(self.size_m, (count, 1)), yaw])
         both = Detections(
             np.concatenate([detections.boxes, ghosts]),
-            np.concatenate([detections.kinds, np.full(count, ObjectKind.CAR, np.uint8)]),
-            np.concatenate([detections.returns, np.full(count, GHOST_RETURNS, np.int32)]),
+            np.append(detections.kinds, np.full(count, ObjectKind.CAR, np.uint8)),
+            np.append(detections.returns, np.full(count, GHOST_RETURNS, np.int32)),
         )
-        return ForgedDetections(
-            both,
-            np.concatenate([np.arange(honest, dtype=np.int32), np.full(count, -1, np.int32)]),
-            np.concatenate([np.full(honest, -1, np.int64), targets.numbers]),
-            np.zeros(honest + count, np.bool_),
-            np.zeros(honest, np.bool_),
-        )
+        source = np.append(np.arange(honest, dtype=np.int32), np.full(count, -1, np.int32))
+        numbers = np.append(np.full(honest, -1, np.int64), targets.numbers)
+        return ForgedDetections(both, source, numbers, np.zeros(honest + count, np.bool_), np.zeros(honest, np.bool_))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,12 +287,9 @@ class Translate(_OnObjects):
         """Let a vector that walks at random do so, never longer than the longest."""
         targets.age_s += dt_s
         if self.motion == "markov":
-            targets.velocity += rng.normal(0.0, self.step_std_mps, targets.velocity.shape)
-            speed = np.linalg.norm(targets.velocity, axis=1, keepdims=True)
-            targets.velocity *= np.minimum(1.0, self.max_speed_mps / np.maximum(speed, 1e-9))
-            walked = targets.shift + targets.velocity * dt_s
-            length = np.linalg.norm(walked, axis=1, keepdims=True)
-            targets.shift = walked * np.minimum(1.0, self.shift_m[1] / np.maximum(length, 1e-9))
+            changed = targets.velocity + rng.normal(0.0, self.step_std_mps, targets.velocity.shape)
+            targets.velocity = _limited(changed, self.max_speed_mps)
+            targets.shift = _limited(targets.shift + targets.velocity * dt_s, self.shift_m[1])
 
     def forge(self, detections: Detections, targets: Targets) -> ForgedDetections:
         """Return the detections with those of the targets moved; the targets follow the honest ones."""
@@ -315,6 +304,12 @@ class Translate(_OnObjects):
         return replace(ForgedDetections.honest(forged), moved=moved)
 
 
+def _limited(vectors: F64, most: float) -> F64:
+    """Return vectors (J, 2), those longer than ``most`` cut to that length."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors * np.minimum(1.0, most / np.maximum(length, 1e-9)))
+
+
 _STEALTHY_M = (0.3, 1.0)
 """The small shifts of arXiv 2605.01301, which stay below the gates of trackers."""
 
@@ -326,17 +321,8 @@ _FAMILIES: dict[str, Callable[..., ObjectAttack]] = {
 }
 
 OBJECT_ATTACKS: dict[str, Callable[..., ObjectAttack]] = {
-    "fabricate_static": partial(_FAMILIES["fabricate"], motion="static"),
-    "fabricate_markov": partial(_FAMILIES["fabricate"], motion="markov"),
-    "fabricate_trajectory": partial(_FAMILIES["fabricate"], motion="trajectory"),
-    "remove_static": partial(_FAMILIES["remove"], motion="static"),
-    "remove_markov": partial(_FAMILIES["remove"], motion="markov"),
-    "remove_trajectory": partial(_FAMILIES["remove"], motion="trajectory"),
-    "translate_static": partial(_FAMILIES["translate"], motion="static"),
-    "translate_markov": partial(_FAMILIES["translate"], motion="markov"),
-    "translate_trajectory": partial(_FAMILIES["translate"], motion="trajectory"),
-    "shift_static": partial(_FAMILIES["shift"], motion="static"),
-    "shift_markov": partial(_FAMILIES["shift"], motion="markov"),
-    "shift_trajectory": partial(_FAMILIES["shift"], motion="trajectory"),
+    f"{name}_{motion}": partial(family, motion=motion)
+    for name, family in _FAMILIES.items()
+    for motion in get_args(Motion)
 }
 """By name; each takes the parameters of its class. ``shift`` is the stealthy translation by less than a meter."""

@@ -133,13 +133,16 @@ def _in_box(view: FovEstimate, box: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 VIEW_LIES: dict[str, tuple[Callable[[Sequence[FovEstimate], ViewLie], FovEstimate], float]] = {
-    "over_claim": (over_claim, 0.2),
-    "behind_own": (behind_own, 0.2),
-    "under_claim": (under_claim, 0.3),
-    "shifted_pose": (shifted_pose, 1.0),
-    "turned_pose": (turned_pose, 2.0),
-    "stale": (stale, 2.0),
-    "inflated_certainty": (inflated_certainty, 1.0),
+    lie.__name__: (lie, amount)
+    for lie, amount in (
+        (over_claim, 0.2),
+        (behind_own, 0.2),
+        (under_claim, 0.3),
+        (shifted_pose, 1.0),
+        (turned_pose, 2.0),
+        (stale, 2.0),
+        (inflated_certainty, 1.0),
+    )
 }
 """Every lie by name, with its usual amount; each is given the agent's honest views so far, the one to forge last."""
 

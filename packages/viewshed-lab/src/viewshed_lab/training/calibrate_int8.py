@@ -18,8 +18,7 @@ from viewshed_lab.data.presets import preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import archived_samples
-from viewshed_lab.training.samples import TrainingFrames, TrainingSample
-from viewshed_lab.training.sources import CleanSample, labeled, paper_label
+from viewshed_lab.training.samples import CleanSample, TrainingFrames, TrainingSample, labeled, paper_label
 
 MAX_F1_LOSS = 0.002
 """F1 that quantization may cost."""

@@ -12,6 +12,7 @@ from viewshed.grid import BevGrid
 from viewshed.networks.architecture import UNetShape
 from viewshed.networks.card import COUNTS, TRUTHS, NetworkCard
 from viewshed_lab import _config as flat
+from viewshed_lab._config import Between, one_of
 from viewshed_lab.data.presets import MAX_SEED, preset_named, preset_names
 from viewshed_lab.threats.attacks import ATTACKS
 
@@ -84,16 +85,9 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for key, names in CHOICES.items():
-            if getattr(self, key) not in names:
-                raise ValueError(f"{key} must be one of {', '.join(names)}, got {getattr(self, key)!r}")
+            one_of(key, getattr(self, key), names)
         for key, (low, high) in _LIMITS.items():
-            if not low <= getattr(self, key) <= high:
-                raise ValueError(f"{key} must lie in [{low:g}, {high:g}], got {getattr(self, key)}")
-        self._check_attacks()
-        self._check_data()
-        _ = self.card()
-
-    def _check_attacks(self) -> None:
+            Between(low, high).check(key, getattr(self, key))
         for attack in self.attacks:
             if attack != PAPER and attack not in ATTACKS:
                 raise ValueError(f"attacks must be among {PAPER}, {', '.join(ATTACKS)}, got {attack!r}")
@@ -102,8 +96,6 @@ class TrainConfig:
                 f"attacks and attack_share must both be given or both be empty, got {list(self.attacks)} and "
                 f"{self.attack_share:g}; benign training has attacks = [] and attack_share = 0"
             )
-
-    def _check_data(self) -> None:
         simulated = [place for place in self.data if place in preset_names()]
         if not self.data or len(set(self.data)) != len(self.data):
             raise ValueError(f"data must name different presets or archives, got {list(self.data)}")
@@ -111,8 +103,9 @@ class TrainConfig:
             raise ValueError(f"data must be presets or archives, not both, got {list(self.data)}")
         for place in simulated:
             if self.train_split not in preset_named(place).splits:
-                names = ", ".join(preset_named(place).splits)
-                raise ValueError(f"train_split must be one of {names} of {place}, got {self.train_split!r}")
+                known = ", ".join(preset_named(place).splits)
+                raise ValueError(f"train_split must be one of {known} of {place}, got {self.train_split!r}")
+        _ = self.card()
 
     @property
     def simulated(self) -> bool:

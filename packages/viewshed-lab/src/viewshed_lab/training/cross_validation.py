@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from viewshed._extras import needed_for
+from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.training.config import TrainConfig
 from viewshed_lab.training.data import Fold, check_data, check_folds
@@ -43,8 +44,6 @@ WIDTHS = (4, 8, 16, 32)
 DROPOUTS = (0.05, 0.10, 0.15)
 LEARNING_RATES = (1e-4, 1e-3, 1e-2)
 """The settings of arXiv 2503.07375."""
-
-SAMPLERS = ("grid", "optuna")
 
 FIGURE, PAGE, CHOSEN = "crossval.png", "crossval.md", "chosen.toml"
 """What cross-validation leaves in its folder, beside the trainings."""
@@ -73,7 +72,7 @@ class Hyperparameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class Search(Checked):
     """Which settings are tried.
 
     Raises:
@@ -81,20 +80,12 @@ class Search:
     """
 
     # ``grid`` tries all in an order drawn at random, ``optuna`` those that its sampler (TPE) asks for
-    sampler: str = "grid"
-    trials: int | None = None  # how many; None is all of the grid
-    folds: int = 5  # of the scenes
+    sampler: Annotated[str, OneOf(("grid", "optuna"))] = "grid"
+    trials: Annotated[int | None, Between(1)] = None  # how many; None is all of the grid
+    folds: Annotated[int, Between(2)] = 5  # of the scenes
     widths: tuple[int, ...] = WIDTHS  # to choose from
     dropouts: tuple[float, ...] = DROPOUTS  # to choose from
     learning_rates: tuple[float, ...] = LEARNING_RATES  # to choose from
-
-    def __post_init__(self) -> None:
-        if self.sampler not in SAMPLERS:
-            raise ValueError(f"sampler must be one of {', '.join(SAMPLERS)}, got {self.sampler!r}")
-        if self.trials is not None and self.trials < 1:
-            raise ValueError(f"trials must be at least 1, got {self.trials}")
-        if self.folds < 2:
-            raise ValueError(f"folds must be at least 2, got {self.folds}")
 
     @property
     def grid(self) -> list[Hyperparameters]:
@@ -177,23 +168,20 @@ def _search_grid(search: Search, config: TrainConfig, score: ScoreFolds) -> Trie
 
 def _search_with_optuna(search: Search, config: TrainConfig, score: ScoreFolds) -> TriedSettings:
     """Yield what optuna asks for; as its sampler has a seed, a run that goes on asks for the same again."""
-    optuna = _optuna()
+    with needed_for("--sampler optuna"):
+        import optuna
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(direction="maximize", sampler=optuna.samplers.TPESampler(seed=config.seed))
     choices = {"width": search.widths, "dropout": search.dropouts, "learning_rate": search.learning_rates}
-    spaces = {name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()}
+    spaces: dict[str, Any] = {
+        name: optuna.distributions.CategoricalDistribution(values) for name, values in choices.items()
+    }
     for _ in range(search.trials or len(search.grid)):
         trial = study.ask(spaces)
         setting = Hyperparameters(**trial.params)
         scores = score(setting)
         study.tell(trial, mean_f1(scores))
         yield setting, scores
-
-
-def _optuna() -> Any:
-    with needed_for("--sampler optuna"):
-        import optuna
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    return optuna
 
 
 def mean_f1(scores: Sequence[FoldScore]) -> float:

@@ -18,9 +18,14 @@ from viewshed_lab.data.archive.storage import Storage
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import recipe_of, simulate
 from viewshed_lab.training.config import TrainConfig
-from viewshed_lab.training.sample_cache import sample_cache_of
-from viewshed_lab.training.samples import VALIDATION_EPOCH, TrainingFrames
-from viewshed_lab.training.sources import ArchivedSamples, PaperLabels, check_archives
+from viewshed_lab.training.samples import (
+    VALIDATION_EPOCH,
+    ArchivedSamples,
+    PaperLabels,
+    TrainingFrames,
+    check_archives,
+    sample_cache_of,
+)
 
 OnProgress = Callable[[str, int, int], None]
 """Called with what is being prepared, how many frames are done and how many there are in all."""

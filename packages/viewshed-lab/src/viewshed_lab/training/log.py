@@ -10,16 +10,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed._files import write_atomic
+from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab._jobs import J, LocalEngine
 from viewshed_lab.training.config import TrainConfig
 
-DEVICES = ("cpu", "cuda")
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "network.pt", "history.csv", "curves.png"
@@ -27,19 +27,12 @@ CHECKPOINT, WEIGHTS, STATE, HISTORY, CURVES = "last.ckpt", "network.onnx", "netw
 
 
 @dataclass(frozen=True, slots=True)
-class Machines:
+class Machines(Checked):
     """What a training runs on: ``cpu`` or ``cuda``, processes or graphics cards of each machine, and machines."""
 
-    device: str = "cpu"
-    devices: int = 1
-    nodes: int = 1
-
-    def __post_init__(self) -> None:
-        if self.device not in DEVICES:
-            raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {self.device!r}")
-        for name in ("devices", "nodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+    device: Annotated[str, OneOf(("cpu", "cuda"))] = "cpu"
+    devices: Annotated[int, Between(1)] = 1
+    nodes: Annotated[int, Between(1)] = 1
 
 
 def save(path: Path, content: bytes) -> None:
@@ -135,17 +128,12 @@ def is_finished(history: Sequence[Epoch], config: TrainConfig) -> bool:
     return len(history) >= config.epochs or len(history) - best_of(history).number >= config.patience
 
 
-def history_to_json(history: Sequence[Epoch]) -> list[dict[str, Any]]:
-    """Return a history as plain values."""
-    return [asdict(epoch) for epoch in history]
-
-
 def csv_of(history: Sequence[Epoch]) -> str:
     """Return a history as a table with commas, one epoch a line."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, [item.name for item in fields(Epoch)], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(history_to_json(history))
+    writer.writerows(map(asdict, history))
     return buffer.getvalue()
 
 

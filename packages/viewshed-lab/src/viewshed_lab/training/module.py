@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict
 from typing import Any
 
 import lightning as L  # noqa: N812
@@ -14,7 +14,7 @@ from torch.nn import functional
 
 import viewshed
 from viewshed_lab.training.config import TrainConfig
-from viewshed_lab.training.log import Epoch, OnProgress, Step, best_of, history_to_json, scores_of
+from viewshed_lab.training.log import Epoch, OnProgress, Step, best_of, scores_of
 from viewshed_lab.training.unet_torch import UNet
 
 FORMAT = 1
@@ -24,30 +24,6 @@ KEY = "viewshed"
 _LAST_RATE = 0.01
 _MOMENTUM = 0.1
 Batch = dict[str, Tensor]
-
-
-@dataclass(slots=True)
-class StepTimer:
-    """Adds up the time in which the network runs, and the time since the epoch began."""
-
-    began: float = field(default_factory=time.perf_counter)
-    busy: float = 0.0
-    step_began: float = 0.0
-    train_s: float = 0.0
-
-    def start(self) -> None:
-        """Begin a step of the network."""
-        self.step_began = time.perf_counter()
-
-    def stop(self, device: torch.device) -> None:
-        """End it: a graphics card has done its work."""
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-        self.busy += time.perf_counter() - self.step_began
-
-    def elapsed(self) -> float:
-        """Return the seconds since the beginning."""
-        return time.perf_counter() - self.began
 
 
 class Learner(L.LightningModule):
@@ -61,7 +37,7 @@ class Learner(L.LightningModule):
             self.network = UNet(config.shape).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.history: list[Epoch] = []
         self.best: dict[str, Tensor] = {}
-        self._timer = StepTimer()
+        self._began_s = self._step_s = self._busy_s = self._train_s = 0.0
         self._train = torch.zeros(2)
         self._cells = torch.zeros(6, dtype=torch.float64)
 
@@ -90,15 +66,18 @@ class Learner(L.LightningModule):
 
     def on_train_epoch_start(self) -> None:
         """Begin to count."""
-        self._timer, self._train = StepTimer(), torch.zeros(2, device=self.device)
+        self._began_s, self._busy_s = time.perf_counter(), 0.0
+        self._train = torch.zeros(2, device=self.device)
 
     def on_train_batch_start(self, batch: Batch, batch_idx: int) -> None:
         """Begin to measure a step. In the very first, batch normalization takes over the statistics of the batch.
 
         They begin as 0 and 1, and a cell's count / 1000 has a variance near 1e-6: it would take hundreds of steps.
         """
-        self._timer.start()
-        self._set_momentum(1.0 if self.trainer.global_step == 0 else _MOMENTUM)
+        self._step_s = time.perf_counter()
+        for module in self.network.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.momentum = 1.0 if self.trainer.global_step == 0 else _MOMENTUM
 
     def training_step(self, batch: Batch, batch_idx: int) -> Tensor:
         """Return the loss of a batch."""
@@ -109,8 +88,8 @@ class Learner(L.LightningModule):
 
     def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
         """End a step and report it."""
-        self._timer.stop(self.device)
-        self._timer.train_s = self._timer.elapsed()
+        self._end_step()
+        self._train_s = time.perf_counter() - self._began_s
         self._report("train", batch_idx + 1, self.trainer.num_training_batches, float(outputs["loss"]))
 
     def on_validation_epoch_start(self) -> None:
@@ -119,7 +98,7 @@ class Learner(L.LightningModule):
 
     def on_validation_batch_start(self, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
         """Begin to measure a step."""
-        self._timer.start()
+        self._step_s = time.perf_counter()
 
     def validation_step(self, batch: Batch, batch_idx: int) -> None:
         """Count the cells of a batch; dropout is off."""
@@ -133,7 +112,7 @@ class Learner(L.LightningModule):
 
     def on_validation_batch_end(self, outputs: Any, batch: Batch, batch_idx: int, dataloader_idx: int = 0) -> None:
         """End a step and report it."""
-        self._timer.stop(self.device)
+        self._end_step()
         total = self.trainer.num_val_batches
         self._report("validate", batch_idx + 1, total[0] if isinstance(total, list) else total, float("nan"))
 
@@ -151,12 +130,12 @@ class Learner(L.LightningModule):
                 f"{self.config.name}: the loss of epoch {self.current_epoch + 1} is not finite; choose a smaller "
                 "learning_rate, or precision 32"
             )
-        timer, rate = self._timer, float(self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
-        elapsed = timer.elapsed()
+        rate = float(self.optimizers().param_groups[0]["lr"])  # type: ignore[union-attr]
+        elapsed = time.perf_counter() - self._began_s
         self.history.append(Epoch(
             self.current_epoch + 1, trained / max(frames, 1.0), loss / max(known, 1.0), **scores_of(counts),
-            learning_rate=rate, seconds=elapsed, frames_per_s=frames / max(timer.train_s, 1e-9),
-            network_share=timer.busy / elapsed,
+            learning_rate=rate, seconds=elapsed, frames_per_s=frames / max(self._train_s, 1e-9),
+            network_share=self._busy_s / elapsed,
         ))  # fmt: skip
         if best_of(self.history) is self.history[-1]:
             self.best = {name: value.detach().cpu().clone() for name, value in self.network.state_dict().items()}
@@ -164,17 +143,17 @@ class Learner(L.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add our entry: config, version, history, weights of the best epoch."""
         about = {"format": FORMAT, "version": viewshed.__version__, "config": self.config.to_json()}
-        checkpoint[KEY] = about | {"history": history_to_json(self.history), "best": self.best}
+        checkpoint[KEY] = about | {"history": [asdict(epoch) for epoch in self.history], "best": self.best}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Take over history and best weights."""
         self.history = [Epoch(**table) for table in checkpoint[KEY]["history"]]
         self.best = checkpoint[KEY]["best"]
 
-    def _set_momentum(self, momentum: float) -> None:
-        for module in self.network.modules():
-            if isinstance(module, torch.nn.BatchNorm2d):
-                module.momentum = momentum
+    def _end_step(self) -> None:
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        self._busy_s += time.perf_counter() - self._step_s
 
     def _logits(self, batch: Batch) -> Tensor:
         inputs = batch["inputs"].contiguous(memory_format=torch.channels_last)

@@ -2,21 +2,37 @@
 
 A sample is drawn in steps: the clean sweep, an attack or none, the counts of its returns.
 Everything random follows from seed, epoch and number of the frame, so that it does not depend on processes or resumes.
+
+Drawing a sample takes longer than a step of the network. So ``versions`` of every frame, each with an attack of its
+own, are drawn once, cached on the disk, and shown in turn: epoch e shows version e modulo ``versions``. Folders are
+named by a hash of all that decides a sample, so that another config never reads them. A file holds the counts of 256
+frames, or their truth. Files are memory-mapped: all loader processes share one copy in the page cache. Each is written
+whole or not at all and the truth last, so a block whose truth is there has its counts.
+
+Clean sweeps are of archives. The label of arXiv 2503.07375 takes as long as the network: it is computed once for
+each sweep and cached as bits.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
-from functools import lru_cache
-from typing import TypeVar
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+import viewshed
+from viewshed.estimators import PAPER_ESTIMATORS, PAPER_INDOOR_ESTIMATORS
+from viewshed.grid import BevGrid
 from viewshed.sweep import Sweep
+from viewshed_lab.data.archive.archive import Archive
+from viewshed_lab.data.archive.schema import ShardFacts
 from viewshed_lab.threats.attacks import (
     ATTACKS,
     BUDGETS,
@@ -29,7 +45,148 @@ from viewshed_lab.threats.attacks import (
     at_severity,
 )
 from viewshed_lab.training.config import PAPER, TrainConfig
-from viewshed_lab.training.sources import CleanSamples
+from viewshed_lab.training.log import build_files, mapped_array, write_array
+
+_VERSION = 1
+
+
+def paper_label(sweep: Sweep, grid: BevGrid, indoor: bool) -> NDArray[np.bool_]:
+    """Return the label (cells, cells) that arXiv 2503.07375 would give a sweep."""
+    table = PAPER_INDOOR_ESTIMATORS if indoor else PAPER_ESTIMATORS
+    return table["paper_label"](grid).estimate(sweep).visible()
+
+
+@dataclass(frozen=True, slots=True)
+class PaperLabels:
+    """The paper's label of sweeps on a grid, one file of bits for each shard."""
+
+    folder: Path  # where the files are
+    grid: BevGrid  # of the labels
+    indoor: bool  # whether the paper's indoor settings are taken
+
+    def of_frame(self, shard: ShardFacts, row: int) -> NDArray[np.bool_]:
+        """Return the label (cells, cells) of a frame whose shard :meth:`build` has seen."""
+        cells = self.grid.cells
+        bits = np.unpackbits(mapped_array(self.path(shard))[row], count=cells * cells)
+        return bits.reshape(cells, cells).astype(np.bool_)
+
+    def path(self, shard: ShardFacts) -> Path:
+        """Return where the labels of a shard are: named by what the shard holds and by how labels are made."""
+        key = json.dumps([_VERSION, shard.sha256, self.grid.cells, float(self.grid.half_extent_m), self.indoor])
+        return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npy"
+
+    def build(self, archive: Archive, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
+        """Label the shards of an archive that have no labels yet, in ``workers`` processes; see :func:`build_files`."""
+        missing = [shard for shard in archive.shards if not self.path(shard).is_file()]
+        jobs = [(self, archive.of_scenes([shard.scene]), shard) for shard in missing]
+        build_files(_label_shard, self.folder, jobs, workers, on_progress)
+
+
+def _label_shard(job: tuple[PaperLabels, Archive, ShardFacts]) -> int:
+    """Return the number of frames of a shard in the archive of its scene, whose labels are written."""
+    labels, scene, shard = job
+    first = sum(one.frames for one in scene.shards[: scene.shards.index(shard)])
+    sweeps = (scene[first + row].sweep for row in range(shard.frames))
+    masks = [paper_label(sweep, labels.grid, labels.indoor) for sweep in sweeps]
+    write_array(labels.path(shard), np.packbits(np.reshape(masks, (len(masks), -1)), axis=1))
+    return shard.frames
+
+
+_LOOK_BACK_FRAMES = 24
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanSample:
+    """A sweep that nobody attacked, and the one mask that a config teaches of it.
+
+    Not a :class:`~viewshed_lab.data.sample.Sample`: what is taught may be the paper's label, which is no truth.
+    """
+
+    sweep: Sweep  # what the sensor measured
+    visible: NDArray[np.bool_]  # (cells, cells) bool, the truth or the label
+    known: NDArray[np.bool_]  # (cells, cells) bool, where it is known
+
+
+def labeled(sweep: Sweep, label: NDArray[np.bool_]) -> CleanSample:
+    """Return a sweep with the paper's label, which is known everywhere."""
+    return CleanSample(sweep, label, np.ones(label.shape, np.bool_))
+
+
+class CleanSamples(Protocol):
+    """Frames by number, in any process."""
+
+    def __len__(self) -> int: ...
+
+    def clean(self, index: int) -> CleanSample:
+        """Return one frame."""
+        ...
+
+    def earlier(self, index: int) -> tuple[Sweep, ...]:
+        """Return the last sweep before it of the same sensor and scene, or none."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArchivedSamples:
+    """The frames of archives, one after the other."""
+
+    archives: tuple[Archive, ...]  # what is read, each a part of a split
+    config: TrainConfig  # target and truth
+    labels: PaperLabels | None = None  # of the paper, where they are the truth
+
+    def __len__(self) -> int:
+        return sum(map(len, self.archives))
+
+    def clean(self, index: int) -> CleanSample:
+        """Return one frame."""
+        archive, at = self._place(index)
+        sample = archive[at]
+        if self.labels is None:
+            return CleanSample(sample.sweep, sample.truth.visible(self.config.target), sample.known)
+        return labeled(sample.sweep, self.labels.of_frame(*archive.locate(at)))
+
+    def earlier(self, index: int) -> tuple[Sweep, ...]:
+        """Return the last sweep before it of the same sensor and scene, or none."""
+        archive, at = self._place(index)
+        sample = archive[at]
+        for before in range(at - 1, max(at - _LOOK_BACK_FRAMES, 0) - 1, -1):
+            other = archive[before]
+            if other.scene != sample.scene:
+                break
+            if other.measured.agent == sample.measured.agent:
+                return (other.sweep,)
+        return ()
+
+    def _place(self, index: int) -> tuple[Archive, int]:
+        for archive in self.archives:
+            if index < len(archive):
+                return archive, index
+            index -= len(archive)
+        raise IndexError(f"index must be below {len(self)}, the number of frames")
+
+
+def check_archives(config: TrainConfig, archives: Sequence[Archive]) -> None:
+    """Check that archives have the grid, targets, splits and sweeps that the config wants to learn."""
+    for archive in archives:
+        layout, place = archive.manifest.layout, archive.store.place
+        if config.train_split not in archive.splits:
+            names = ", ".join(archive.splits)
+            raise ValueError(f"train_split must be one of {names} of {place}, got {config.train_split!r}")
+        if config.truth == "paper_label":
+            if archive.manifest.recipe.get("command") in ("attack", "corrupt"):
+                raise ValueError(
+                    f"{place} holds tampered sweeps, and paper_label is of clean ones; train on its source"
+                )
+        elif layout.grid != config.grid:
+            raise ValueError(
+                f"{place} has its truth on {layout.grid.cells} cells, ±{layout.grid.half_extent_m:g} m; cells and "
+                f"half_extent_m must be those, got {config.cells} and {config.half_extent_m:g}"
+            )
+        elif config.target not in layout.targets:
+            raise ValueError(
+                f"{place} has no truth for target {config.target!r}, it has {', '.join(layout.targets) or 'none'}; "
+                'simulate or label it, or train with truth = "paper_label"'
+            )
 
 
 def draw_attacked_sweep(
@@ -85,10 +242,7 @@ BLANK = -1
 """Number of a frame that counts nowhere: it makes the parts of several processes equally long."""
 
 
-class _Purpose(IntEnum):
-    ATTACK = 1
-    MASKS = 2
-    TURN = 3
+_FOR_ATTACK, _FOR_MASKS, _FOR_TURN = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,27 +298,24 @@ class TrainingFrames:
         """
         epoch, index = key
         if index == BLANK:
-            return self._blank()
+            zeros, masks = np.zeros(self.config.grid.shape, np.float32), self.config.shape.no_masks(1)[0]
+            return {"inputs": zeros[None].copy(), "visible": zeros, "known": zeros.copy(), "masks": masks}
         sample = self.draw(epoch, index) if self.cached is None else self.cached(epoch, index)
         if self.mirrored:
-            sample = sample.turned(int(self._rng(epoch, index, _Purpose.TURN).integers(8)))
+            sample = sample.turned(int(self._rng(epoch, index, _FOR_TURN).integers(8)))
         return {
             "inputs": self.config.card().shown(sample.maps),
             "visible": sample.visible.astype(np.float32),
             "known": sample.known.astype(np.float32),
-            "masks": self.config.shape.masks(1, self._rng(epoch, index, _Purpose.MASKS))[0],
+            "masks": self.config.shape.masks(1, self._rng(epoch, index, _FOR_MASKS))[0],
         }
 
     def draw(self, epoch: int, index: int) -> TrainingSample:
         """Return a frame made now, with the attack of this epoch."""
         clean = self.source.clean(index)
-        rng = self._rng(epoch, index, _Purpose.ATTACK)
+        rng = self._rng(epoch, index, _FOR_ATTACK)
         shown = draw_attacked_sweep(self.config, clean.sweep, lambda: self.source.earlier(index), rng)
         return TrainingSample(self.config.card().maps_of(shown), clean.visible, clean.known)
-
-    def _blank(self) -> Arrays:
-        zeros, shape = np.zeros(self.config.grid.shape, np.float32), self.config.shape
-        return {"inputs": zeros[None].copy(), "visible": zeros, "known": zeros.copy(), "masks": shape.no_masks(1)[0]}
 
     def _rng(self, epoch: int, index: int, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.config.seed, epoch, index, purpose])
@@ -224,3 +375,69 @@ class ValidationOrder:
         for step in range(len(self)):
             index = step * self.share.world + self.share.rank
             yield VALIDATION_EPOCH, index if index < self.frames else BLANK
+
+
+_LAYOUT = 6
+_BLOCK = 256
+_COUNTS, _TRUTH = "counts", "truth"
+
+_CONFIG_KEYS = (
+    "cells", "half_extent_m", "target", "truth", "attacks", "attack_share", "seed", "max_range_m", "heights_m",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class SampleCache:
+    """Samples of a config in rows: a byte of each cell for its returns, two bits for visible and known."""
+
+    folder: Path  # where the files are; its name tells what decides the frames
+    cells: int  # of the grid
+    frames: int  # how many there are
+    first: int  # epoch whose attacks the first version has
+    versions: int  # of each frame; later epochs show them again in turn
+
+    def frame(self, epoch: int, index: int) -> TrainingSample:
+        """Return a frame in the version of an epoch."""
+        if not 0 <= index < self.frames:
+            raise IndexError(f"index must be below {self.frames}, the number of frames, got {index}")
+        block, row = divmod(index, _BLOCK)
+        version = (epoch - self.first) % self.versions
+        maps = mapped_array(self.path(version, block, _COUNTS))[row].reshape(1, self.cells, self.cells)
+        truth = mapped_array(self.path(version, block, _TRUTH))[row]
+        bits = np.unpackbits(truth, axis=1, count=self.cells**2).astype(np.bool_)
+        return TrainingSample(maps, *bits.reshape(2, self.cells, self.cells))
+
+    def path(self, version: int, block: int, name: str) -> Path:
+        """Return where the counts or the truth of a block of a version are."""
+        return self.folder / f"{version}-{block}-{name}.npy"
+
+    def build(self, frames: TrainingFrames, workers: int, on_progress: Callable[[int], None] | None = None) -> None:
+        """Draw the samples of the blocks that are missing, in ``workers`` processes; see :func:`build_files`."""
+        blocks = range(-(-self.frames // _BLOCK))
+        places = [(version, block) for version in range(self.versions) for block in blocks]
+        jobs = [(self, frames, *place) for place in places if not self.path(*place, _TRUTH).is_file()]
+        build_files(_write_block, self.folder, jobs, workers, on_progress)
+
+
+def sample_cache_of(
+    config: TrainConfig, archives: tuple[Archive, ...], folder: Path, first: int, versions: int
+) -> SampleCache:
+    """Return the cache of the samples of archives below ``folder``, which :meth:`SampleCache.build` fills."""
+    table = config.to_json()
+    shards = [shard.sha256 for archive in archives for shard in archive.shards]
+    decided_by = {key: table[key] for key in _CONFIG_KEYS}
+    words = [_LAYOUT, viewshed.__version__, first, config.card().clip, decided_by, shards]
+    name = hashlib.sha256(json.dumps(words).encode()).hexdigest()[:24]
+    return SampleCache(folder / name, config.cells, sum(map(len, archives)), first, versions)
+
+
+def _write_block(job: tuple[SampleCache, TrainingFrames, int, int]) -> int:
+    """Return the number of frames of a block, whose counts and then their truth are written."""
+    cache, frames, version, block = job
+    numbers = range(block * _BLOCK, min((block + 1) * _BLOCK, cache.frames))
+    samples = [frames.draw(cache.first + version, number) for number in numbers]
+    path = partial(cache.path, version, block)
+    write_array(path(_COUNTS), np.stack([sample.maps.reshape(-1) for sample in samples]))
+    bits = np.stack([np.reshape([sample.visible, sample.known], (2, -1)) for sample in samples])
+    write_array(path(_TRUTH), np.packbits(bits, axis=2))
+    return len(samples)

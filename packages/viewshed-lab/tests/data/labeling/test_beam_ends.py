@@ -9,9 +9,8 @@ from viewshed.preprocess.leveling import level
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 from viewshed_lab.data.labeling.beam_ends import OPEN, SURFACE, SWALLOWED, BeamEnds, beam_ends_of
-from viewshed_lab.data.labeling.beam_image import beam_image
+from viewshed_lab.data.labeling.beam_image import AT_REST, beam_image
 from viewshed_lab.data.labeling.ground_map import lows_of, patch_of
-from viewshed_lab.data.labeling.motion import AT_REST
 
 GRID = BevGrid(64, 32.0)
 HEIGHT_M, WALL_M, FADES_M = 1.5, 10.0, 30.0

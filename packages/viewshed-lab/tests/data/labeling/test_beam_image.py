@@ -5,8 +5,7 @@ from tests.data.labeling.scene import MODEL, Shot
 
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
-from viewshed_lab.data.labeling.beam_image import BeamImage, beam_image
-from viewshed_lab.data.labeling.motion import AT_REST, StampedPose, drift_of
+from viewshed_lab.data.labeling.beam_image import AT_REST, BeamImage, StampedPose, beam_image, drift_of
 
 
 def _image(drive: list[Shot], **changes: object) -> BeamImage:

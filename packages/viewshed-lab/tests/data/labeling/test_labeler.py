@@ -9,8 +9,8 @@ from viewshed.grid import polar_of_cells
 from viewshed.metrics import ConfusionCounts
 from viewshed.sweep import Sweep
 from viewshed_lab.data.labeling import LabeledDrive, LabelRules, label_sweep
+from viewshed_lab.data.labeling.beam_image import AT_REST
 from viewshed_lab.data.labeling.labeler import lows_of_sweep
-from viewshed_lab.data.labeling.motion import AT_REST
 
 RULES = LabelRules(GRID)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from viewshed.geometry import Rigid
-from viewshed_lab.data.labeling.motion import AT_REST, StampedPose, drift_of, well_spaced
+from viewshed_lab.data.labeling.beam_image import AT_REST, StampedPose, drift_of, well_spaced
 
 
 def _at(x: float, y: float, yaw: float, t_s: float | None) -> StampedPose:

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from tests.sim.oracle import firing
 
 from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed_lab.sim.assets.shapes import material_index
-from viewshed_lab.sim.lidar.firing import firing
 from viewshed_lab.sim.lidar.measurement import BLOCK_COLUMNS, measure
 from viewshed_lab.sim.lidar.optics import OPTICS, Optics, optics_of, step_of
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep

@@ -9,7 +9,7 @@ from tests.sim.worlds.test_every_world import INDOOR, outlines
 
 from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds import WORLDS
-from viewshed_lab.sim.worlds.indoor.floor import Rise, floor
+from viewshed_lab.sim.worlds.indoor.floor_plan import Rise, floor
 from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, wall_parts
 
 PLAN = AgentPlan(moving=2, roadside=2, sensor="vlp16", sensor_height_m=0.7, duration_s=60.0)

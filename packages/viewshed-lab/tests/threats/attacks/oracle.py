@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.sim.oracle import firing
 
 from viewshed import GRIDS, WORLDS, Sweep, lidar_model
-from viewshed_lab.sim.lidar.firing import firing
 from viewshed_lab.sim.lidar.measurement import measure
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 from viewshed_lab.sim.lidar.weather import CONDITIONS

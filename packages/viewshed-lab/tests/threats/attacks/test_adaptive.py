@@ -13,8 +13,7 @@ from viewshed.arrays import F64
 from viewshed.estimators import ESTIMATORS
 from viewshed_lab.threats.attacks import Spoofer, Wedge
 from viewshed_lab.threats.attacks._gradient import Expectation, WhiteBox
-from viewshed_lab.threats.attacks._search import evolution
-from viewshed_lab.threats.attacks.adaptive import BlackBox, Evade, OverClaim, SearchResult, UnderClaim
+from viewshed_lab.threats.attacks.adaptive import BlackBox, Evade, OverClaim, SearchResult, UnderClaim, evolution
 from viewshed_lab.threats.attacks.ghosts import FarWall
 
 pytestmark = pytest.mark.slow

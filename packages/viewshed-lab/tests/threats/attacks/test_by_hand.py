@@ -14,8 +14,8 @@ from viewshed.geometry import Rigid
 from viewshed_lab.threats.attacks import RELIABILITY, Spoofer, Tampered, Wedge, at_severity
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
 from viewshed_lab.threats.attacks.points import Cluster, Frustum, Mode, Uniform, WedgeCluster
-from viewshed_lab.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
+from viewshed_lab.threats.attacks.wedge_attack import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 
 SURE = Spoofer(1.0, 0.0, 0.0)
 

@@ -12,7 +12,13 @@ from tests.threats.attacks.oracle import Scene
 from viewshed import ESTIMATORS, BevGrid
 from viewshed_lab.threats.attacks import ATTACKS, BlackBox, Knowledge, OverClaim, Spoofer
 from viewshed_lab.threats.attacks.ghosts import FarWall
-from viewshed_lab.threats.attacks.placement import BINS, HiddenGround, azimuth_of_bin, hidden_ground_of, placed_azimuth
+from viewshed_lab.threats.attacks.wedge_attack import (
+    BINS,
+    HiddenGround,
+    azimuth_of_bin,
+    hidden_ground_of,
+    placed_azimuth,
+)
 
 AIMED = ("behind_nearest_obstacle", "largest_hidden_area")
 SURE = Spoofer(1.0, 0.0, 0.0)

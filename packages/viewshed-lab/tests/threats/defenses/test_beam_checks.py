@@ -12,8 +12,14 @@ from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.scene import Scene, cast
-from viewshed_lab.threats.defenses import DEFENSES, Defended, EmptySectorCheck, OneReturnPerBeam, RangeValidation
-from viewshed_lab.threats.defenses.seen_through import TemporalConsistency
+from viewshed_lab.threats.defenses import (
+    DEFENSES,
+    Defended,
+    EmptySectorCheck,
+    OneReturnPerBeam,
+    RangeValidation,
+    TemporalConsistency,
+)
 
 MODEL = replace(lidar_model("vlp16"), azimuth_columns=720)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from viewshed.sweep import Sweep
+from viewshed_lab._config import one_of
 from viewshed_lab.data.archive.schema import Layout, Manifest, ShardFacts
 from viewshed_lab.data.archive.shard import Shard, damage_of
 from viewshed_lab.data.archive.storage import Storage
@@ -131,8 +132,7 @@ class Archive:
         Raises:
             ValueError: there is no such split.
         """
-        if name not in self.splits:
-            raise ValueError(f"split must be one of {', '.join(self.splits)}, got {name!r}")
+        one_of("split", name, self.splits)
         return self._with(shard for shard in self.shards if shard.split == name)
 
     def of_scenes(self, scenes: Iterable[str]) -> Archive:

@@ -91,18 +91,24 @@ def build_archive(
         if on_progress is not None:
             on_progress(result)
 
-    for name, result in _find_finished(manifest, store, jobs):
-        note(name, result)
+    listed = {shard.name: shard for shard in manifest.shards}
+    left_out = _read_problems(store) if listed else {}
+    for name in (job.name for job in jobs if job.name in listed):
+        if damage_of(store, listed[name], manifest.layout) is None:
+            note(name, ShardResult(listed[name], left_out.get(name, ())))
     if len(results) < len(manifest.shards):
         _save(manifest, results, jobs, store, tidy=True)
     # 3. Build the others, and save now and then what is there.
-    next_s = 0.0
+    next_s, missing = 0.0, [job for job in jobs if job.name not in results]
     try:
-        for name, result in _build_missing(results, jobs, store, engine):
-            note(name, result)
-            if (start_s := time.monotonic()) > next_s:
-                _save(manifest, results, jobs, store)
-                next_s = start_s + max(_SAVE_EVERY_S, (time.monotonic() - start_s) / _SAVE_SHARE)
+        with contextlib.closing(engine.run(partial(_build_shard, store), missing)) as run:
+            for done in run:
+                if done.result is None:
+                    raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
+                note(missing[done.index].name, done.result)
+                if (start_s := time.monotonic()) > next_s:
+                    _save(manifest, results, jobs, store)
+                    next_s = start_s + max(_SAVE_EVERY_S, (time.monotonic() - start_s) / _SAVE_SHARE)
     except BaseException:
         with contextlib.suppress(OSError):
             _save(manifest, results, jobs, store)
@@ -155,28 +161,6 @@ def _check_same(begun: Manifest, wanted: Manifest, place: str) -> None:
             f"{place} was begun with viewshed {begun.code.get('version')}, this is {wanted.code['version']}; "
             "finish it with that version or choose another place"
         )
-
-
-def _find_finished(manifest: Manifest, store: Storage, jobs: Sequence[ShardJob]) -> Iterator[tuple[str, ShardResult]]:
-    """Yield the shards that the manifest lists and that are there and whole, by name."""
-    listed = {shard.name: shard for shard in manifest.shards}
-    problems = _read_problems(store) if listed else {}
-    for job in jobs:
-        facts = listed.get(job.name)
-        if facts is not None and damage_of(store, facts, manifest.layout) is None:
-            yield job.name, ShardResult(facts, problems.get(job.name, ()))
-
-
-def _build_missing(
-    finished: Mapping[str, ShardResult], jobs: Sequence[ShardJob], store: Storage, engine: Engine
-) -> Iterator[tuple[str, ShardResult]]:
-    """Yield the shards that are not finished when this begins, by name, as they are built; errors are their own."""
-    missing = [job for job in jobs if job.name not in finished]
-    with contextlib.closing(engine.run(partial(_build_shard, store), missing)) as run:
-        for done in run:
-            if done.result is None:
-                raise OSError(f"{done.error}; finished shards are kept, the same command goes on from here")
-            yield missing[done.index].name, done.result
 
 
 def _save(

@@ -2,6 +2,11 @@
 
 A range image is stored as its steps; a sweep without one as points. An attacked sweep is stored as the range image that
 it was made from, the rows that the attacker made, and two masks: which rows those are, and which clean ones are gone.
+
+Arrays become bytes that compress well. Parquet has encodings of its own for this. Measured on simulated frames of
+30,000 returns: as Arrow lists they take 1.6 times the size and 7 times the time to read, as plain bytes 1.3 times the
+size and the same time. What reads is compiled, for a frame is read again and again. All that unpack raise a ValueError
+where there are more or fewer bytes than the shape needs; arrays are read-only.
 """
 
 from __future__ import annotations
@@ -10,19 +15,134 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
 from viewshed.sweep import Sweep
-from viewshed_lab.data.archive import packing
 from viewshed_lab.data.archive.schema import Footer, Layout, Sensors
 from viewshed_lab.data.sample import Sample
 from viewshed_lab.sim.lidar.stored_sweep import StoredSweep
 from viewshed_lab.sim.raycast.scan import Motion
 
 if TYPE_CHECKING:
-    from viewshed_lab.threats.attacks.base import Tampered, Wedge
+    from viewshed_lab.threats.attacks.base import Tampered
+
+Buffer = bytes | memoryview
+Bytes = NDArray[np.uint8]
+
+_SHIFTS = np.arange(0, 8, 2, dtype=np.uint8)
+
+
+def pack_ranges(steps: NDArray[np.uint16]) -> bytes:
+    """Return the bytes of a range image (C, R): ring by ring the differences along the columns, low bytes first.
+
+    Neighboring columns of one ring differ little, so the high bytes are almost all 0. A difference d is stored as the
+    zigzag number 2·d or -2·d - 1, modulo 2¹⁶.
+    """
+    changes = np.ascontiguousarray(np.diff(steps.T, axis=1, prepend=np.uint16(0))).view(np.int16)
+    return pack_column((changes << 1) ^ (changes >> 15))
+
+
+def unpack_ranges(raw: Buffer, shape: tuple[int, int]) -> NDArray[np.uint16]:
+    """Return the range image (C, R) of :func:`pack_ranges`."""
+    steps = np.empty(shape, np.uint16)
+    _unpack_ranges(_exactly(raw, steps.nbytes), steps)
+    return _frozen(steps)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unpack_ranges(raw: Any, steps: Any) -> None:
+    columns, rings = steps.shape
+    high = columns * rings
+    for ring in range(rings):
+        value = np.int32(0)
+        for column in range(columns):
+            k = ring * columns + column
+            zigzag = np.int32(raw[k]) | (np.int32(raw[high + k]) << 8)
+            value += (zigzag >> 1) ^ -(zigzag & 1)
+            steps[column, ring] = value & 0xFFFF
+
+
+def pack_states(states: NDArray[np.uint8]) -> bytes:
+    """Return four states of 0 to 3 in each byte, the first in the lowest bits.
+
+    >>> pack_states(np.array([1, 2, 3, 0, 3], np.uint8)).hex()
+    '3903'
+    """
+    if states.size and states.max() > 3:
+        raise ValueError(f"state must lie in [0, 3], got {states.max()}")
+    padded = np.zeros((states.size + 3) // 4 * 4, np.uint8)
+    padded[: states.size] = states.reshape(-1)
+    packed: Bytes = np.bitwise_or.reduce(padded.reshape(-1, 4) << _SHIFTS, axis=1, dtype=np.uint8)
+    return packed.tobytes()
+
+
+def unpack_states(raw: Buffer, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return the states of :func:`pack_states`."""
+    states = np.empty(shape, np.uint8)
+    _unpack_states(_exactly(raw, (states.size + 3) // 4), states.reshape(-1))
+    return _frozen(states)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _unpack_states(raw: Any, states: Any) -> None:
+    for k in range(states.shape[0]):
+        states[k] = (raw[k >> 2] >> (2 * (k & 3))) & 3
+
+
+def pack_masks(masks: NDArray[np.bool_]) -> bytes:
+    """Return one bit a cell, each of the masks (M, …) padded to whole bytes, the first cell in the highest bit.
+
+    >>> pack_masks(np.array([[True, False, True]])).hex()
+    'a0'
+    """
+    return np.packbits(masks.reshape(len(masks), -1), axis=1).tobytes()
+
+
+def unpack_masks(raw: Buffer, shape: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """Return the masks (M, cells, cells) of :func:`pack_masks`."""
+    count = shape[1] * shape[2]
+    rows = _exactly(raw, shape[0] * ((count + 7) // 8)).reshape(shape[0], -1)
+    return _frozen(np.unpackbits(rows, axis=1, count=count).view(np.bool_).reshape(shape))
+
+
+def pack_column(values: NDArray[np.number[Any]]) -> bytes:
+    """Return the bytes of numbers (N,) or (N, k): all first bytes, all second bytes, and so on."""
+    return np.ascontiguousarray(values).reshape(-1, 1).view(np.uint8).T.tobytes()
+
+
+def unpack_column(raw: Buffer, dtype: type[np.generic], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return the numbers of :func:`pack_column`."""
+    out = np.empty(shape, dtype)
+    _merge(_exactly(raw, out.nbytes).reshape(out.itemsize, -1), out.reshape(-1, 1).view(np.uint8))
+    return _frozen(out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _merge(planes: Any, numbers: Any) -> None:
+    for byte in range(planes.shape[0]):
+        for k in range(planes.shape[1]):
+            numbers[k, byte] = planes[byte, k]
+
+
+def bytes_of(raw: Buffer, shape: tuple[int, ...]) -> Bytes:
+    """Return the uint8 array of ``shape`` that ``raw`` holds, without a copy."""
+    return _exactly(raw, int(np.prod(shape))).reshape(shape)
+
+
+def _exactly(raw: Buffer, count: int) -> Bytes:
+    flat = np.frombuffer(raw, np.uint8)
+    if len(flat) != count:
+        raise ValueError(f"a column must hold {count} bytes, got {len(flat)}")
+    return flat
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    array.setflags(write=False)
+    return array
+
 
 _COLUMNS: dict[str, type[np.generic]] = {
     "intensity": np.float32, "ring": np.int16, "azimuth": np.float32, "time_s": np.float32,
@@ -35,8 +155,8 @@ BLOBS = ("ranges", "intensity", "points", "returns", "states", "masks")
 TOUCHED = "touched"
 """One more binary column, last, in archives of attacked sweeps; a reader that does not know it may pass over it."""
 
-Row = tuple[str, packing.Buffer | None, packing.Buffer | None, packing.Buffer | None,
-            packing.Buffer, packing.Buffer, packing.Buffer, packing.Buffer | None]  # fmt: skip
+Row = tuple[str, Buffer | None, Buffer | None, Buffer | None,
+            Buffer, Buffer, Buffer, Buffer | None]  # fmt: skip
 """``about``, the columns of :data:`BLOBS`, and :data:`TOUCHED`."""
 
 MOST_MADE = 0.5
@@ -50,15 +170,15 @@ def row_of_sample(sample: Sample, layout: Layout, sensors: Sensors) -> Row:
         raise ValueError(f"truth must have the layout of the archive, {layout}, got {Layout.of(truth)}")
     about, ranges, intensity, points = _pack_measured(sample, sensors)
     returns = b"".join(truth.expected_returns[name].tobytes() for name in layout.targets)
-    states = packing.pack_states(np.array([truth.state[name] for name in layout.targets], np.uint8))
+    states = pack_states(np.array([truth.state[name] for name in layout.targets], np.uint8))
     masks = np.stack([*(truth.definitions[name] for name in layout.definitions), sample.known])
     touched = None
     if tampered is not None:
         wedge = None if tampered.wedge is None else [float(tampered.wedge.azimuth), float(tampered.wedge.width)]
         about[TOUCHED] = {"added": len(tampered.added), "removed": len(tampered.removed), "wedge": wedge}
-        touched = packing.pack_masks(np.concatenate([tampered.added, tampered.removed])[None])
+        touched = pack_masks(np.concatenate([tampered.added, tampered.removed])[None])
     text = json.dumps(about, ensure_ascii=False)
-    return text, ranges, intensity, points, returns, states, packing.pack_masks(masks), touched
+    return text, ranges, intensity, points, returns, states, pack_masks(masks), touched
 
 
 def _pack_measured(sample: Sample, sensors: Sensors) -> tuple[dict[str, Any], bytes | None, bytes | None, bytes | None]:
@@ -80,11 +200,13 @@ def sample_of_row(row: Row, footer: Footer) -> Sample:
         about, sensors = json.loads(text), footer.sensors
         measured = _image(about, ranges, intensity, sensors) if points is None else _sweep(about, points, sensors)
         if touched is not None:
-            from viewshed_lab.threats.attacks.base import (
-                Tampered,  # what simulates and reads clean sweeps needs no attacks
-            )
+            # What simulates and reads clean sweeps needs no attacks.
+            from viewshed_lab.threats.attacks.base import Tampered, Wedge
 
-            added, removed, wedge = _unpack_touched(about[TOUCHED], touched)
+            rows, gone = int(about[TOUCHED]["added"]), int(about[TOUCHED]["removed"])
+            added, removed = np.split(unpack_masks(touched, (1, 1, rows + gone))[0, 0], [rows])
+            ends = about[TOUCHED]["wedge"]
+            wedge = None if ends is None else Wedge(float(ends[0]), float(ends[1]))
             if "clean" in about and isinstance(measured, Sweep):
                 clean = _image(about["clean"], ranges, intensity, sensors)
                 measured = merge_rows(clean.sweep(), measured, added, removed)
@@ -93,17 +215,6 @@ def sample_of_row(row: Row, footer: Footer) -> Sample:
         raise ValueError(f"about must describe the frame: {error!r}") from error
     truth, known = _truth(footer.layout, returns, states, masks)
     return Sample(measured, truth, known, footer.scene, footer.split, tampered, clean)
-
-
-def _unpack_touched(
-    about: dict[str, Any], raw: packing.Buffer
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Wedge | None]:
-    """Return the rows that an attacker added, those that are gone, and the wedge."""
-    from viewshed_lab.threats.attacks.base import Wedge
-
-    rows, wedge = int(about["added"]), about["wedge"]
-    masks = packing.unpack_masks(raw, (1, 1, rows + int(about["removed"])))[0, 0]
-    return masks[:rows], masks[rows:], None if wedge is None else Wedge(float(wedge[0]), float(wedge[1]))
 
 
 def made_rows(clean: Sweep, tampered: Tampered) -> Sweep | None:
@@ -163,17 +274,15 @@ def _about(measured: StoredSweep | Sweep, sensors: Sensors) -> dict[str, Any]:
 
 
 def _pack_image(image: StoredSweep) -> tuple[bytes, bytes]:
-    return packing.pack_ranges(image.steps), image.intensity.tobytes()
+    return pack_ranges(image.steps), image.intensity.tobytes()
 
 
 def _pack_points(sweep: Sweep) -> bytes:
     columns = [getattr(sweep, name) for name in _COLUMNS]
-    return b"".join(packing.pack_column(column) for column in (sweep.points, *columns) if column is not None)
+    return b"".join(pack_column(column) for column in (sweep.points, *columns) if column is not None)
 
 
-def _image(
-    about: dict[str, Any], ranges: packing.Buffer | None, intensity: packing.Buffer | None, sensors: Sensors
-) -> StoredSweep:
+def _image(about: dict[str, Any], ranges: Buffer | None, intensity: Buffer | None, sensors: Sensors) -> StoredSweep:
     model = sensors.model(about["sensor"])
     if model is None or ranges is None or intensity is None:
         raise ValueError("a frame without points must have a sensor, ranges and intensity")
@@ -184,8 +293,8 @@ def _image(
         raise ValueError("a range image must have a pose")
     return StoredSweep(
         model=model,
-        steps=packing.unpack_ranges(ranges, shape),
-        intensity=packing.bytes_of(intensity, shape),
+        steps=unpack_ranges(ranges, shape),
+        intensity=bytes_of(intensity, shape),
         step_m=about["step_m"],
         world_from_sensor=pose,
         motion=Motion((vx, vy, vz), yaw_rate, period_s),
@@ -195,14 +304,14 @@ def _image(
     )
 
 
-def _sweep(about: dict[str, Any], raw: packing.Buffer, sensors: Sensors) -> Sweep:
+def _sweep(about: dict[str, Any], raw: Buffer, sensors: Sensors) -> Sweep:
     count, view = int(about["points"]), memoryview(raw)
-    points = packing.unpack_column(view[: 12 * count], np.float32, (count, 3))
+    points = unpack_column(view[: 12 * count], np.float32, (count, 3))
     start = 12 * count
     columns: dict[str, Any] = {}
     for name in about["columns"]:
         end = start + count * np.dtype(_COLUMNS[name]).itemsize
-        columns[name] = packing.unpack_column(view[start:end], _COLUMNS[name], (count,))
+        columns[name] = unpack_column(view[start:end], _COLUMNS[name], (count,))
         start = end
     return Sweep(
         points=points,
@@ -223,14 +332,12 @@ def _pose(numbers: list[float] | None) -> Rigid | None:
     return Rigid(np.array(numbers[:9]).reshape(3, 3), np.array(numbers[9:]))
 
 
-def _truth(
-    layout: Layout, returns: packing.Buffer, states: packing.Buffer, masks: packing.Buffer
-) -> tuple[Truth, NDArray[np.bool_]]:
+def _truth(layout: Layout, returns: Buffer, states: Buffer, masks: Buffer) -> tuple[Truth, NDArray[np.bool_]]:
     shape = layout.grid.shape
     targets, definitions = len(layout.targets), len(layout.definitions)
-    counts = packing.bytes_of(returns, (targets, *shape))
-    state = packing.unpack_states(states, (targets, *shape))
-    bits = packing.unpack_masks(masks, (definitions + 1, *shape))
+    counts = bytes_of(returns, (targets, *shape))
+    state = unpack_states(states, (targets, *shape))
+    bits = unpack_masks(masks, (definitions + 1, *shape))
     truth = Truth(
         layout.grid,
         dict(zip(layout.targets, counts, strict=True)),

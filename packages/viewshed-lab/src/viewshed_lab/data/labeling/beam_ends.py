@@ -110,13 +110,8 @@ def beam_ends_of(image: BeamImage, patch: Patch) -> BeamEnds:
     """
     reach, low_m = np.float32(image.max_range_m), np.float32(OBSTACLE_HEIGHTS_M[0])
     to_ground, thing = np.empty(image.depth_m.shape, np.float32), np.empty(image.depth_m.shape, np.bool_)
-    frame = GroundFrame(
-        np.float32(patch.ground.half_extent_m),
-        np.float32(patch.center_m[0]),
-        np.float32(patch.center_m[1]),
-        np.float32(np.cos(patch.yaw)),
-        np.float32(np.sin(patch.yaw)),
-    )
+    (x_m, y_m), yaw = patch.center_m[:2], patch.yaw
+    frame = GroundFrame(*map(np.float32, (patch.ground.half_extent_m, x_m, y_m, np.cos(yaw), np.sin(yaw))))
     heights, beams = patch.ground.heights_m, (image.origin_m, image.direction)
     cast_to_ground(*beams, image.depth_m, heights, frame, reach, low_m, to_ground, thing)
     # Drops and flakes count as missing where they are many.
@@ -153,7 +148,7 @@ def _ground_share(depth: F32, to_ground: F32, thing: NDArray[np.bool_], reach: n
 @njit(cache=True, nogil=True, error_model="numpy")
 def cast_to_ground(
     origin: Any, direction: Any, depth: Any, ground: Any, frame: Any, reach: Any, low_m: Any, out: Any, thing: Any
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Fill ``out`` (C, R) with meters to the ground and ``thing`` (C, R) with whether a return stands above it.
 
     A missing beam is followed to the ground, up to the maximum range ``reach``; a return keeps its depth. Starts and
@@ -200,7 +195,7 @@ def cast_to_ground(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _next_in_ring(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+def _next_in_ring(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:
     """Return what the next return of the ring met (depth, or ground or none) and how many columns away it is."""
     columns = depth.shape[0]
     for step in range(1, columns // 8):
@@ -211,7 +206,7 @@ def _next_in_ring(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # 
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _next_in_column(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  # pragma: no cover - compiled
+def _next_in_column(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:
     """Return what the next return of the column met, up to three rings away (depth, or ground or none)."""
     for step in range(1, _UP_AND_DOWN + 1):
         k = r + side * step
@@ -221,7 +216,7 @@ def _next_in_column(depth: Any, thing: Any, c: Any, r: Any, side: Any) -> Any:  
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def is_isolated(depth: Any, thing: Any, far_m: Any) -> Any:  # pragma: no cover - compiled
+def is_isolated(depth: Any, thing: Any, far_m: Any) -> Any:
     """Return which beams (C, R) returned in the air, up to ``far_m``, from where fewer than three others did.
 
     Of the beams up to two columns and two rings away; rain, snow and fog return so, surfaces do not.
@@ -241,13 +236,13 @@ def is_isolated(depth: Any, thing: Any, far_m: Any) -> Any:  # pragma: no cover 
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _one_surface(a: Any, b: Any) -> Any:  # pragma: no cover - compiled
+def _one_surface(a: Any, b: Any) -> Any:
     middle = np.float32(0.5) * (a + b)
     return (a > 0) & (b > 0) & (abs(a - b) < np.float32(0.1) * middle + np.float32(1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def end_beams(evidence: Any, limits: Any, depths: Any, kinds: Any) -> None:  # pragma: no cover - compiled
+def end_beams(evidence: Any, limits: Any, depths: Any, kinds: Any) -> None:
     """Fill best, least and most depth (3, C, R) float32, and what became of missing beams (C, R) uint8."""
     depth = evidence.depth
     for c in range(depth.shape[0]):
@@ -259,7 +254,7 @@ def end_beams(evidence: Any, limits: Any, depths: Any, kinds: Any) -> None:  # p
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _end_missing_beam(evidence: Any, limits: Any, c: Any, r: Any) -> Any:  # pragma: no cover - compiled
+def _end_missing_beam(evidence: Any, limits: Any, c: Any, r: Any) -> Any:
     """Return best, least and most depth of a missing beam, and what became of it."""
     depth, thing = evidence.depth, evidence.thing
     none, g = np.float32(0.0), evidence.to_ground[c, r]

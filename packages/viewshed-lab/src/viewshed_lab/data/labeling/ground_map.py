@@ -109,7 +109,7 @@ def patch_of(leveled: LeveledSweep, around: Iterable[Lows], half_extent_m: float
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:  # pragma: no cover - compiled
+def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:
     """Lay a sweep's lows, seen from the sensor, on those there are; the two lowest of all stay."""
     count = lows.shape[0]
     for k in range(node.shape[0]):
@@ -130,7 +130,7 @@ def _lay(node: Any, points: Any, corner: Any, sensor: Any, lows: Any) -> None:  
 @njit(cache=True, nogil=True, error_model="numpy")
 def _lowest(
     points: Any, transform: Any, corner: Any, reach: Any, node_m: Any, count: Any, world: Any, rows: Any
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Fill ``rows`` (count², 3) with the rows of the lowest, the second-lowest and the highest point of each node.
 
     Points (N, 3) up to ``reach`` from their origin count; ``transform`` (3, 4) takes them to ``world`` (N, 3), where
@@ -149,7 +149,7 @@ def _lowest(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _note(node: Any, k: Any, world: Any) -> None:  # pragma: no cover - compiled
+def _note(node: Any, k: Any, world: Any) -> None:
     """Take point ``k`` into the rows of a node (3,); the highest is -1 while there is only one point."""
     first, second, z = node[0], node[1], world[k, 2]
     if first >= 0 and (node[2] < 0 or z > world[node[2], 2]):
@@ -161,7 +161,7 @@ def _note(node: Any, k: Any, world: Any) -> None:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lay_rise(node: Any, top: Any, corner: Any, lows: Any, rise: Any) -> None:  # pragma: no cover - compiled
+def _lay_rise(node: Any, top: Any, corner: Any, lows: Any, rise: Any) -> None:
     """Keep the least height of a sweep's highest return above the lowest of all: what passed by does not stay."""
     count = rise.shape[0]
     for k in range(node.shape[0]):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+from typing import Annotated, Generic, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +23,10 @@ from viewshed.geometry import Rigid
 from viewshed.grid import GRIDS, BevGrid, polar_of_cells
 from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Between, Checked, OneOf
 from viewshed_lab.data.labeling.beam_ends import OPEN, SURFACE, BeamEnds, beam_ends_of
-from viewshed_lab.data.labeling.beam_image import BeamImage, beam_image
+from viewshed_lab.data.labeling.beam_image import BeamImage, Drift, StampedPose, beam_image, drift_of, well_spaced
 from viewshed_lab.data.labeling.ground_map import NODES_PER_HALF, Lows, Patch, lows_of, patch_of
-from viewshed_lab.data.labeling.motion import Drift, StampedPose, drift_of, well_spaced
 from viewshed_lab.sim.truth.beam_lines import BeamLines
 from viewshed_lab.sim.truth.count import count_targets, reached_and_states
 from viewshed_lab.sim.truth.definitions import BLOCKS, RETURNS, stop_limits
@@ -34,7 +34,7 @@ from viewshed_lab.sim.truth.exact import MAX_BINS
 
 Definition = Literal["probe", "farthest", "first_blocker"]
 
-DEFINITIONS: tuple[Definition, ...] = ("probe", "farthest", "first_blocker")
+DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
 """For which of them a label can say where it is known; it holds the masks of all."""
 
 TARGETS: tuple[Target, Target] = (CAR, PEDESTRIAN)
@@ -53,32 +53,18 @@ LOWS_REACH = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class LabelRules:
+class LabelRules(Checked):
     """How sweeps are labeled.
-
-    Attributes:
-        grid: where the cells are.
-        definition: what ``known`` is about.
-        target: what would have to be seen, for ``probe``.
-        neighbors: sweeps before and after one that help to label it, at most; 0 labels each sweep by itself.
-        node_m: side of the nodes on which ground is kept.
 
     Raises:
         ValueError: a value is out of range.
     """
 
-    grid: BevGrid = GRIDS["road"]
-    definition: Definition = "probe"
-    target: str = "car"
-    neighbors: int = 20
-
-    def __post_init__(self) -> None:
-        if self.definition not in DEFINITIONS:
-            raise ValueError(f"definition must be one of {', '.join(DEFINITIONS)}, got {self.definition!r}")
-        if self.target not in {target.name for target in TARGETS}:
-            raise ValueError(f"target must be one of {', '.join(t.name for t in TARGETS)}, got {self.target!r}")
-        if not 0 <= self.neighbors <= 1000:
-            raise ValueError(f"neighbors must lie in [0, 1000], got {self.neighbors}")
+    grid: BevGrid = GRIDS["road"]  # where the cells are
+    definition: Definition = "probe"  # what ``known`` is about
+    target: Annotated[str, OneOf(("car", "pedestrian"))] = "car"  # what would have to be seen, for ``probe``
+    # sweeps before and after one that help to label it, at most; 0 labels each sweep by itself
+    neighbors: Annotated[int, Between(0, 1000)] = 20
 
     @property
     def node_m(self) -> float:
@@ -107,7 +93,8 @@ def label_sweep(sweep: Sweep, drift: Drift, around: Sequence[Lows], rules: Label
     leveled = level(sweep, rules.grid)
     image = beam_image(sweep, leveled.level_from_sensor.rotation, drift)
     patch = patch_of(leveled, (*around, _lows_of_level(leveled, rules)), rules.grid.half_extent_m, rules.node_m)
-    return _Labeling(rules, image, patch, beam_ends_of(image, patch), _has_vehicle(leveled)).result()
+    has_vehicle = EGO_HEIGHTS_M[0] <= leveled.sensor_height_m <= EGO_HEIGHTS_M[1]
+    return _Labeling(rules, image, patch, beam_ends_of(image, patch), has_vehicle).result()
 
 
 def _lows_of_level(leveled: LeveledSweep, rules: LabelRules) -> Lows:
@@ -115,27 +102,15 @@ def _lows_of_level(leveled: LeveledSweep, rules: LabelRules) -> Lows:
     return lows_of(leveled.points, pose, rules.node_m, LOWS_REACH * rules.grid.half_extent_m)
 
 
-def _has_vehicle(leveled: LeveledSweep) -> bool:
-    return EGO_HEIGHTS_M[0] <= leveled.sensor_height_m <= EGO_HEIGHTS_M[1]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Labeling:
-    """One sweep on its way to its label.
+    """One sweep on its way to its label."""
 
-    Attributes:
-        rules: how it is labeled.
-        image: its beams.
-        patch: the ground about it.
-        stops: where its beams ended.
-        has_vehicle: whether a vehicle is assumed below the sensor.
-    """
-
-    rules: LabelRules
-    image: BeamImage
-    patch: Patch
-    ends: BeamEnds
-    has_vehicle: bool
+    rules: LabelRules  # how it is labeled
+    image: BeamImage  # its beams
+    patch: Patch  # the ground about it
+    ends: BeamEnds  # where its beams ended
+    has_vehicle: bool  # whether a vehicle is assumed below the sensor
 
     def result(self) -> tuple[Truth, Mask]:
         """Return the label and where it is trusted."""
@@ -262,12 +237,9 @@ class LabeledDrive(Generic[R]):
         now = StampedPose(sweep.world_from_sensor, sweep.t_ns)
         before = self.poses[index - 1] if index else None
         after = self.poses[index + 1] if index + 1 < len(self.refs) else None
-        near = [] if now.world_from_sensor is None else self._helpers(index)
+        # The lows of the nearest posts before and after, its own left out.
+        near = [k for k in self.lows if k < index][-self.rules.neighbors :]
+        near += [k for k in self.lows if k > index][: self.rules.neighbors]
+        near = [] if now.world_from_sensor is None else near
         drift = drift_of(before, now, after) if self.rules.neighbors else drift_of(None, now, None)
-        return label_sweep(sweep, drift, near, self.rules)
-
-    def _helpers(self, index: int) -> list[Lows]:
-        """Return the lows of the nearest posts before and after ``place``, its own left out."""
-        before = [k for k in self.lows if k < index][-self.rules.neighbors :]
-        after = [k for k in self.lows if k > index][: self.rules.neighbors]
-        return [self.lows[k] for k in (*before, *after)]
+        return label_sweep(sweep, drift, [self.lows[k] for k in near], self.rules)

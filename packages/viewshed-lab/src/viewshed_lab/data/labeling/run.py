@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
@@ -146,29 +146,23 @@ class _Reader:
 
     source: SweepSource
     origin: Origin
-    _model: LidarModel | None = None
-    _identified: bool = False
+    _found: list[LidarModel | None] = field(default_factory=list)  # its beam table, once it was looked for
 
     def sweep(self, ref: SweepRef) -> Sweep:
         """Return a sweep with its beam table."""
-        return self._with_model(self.source.read(ref))
+        sweep, named = self.source.read(ref), self.origin.sensor
+        if sweep.model is not None:
+            return sweep
+        if not self._found:
+            known = None if named in ("auto", "none") else lidar_model(named)
+            self._found.append(infer_sensor(sweep.points, sweep.ring)[0] if named == "auto" else known)
+        model = self._found[0]
+        fits = model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < model.rings)
+        return sweep.replace(model=model) if fits else sweep
 
     def stored(self, ref: SweepRef) -> StoredSweep | Sweep:
         """Return what the archive of labels keeps of a sweep."""
         return self.source.measured(ref) if isinstance(self.source, ArchiveSource) else self.sweep(ref)
-
-    def _with_model(self, sweep: Sweep) -> Sweep:
-        if sweep.model is not None:
-            return sweep
-        if not self._identified:
-            self._model, self._identified = self._identify(sweep), True
-        fits = self._model is not None and (sweep.ring is None or int(sweep.ring.max(initial=0)) < self._model.rings)
-        return sweep.replace(model=self._model) if fits else sweep
-
-    def _identify(self, sweep: Sweep) -> LidarModel | None:
-        if self.origin.sensor == "auto":
-            return infer_sensor(sweep.points, sweep.ring)[0]
-        return None if self.origin.sensor == "none" else lidar_model(self.origin.sensor)
 
 
 def _open_index(index: str) -> SweepSource:
@@ -176,11 +170,14 @@ def _open_index(index: str) -> SweepSource:
     place = Path(index).absolute()
     drives: dict[str, list[IndexEntry]] = {}
     for entry in read_index(index):
-        if entry.points:
-            drives.setdefault(_scene_of(entry, place.resolve().parent), []).append(entry)
+        if entry.points:  # of a drive and its sensor, or by its own name
+            own = entry.file.relative_to(place.resolve().parent).as_posix()
+            drives.setdefault(own if entry.seq is None else f"{entry.seq} ({entry.sensor})", []).append(entry)
     if not drives:
         raise ValueError(f"{index} must name at least one sweep, got none")
-    return RecordingSource(place, _Index({name: sorted(entries, key=_time_of) for name, entries in drives.items()}))
+    for entries in drives.values():
+        entries.sort(key=lambda entry: (entry.t or 0.0, str(entry.file)))
+    return RecordingSource(place, _Index(drives))
 
 
 class _Index(SweepReader):
@@ -188,25 +185,12 @@ class _Index(SweepReader):
 
     def __init__(self, drives: Mapping[str, Sequence[IndexEntry]]) -> None:
         self._drives = drives
-        self.scenes = {
-            scene: [SweepRef(scene, k, str(entry.file), _t_ns_of(entry), key=str(k)) for k, entry in enumerate(entries)]
-            for scene, entries in drives.items()
-        }
+        self.scenes: dict[str, list[SweepRef]] = {scene: [] for scene in drives}
+        for scene, entries in drives.items():
+            for k, entry in enumerate(entries):
+                t_ns = None if entry.t is None else round(entry.t * 1e6) * 1000
+                self.scenes[scene].append(SweepRef(scene, k, str(entry.file), t_ns, key=str(k)))
 
     def read(self, ref: SweepRef) -> Sweep:
         """Return a sweep with what the index tells about it."""
         return read_indexed(self._drives[ref.scene][ref.index])
-
-
-def _scene_of(entry: IndexEntry, folder: Path) -> str:
-    """Return the drive and sensor of an entry, or its own name where it belongs to no drive."""
-    name = entry.file.relative_to(folder).as_posix()
-    return name if entry.seq is None else f"{entry.seq} ({entry.sensor})"
-
-
-def _t_ns_of(entry: IndexEntry) -> int | None:
-    return None if entry.t is None else round(entry.t * 1e6) * 1000
-
-
-def _time_of(entry: IndexEntry) -> tuple[float, str]:
-    return (0.0 if entry.t is None else entry.t, str(entry.file))

@@ -11,7 +11,6 @@ from viewshed_lab.sim.assets.street import pick
 from viewshed_lab.sim.world import Thing
 
 _SUNK_M = -4.0
-
 _PANE_M = 0.02
 
 
@@ -198,17 +197,9 @@ def _door(rng: np.random.Generator, front: Front) -> list[Shape]:
     deep, wide = rng.uniform(0.4, 1.2), rng.uniform(1.1, 2.4)
     at = rng.uniform(-0.3, 0.3) * front.length_m
     left, right = front.length_m / 2 + at - wide / 2, front.length_m / 2 - at - wide / 2
+    high, of = front.height_m, front.material
     parts: list[Shape] = [
-        Box(
-            0.0,
-            (front.depth_m + deep) / 2,
-            front.length_m,
-            front.depth_m - deep,
-            front.height_m,
-            _SUNK_M,
-            0.0,
-            front.material,
-        ),
+        Box(0.0, (front.depth_m + deep) / 2, front.length_m, front.depth_m - deep, high, _SUNK_M, 0.0, of),
         Box(-front.length_m / 2 + left / 2, deep / 2, left, deep, front.height_m, _SUNK_M, 0.0, front.material),
         Box(front.length_m / 2 - right / 2, deep / 2, right, deep, front.height_m, _SUNK_M, 0.0, front.material),
         Box(at, deep / 2, wide, deep, front.height_m, 2.5, 0.0, front.material),

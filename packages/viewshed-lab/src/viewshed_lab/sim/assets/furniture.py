@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed_lab.sim.assets.shapes import Box, Cylinder, Ellipsoid, Shape
+from viewshed_lab.sim.assets.shapes import Box, Cylinder, Ellipsoid, ends_of
 from viewshed_lab.sim.assets.street import group, person, pick
 from viewshed_lab.sim.world import Thing
 
@@ -40,7 +40,9 @@ def place_group(group: Iterable[Thing], x_m: float, y_m: float, yaw: float = 0.0
 
 def bounds(group: Iterable[Thing]) -> NDArray[np.float64]:
     """Return (k, 6) meters: x, y from, x, y to in the world, bottom and top above its ground, of each solid."""
-    rows = [(*_bounds(one, part), part.bottom_m, part.top_m) for one in group for part in one.parts]
+    rows = [
+        (*ends_of(part, one.x_m, one.y_m, one.yaw), part.bottom_m, part.top_m) for one in group for part in one.parts
+    ]
     return np.array(rows, np.float64).reshape(-1, 6)
 
 
@@ -50,22 +52,8 @@ def footprint(group: Iterable[Thing]) -> tuple[float, float, float, float]:
     >>> footprint((Thing("table", (Box(0.0, 0.0, 1.0, 2.0, 0.7),), x_m=3.0),))
     (2.5, -1.0, 3.5, 1.0)
     """
-    x0, y0, x1, y1 = zip(*(_bounds(one, part) for one in group for part in one.parts), strict=True)
+    x0, y0, x1, y1 = bounds(group)[:, :4].T.tolist()
     return min(x0), min(y0), max(x1), max(y1)
-
-
-def _bounds(one: Thing, part: Shape) -> tuple[float, float, float, float]:
-    """Return the upright rectangle around one solid, from above."""
-    c, s = math.cos(one.yaw), math.sin(one.yaw)
-    x, y = one.x_m + c * part.x_m - s * part.y_m, one.y_m + s * part.x_m + c * part.y_m
-    a, b, _ = part.half_sizes_m
-    c, s = abs(math.cos(one.yaw + part.yaw)), abs(math.sin(one.yaw + part.yaw))
-    wide, deep = (
-        (c * a + s * b, s * a + c * b)
-        if isinstance(part, Box)
-        else (math.hypot(c * a, s * b), math.hypot(s * a, c * b))
-    )
-    return x - wide, y - deep, x + wide, y + deep
 
 
 def legs(
@@ -172,17 +160,8 @@ def shelf(rng: np.random.Generator) -> Group:
 def _books(rng: np.random.Generator, width_m: float, bottom_m: float) -> Box:
     long = rng.uniform(0.3, 0.9) * (width_m - 0.06)
     slack = (width_m - 0.06 - long) / 2
-    y = rng.uniform(-slack, slack)
-    return Box(
-        -0.02,
-        y,
-        0.2,
-        long,
-        bottom_m + rng.uniform(0.2, 0.5),
-        bottom_m,
-        0.0,
-        pick(rng, ("clothes", "paint", "dark_paint")),
-    )
+    y, high = rng.uniform(-slack, slack), rng.uniform(0.2, 0.5)
+    return Box(-0.02, y, 0.2, long, bottom_m + high, bottom_m, 0.0, pick(rng, ("clothes", "paint", "dark_paint")))
 
 
 def cabinet(rng: np.random.Generator) -> Group:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from viewshed_lab._config import one_of
+
 
 @dataclass(frozen=True, slots=True)
 class Material:
@@ -79,8 +81,7 @@ def material_index(name: str) -> int:
     >>> MATERIALS[material_index("glass")].reflectivity
     0.0
     """
-    if name not in _INDEX:
-        raise ValueError(f"material must be one of {', '.join(_INDEX)}, got {name!r}")
+    one_of("material", name, _INDEX)
     return _INDEX[name]
 
 
@@ -162,6 +163,17 @@ BOX, CYLINDER, ELLIPSOID = 0, 1, 2
 
 KINDS: dict[type, int] = {Box: BOX, Cylinder: CYLINDER, Ellipsoid: ELLIPSOID}
 """The number of each kind in a snapshot."""
+
+
+def ends_of(part: Shape, x_m: float = 0.0, y_m: float = 0.0, yaw: float = 0.0) -> tuple[float, float, float, float]:
+    """Return x and y from, x and y to in meters of a solid from above, whose thing is at (x, y), turned by ``yaw``."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    x, y = x_m + c * part.x_m - s * part.y_m, y_m + s * part.x_m + c * part.y_m
+    a, b, _ = part.half_sizes_m
+    c, s = abs(math.cos(yaw + part.yaw)), abs(math.sin(yaw + part.yaw))
+    box = isinstance(part, Box)
+    wide, deep = (c * a + s * b, s * a + c * b) if box else (math.hypot(c * a, s * b), math.hypot(s * a, c * b))
+    return x - wide, y - deep, x + wide, y + deep
 
 
 def _check(*sizes_m: float) -> None:

@@ -12,13 +12,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from viewshed_lab.sim.assets.shapes import Box, Cylinder, Ellipsoid, Shape
+from viewshed_lab.sim.assets.shapes import Box, Cylinder, Ellipsoid, ends_of
 from viewshed_lab.sim.world import Thing, Track
 
 _T = TypeVar("_T")
-
 _OVERHEAD_M = 2.1
-
 _POST_STEP_M = 4.0
 
 
@@ -48,10 +46,10 @@ def extent(thing: Thing, below_m: float = _OVERHEAD_M) -> tuple[float, float, fl
     >>> extent(Thing("wall", (Box(1.0, 0.0, 4.0, 0.2, 2.0),)))
     (-1.0, 3.0, -0.1, 0.1)
     """
-    ends = [_ends(part) for part in thing.parts if part.bottom_m < below_m]
+    ends = [ends_of(part) for part in thing.parts if part.bottom_m < below_m]
     if not ends:
         return 0.0, 0.0, 0.0, 0.0
-    rear, front, right, left = zip(*ends, strict=True)
+    rear, right, front, left = zip(*ends, strict=True)
     return min(rear), max(front), min(right), max(left)
 
 
@@ -62,14 +60,6 @@ def footprint(thing: Thing, t_s: float = 0.0, below_m: float = _OVERHEAD_M) -> N
     corners = np.array([[rear, right], [front, right], [front, left], [rear, left]])
     turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     return np.asarray(corners @ turn + (x_m, y_m))
-
-
-def _ends(part: Shape) -> tuple[float, float, float, float]:
-    a, b, _ = part.half_sizes_m
-    c, s = abs(float(np.cos(part.yaw))), abs(float(np.sin(part.yaw)))
-    mix = np.hypot if isinstance(part, Ellipsoid) else np.add
-    along, across = (float(mix(a * c, b * s)), float(mix(a * s, b * c))) if part.yaw else (a, b)
-    return part.x_m - along, part.x_m + along, part.y_m - across, part.y_m + across
 
 
 def person(rng: np.random.Generator, walking: bool = False) -> Thing:
@@ -240,12 +230,12 @@ def bush(rng: np.random.Generator, width_m: float = 1.4) -> Thing:
     return Thing("bush", tuple(parts))
 
 
-def hedge(rng: np.random.Generator, length_m: float, height_m: float, thick_m: float = 0.7) -> Thing:
+def hedge(rng: np.random.Generator, length_m: float, height_m: float) -> Thing:
     """Return a clipped hedge along x that lies along the slope, its top a little uneven."""
     pieces = max(1, round(length_m / 6.0))
     step = length_m / pieces
     tops = rng.uniform(0.93, 1.05, pieces) * height_m
-    parts = [Box((k + 0.5 - pieces / 2) * step, 0.0, step, thick_m, float(top), material="hedge")
+    parts = [Box((k + 0.5 - pieces / 2) * step, 0.0, step, 0.7, float(top), material="hedge")
              for k, top in enumerate(tops)]  # fmt: skip
     return Thing("hedge", tuple(parts), tilts=True)
 

@@ -22,7 +22,8 @@ def pallet(rng: np.random.Generator) -> Group:
         return (Thing("pallet", (slab(depth, width, 0.0, top * int(rng.integers(2, 9)), "wood"),)),)
     load = rng.uniform(0.5, 1.7)
     body = slab(depth - rng.uniform(0, 0.15), width - rng.uniform(0, 0.2), top, top + load, _load(rng))
-    return (Thing("pallet", (*_deck(depth, width), body)),)
+    runners = [Box(0.0, s * (width / 2 - 0.05), depth, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 1)]
+    return (Thing("pallet", (*runners, slab(depth, width, 0.1, 0.144, "wood"), body)),)
 
 
 def stack(rng: np.random.Generator) -> Group:
@@ -36,12 +37,6 @@ def stack(rng: np.random.Generator) -> Group:
     return (Thing("pallet", (*decks, *loads)),)
 
 
-def _deck(depth_m: float, width_m: float) -> tuple[Box, ...]:
-    """Return the boards of a pallet and the two outer runners that keep it off the floor."""
-    runners = tuple(Box(0.0, s * (width_m / 2 - 0.05), depth_m, 0.1, 0.1, 0.0, 0.0, "wood") for s in (-1, 1))
-    return (*runners, slab(depth_m, width_m, 0.1, 0.144, "wood"))
-
-
 def _load(rng: np.random.Generator) -> str:
     return ("wood", "paint", "clothes", "dark_paint", "metal")[int(rng.choice(5, p=(0.45, 0.25, 0.12, 0.1, 0.08)))]
 
@@ -52,11 +47,8 @@ def rack(rng: np.random.Generator, bays: int, levels: int) -> Group:
     ends = (np.arange(bays + 1) - bays / 2) * pitch
     top, middle = levels * rise + 0.6, bays * pitch
     posts = [Box(s * (depth / 2 - 0.04), y, 0.07, 0.09, top, 0.0, 0.0, "metal") for y in ends for s in (-1, 1)]
-    beams = [
-        Box(s * (depth / 2 - 0.04), 0.0, 0.05, middle - 0.1, k * rise, k * rise - 0.12, 0.0, "paint")
-        for k in range(1, levels + 1)
-        for s in (-1, 1)
-    ]
+    beams = [Box(s * (depth / 2 - 0.04), 0.0, 0.05, middle - 0.1, k * rise, k * rise - 0.12, 0.0, "paint")
+             for k in range(1, levels + 1) for s in (-1, 1)]  # fmt: skip
     goods = [part for y in ends[:-1] + pitch / 2 for part in _bay(rng, float(y), levels, rise)]
     return Thing("rack", (*posts, *beams)), *((Thing("goods", tuple(goods)),) if goods else ())
 
@@ -72,17 +64,13 @@ def _bay(rng: np.random.Generator, middle_m: float, levels: int, rise_m: float) 
         parts.append(Box(0.0, middle_m, 1.05, 2.66, 0.143, 0.05, 0.0, "wood"))
     for k in range(1, levels + 1):
         if rng.random() < 0.6:
-            wide, slack = _share(rng, BAY_M - 0.2)
+            # One, two or three thirds of a bay, anywhere in it.
+            thirds, room = int(rng.integers(1, 4)), BAY_M - 0.2
+            wide, slack = thirds * room / 3, float(rng.integers(-1, 2)) * (3 - thirds) / 2 * room / 3
             bottom = k * rise_m + 0.001
             top = bottom + rng.uniform(0.5, rise_m - 0.35)
             parts.append(Box(0.0, middle_m + slack, rng.uniform(0.8, 1.0), wide, top, bottom, 0.0, _load(rng)))
     return parts
-
-
-def _share(rng: np.random.Generator, room_m: float) -> tuple[float, float]:
-    """Return how wide one, two or three thirds of a bay are and how far off its middle they lie."""
-    thirds = int(rng.integers(1, 4))
-    return thirds * room_m / 3, float(rng.integers(-1, 2)) * (3 - thirds) / 2 * room_m / 3
 
 
 def forklift(rng: np.random.Generator) -> Group:
@@ -168,12 +156,8 @@ def reception(rng: np.random.Generator) -> Group:
 def totem(rng: np.random.Generator) -> Group:
     """Return an upright screen or a ticket machine."""
     if rng.random() < 0.5:
-        return (
-            Thing(
-                "totem",
-                (slab(0.14, 0.7, 0.0, 1.95, "dark_paint"), Box(0.08, 0.0, 0.02, 0.6, 1.85, 0.7, 0.0, "absorber")),
-            ),
-        )
+        screen = Box(0.08, 0.0, 0.02, 0.6, 1.85, 0.7, 0.0, "absorber")
+        return (Thing("totem", (slab(0.14, 0.7, 0.0, 1.95, "dark_paint"), screen)),)
     body, top = slab(0.5, 0.7, 0.0, 1.6, "paint"), Box(-0.1, 0.0, 0.3, 0.7, 1.8, 1.6, 0.0, "paint")
     return (Thing("machine", (body, top)),)
 
@@ -191,12 +175,8 @@ def queue(rng: np.random.Generator) -> Group:
 def planter(rng: np.random.Generator) -> Group:
     """Return a long trough with a hedge in it."""
     width = rng.uniform(1.2, 2.6)
-    return (
-        Thing(
-            "plant",
-            (slab(0.5, width, 0.0, 0.5, "concrete"), slab(0.46, width - 0.1, 0.5, rng.uniform(0.9, 1.4), "hedge")),
-        ),
-    )
+    plants = slab(0.46, width - 0.1, 0.5, rng.uniform(0.9, 1.4), "hedge")
+    return (Thing("plant", (slab(0.5, width, 0.0, 0.5, "concrete"), plants)),)
 
 
 def double_seats(rng: np.random.Generator) -> Group:
@@ -229,9 +209,7 @@ def trailer(rng: np.random.Generator) -> Group:
     """Return the inside of a trailer that stands at a gate with its open end toward the highest x."""
     long, wide, top = 8.0, 2.5, 2.7
     sides = [Box(0.0, s * (wide / 2 - 0.03), long, 0.06, top, 0.02, 0.0, "metal") for s in (-1, 1)]
-    front, roof = (
-        Box(-long / 2 + 0.03, 0.0, 0.06, wide - 0.12, top, 0.02, 0.0, "metal"),
-        slab(long, wide, top, top + 0.06, "metal"),
-    )
+    front = Box(-long / 2 + 0.03, 0.0, 0.06, wide - 0.12, top, 0.02, 0.0, "metal")
+    roof = slab(long, wide, top, top + 0.06, "metal")
     load = Box(-long / 2 + 1.5, 0.0, 2.6, 2.2, rng.uniform(1.2, 2.3), 0.15, 0.0, _load(rng))
     return (Thing("trailer", (*sides, front, roof, load)),)

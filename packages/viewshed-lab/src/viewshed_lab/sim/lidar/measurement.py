@@ -41,13 +41,9 @@ _ENDLESS_M = 1e6
 
 # SplitMix64's multipliers, and the shifts that cut a hash into four numbers of 16 bits.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-
 _MIX_A = np.uint64(0xBF58476D1CE4E5B9)
-
 _MIX_B = np.uint64(0x94D049BB133111EB)
-
 _LOW = np.uint64(0xFFFF)
-
 _S16, _S27, _S30, _S31, _S32, _S48 = (np.uint64(shift) for shift in (16, 27, 30, 31, 32, 48))
 
 _NORMAL = np.float32(1.0 / np.sqrt(4.0 * (65536.0**2 - 1.0) / 12.0))
@@ -246,7 +242,7 @@ def _hear_others(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _hash(seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
+def _hash(seed: Any, number: Any) -> Any:
     """Return 64 well-mixed bits for the beam of a number."""
     z = seed + (number + np.uint64(1)) * _GOLDEN
     z = (z ^ (z >> _S30)) * _MIX_A
@@ -255,14 +251,14 @@ def _hash(seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _normal(bits: Any) -> Any:  # pragma: no cover - compiled
+def _normal(bits: Any) -> Any:
     """Sum of four uniform numbers: normal but for tails that end at 3.5 standard deviations."""
     total = (bits & _LOW) + ((bits >> _S16) & _LOW) + ((bits >> _S32) & _LOW) + (bits >> _S48)
     return np.float32(np.int64(total) - 131070) * _NORMAL
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _lookup(table: Any, row: Any) -> Any:  # pragma: no cover - compiled
+def _lookup(table: Any, row: Any) -> Any:
     """Interpolate between entries; +inf where the next one is."""
     k = np.int32(row)
     return table[k] + (table[k + 1] - table[k]) * (row - np.float32(k))
@@ -278,7 +274,7 @@ def measure_beams(
     seed: Any,
     steps: Any,
     intensity: Any,
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Fill steps (C, R) uint16 and intensity (C, R) uint8, both 0 before, in one pass over the beams.
 
     ``surfaces``, ``tables`` and ``numbers`` are the named tuples above; columns (C,) and rings (R,) that are dead
@@ -313,7 +309,7 @@ def measure_beams(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _surface(surfaces: Any, c: Any, r: Any, tables: Any, numbers: Any, luck: Any) -> Any:  # pragma: no cover - compiled
+def _surface(surfaces: Any, c: Any, r: Any, tables: Any, numbers: Any, luck: Any) -> Any:
     """Signal of the surface, 0 where it is missed, and the share of light it sends back."""
     d, cos, far = surfaces.depth[c, r], surfaces.cosine[c, r], numbers.far
     if not np.float32(0.0) < d < far:
@@ -333,9 +329,7 @@ def _surface(surfaces: Any, c: Any, r: Any, tables: Any, numbers: Any, luck: Any
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _particle(
-    d: Any, signal: Any, shine: Any, ranges: Any, numbers: Any, luck: Any, extra: Any
-) -> Any:  # pragma: no cover - compiled
+def _particle(d: Any, signal: Any, shine: Any, ranges: Any, numbers: Any, luck: Any, extra: Any) -> Any:
     """Range, signal and shine of the particle before the surface where it outshines it, else of the surface."""
     p = _lookup(ranges, np.float32((luck >> _S32) & _LOW) * np.float32(1 / 16))
     if numbers.near < p < d:
@@ -346,7 +340,7 @@ def _particle(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _mix_at_edge(gap: Any, share: Any, seed: Any, number: Any) -> Any:  # pragma: no cover - compiled
+def _mix_at_edge(gap: Any, share: Any, seed: Any, number: Any) -> Any:
     """How far a return at an edge lies towards the next surface."""
     if _MIXED_GAP_M[0] < abs(gap) < _MIXED_GAP_M[1]:
         chance = _hash(seed, number)
@@ -356,7 +350,7 @@ def _mix_at_edge(gap: Any, share: Any, seed: Any, number: Any) -> Any:  # pragma
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _glint(range_m: Any, particle2: Any, bits: Any) -> Any:  # pragma: no cover - compiled
+def _glint(range_m: Any, particle2: Any, bits: Any) -> Any:
     """Signal of a particle that is detected: sizes are exponential, so what exceeds the threshold is, too."""
     spare = np.float32((bits & _LOW) + np.uint64(1)) * np.float32(1 / 65536)
     extra = (np.float32(1.0) - spare) / spare
@@ -364,7 +358,7 @@ def _glint(range_m: Any, particle2: Any, bits: Any) -> Any:  # pragma: no cover 
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _intensity(shine: Any, luck: Any) -> Any:  # pragma: no cover - compiled
+def _intensity(shine: Any, luck: Any) -> Any:
     """Calibrated as Velodyne's: 0 to 100 % diffuse is 0 to 100, retroreflectors go up to 255; ±30 % speckle."""
     value = shine * (np.float32(0.7) + luck * np.float32(0.6 / 65536))
     level = value * np.float32(100) if value <= 1 else np.float32(100) + (value - np.float32(1)) * np.float32(60)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from viewshed.sensors import LidarModel
 
 _FINEST_STEP_M = 0.002
-
 _REACH_SHARE = 0.6
 
 
@@ -33,45 +32,32 @@ class Optics:
             )
 
 
-OPTICS: dict[str, Optics] = {
-    "HDL-32E": Optics(0.005, 80.0, 0.010),
-    "HDL-64E": Optics(0.010, 110.0, 0.010),
-    "VLP-16": Optics(0.007, 70.0, 0.010),
-    "VLP-32C": Optics(0.007, 120.0, 0.010),
-    "Pandar40P": Optics(0.006, 150.0, 0.010),
-    "Pandar64": Optics(0.006, 150.0, 0.010),
-    "OT128": Optics(0.010, 200.0, 0.005),
-    "XT32": Optics(0.005, 90.0, 0.005),
-    "OS0-32": Optics(0.009, 22.0, 0.010),
-    "OS0-64": Optics(0.009, 22.0, 0.010),
-    "OS0-128": Optics(0.009, 22.0, 0.010),
-    "OS1-32": Optics(0.009, 45.0, 0.010),
-    "OS1-32 gradient": Optics(0.009, 45.0, 0.010),
-    "OS1-64": Optics(0.009, 45.0, 0.010),
-    "OS1-128": Optics(0.009, 45.0, 0.010),
-    "VLS-128": Optics(0.010, 220.0, 0.010),
-    "PandarQT64": Optics(0.010, 20.0, 0.010),
-    "QT128": Optics(0.010, 20.0, 0.010),
-    "Pandar128": Optics(0.010, 200.0, 0.010),
-    "AT128": Optics(0.010, 200.0, 0.010),
-    "XT16": Optics(0.005, 80.0, 0.005),
-    "OS2-32": Optics(0.009, 80.0, 0.010),
-    "OS2-64": Optics(0.009, 80.0, 0.010),
-    "OS2-128": Optics(0.009, 80.0, 0.010),
-    "RS-LiDAR-16": Optics(0.010, 90.0, 0.010),
-    "RS-LiDAR-32": Optics(0.010, 120.0, 0.010),
-    "Helios-5515": Optics(0.010, 110.0, 0.010),
-    "Bpearl": Optics(0.010, 30.0, 0.010),
-    "Ruby Plus": Optics(0.010, 240.0, 0.010),
-    "Livox Mid-360": Optics(0.020, 40.0, 0.010),
-    "Livox Mid-40": Optics(0.020, 90.0, 0.010),
-    "Livox Mid-70": Optics(0.020, 90.0, 0.010),
-    "Livox Avia": Optics(0.020, 190.0, 0.010),
-    "Livox Horizon": Optics(0.020, 90.0, 0.010),
-    "Livox HAP": Optics(0.020, 150.0, 0.010),
-    "CARLA": Optics(0.0, float("inf"), 0.0),
-    "CARLA 256": Optics(0.0, float("inf"), 0.0),
-}
+_ROWS = (
+    (0.005, 80.0, 0.010, ("HDL-32E",)),
+    (0.010, 110.0, 0.010, ("HDL-64E", "Helios-5515")),
+    (0.007, 70.0, 0.010, ("VLP-16",)),
+    (0.007, 120.0, 0.010, ("VLP-32C",)),
+    (0.006, 150.0, 0.010, ("Pandar40P", "Pandar64")),
+    (0.010, 200.0, 0.005, ("OT128",)),
+    (0.005, 90.0, 0.005, ("XT32",)),
+    (0.009, 22.0, 0.010, ("OS0-32", "OS0-64", "OS0-128")),
+    (0.009, 45.0, 0.010, ("OS1-32", "OS1-32 gradient", "OS1-64", "OS1-128")),
+    (0.010, 220.0, 0.010, ("VLS-128",)),
+    (0.010, 20.0, 0.010, ("PandarQT64", "QT128")),
+    (0.010, 200.0, 0.010, ("Pandar128", "AT128")),
+    (0.005, 80.0, 0.005, ("XT16",)),
+    (0.009, 80.0, 0.010, ("OS2-32", "OS2-64", "OS2-128")),
+    (0.010, 90.0, 0.010, ("RS-LiDAR-16",)),
+    (0.010, 120.0, 0.010, ("RS-LiDAR-32",)),
+    (0.010, 30.0, 0.010, ("Bpearl",)),
+    (0.010, 240.0, 0.010, ("Ruby Plus",)),
+    (0.020, 40.0, 0.010, ("Livox Mid-360",)),
+    (0.020, 90.0, 0.010, ("Livox Mid-40", "Livox Mid-70", "Livox Horizon")),
+    (0.020, 190.0, 0.010, ("Livox Avia",)),
+    (0.020, 150.0, 0.010, ("Livox HAP",)),
+    (0.0, float("inf"), 0.0, ("CARLA", "CARLA 256")),
+)
+OPTICS = {name: Optics(*numbers) for *numbers, names in _ROWS for name in names}
 """By the name of the beam table; the page on measurement says which numbers are makers' and which were tuned."""
 
 

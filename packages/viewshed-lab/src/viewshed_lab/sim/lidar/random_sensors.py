@@ -6,16 +6,14 @@ the sensors of the beam tables.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sensors import LidarModel, lidar_model
 from viewshed.sweep import Sweep
-from viewshed_lab import _config as flat
+from viewshed_lab._config import one_of
 from viewshed_lab.sim.lidar.optics import optics_of
 
 PATTERNS = ("rings", "rosette", "weave")
@@ -64,9 +62,8 @@ class SensorFamily:
     leaves_out: tuple[str, ...]  # of ``COLUMNS``, those that its sweeps never have
 
     def __post_init__(self) -> None:
-        for key, value, table in (("pattern", self.pattern, PATTERNS), ("order", self.order, ORDERS)):
-            if value not in table:
-                raise ValueError(f"{self.name}: {key} must be one of {', '.join(table)}, got {value!r}")
+        one_of(f"{self.name}: pattern", self.pattern, PATTERNS)
+        one_of(f"{self.name}: order", self.order, ORDERS)
         if not set(self.leaves_out) <= set(COLUMNS):
             raise ValueError(f"{self.name}: leaves_out must be among {', '.join(COLUMNS)}, got {self.leaves_out}")
         if self.pattern != "rings" and ("ring" not in self.leaves_out or self.order == "by_ring"):
@@ -77,15 +74,6 @@ class SensorFamily:
                 raise ValueError(f"{self.name}: {key} must ascend, got {low}, {high}")
         if not (self.lowest_deg[1] < self.highest_deg[0] and 0 < self.field_deg[0] <= self.field_deg[1] <= 360):
             raise ValueError(f"{self.name}: lowest_deg must lie below highest_deg, and field_deg within (0, 360]")
-
-    @classmethod
-    def from_json(cls, table: Mapping[str, Any]) -> SensorFamily:
-        """Return the family in plain values: keys as the attributes, lists for tuples.
-
-        Raises:
-            ValueError: a key is missing or unknown, or a value is wrong.
-        """
-        return cls(**flat.from_dict(cls, table, "sensor family"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

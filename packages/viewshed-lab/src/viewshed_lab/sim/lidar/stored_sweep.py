@@ -65,7 +65,7 @@ class StoredSweep:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _returns(
     steps: Any, level: Any, step_m: Any, start_m: Any, direction: Any, turn: Any, shift_m: Any, column_s: Any
-) -> Any:  # pragma: no cover - compiled
+) -> Any:
     """Return points (N, 3), intensity, ring and time of the beams that returned, column after column.
 
     Steps and intensity (C, R); heights of starts (R,) and directions (C, R, 3) in the sensor's frame when it fired;

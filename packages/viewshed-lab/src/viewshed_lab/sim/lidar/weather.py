@@ -8,53 +8,36 @@ real sweep at hand shows weather.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-_SHARES = (
-    "missing_share",
-    "crosstalk_share",
-    "dead_ring_share",
-    "dead_sector_share",
-    "lost_block_share",
-    "mixed_share",
-)
+from viewshed_lab._config import Between, Checked, Share, one_of
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class Conditions(Checked):
     """What air, surfaces and faults do to a measurement; the default is a clear day and a healthy sensor.
 
     Raises:
         ValueError: a number is out of range.
     """
 
-    extinction_per_m: float = 0.0  # share of the light lost a meter of air, one way (Beer's law); 3 / visibility in fog
+    # share of the light lost a meter of air, one way (Beer's law); 3 / visibility in fog
+    extinction_per_m: Share = 0.0
     # drops or flakes a meter of beam that are strong enough to be detected close to the sensor
-    particles_per_m: float = 0.0
+    particles_per_m: Annotated[float, Between(0, 100)] = 0.0
     # range at which a particle of mean size is only just detected, as a share of the range at which the sensor detects
     # a 10 % target
-    particle_reach: float = 0.1
-    wet: float = 1.0  # reflectivity of the ground as a share of that when dry; water mirrors the light away
-    noise: float = 1.0  # multiplies the sensor's range noise
-    missing_share: float = 0.0  # beams that return nothing, beyond the sensor's own share
-    mixed_share: float = 0.2  # share of the beams at an edge that return from between the two surfaces
-    lost_block_share: float = 0.0  # share of the blocks of 12 columns (a packet) that are lost
-    dead_ring_share: float = 0.0  # share of the rings that are dead
-    dead_sector_share: float = 0.0  # chance that one sector of the revolution is lost
-    dead_sector_deg: float = 30.0  # width of that sector, in degrees
+    particle_reach: Annotated[float, Between(0, 1, open=True)] = 0.1
+    wet: Share = 1.0  # reflectivity of the ground as a share of that when dry; water mirrors the light away
+    noise: Annotated[float, Between(0, 100)] = 1.0  # multiplies the sensor's range noise
+    missing_share: Share = 0.0  # beams that return nothing, beyond the sensor's own share
+    mixed_share: Share = 0.2  # share of the beams at an edge that return from between the two surfaces
+    lost_block_share: Share = 0.0  # share of the blocks of 12 columns (a packet) that are lost
+    dead_ring_share: Share = 0.0  # share of the rings that are dead
+    dead_sector_share: Share = 0.0  # chance that one sector of the revolution is lost
+    dead_sector_deg: Annotated[float, Between(0, 360, open=True)] = 30.0  # width of that sector, in degrees
     # share of the beams that take a pulse of another sensor for their own, which comes at any time and counts if first
-    crosstalk_share: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in _SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
-        for name, limit in (("extinction_per_m", 1), ("particles_per_m", 100), ("noise", 100), ("wet", 1)):
-            if not 0 <= getattr(self, name) <= limit:
-                raise ValueError(f"{name} must lie in [0, {limit}], got {getattr(self, name)}")
-        if not 0 < self.particle_reach <= 1:
-            raise ValueError(f"particle_reach must lie in (0, 1], got {self.particle_reach}")
-        if not 0 < self.dead_sector_deg <= 360:
-            raise ValueError(f"dead_sector_deg must lie in (0, 360], got {self.dead_sector_deg}")
+    crosstalk_share: Share = 0.0
 
 
 CONDITIONS: dict[str, Conditions] = {
@@ -80,6 +63,5 @@ def conditions_named(name: str) -> Conditions:
     >>> conditions_named("fog").extinction_per_m
     0.015
     """
-    if name not in CONDITIONS:
-        raise ValueError(f"conditions must be one of {', '.join(CONDITIONS)}, got {name!r}")
+    one_of("conditions", name, CONDITIONS)
     return CONDITIONS[name]

@@ -11,10 +11,19 @@ from viewshed.geometry import Rigid
 from viewshed.sensors import LidarModel
 from viewshed_lab.sim.assets.shapes import GLOSS, PER_M
 from viewshed_lab.sim.lidar.firing import column_poses, still_firing, turned_by
-from viewshed_lab.sim.raycast._inputs import BLOCK, DRAWS, Beams, Ground, Nearest, Solids, View
-from viewshed_lab.sim.raycast._refine import measure_stops, turn_beams
-from viewshed_lab.sim.raycast._solids import cast_solids
-from viewshed_lab.sim.raycast._terrain import cast_terrain
+from viewshed_lab.sim.raycast._loops import (
+    BLOCK,
+    DRAWS,
+    Beams,
+    Ground,
+    Nearest,
+    Solids,
+    View,
+    cast_solids,
+    cast_terrain,
+    measure_stops,
+    turn_beams,
+)
 from viewshed_lab.sim.raycast.scan import STILL, ExactScan, Motion
 from viewshed_lab.sim.world import NOTHING, Snapshot
 
@@ -45,7 +54,9 @@ def cast_world(
     # The nearest stop of each, in single precision.
     count = len(beams.x)
     nearest = Nearest(np.full(count, np.inf, np.float32), np.full(count, -1, np.int32))
-    solids, ground = _solids(snapshot, world_from_sensor.translation, seed), _ground(snapshot, world_from_sensor)
+    solids = _solids(snapshot, world_from_sensor.translation, seed)
+    terrain, (x, y, z) = snapshot.terrain, world_from_sensor.translation
+    ground = Ground(terrain.x_m - x, terrain.y_m - y, terrain.heights_m - z, terrain.material)
     view = _view(model, world_from_sensor, motion)
     cast_solids(beams, solids, view, _free_paths(), nearest)
     cast_terrain(beams, ground, view, nearest, len(snapshot.kind))
@@ -54,7 +65,7 @@ def cast_world(
     depth, thing = np.empty(shape, np.float32), np.empty(shape, np.int32)
     material, cosine = np.empty(shape, np.uint8), np.empty(shape, np.float32)
     measure_stops(
-        origin, direction, time_s, solids, ground, _free_paths(), GLOSS, model.max_range_m, nearest,
+        origin, direction, time_s, solids, ground, _planes(ground), _free_paths(), GLOSS, model.max_range_m, nearest,
         depth, thing, material, cosine,
     )  # fmt: skip
     if model.fired is not None:
@@ -88,10 +99,13 @@ def _solids(snapshot: Snapshot, origin: NDArray[np.float64], seed: int) -> Solid
     return Solids(boxes, snapshot.kind, PER_M[snapshot.material], salts, snapshot.thing, snapshot.material)
 
 
-def _ground(snapshot: Snapshot, pose: Rigid) -> Ground:
-    """Return the ground from the sensor's position."""
-    terrain, (x, y, z) = snapshot.terrain, pose.translation
-    return Ground(terrain.x_m - x, terrain.y_m - y, terrain.heights_m - z, terrain.material)
+def _planes(ground: Ground) -> NDArray[np.float64]:
+    """Return for every triangle a, b and c of z = a x + b y + c, and 1 / length of its normal (T, 4)."""
+    x, y, z = ground.x, ground.y, ground.z
+    along, across = np.diff(z, axis=0) / np.diff(x)[:, None], np.diff(z, axis=1) / np.diff(y)
+    a, b = np.stack([along[:, :-1], along[:, 1:]], axis=-1), np.stack([across[1:], across[:-1]], axis=-1)
+    c = z[:-1, :-1, None] - a * x[:-1, None, None] - b * y[:-1, None]
+    return np.stack([a, b, c, 1.0 / np.sqrt(1.0 + a * a + b * b)], axis=-1).reshape(-1, 4)
 
 
 def _view(model: LidarModel, pose: Rigid, motion: Motion) -> View:

@@ -61,7 +61,7 @@ class BeamLines:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def extent_of(origin: Any) -> Any:  # pragma: no cover - compiled
+def extent_of(origin: Any) -> Any:
     """Return the largest horizontal distance of starts (C, R, 3) from the reference, their least and largest height."""
     apart2, lowest, highest = np.float32(0.0), np.float32(np.inf), np.float32(-np.inf)
     for c in range(origin.shape[0]):
@@ -72,9 +72,7 @@ def extent_of(origin: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def beam_lines(
-    origin: Any, direction: Any, depth: Any, cos: Any, sin: Any, max_range: Any
-) -> Any:  # pragma: no cover - compiled
+def beam_lines(origin: Any, direction: Any, depth: Any, cos: Any, sin: Any, max_range: Any) -> Any:
     """Return lines (6, C·R) float32 in axes turned by an angle (``cos``, ``sin``), and their azimuths (C·R,).
 
     Starts and directions (C, R, 3), depths (C, R). Seen from above a beam is a ray: it passes the reference position at
@@ -100,7 +98,7 @@ def beam_lines(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cover - compiled
+def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:
     """Return tiles and starts, see :class:`SortedBeams`, of lines (6, C·R): a counting sort of each ring's beams."""
     columns = azimuth.size // rings
     per_rad = np.float32(columns / (2 * np.pi))
@@ -133,7 +131,7 @@ def sorted_tiles(beams: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cov
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cover - compiled
+def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:
     """Return two bounds (2, SECTORS, R) of slopes (C·R,) that ascend with the ring.
 
     The largest slope of any ring up to this one, and the smallest of any ring from this one on, each in a sector of
@@ -167,7 +165,7 @@ def slope_bounds(slope: Any, azimuth: Any, rings: Any) -> Any:  # pragma: no cov
 @njit(cache=True, nogil=True, error_model="numpy")
 def mark_stops(
     beams: Any, counts: Any, ground: Any, x0: Any, y0: Any, per_m: Any, cells: Any, low: Any, tops: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Set ``out`` (targets, cells²) where a stop that ``counts`` (C·R,) lies between a height and the target's top.
 
     Lines (6, C·R); ``ground`` (cells²,) under the cells' centers; ``x0`` and ``y0`` of the grid's corner, cells a

@@ -42,9 +42,7 @@ _SIDE = 4
 """Cells along a side of a patch."""
 
 _ROUNDING = 1e-6
-
 _PI = np.float32(np.pi)
-
 FREE, SURFACE, HIDDEN, UNKNOWN = (np.uint8(CellState[name]) for name in ("FREE", "SURFACE", "HIDDEN", "UNKNOWN"))
 
 SURFACE_FROM_M = 0.2
@@ -160,7 +158,7 @@ def reached_and_states(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def states_of(aimed: Any, reaching: Any, surface: Any, least: Any) -> Any:  # pragma: no cover - compiled
+def states_of(aimed: Any, reaching: Any, surface: Any, least: Any) -> Any:
     """Return states (cells²,) uint8 by how many beams aim, how many reach, and whether one stopped on a thing there."""
     out = np.empty(aimed.size, np.uint8)
     for n in range(aimed.size):
@@ -170,9 +168,7 @@ def states_of(aimed: Any, reaching: Any, surface: Any, least: Any) -> Any:  # pr
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def count_cells(
-    beams: Any, patches: Any, ground: Any, plates: Any, limits: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def count_cells(beams: Any, patches: Any, ground: Any, plates: Any, limits: Any, out: Any) -> None:
     """Fill ``out`` (cells²,) int32, zeros before, with counts, each a byte, the lowest first.
 
     Beams aimed at the wider plate, aimed at the narrower, reaching the wider, reaching the narrower.
@@ -207,9 +203,7 @@ def count_cells(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _load(
-    patches: Any, p: Any, ground: Any, plates: Any, limits: Any, lanes: Any
-) -> Any:  # pragma: no cover - compiled
+def _load(patches: Any, p: Any, ground: Any, plates: Any, limits: Any, lanes: Any) -> Any:
     """Store unit vectors, ranges, bottoms and tops of a patch's plates in ``lanes``; return lowest and highest z.
 
     A bottom is infinite where nothing counts.
@@ -228,7 +222,7 @@ def _load(
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def _meet_patch(
     tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, lanes: Any, plates: Any, limits: Any, counts: Any
-) -> None:  # pragma: no cover - compiled
+) -> None:
     """Add beams ``begin`` to ``end`` of a ring to the counts of a patch, if one of them reaches as far as needed."""
     if _farthest(tiles, ring, begin, end) >= needed:
         for n in range(begin, end):
@@ -243,7 +237,7 @@ def _meet_patch(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _clamp(counts: Any, least_a: Any, least_b: Any) -> Any:  # pragma: no cover - compiled
+def _clamp(counts: Any, least_a: Any, least_b: Any) -> Any:
     """Limit all counts to 255; return whether enough beams aim at every cell."""
     enough = 0
     for k in range(LANES):
@@ -254,13 +248,13 @@ def _clamp(counts: Any, least_a: Any, least_b: Any) -> Any:  # pragma: no cover 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _limited(count: Any) -> Any:  # pragma: no cover - compiled
+def _limited(count: Any) -> Any:
     """Return aimed + 65536 · reached, either of them 255 at most."""
     return np.int32(min(count & 65535, 255) + (min(count >> 16, 255) << 16))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -> None:  # pragma: no cover - compiled
+def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -> None:
     """Count beams by batches on each cell of a patch: near the sensor its cells have little of a window in common."""
     tiles, starts = beams.tiles, beams.starts
     columns, guess = starts.shape[0] - 1, (0, -1)
@@ -290,9 +284,7 @@ def _count_near(beams: Any, lanes: Any, counts: Any, plates: Any, limits: Any) -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet_cell(
-    tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, plate: Any, plates: Any, limits: Any
-) -> Any:  # pragma: no cover - compiled
+def _meet_cell(tiles: Any, ring: Any, begin: Any, end: Any, needed: Any, plate: Any, plates: Any, limits: Any) -> Any:
     """Return what the tiles of beams ``begin`` to ``end`` of a ring add to the counts of both plates of a cell."""
     a, b = np.int32(0), np.int32(0)
     for t in range(begin // LANES, (end + LANES - 1) // LANES):
@@ -308,7 +300,7 @@ def _meet_cell(
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _aim(line: Any, plate: Any, plates: Any, limits: Any) -> Any:  # pragma: no cover - compiled
+def _aim(line: Any, plate: Any, plates: Any, limits: Any) -> Any:
     """Return for both plates 0 if the beam does not aim at it, 1 if it aims, 65537 if it also reaches.
 
     ``line`` is a beam (``BEND`` to ``STOP``), ``plate`` where it stands: unit vector and range of its middle, bottom,
@@ -328,7 +320,7 @@ def _aim(line: Any, plate: Any, plates: Any, limits: Any) -> Any:  # pragma: no 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _farthest(tiles: Any, ring: Any, begin: Any, end: Any) -> Any:  # pragma: no cover - compiled
+def _farthest(tiles: Any, ring: Any, begin: Any, end: Any) -> Any:
     """Return how far the tiles of a run of a ring's beams reach at most; -1 of an empty run."""
     out = np.float32(-1.0)
     for t in range(begin // LANES, (end + LANES - 1) // LANES):
@@ -337,7 +329,7 @@ def _farthest(tiles: Any, ring: Any, begin: Any, end: Any) -> Any:  # pragma: no
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _span(starts: Any, first: Any, last: Any, ring: Any) -> Any:  # pragma: no cover - compiled
+def _span(starts: Any, first: Any, last: Any, ring: Any) -> Any:
     """Return the run of a ring's beams in a window, and the end of the run from 0 where it crosses ±π (0 otherwise)."""
     begin, end = starts[first, ring], starts[last + 1, ring]
     if first <= last:
@@ -348,16 +340,14 @@ def _span(starts: Any, first: Any, last: Any, ring: Any) -> Any:  # pragma: no c
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _half_window(wide: Any, r: Any) -> Any:  # pragma: no cover - compiled
+def _half_window(wide: Any, r: Any) -> Any:
     """Return at least arcsin(wide / r), half the azimuths from which a beam may cross the plate."""
     x = min(wide / r, np.float32(1.0))
     return x + np.float32(0.5709) * x * x * x + _AZIMUTH_MARGIN
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _slopes(
-    nearest: Any, farthest: Any, bottom: Any, top: Any, half: Any, limits: Any
-) -> Any:  # pragma: no cover - compiled
+def _slopes(nearest: Any, farthest: Any, bottom: Any, top: Any, half: Any, limits: Any) -> Any:
     """Return the least and the greatest slope of beams that may meet plates between two ranges and heights."""
     low, high = bottom - limits.highest, top - limits.lowest
     near, far = nearest - limits.aside, farthest + half + 2 * limits.aside
@@ -366,7 +356,7 @@ def _slopes(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bins_of(azimuth: Any, half: Any, columns: Any) -> Any:  # pragma: no cover - compiled
+def _bins_of(azimuth: Any, half: Any, columns: Any) -> Any:
     """Return the first and last bin of a window, its middle and half given; the first is larger where it crosses ±π."""
     per_rad = np.float32(columns / (2 * np.pi))
     first = int(np.floor((azimuth + _PI - half) * per_rad))
@@ -377,9 +367,7 @@ def _bins_of(azimuth: Any, half: Any, columns: Any) -> Any:  # pragma: no cover 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rings_of(
-    bounds: Any, azimuth: Any, half: Any, least: Any, most: Any, guess: Any
-) -> Any:  # pragma: no cover - compiled
+def _rings_of(bounds: Any, azimuth: Any, half: Any, least: Any, most: Any, guess: Any) -> Any:
     """Return the first and last ring that may have slopes between two limits in a window of azimuth.
 
     Searched from ``guess``, the rings of the patch before: they differ by little.

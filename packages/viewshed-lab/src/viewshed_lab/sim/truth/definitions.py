@@ -61,7 +61,7 @@ def batches_of(grid: BevGrid, bins: int) -> Batches:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity: Any) -> Any:  # pragma: no cover
+def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity: Any) -> Any:
     """Return the flags (C·R,) uint8 of beams by depth, thing and material (C, R); ``vehicle`` carries the sensor."""
     depths, things, materials = depth.reshape(-1), thing.reshape(-1), material.reshape(-1)
     out = np.empty(depths.size, np.uint8)
@@ -73,7 +73,7 @@ def stop_flags(depth: Any, thing: Any, material: Any, vehicle: Any, reflectivity
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:
     """Return for each azimuth bin (2, bins) the farthest return (-1 without one) and the nearest stop that blocks.
 
     Lines (6, C·R), see :mod:`viewshed_lab.sim.truth.beam_lines`, and flags (C·R,); a stop lies in the bin of its own
@@ -97,7 +97,7 @@ def stop_limits(beams: Any, flags: Any, bins: Any) -> Any:  # pragma: no cover -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -> Any:  # pragma: no cover - compiled
+def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -> Any:
     """Return (bins, R, 4) the farthest-reaching beam of each azimuth bin and ring: slope, rise, run to its stop, flags.
 
     A bin without a beam of the ring takes that of the bin before it.
@@ -123,9 +123,7 @@ def beams_of_bins(beams: Any, azimuth: Any, flags: Any, rings: Any, bins: Any) -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def see_cells(
-    limits: Any, table: Any, batches: Any, ground: Any, high: Any, below: Any, cell: Any, out: Any
-) -> None:  # pragma: no cover - compiled
+def see_cells(limits: Any, table: Any, batches: Any, ground: Any, high: Any, below: Any, cell: Any, out: Any) -> None:
     """Fill ``out`` (cells²,) uint8 with FARTHEST, BLOCKER and SIGHT of the definitions that see a cell.
 
     Args:
@@ -163,7 +161,7 @@ def see_cells(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _extremes(columns: Any) -> Any:  # pragma: no cover - compiled
+def _extremes(columns: Any) -> Any:
     """Return the least and the largest of the first row (3, LANES), by halves: that fills vector registers."""
     for k in range(LANES):
         columns[1, k], columns[2, k] = columns[0, k], columns[0, k]
@@ -175,7 +173,7 @@ def _extremes(columns: Any) -> Any:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _first_above(table: Any, b: Any, near: Any, far: Any, bottom: Any, ring: Any) -> Any:  # pragma: no cover - compiled
+def _first_above(table: Any, b: Any, near: Any, far: Any, bottom: Any, ring: Any) -> Any:
     """Return the first ring that is not below the bottoms of all columns between two ranges, found from a guess."""
     while ring > 0 and _highest(table, b, ring - 1, near, far) >= bottom:
         ring -= 1
@@ -185,7 +183,7 @@ def _first_above(table: Any, b: Any, near: Any, far: Any, bottom: Any, ring: Any
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:  # pragma: no cover - compiled
+def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:
     """Return the larger height of a ring's line at two ranges."""
     slope, rise = table[b, ring, 0], table[b, ring, 1]
     return max(rise + near * slope, rise + far * slope)
@@ -194,7 +192,7 @@ def _highest(table: Any, b: Any, ring: Any, near: Any, far: Any) -> Any:  # prag
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet_columns(
     table: Any, b: Any, near: Any, far: Any, cell: Any, ring: Any, top: Any, columns: Any, seen: Any
-) -> Any:  # pragma: no cover - compiled
+) -> Any:
     """Flag in ``seen`` whether lines pass between bottom and top of columns, and reach them; return how many have such.
 
     ``columns`` (3, LANES) is range, bottom and top of the columns; rings from ``ring`` on, up to one above ``top``.
@@ -216,7 +214,7 @@ def _meet_columns(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _through_gap(table: Any, b: Any, ring: Any, r: Any, bottom: Any, cell: Any) -> Any:  # pragma: no cover - compiled
+def _through_gap(table: Any, b: Any, ring: Any, r: Any, bottom: Any, cell: Any) -> Any:
     """Return SIGHT where the rings above and below the bottom of a column let see between them, or 0."""
     rings = table.shape[1]
     while ring < rings and table[b, ring, 1] + r * table[b, ring, 0] < bottom:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,8 @@ from viewshed.fov.visibility import CAR, PEDESTRIAN, Target
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid
 from viewshed.sensors import LidarModel
-from viewshed_lab.sim.assets.shapes import REFLECTIVITY, Shape
+from viewshed_lab.sim.assets.shapes import REFLECTIVITY
+from viewshed_lab.sim.assets.street import extent
 from viewshed_lab.sim.raycast.scan import ExactScan
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.truth.beam_lines import BeamLines
@@ -30,7 +30,7 @@ from viewshed_lab.sim.truth.definitions import (
     stop_flags,
     stop_limits,
 )
-from viewshed_lab.sim.world import DECK, GROUND, Agent, World
+from viewshed_lab.sim.world import DECK, GROUND, Agent, Thing, World
 
 MAX_BINS = 1080
 """Azimuth bins of the other definitions, at most; less where the sensor has fewer columns."""
@@ -64,7 +64,8 @@ def exact_truth(
         raise ValueError("targets must be at least one, got none")
     terrain = world.ground_of(agent) if isinstance(world, World) else world
     if isinstance(world, World) and terrain is world.upper:
-        scan = _with_decks_as_ground(scan, world)
+        decks = [k for k, one in enumerate(world.things) if one.kind == DECK]  # the upper level's ground
+        scan = replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
     centers = grid.centers
     ground, known = terrain.about(scan.world_from_sensor, centers[:, 0, 0].copy(), centers[0, :, 1].copy())
     ground, pose, vehicle = ground.reshape(-1), scan.world_from_sensor, None if agent is None else agent.carrier
@@ -73,15 +74,9 @@ def exact_truth(
     flags = stop_flags(scan.depth_m, scan.thing, scan.material, -3 if vehicle is None else vehicle, REFLECTIVITY)
     known &= (ranges_of(grid) > lines.offset_m).reshape(grid.shape)
     if agent is not None and vehicle is not None and isinstance(world, World):
-        known &= ~_covered(world.things[vehicle].parts, pose @ agent.mount.inverse(), grid, pose)
+        known &= ~_covered(world.things[vehicle], pose @ agent.mount.inverse(), grid, pose)
     reached, state = reached_and_states(lines, flags & BLOCKS, ground, grid, targets)
     return Truth(grid, reached, state, _definitions(lines, flags, ground, grid, scan.model)), known
-
-
-def _with_decks_as_ground(scan: ExactScan, world: World) -> ExactScan:
-    """Return the scan with the decks as ground: to those on the upper level they are that."""
-    decks = [k for k, one in enumerate(world.things) if one.kind == DECK]
-    return replace(scan, thing=np.where(np.isin(scan.thing, decks), np.int32(GROUND), scan.thing))
 
 
 def _definitions(
@@ -97,9 +92,10 @@ def _definitions(
     return {name: seen & flag != 0 for name, flag in zip(OTHER_DEFINITIONS, (FARTHEST, BLOCKER, SIGHT), strict=True)}
 
 
-def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, grid: BevGrid, pose: Rigid) -> Mask:
+def _covered(vehicle: Thing, world_from_thing: Rigid, grid: BevGrid, pose: Rigid) -> Mask:
     """Return which cells (cells, cells) of a grid at ``pose`` the upright box around a thing's solids touches."""
-    low, high = (corner + side * grid.cell_m / 2 for corner, side in zip(_footprint(parts), (-1, 1), strict=True))
+    rear, front, right, left = extent(vehicle, np.inf)
+    low, high = np.array([rear, right]) - grid.cell_m / 2, np.array([front, left]) + grid.cell_m / 2
     away = float(np.linalg.norm(world_from_thing.translation - pose.translation))
     near = np.flatnonzero(ranges_of(grid) <= away + np.abs([low, high]).sum())
     x, y = grid.centers.reshape(-1, 2)[near].T
@@ -110,18 +106,3 @@ def _covered(parts: tuple[Shape, ...], world_from_thing: Rigid, grid: BevGrid, p
     covered = np.zeros(grid.shape, np.bool_)
     covered.reshape(-1)[near] = ((position >= low) & (position <= high)).all(axis=1)
     return covered
-
-
-@lru_cache(maxsize=64)
-def _footprint(parts: tuple[Shape, ...]) -> NDArray[np.float64]:
-    """Return the least and the largest x and y (2, 2) of a thing's solids, in its frame."""
-    corners = np.concatenate([_corners(part) for part in parts])
-    return np.stack([corners.min(axis=0), corners.max(axis=0)])
-
-
-def _corners(part: Shape) -> NDArray[np.float64]:
-    """Return x and y (4, 2) of the corners of a solid's footprint, in the frame of its thing."""
-    length, width = part.half_sizes_m[:2]
-    c, s = np.cos(part.yaw), np.sin(part.yaw)
-    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    return np.asarray((signs * [length, width]) @ np.array([[c, s], [-s, c]]) + [part.x_m, part.y_m])

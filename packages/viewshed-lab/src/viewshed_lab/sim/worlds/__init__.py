@@ -1,4 +1,4 @@
-"""Procedural worlds: one file a kind, one line a kind in the table ``WORLDS``."""
+"""Procedural worlds: one function a kind, by name in the table ``WORLDS``."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ import numpy as np
 
 from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds.bridge import bridge
-from viewshed_lab.sim.worlds.country_road import country_road
-from viewshed_lab.sim.worlds.cutting import cutting
-from viewshed_lab.sim.worlds.embankment import embankment
+from viewshed_lab.sim.worlds.country_roads import country_road, cutting, embankment, open_field
+from viewshed_lab.sim.worlds.drop_roads import pit, quay
 from viewshed_lab.sim.worlds.garage import garage
-from viewshed_lab.sim.worlds.glass_fronts import glass_fronts
 from viewshed_lab.sim.worlds.highway import highway
-from viewshed_lab.sim.worlds.indoor.atrium import atrium
 from viewshed_lab.sim.worlds.indoor.corridors import corridors
-from viewshed_lab.sim.worlds.indoor.hall import hall
+from viewshed_lab.sim.worlds.indoor.halls import atrium, hall
 from viewshed_lab.sim.worlds.indoor.loft import loft
 from viewshed_lab.sim.worlds.indoor.rooms import rooms
 from viewshed_lab.sim.worlds.indoor.tunnel import tunnel
@@ -24,45 +21,22 @@ from viewshed_lab.sim.worlds.indoor.warehouse import warehouse
 from viewshed_lab.sim.worlds.junction import junction
 from viewshed_lab.sim.worlds.land import land
 from viewshed_lab.sim.worlds.oblique import oblique
-from viewshed_lab.sim.worlds.open_field import open_field
 from viewshed_lab.sim.worlds.parking import parking
-from viewshed_lab.sim.worlds.pit import pit
-from viewshed_lab.sim.worlds.quay import quay
 from viewshed_lab.sim.worlds.residential import residential
 from viewshed_lab.sim.worlds.site import site
 from viewshed_lab.sim.worlds.slope_town import slope_town
-from viewshed_lab.sim.worlds.street import street
+from viewshed_lab.sim.worlds.street import glass_fronts, street
 
 WorldMaker = Callable[[np.random.Generator, AgentPlan], World]
 """Makes a world with the agents of a plan; the same state of the generator gives the same world."""
 
-WORLDS: dict[str, WorldMaker] = {
-    "street": street,
-    "junction": junction,
-    "highway": highway,
-    "parking": parking,
-    "residential": residential,
-    "rooms": rooms,
-    "corridors": corridors,
-    "hall": hall,
-    "warehouse": warehouse,
-    "bridge": bridge,
-    "pit": pit,
-    "quay": quay,
-    "garage": garage,
-    "glass_fronts": glass_fronts,
-    "oblique": oblique,
-    "slope_town": slope_town,
-    "site": site,
-    "open_field": open_field,
-    "tunnel": tunnel,
-    "loft": loft,
-    "atrium": atrium,
-    "embankment": embankment,
-    "cutting": cutting,
-    "country_road": country_road,
-    "land": land,
-}
-"""Every kind of world by name; to add one, write a file and add a line."""
+_MAKERS = (
+    street, junction, highway, parking, residential, rooms, corridors, hall, warehouse, bridge, pit, quay, garage,
+    glass_fronts, oblique, slope_town, site, open_field, tunnel, loft, atrium, embankment, cutting, country_road,
+    land,
+)  # fmt: skip
+
+WORLDS: dict[str, WorldMaker] = {maker.__name__: maker for maker in _MAKERS}
+"""Every kind of world by name; to add one, write its function and name it above."""
 
 __all__ = ["WORLDS", "WorldMaker"]

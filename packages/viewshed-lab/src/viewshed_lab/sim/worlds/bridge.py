@@ -12,7 +12,7 @@ from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
 from viewshed_lab.sim.assets.street import bush, concrete_barrier, guard_rail, lamp_post, pick, place_at, sign, tree
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import DECK, AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, mast, spots
+from viewshed_lab.sim.worlds.layout import Mast, assembled, lines_of, mast, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief, relief
 from viewshed_lab.sim.worlds.roadsides import country_vehicle
 from viewshed_lab.sim.worlds.roadway import HALF_M
@@ -20,9 +20,7 @@ from viewshed_lab.sim.worlds.site_plan import SitePlan
 from viewshed_lab.sim.worlds.traffic import Lane, Pace, driven, straight_lane
 
 _PACE = Pace(110.0, 50.0, (6.0, 18.0), (7.0, 25.0, 90.0))
-
 _FACE_M = 0.03
-
 _LEAST_CLEAR_M = 4.4
 
 
@@ -70,9 +68,9 @@ class Crossing:
         faces = [self.at_m + way * self.gap_m / 2 + step for way in (-1, 1) for step in (-_FACE_M, _FACE_M)]
         lows = [self.at_m + way * (self.low_m + step) for way in (-1, 1) for step in (0.0, self.high_m / self.cut)]
         plain = np.linspace(-HALF_M, HALF_M, 27)
-        x_m = _apart([*plain, *faces, *lows, self.at_m])
+        x_m = lines_of([*plain, *faces, *lows, self.at_m], HALF_M, 0.02)
         edges = [way * (self.deck_m + step) for way in (-1, 1) for step in (0.0, _FACE_M, 0.4, 3.0, 6.0, 9.0, 12.0)]
-        y_m = _apart([*plain, *edges, 0.0])
+        y_m = lines_of([*plain, *edges, 0.0], HALF_M, 0.02)
         return Terrain.of(x_m, y_m, self.height, self.material), Terrain.of(x_m, y_m, self.top, self.material)
 
     def material(self, x: F64, y: F64) -> NDArray[np.uint8]:
@@ -104,7 +102,7 @@ def bridge(rng: np.random.Generator, plan: AgentPlan) -> World:
         (replace(thing, upper=True) if abs(np.cos(thing.yaw)) > 0.5 else thing, ahead)
         for thing, ahead in driven(rng, plan, cross.lanes(), _PACE, country_vehicle)
     ]
-    return assembled("bridge", terrain, plan, Contents(site.things, moving, masts), upper)
+    return assembled("bridge", terrain, plan, site.things, moving, masts, upper)
 
 
 def _crossing(rng: np.random.Generator) -> Crossing:
@@ -189,9 +187,3 @@ def _land(rng: np.random.Generator, site: SitePlan, cross: Crossing) -> None:
         x, y = rng.uniform(-HALF_M + 5, HALF_M - 5, 2).tolist()
         if abs(x - x0) > cross.low_m + 3.0 and abs(y) > cross.deck_m + 2.5:
             site.put(place_at(tree(rng, 2.2, rng.uniform(3.0, 7.0)) if rng.random() < 0.6 else bush(rng, 2.0), x, y))
-
-
-def _apart(lines: list[float]) -> F64:
-    """Return the lines within the world in ascending order, without those that lie closer than 2 cm to another."""
-    ordered = np.unique(np.clip(np.array(lines), -HALF_M, HALF_M))
-    return ordered[np.r_[True, np.diff(ordered) > 0.02]]

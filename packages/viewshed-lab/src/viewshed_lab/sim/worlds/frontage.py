@@ -32,7 +32,6 @@ from viewshed_lab.sim.worlds.outdoor_ground import Road
 from viewshed_lab.sim.worlds.traffic import Driver, Rider, flow, straight_lane
 
 _BAY_M = 5.7
-
 _WIDE_WALK_M = 3.4
 
 PARKING_M = 2.2

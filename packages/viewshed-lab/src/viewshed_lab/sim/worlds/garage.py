@@ -14,14 +14,12 @@ from viewshed_lab.sim.assets.street import person, pick, place_at, tree
 from viewshed_lab.sim.assets.vehicles import car
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.drops import Rect, lines_of
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled
+from viewshed_lab.sim.worlds.layout import Mast, Rect, assembled, lines_of, within
 from viewshed_lab.sim.worlds.parking import aisle_walkers, aisles_driven
 from viewshed_lab.sim.worlds.roadway import HALF_M
 from viewshed_lab.sim.worlds.traffic import Lane, Rider, straight_lane
 
 _BAY_M, _DEEP_M, _AISLE_M, _END_M, _RAMP_M = 2.6, 5.0, 6.2, 6.5, 4.4
-
 _FACE_M = 0.03
 
 
@@ -54,8 +52,8 @@ class Storey:
         """Return z of the ground at places of any one shape."""
         inside = (np.abs(x) < self.half_x_m) & (y > self.low_y_m) & (y < self.high_y_m)
         z = np.where(inside, 0.0, self.outside_m)
-        for (a, b, c, d), end in self.ramps:
-            z = np.where((x > a) & (x < c) & (y > b) & (y < d), end * (x - a) / (c - a), z)
+        for ramp, end in self.ramps:
+            z = np.where(within(ramp, x, y), end * (x - ramp[0]) / (ramp[2] - ramp[0]), z)
         return np.asarray(z)
 
     def terrain(self) -> Terrain:
@@ -69,7 +67,7 @@ class Storey:
             inside = (np.abs(x) < self.half_x_m) & (y > self.low_y_m) & (y < self.high_y_m)
             return np.where(inside, material_index("concrete"), material_index("asphalt")).astype(np.uint8)
 
-        return Terrain.of(lines_of([*plain, *x_m]), lines_of([*plain, *y_m]), self.height, material)
+        return Terrain.of(lines_of([*plain, *x_m], HALF_M), lines_of([*plain, *y_m], HALF_M), self.height, material)
 
 
 def garage(rng: np.random.Generator, plan: AgentPlan) -> World:
@@ -81,7 +79,7 @@ def garage(rng: np.random.Generator, plan: AgentPlan) -> World:
     if storey.outside_m < 0.0:
         still += _around(rng, storey)
     moving = _traffic(rng, plan, storey)
-    return replace(assembled("garage", storey.terrain(), plan, Contents(still, moving, masts)), indoor=True)
+    return replace(assembled("garage", storey.terrain(), plan, still, moving, masts), indoor=True)
 
 
 def _storey(rng: np.random.Generator, sensor_m: float) -> Storey:

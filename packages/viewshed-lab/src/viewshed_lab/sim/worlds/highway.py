@@ -27,15 +27,13 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import highway_vehicle, van
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, carriers, spots
+from viewshed_lab.sim.worlds.layout import Mast, assembled, carriers, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief, relief
 from viewshed_lab.sim.worlds.roadway import Bend, masts_beside
 from viewshed_lab.sim.worlds.traffic import Lane, Rider, Stream, filled, flow
 
 _LANE_M, _SHOULDER_M, _MARGIN_M = 3.6, 2.8, 66.0
-
 _SHORTEST_ROAM_M, _LONGEST_ROAM_M = 50.0, 240.0
-
 _LATTICE = 34
 
 
@@ -61,7 +59,9 @@ class Route:
 
 def highway(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a highway long enough for the agents of ``plan`` to drive along it."""
-    route = _route(rng)
+    route = Route(Bend(rng.uniform(0, 14), rng.uniform(420, 700), rng.uniform(0, 6.28)), rng.uniform(1.2, 3.5),
+                  int(rng.integers(2, 4)), pick(rng, (-1.5, 0.3, 0.8, 2.0)) * rng.uniform(0.7, 1.3),
+                  rng.uniform(5.0, 9.0))  # fmt: skip
     fastest = rng.uniform(20.0, 35.0)
     roam = float(np.clip(0.5 * fastest * plan.duration_s + 25.0, _SHORTEST_ROAM_M, _LONGEST_ROAM_M))
     speed = min(fastest, 2.0 * (roam - 20.0) / plan.duration_s)
@@ -71,13 +71,7 @@ def highway(rng: np.random.Generator, plan: AgentPlan) -> World:
     still = [*_median(rng, route, half), *_overhead(rng, route), *_works(rng, route)]
     for side in (-1, 1):
         still += _roadside(rng, route, half, side, masts)
-    return assembled("highway", _terrain(relief(rng, 0.04), route, half), plan, Contents(still, moving, masts))
-
-
-def _route(rng: np.random.Generator) -> Route:
-    return Route(Bend(rng.uniform(0, 14), rng.uniform(420, 700), rng.uniform(0, 6.28)), rng.uniform(1.2, 3.5),
-                 int(rng.integers(2, 4)), pick(rng, (-1.5, 0.3, 0.8, 2.0)) * rng.uniform(0.7, 1.3),
-                 rng.uniform(5.0, 9.0))  # fmt: skip
+    return assembled("highway", _terrain(relief(rng, 0.04), route, half), plan, still, moving, masts)
 
 
 def _terrain(land: Relief, route: Route, half_m: float) -> Terrain:

@@ -11,15 +11,14 @@ from viewshed_lab.sim.assets.street import person, pick, traffic_light
 from viewshed_lab.sim.assets.vehicles import street_vehicle
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, carriers, mast
+from viewshed_lab.sim.worlds.layout import Mast, Span, assembled, carriers, mast
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, right_turn, straight_lane
 
 _HALF_M, _ROAM_M = 112.0, 50.0
-
 _CROSSWALK_M = 4.8
-
 _TURN_CLEARANCE_M, _BEHIND_TURN_M = 1.4, 12.0
+_TURN = frozenset({"car", "robot", "cyclist", "motorcycle"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,7 @@ def junction(rng: np.random.Generator, plan: AgentPlan) -> World:
             seats = [dealt.pop() for _ in range(one.lanes)]
             moving += _one_way(rng, one, other, direction, seats, plan.duration_s)
     terrain = ground.terrain(_HALF_M, _HALF_M, 11.0)
-    return assembled("junction", terrain, plan, Contents(still, moving, masts))
+    return assembled("junction", terrain, plan, still, moving, masts)
 
 
 def _street(rng: np.random.Generator, yaw: float, curb_m: float, free: bool) -> Street:
@@ -140,12 +139,7 @@ def _turning(
     line = right_turn(lane, corner, radius)
     out, turned = [], False
     for driver in drivers:
-        before = driver.start_m < corner - radius - 4.0 and driver.thing.kind in {
-            "car",
-            "robot",
-            "cyclist",
-            "motorcycle",
-        }
+        before = driver.start_m < corner - radius - 4.0 and driver.thing.kind in _TURN
         if before and rng.random() < 0.3:
             turned = True
             speed, hold = min(driver.speed_mps, rng.uniform(3.5, 5.0)), driver.hold_m - _BEHIND_TURN_M

@@ -15,28 +15,16 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.assets.buildings import town_house
-from viewshed_lab.sim.assets.country import animal, bale, rock
+from viewshed_lab.sim.assets.country import animal, bale, barrels, container, heap, pipes, rock
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape, material_index
-from viewshed_lab.sim.assets.street import (
-    bush,
-    conifer,
-    fence,
-    hedge,
-    lamp_post,
-    person,
-    pick,
-    pole,
-    tree,
-    wall,
-)
+from viewshed_lab.sim.assets.street import bush, conifer, fence, hedge, lamp_post, person, pick, pole, tree, wall
 from viewshed_lab.sim.assets.vehicles import parked_vehicle, street_vehicle
-from viewshed_lab.sim.assets.yard import barrels, container, heap, pipes
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.drops import Drop, lines_of, mirrored
-from viewshed_lab.sim.worlds.layout import Contents, assembled
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.drop_roads import Drop, mirrored
+from viewshed_lab.sim.worlds.layout import assembled, lines_of, within
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, random_bend
+from viewshed_lab.sim.worlds.site_plan import beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 _PACE = Pace(110.0, 50.0, (1.0, 12.0), (6.0, 25.0, 150.0))
@@ -45,7 +33,6 @@ _STEP_M = 2.0
 """Between two lines of the terrain within 76 m; beyond they lie 6 m apart."""
 
 _SOLID, _GLASS = ("concrete", "plaster", "brick", "wood", "metal", "dark_paint"), ("glass", "window", "tinted")
-
 _SOILS = ("grass", "concrete", "asphalt", "brick", "rubber")
 
 _THINGS: tuple[Callable[[np.random.Generator], Thing], ...] = (
@@ -169,8 +156,7 @@ class Land:
         out = np.where(beyond <= 0.0, road, np.where(beyond < self.bank_m, bank, land))
         wet = (beyond > self.bank_m) & (self.noise.at(x, y) < self.water_m)
         for drop in self.drops:
-            x0, y0, x1, y1 = drop.rect
-            out = np.where((x > x0) & (x < x1) & (y > y0) & (y < y1), material_index(drop.floor), out)
+            out = np.where(within(drop.rect, x, y), material_index(drop.floor), out)
         return np.where(wet, material_index("absorber"), out).astype(np.uint8)
 
     def terrain(self) -> Terrain:
@@ -179,15 +165,14 @@ class Land:
         far = np.arange(82.0, HALF_M, 6.0)
         plain = [*(-far), *near, *far, -HALF_M, HALF_M]
         faces = [drop.lines() for drop in self.drops]
-        x_m, y_m = (lines_of([*plain, *(edge for one in faces for edge in one[axis])]) for axis in (0, 1))
+        x_m, y_m = (lines_of([*plain, *(edge for one in faces for edge in one[axis])], HALF_M) for axis in (0, 1))
         return Terrain.of(x_m, y_m, self.height, self.material)
 
 
 def land(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return land at random with the agents of ``plan`` on its road."""
     lie = Land.drawn(rng)
-    masts = masts_beside(rng, plan.roadside, lie.bend, lie.half_m + 1.0)
-    site = SitePlan.along(lie.bend, lie.half_m, masts)
+    masts, site = beside(rng, plan, lie.bend, lie.half_m + 1.0, lie.half_m)
     site.reserve(*(edge for drop in lie.drops for edge in drop.edges()))
     built = [maker(rng, lie) for maker in (_deck, _roof, _walls, _stairs) if rng.random() < 0.35]
     for part in built:
@@ -196,7 +181,7 @@ def land(rng: np.random.Generator, plan: AgentPlan) -> World:
     site.scatter(rng, [pick(rng, _THINGS)(rng) for _ in range(count)], (-70.0, -70.0, 70.0, 70.0))
     lanes = [lie.bend.lane(side * 0.5 * lie.half_m, side > 0) for side in (-1, 1)]
     moving = driven(rng, plan, lanes, _PACE, street_vehicle)
-    return assembled("land", lie.terrain(), plan, Contents(site.things, moving, masts))
+    return assembled("land", lie.terrain(), plan, site.things, moving, masts)
 
 
 def _ridge(rng: np.random.Generator, bend: Bend, half_m: float) -> Ridge:
@@ -225,12 +210,6 @@ def _drop(rng: np.random.Generator, bend: Bend, half_m: float) -> Drop:
     return Drop(mirrored((x0, near, x0 + long, near + wide), side), float(deep), floor, ramp)
 
 
-def _highest_road(lie: Land, x_m: float, half_m: float) -> float:
-    """Return the greatest height of the road's axis around x."""
-    x = np.linspace(x_m - half_m, x_m + half_m, 33)
-    return float(lie.height(x, lie.bend.axis(x)).max())
-
-
 def _slab(
     rng: np.random.Generator, lie: Land, kind: str, rect: tuple[float, float, float, float], under_m: float
 ) -> list[Thing]:
@@ -248,7 +227,8 @@ def _slab(
             _, beside = lie.bend.coordinates(np.array(slab.x_m + c * u - s * v), np.array(slab.y_m + s * u + c * v))
             if abs(beside) > lie.half_m + 1.0:
                 posts.append(Cylinder(u, v, radius, under_m, -4.0, material))
-    return [replace(slab, parts=(*slab.parts, *posts), z_m=_highest_road(lie, x, 0.5 * np.hypot(long, wide)))]
+    along = np.linspace(x - 0.5 * np.hypot(long, wide), x + 0.5 * np.hypot(long, wide), 33)
+    return [replace(slab, parts=(*slab.parts, *posts), z_m=float(lie.height(along, lie.bend.axis(along)).max()))]
 
 
 def _deck(rng: np.random.Generator, lie: Land) -> list[Thing]:

@@ -6,18 +6,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from viewshed.arrays import F64
 from viewshed.geometry import Rigid
 from viewshed_lab.sim.assets.shapes import Cylinder
 from viewshed_lab.sim.assets.street import place_at
 from viewshed_lab.sim.assets.vehicles import sensor_car
 from viewshed_lab.sim.terrain import Terrain
-from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World
+from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
 
 Span = tuple[float, float]
+Rect = tuple[float, float, float, float]
+"""x and y from, x and y to, in meters."""
 
 MOST_MOVING = 40
 """How many things of a world have tracks, at most."""
+
+
+def within(rect: Sequence[float], x: F64, y: F64, by_m: float = 0.0) -> NDArray[np.bool_]:
+    """Return which places lie in a rectangle that is larger by ``by_m`` at each of its sides."""
+    return (x > rect[0] - by_m) & (x < rect[2] + by_m) & (y > rect[1] - by_m) & (y < rect[3] + by_m)
+
+
+def lines_of(lines: list[float], half_m: float, apart_m: float = 0.01) -> F64:
+    """Return the lines of a terrain within ±half_m in ascending order, without those that lie closer to another."""
+    ordered = np.unique(np.clip(np.array(lines), -half_m, half_m))
+    return ordered[np.r_[True, np.diff(ordered) > apart_m]]
 
 
 def spots(
@@ -69,13 +84,8 @@ class Mast:
 
     def pose(self, terrain: Terrain) -> Rigid:
         """Return ``world_from_sensor``."""
-        c, s, cr, sr = np.cos(self.pitch), np.sin(self.pitch), np.cos(self.roll), np.sin(self.roll)
-        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        lean = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
         ground = float(terrain.at([[self.x_m, self.y_m]])[0])
-        return Rigid(
-            Rigid.from_yaw(self.yaw).rotation @ down @ lean, np.array([self.x_m, self.y_m, ground + self.height_m])
-        )
+        return Rigid(tilted(self.yaw, self.pitch, self.roll), np.array([self.x_m, self.y_m, ground + self.height_m]))
 
 
 def mast(rng: np.random.Generator, x_m: float, y_m: float, toward_m: Span) -> Mast:
@@ -116,41 +126,38 @@ def carriers(rng: np.random.Generator, plan: AgentPlan, lanes: int) -> list[list
     return dealt
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Contents:
-    """What is put into a world."""
-
-    still: Sequence[Thing]  # things that rest
-    # things with tracks, and for agents how far ahead of the middle the sensor sits
-    moving: Sequence[tuple[Thing, float | None]]
-    masts: Sequence[Mast] = ()  # roadside sensors
+Riders = Sequence[tuple[Thing, float | None]]
+"""Things with tracks, and for agents how far ahead of the middle the sensor sits."""
 
 
-def assembled(name: str, terrain: Terrain, plan: AgentPlan, contents: Contents, upper: Terrain | None = None) -> World:
+def assembled(
+    name: str, terrain: Terrain, plan: AgentPlan, still: Sequence[Thing], riders: Riders, masts: Sequence[Mast] = (),
+    upper: Terrain | None = None,
+) -> World:  # fmt: skip
     """Return the world: agents' vehicles are ``vehicle_0`` and on, masts are ``roadside_0`` and on.
 
-    ``upper`` is the ground of the upper level, of a world that has one.
+    ``still`` are things that rest. ``upper`` is the ground of the upper level, of a world that has one.
     """
-    agents, moving = [], _nearest(contents, plan.duration_s)
+    agents, moving = [], _nearest(riders, masts, plan.duration_s)
     ridden = [(k, ahead) for k, (_, ahead) in enumerate(moving) if ahead is not None]
     for number, (index, ahead) in enumerate(ridden):
         mount = Rigid.from_yaw(0.0, (ahead, 0.0, plan.sensor_height_m))
         agents.append(Agent(f"vehicle_{number}", plan.sensor, mount, index))
-    for number, post in enumerate(contents.masts):
+    for number, post in enumerate(masts):
         agents.append(Agent(f"roadside_{number}", plan.roadside_sensor, post.pose(terrain)))
-    things = [thing for thing, _ in moving] + [*contents.still, *(post.pole for post in contents.masts)]
+    things = [thing for thing, _ in moving] + [*still, *(post.pole for post in masts)]
     return World(name, terrain, tuple(things), tuple(agents), upper=upper)
 
 
-def _nearest(contents: Contents, duration_s: float) -> list[tuple[Thing, float | None]]:
+def _nearest(riders: Riders, masts: Sequence[Mast], duration_s: float) -> Riders:
     """Return the agents' vehicles and those that come nearest to a sensor, as many as may move."""
     times = (0.0, duration_s / 2, duration_s)
-    positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in contents.moving]).reshape(-1, 3, 2)
-    ridden = np.array([ahead is not None for _, ahead in contents.moving], bool)
-    rests = np.array([one.track is None for one, _ in contents.moving], bool)
-    posts = np.array([[(post.x_m, post.y_m)] * 3 for post in contents.masts]).reshape(-1, 3, 2)
+    positions = np.array([[one.pose_at(t)[:2] for t in times] for one, _ in riders]).reshape(-1, 3, 2)
+    ridden = np.array([ahead is not None for _, ahead in riders], bool)
+    rests = np.array([one.track is None for one, _ in riders], bool)
+    posts = np.array([[(post.x_m, post.y_m)] * 3 for post in masts]).reshape(-1, 3, 2)
     eyes = np.concatenate([positions[ridden], posts])
     gaps = np.hypot(*np.moveaxis(positions[:, None] - eyes[None], -1, 0)).min(axis=(1, 2))
     order = np.argsort(np.where(ridden | rests, -1.0, gaps), kind="stable")
     kept = set(order[: MOST_MOVING + int((rests & ~ridden).sum())].tolist())
-    return [rider for k, rider in enumerate(contents.moving) if k in kept]
+    return [rider for k, rider in enumerate(riders) if k in kept]

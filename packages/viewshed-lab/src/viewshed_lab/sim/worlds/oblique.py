@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 
 from viewshed_lab.sim.assets.buildings import family_house, town_house
 from viewshed_lab.sim.assets.shapes import Box, Cylinder
@@ -10,6 +11,7 @@ from viewshed_lab.sim.assets.street import (
     bench,
     bin_,
     bush,
+    footprint,
     group,
     lamp_post,
     person,
@@ -23,10 +25,10 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import cyclist, motorcycle, parked_vehicle
 from viewshed_lab.sim.assets.warehouse import stall
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled, plots, spots
+from viewshed_lab.sim.worlds.layout import assembled, plots, spots
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, random_bend
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow
 
 _PACE = Pace(110.0, 50.0, (2.0, 8.0), (8.0, 40.0, 160.0))
@@ -34,13 +36,12 @@ _PACE = Pace(110.0, 50.0, (2.0, 8.0), (8.0, 40.0, 160.0))
 
 def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a winding lane of an old town with the agents of ``plan``."""
-    level, lanes = Bank((0.0, 1.0), (0.0, 0.0)), rng.uniform(2.3, 2.9)
+    lane_m = rng.uniform(2.3, 2.9)
     road = Roadway(
-        random_bend(rng, 0.55, (70.0, 200.0)), climb(rng, 0.06), 1, lanes, rng.uniform(0.2, 0.6), (level, level),
+        random_bend(rng, 0.55, (70.0, 200.0)), climb(rng, 0.06), 1, lane_m, rng.uniform(0.2, 0.6), LEVEL,
         rough=fields(rng, 0.3, 0.01), soil="concrete", paved="concrete",
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.5)
-    site = SitePlan.along(road.bend, road.edge_m + 0.3, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 0.5, road.edge_m + 0.3)
     for _ in range(int(rng.integers(0, 4))):
         _square(rng, site, road)
     walks = _walkers(rng, site, road, plan.duration_s)
@@ -50,14 +51,12 @@ def oblique(rng: np.random.Generator, plan: AgentPlan) -> World:
         _courtyard(rng, site)
     for _ in range(int(rng.integers(3, 9))):
         _curved_wall(rng, site)
-    _behind(rng, site)
+    houses = [town_house(rng, rng.uniform(8.0, 16.0), rng.uniform(7.0, 11.0), True) for _ in range(40)]
+    site.scatter(rng, houses, (WHOLE[0], WHOLE[0], WHOLE[1], WHOLE[1]))
     _small(rng, site, road)
-    moving = [*driven(rng, plan, road.lane_lines(), _PACE, _vehicle), *walks]
-    return assembled("oblique", road.terrain(5.6, 2.4), plan, Contents(site.things, moving, masts))
-
-
-def _vehicle(rng: np.random.Generator) -> Thing:
-    return cyclist(rng) if rng.random() < 0.25 else parked_vehicle(rng)
+    lanes = road.lane_lines()
+    moving = driven(rng, plan, lanes, _PACE, lambda r: cyclist(r) if r.random() < 0.25 else parked_vehicle(r))
+    return assembled("oblique", road.terrain(5.6, 2.4), plan, site.things, [*moving, *walks], masts)
 
 
 def _walkers(rng: np.random.Generator, site: SitePlan, road: Roadway, duration_s: float) -> list[Rider]:
@@ -128,13 +127,8 @@ def _curved_wall(rng: np.random.Generator, site: SitePlan) -> None:
         part = Box(0.0, 0.0, 1.02 * radius * sweep / count, 0.35, high, -1.0, 0.0, material)
         at = x + radius * np.cos(angle), y + radius * np.sin(angle)
         area.append(place_at(Thing("wall", (part,)), *at, angle + np.pi / 2))
-    site.put_row(area)
-
-
-def _behind(rng: np.random.Generator, site: SitePlan) -> None:
-    """Put houses at any angle wherever there is room behind the first row."""
-    houses = [town_house(rng, rng.uniform(8.0, 16.0), rng.uniform(7.0, 11.0), True) for _ in range(40)]
-    site.scatter(rng, houses, (WHOLE[0], WHOLE[0], WHOLE[1], WHOLE[1]))
+    # Its pieces may touch each other.
+    site.stand(*(one for one in area if site.clear(shapely.Polygon(footprint(one)), 0.02)))
 
 
 def _small(rng: np.random.Generator, site: SitePlan, road: Roadway) -> None:

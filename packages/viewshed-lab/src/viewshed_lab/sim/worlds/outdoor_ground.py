@@ -13,12 +13,9 @@ from viewshed_lab.sim.assets.shapes import material_index
 from viewshed_lab.sim.terrain import Terrain
 
 _CURB_WIDTH_M = 0.03
-
 _CROWN = 0.02
-
 _FALL = 0.015
-
-_BUMP_HALF_M = 1.0
+_BUMP_HALF_M, _BUMP_M = 1.0, 0.09
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,38 +68,35 @@ class Ground:
     """Roads along x and y through the origin, sidewalks along them, and lots between."""
 
     relief: Relief  # the lie of the land
-    along: Road | None = None  # the road along x, or None
+    along: Road  # the road along x
     across: Road | None = None  # the road along y, or None
     lot_m: float = 0.0  # how far the lots lie above the sidewalk
     lot_material: str = "grass"  # what covers them
     bumps_m: tuple[float, ...] = ()  # where, along x, speed bumps lie across the road
-    bump_m: float = 0.09  # their height
 
     def terrain(self, half_x_m: float, half_y_m: float, step_m: float = 9.0) -> Terrain:
         """Return the terrain over ±half_x and ±half_y meters, its plain lines about ``step_m`` apart."""
         bumps = [at + shift for at in self.bumps_m for shift in (-_BUMP_HALF_M, -0.5, 0.5, _BUMP_HALF_M)]
         x_m = _lines(half_x_m, step_m, (self.across.lines() if self.across else []) + bumps)
-        y_m = _lines(half_y_m, step_m, self.along.lines() if self.along else [])
+        y_m = _lines(half_y_m, step_m, self.along.lines())
         return Terrain.of(x_m, y_m, self._height, self._material)
 
     def _height(self, x: F64, y: F64) -> F64:
         beyond, walk = self._curb_distance(x, y)
-        road = np.maximum(_crown(self.along, y), _crown(self.across, x))
-        raised = self._curb_m + _FALL * np.clip(beyond, 0.0, walk) + self.lot_m * (beyond > walk + 0.5)
+        road = _crown(self.along, y)
+        curb_m = self.along.curb_m
+        if self.across is not None:
+            road, curb_m = np.maximum(road, _crown(self.across, x)), max(curb_m, self.across.curb_m)
+        raised = curb_m + _FALL * np.clip(beyond, 0.0, walk) + self.lot_m * (beyond > walk + 0.5)
         profile = np.where(beyond > _CURB_WIDTH_M / 2, raised, road)
         for at in self.bumps_m:
-            on_road = beyond < -0.3 if self.along else True
-            profile = profile + self.bump_m * on_road * np.interp(np.abs(x - at), [0.5, _BUMP_HALF_M], [1.0, 0.0])
+            profile = profile + _BUMP_M * (beyond < -0.3) * np.interp(np.abs(x - at), [0.5, _BUMP_HALF_M], [1.0, 0.0])
         return np.asarray(self.relief.at(x, y) + profile)
 
     def _material(self, x: F64, y: F64) -> NDArray[np.uint8]:
         beyond, walk = self._curb_distance(x, y)
         lot, paving, road = (material_index(name) for name in (self.lot_material, "concrete", "asphalt"))
         return np.where(beyond > walk, lot, np.where(beyond > 0.0, paving, road)).astype(np.uint8)
-
-    @property
-    def _curb_m(self) -> float:
-        return max((road.curb_m for road in (self.along, self.across) if road), default=0.0)
 
     def _curb_distance(self, x: F64, y: F64) -> tuple[F64, F64]:
         """Return how far beyond the nearest curb each place lies (negative on a road), and the sidewalk's width."""
@@ -113,12 +107,10 @@ class Ground:
                 beyond = np.abs(across) - road.half_m
                 walk = np.where(beyond - road.walk_m < far - walk, road.walk_m, walk)
                 far = np.minimum(far, beyond)
-        return (far, walk) if self.along or self.across else (np.full_like(far, -1.0), walk)
+        return far, walk
 
 
-def _crown(road: Road | None, across: F64) -> F64:
-    if road is None:
-        return np.zeros_like(across)
+def _crown(road: Road, across: F64) -> F64:
     return np.asarray(_CROWN * np.clip(road.half_m - np.abs(across), 0.0, None))
 
 

@@ -30,7 +30,7 @@ from viewshed_lab.sim.assets.street import (
 from viewshed_lab.sim.assets.vehicles import car, parked_vehicle
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, Mast, assembled, carriers, mast, plots, spots
+from viewshed_lab.sim.worlds.layout import Mast, assembled, carriers, mast, plots, spots
 from viewshed_lab.sim.worlds.outdoor_ground import relief
 from viewshed_lab.sim.worlds.traffic import Driver, Lane, Rider, Stream, filled, flow, straight_lane
 
@@ -71,7 +71,7 @@ def parking(rng: np.random.Generator, plan: AgentPlan) -> World:
     still = [thing for y in lot.rows_m for thing in _row(rng, lot, y, masts)]
     still += [*_market(rng, lot), *_rim(rng, lot)]
     moving = _traffic(rng, plan, lot)
-    return assembled("parking", _terrain(rng, lot), plan, Contents(still, moving, masts))
+    return assembled("parking", _terrain(rng, lot), plan, still, moving, masts)
 
 
 def _lot(rng: np.random.Generator) -> Lot:
@@ -185,9 +185,8 @@ def _rim(rng: np.random.Generator, lot: Lot) -> list[Thing]:
                 things.append(place_at(thing, c * u - s * out, s * u + c * out, yaw))
         for u in spots(rng, (-half, half), 3.0, (1.0, 14.0)):
             v = out + 4.0 + rng.uniform(0, 3)
-            things.append(
-                place_at(conifer(rng) if rng.random() < 0.25 else tree(rng, 2.0, 5.0), c * u - s * v, s * u + c * v)
-            )
+            one = conifer(rng) if rng.random() < 0.25 else tree(rng, 2.0, 5.0)
+            things.append(place_at(one, c * u - s * v, s * u + c * v))
         for u, length in plots(rng, (-half, half), (12.0, 26.0), 9.0, 0.6):
             v = out + 13.0
             things.append(place_at(town_house(rng, length, 11.0, True), c * u - s * v, s * u + c * v, yaw))
@@ -197,10 +196,7 @@ def _rim(rng: np.random.Generator, lot: Lot) -> list[Thing]:
 def _traffic(rng: np.random.Generator, plan: AgentPlan, lot: Lot) -> list[Rider]:
     """Return the cars in the aisles, which are one-way by turns, and on the roads at either end; and those on foot."""
     east, roam = lot.half_x_m + _ROAD_M / 2, lot.half_x_m - 4.0
-    ends = [
-        (straight_lane(east, 0.0, np.pi / 2), lot.half_y_m - 6.0),
-        (straight_lane(-east, 0.0, -np.pi / 2), lot.half_y_m - 6.0),
-    ]
+    ends = [(straight_lane(way * east, 0.0, way * np.pi / 2), lot.half_y_m - 6.0) for way in (1, -1)]
     lanes = [(straight_lane(0.0, y - 1.2 * (-1) ** k, np.pi * (k % 2)), roam) for k, y in enumerate(lot.aisles_m)]
     riders = aisles_driven(rng, plan, [*lanes, *ends], (10.0, 40.0, 160.0))
     for k, y in enumerate(lot.aisles_m):

@@ -9,14 +9,12 @@ from viewshed_lab.sim.assets.street import bin_, bush, conifer, fence, hedge, la
 from viewshed_lab.sim.assets.vehicles import car, cyclist, parked_vehicle, street_vehicle, van
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, parked, walkers
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, mast, spots
+from viewshed_lab.sim.worlds.layout import Mast, Span, assembled, mast, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.sim.worlds.traffic import Pace, driven, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
-
 _DRIVE_M = 3.6
-
 _PACE = Pace(_HALF_X_M, _ROAM_M, (4.0, 9.0), (15.0, 40.0, 120.0))
 
 
@@ -26,18 +24,14 @@ def residential(rng: np.random.Generator, plan: AgentPlan) -> World:
     road = Road(wide + PARKING_M + 0.1, rng.uniform(1.5, 2.4), rng.uniform(0.1, 0.13))
     bumps = tuple(rng.uniform(-45, 45, int(rng.integers(0, 3))).tolist())
     ground = Ground(relief(rng, wave_m=0.8), road, None, rng.uniform(0.0, 0.3), "grass", bumps)
-    sides = [_side(rng, yaw, road) for yaw in (0.0, np.pi)]
+    sides = [Side(yaw, road, rng.uniform(3.5, 8.0), rng.uniform(8.0, 11.0), rng.uniform(0.05, 0.6),
+                  rng.uniform(0.1, 0.9), (6.0, 18.0)) for yaw in (0.0, np.pi)]  # fmt: skip
     masts = _masts(rng, plan.roadside, road)
     still = [thing for one in sides for thing in _lined(rng, one, masts, bumps)]
     lanes = [straight_lane(0.0, -wide / 2, 0.0), straight_lane(0.0, wide / 2, np.pi)]
     moving = driven(rng, plan, lanes, _PACE, _vehicle)
     moving += [rider for one in sides for rider in walkers(rng, one, 60.0, plan.duration_s)]
-    return assembled("residential", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
-
-
-def _side(rng: np.random.Generator, yaw: float, road: Road) -> Side:
-    return Side(yaw, road, rng.uniform(3.5, 8.0), rng.uniform(8.0, 11.0), rng.uniform(0.05, 0.6), rng.uniform(0.1, 0.9),
-                (6.0, 18.0))  # fmt: skip
+    return assembled("residential", ground.terrain(_HALF_X_M, _HALF_Y_M), plan, still, moving, masts)
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:

@@ -25,9 +25,9 @@ COUNTRY_PACE = Pace(110.0, 50.0, (7.0, 22.0), (8.0, 30.0, 130.0))
 WHOLE: Span = (-HALF_M + 2.0, HALF_M - 2.0)
 
 
-def climb(rng: np.random.Generator, steepest: float, waves_m: Span = (110.0, 260.0)) -> Relief:
+def climb(rng: np.random.Generator, steepest: float) -> Relief:
     """Return heights along x of a road that climbs by at most ``steepest``, crests and dips counted in."""
-    grade, wave = rng.uniform(-0.5, 0.5) * steepest, rng.uniform(*waves_m)
+    grade, wave = rng.uniform(-0.5, 0.5) * steepest, rng.uniform(110.0, 260.0)
     high = rng.uniform(0.1, 0.5) * steepest * wave / (2 * np.pi)
     return Relief((grade, 0.0), (high, 0.0), (wave, 100.0), (rng.uniform(0, 6.28), 0.0))
 
@@ -55,9 +55,9 @@ def posts(road: Roadway, side: int, step_m: float) -> list[Thing]:
     return [road.bend.put(pole(1.0, 0.05, "sign"), x, across) for x in np.arange(*WHOLE, step_m).tolist()]
 
 
-def rail(rng: np.random.Generator, road: Roadway, side: int, longest_m: float = 224.0) -> list[Thing]:
+def rail(rng: np.random.Generator, road: Roadway, side: int) -> list[Thing]:
     """Return a guard rail on the shoulder along a part of the road."""
-    long = rng.uniform(0.3, 1.0) * longest_m
+    long = rng.uniform(0.3, 1.0) * 224.0
     middle = rng.uniform(-0.5, 0.5) * (2 * HALF_M - long)
     span = (max(middle - long / 2, WHOLE[0]), min(middle + long / 2, WHOLE[1]))
     return row(road.bend, guard_rail, span, side * (road.edge_m - 0.6))

@@ -93,10 +93,9 @@ class Bank:
         """Return heights above the edge at distances (…,) beyond it, in meters."""
         return np.asarray(np.interp(beyond, self.beyond_m, self.rise_m))
 
-    @property
-    def wide_m(self) -> float:
-        """From the edge of the shoulder to where the ground is level."""
-        return self.beyond_m[-1]
+
+LEVEL = (Bank((0.0, 1.0), (0.0, 0.0)),) * 2
+"""Level ground on the left and on the right."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +141,7 @@ class Roadway:
 
     def foot_m(self, side: int) -> float:
         """From the axis to where the land is level, left (1) or right (-1)."""
-        return self.edge_m + self.bank(side).wide_m
+        return self.edge_m + self.bank(side).beyond_m[-1]
 
     def lane_lines(self) -> list[Lane]:
         """Return the lanes: from the innermost outward, one way and back by turns."""
@@ -156,7 +155,7 @@ class Roadway:
         left, right = (bank.at(off - self.edge_m) for bank in self.banks)
         bank = np.where(across > 0, left, right) * self.swell.at(along)
         road = self.grade.at(along, np.zeros_like(along)) - _CROWN * np.clip(off, 0.0, self.edge_m)
-        wide = np.where(across > 0, self.banks[0].wide_m, self.banks[1].wide_m)
+        wide = np.where(across > 0, self.banks[0].beyond_m[-1], self.banks[1].beyond_m[-1])
         free = np.clip((off - self.edge_m - wide - _ROUGH_FROM_M) / _ROUGH_OVER_M, 0.0, 1.0)
         return np.asarray(road + bank + free * self.rough.at(x, y))
 

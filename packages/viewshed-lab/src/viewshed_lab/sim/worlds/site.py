@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64
-from viewshed_lab.sim.assets.shapes import material_index
-from viewshed_lab.sim.assets.street import cone, fence, group, lamp_post, person, pick, place_at, work_barrier
-from viewshed_lab.sim.assets.vehicles import car, truck, van
-from viewshed_lab.sim.assets.yard import (
+from viewshed_lab.sim.assets.country import (
     barrels,
     container,
     dumper,
@@ -24,12 +21,15 @@ from viewshed_lab.sim.assets.yard import (
     site_office,
     tower_crane,
 )
+from viewshed_lab.sim.assets.shapes import material_index
+from viewshed_lab.sim.assets.street import cone, fence, group, lamp_post, person, pick, place_at, work_barrier
+from viewshed_lab.sim.assets.vehicles import car, truck, van
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled
+from viewshed_lab.sim.worlds.layout import assembled
 from viewshed_lab.sim.worlds.roadsides import WHOLE, climb, fields
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, LEVEL, Roadway, random_bend
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Pace, driven
 
 _PACE = Pace(110.0, 50.0, (2.0, 7.0), (10.0, 50.0, 200.0))
@@ -72,16 +72,15 @@ class Grounds:
 
 def site(rng: np.random.Generator, plan: AgentPlan) -> World:
     """Return a building site or a yard with the agents of ``plan`` on its haul road."""
-    level, yard = Bank((0.0, 1.0), (0.0, 0.0)), rng.random() < 0.35
+    yard = rng.random() < 0.35
     road = Roadway(
         random_bend(rng, 0.4, (110.0, 260.0)), climb(rng, 0.02 if yard else 0.1), 1, rng.uniform(3.0, 4.0),
-        rng.uniform(0.4, 1.5), (level, level), rough=fields(rng, 0.2 if yard else 1.2, 0.01),
+        rng.uniform(0.4, 1.5), LEVEL, rough=fields(rng, 0.2 if yard else 1.2, 0.01),
     )  # fmt: skip
     count = 0 if yard else int(rng.integers(6, 26))
     spread, highs = rng.uniform(-95, 95, (count, 2)), rng.uniform(-2.0, 3.5, count)
     grounds = Grounds(road, np.column_stack([spread, highs, rng.uniform(4.0, 12.0, count)]))
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.8)
-    place = SitePlan.along(road.bend, road.edge_m + 0.2, masts)
+    masts, place = beside(rng, plan, road.bend, road.edge_m + 0.8, road.edge_m + 0.2)
     for _ in range(int(rng.integers(0, 4)) if not yard else 1):
         _raw(rng, place)
     if yard:
@@ -92,12 +91,8 @@ def site(rng: np.random.Generator, plan: AgentPlan) -> World:
         place.put_all(group(rng, *rng.uniform(-60, 60, 2).tolist()))
     loose = [maker(rng) for maker, mean in _LOOSE for _ in range(rng.poisson(mean * rng.uniform(0.5, 2.2)))]
     place.scatter(rng, loose, (WHOLE[0] + 4, WHOLE[0] + 4, WHOLE[1] - 4, WHOLE[1] - 4))
-    moving = driven(rng, plan, road.lane_lines(), _PACE, _vehicle)
-    return assembled("site", grounds.terrain(), plan, Contents(place.things, moving, masts))
-
-
-def _vehicle(rng: np.random.Generator) -> Thing:
-    return pick(rng, (dumper, truck, van, car))(rng)
+    moving = driven(rng, plan, road.lane_lines(), _PACE, lambda rng: pick(rng, (dumper, truck, van, car))(rng))
+    return assembled("site", grounds.terrain(), plan, place.things, moving, masts)
 
 
 def _raw(rng: np.random.Generator, place: SitePlan) -> None:

@@ -10,12 +10,11 @@ import shapely
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.assets.street import footprint, place_at
-from viewshed_lab.sim.world import Thing
+from viewshed_lab.sim.world import AgentPlan, Thing
 from viewshed_lab.sim.worlds.layout import Mast
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bend
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bend, masts_beside
 
 _GAP_M, _TALL_M = 0.15, 3.0
-
 _ROOM = 8192
 
 
@@ -33,13 +32,6 @@ class SitePlan:
         for area in areas:
             self._bounds[len(self._taken)] = area.bounds
             self._taken.append(area)
-
-    @classmethod
-    def along(cls, bend: Bend, half_m: float, masts: Sequence[Mast]) -> SitePlan:
-        """Return an empty plan that keeps free a road, within ``half_m`` meters of its axis, and roadside sensors."""
-        plan = cls.around(masts)
-        plan.keep_road(bend, half_m)
-        return plan
 
     @classmethod
     def around(cls, masts: Sequence[Mast]) -> SitePlan:
@@ -64,9 +56,9 @@ class SitePlan:
         near &= (bounds[:, 1] < y1 + gap_m) & (bounds[:, 3] > y0 - gap_m)
         return not any(self._taken[k].distance(area) < gap_m for k in np.flatnonzero(near))
 
-    def put(self, thing: Thing, gap_m: float = _GAP_M, below_m: float = 2.1) -> bool:
-        """Let a thing stand where it is if what of it begins below ``below_m`` is clear of others, and say so."""
-        area = shapely.Polygon(footprint(thing, below_m=below_m))
+    def put(self, thing: Thing, gap_m: float = _GAP_M) -> bool:
+        """Let a thing stand where it is if what of it is not overhead is clear of others, and say so."""
+        area = shapely.Polygon(footprint(thing))
         if not self.clear(area, gap_m) or self._blinds(thing):
             return False
         self.things.append(thing)
@@ -80,21 +72,16 @@ class SitePlan:
         whole = shapely.Polygon(footprint(thing, below_m=np.inf))
         return bool(shapely.intersects(whole, np.array(self._open)).any())
 
-    def put_all(self, things: list[Thing], gap_m: float = _GAP_M) -> None:
+    def put_all(self, things: list[Thing]) -> None:
         """Let those things stand that are clear of others, one after the other."""
         for thing in things:
-            self.put(thing, gap_m)
+            self.put(thing)
 
-    def put_row(self, things: list[Thing]) -> None:
-        """Let those pieces of one row stand that are clear of all others; they may touch each other."""
-        free = [one for one in things if self.clear(shapely.Polygon(footprint(one)), 0.02)]
-        self.stand(*free)
-
-    def stand(self, *things: Thing, below_m: float = 2.1) -> None:
+    def stand(self, *things: Thing) -> None:
         """Let things stand where they are, whatever else stands there; they may touch each other, not what follows."""
         for thing in things:
             self.things.append(thing)
-            self.reserve(shapely.Polygon(footprint(thing, below_m=below_m)))
+            self.reserve(shapely.Polygon(footprint(thing)))
 
     def scatter(
         self, rng: np.random.Generator, things: list[Thing], spread_m: tuple[float, float, float, float]
@@ -105,3 +92,16 @@ class SitePlan:
             for u, v, turn in rng.random((4, 3)).tolist():
                 if self.put(place_at(thing, x0 + u * (x1 - x0), y0 + v * (y1 - y0), 2 * np.pi * turn)):
                     break
+
+
+def beside(
+    rng: np.random.Generator, plan: AgentPlan, bend: Bend, mast_m: float, free_m: float, sides: Sequence[int] = (-1, 1)
+) -> tuple[list[Mast], SitePlan]:
+    """Return roadside sensors ``mast_m`` from the axis of a road, and an empty plan that keeps both free.
+
+    The road is kept free within ``free_m`` meters of its axis.
+    """
+    masts = masts_beside(rng, plan.roadside, bend, mast_m, sides)
+    site = SitePlan.around(masts)
+    site.keep_road(bend, free_m)
+    return masts, site

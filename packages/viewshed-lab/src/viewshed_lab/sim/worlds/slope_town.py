@@ -9,11 +9,11 @@ from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.assets.street import bin_, bush, hedge, lamp_post, person, pick, place_at, pole, sign, tree
 from viewshed_lab.sim.assets.vehicles import cyclist, parked_vehicle, street_vehicle
 from viewshed_lab.sim.world import AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.layout import Contents, assembled, plots, spots
+from viewshed_lab.sim.worlds.layout import assembled, plots, spots
 from viewshed_lab.sim.worlds.outdoor_ground import Relief
 from viewshed_lab.sim.worlds.roadsides import WHOLE, retaining_wall, upright
-from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, Swell, masts_beside, random_bend
-from viewshed_lab.sim.worlds.site_plan import SitePlan
+from viewshed_lab.sim.worlds.roadway import HALF_M, Bank, Roadway, Swell, random_bend
+from viewshed_lab.sim.worlds.site_plan import SitePlan, beside
 from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow
 
 _PACE = Pace(110.0, 50.0, (3.0, 11.0), (8.0, 30.0, 120.0))
@@ -32,8 +32,7 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         (_terraces(walk, left), _terraces(walk, right)),
         Swell(1.0, rng.uniform(0.0, 0.3), rng.uniform(120, 300), rng.uniform(0, 6.28)), soil="concrete",
     )  # fmt: skip
-    masts = masts_beside(rng, plan.roadside, road.bend, road.edge_m + 0.4)
-    site = SitePlan.along(road.bend, road.edge_m - 2.0, masts)
+    masts, site = beside(rng, plan, road.bend, road.edge_m + 0.4, road.edge_m - 2.0)
     walks: list[Rider] = []
     for side, step in ((1, left), (-1, right)):
         gate = rng.uniform(-60, 60)
@@ -45,8 +44,9 @@ def slope_town(rng: np.random.Generator, plan: AgentPlan) -> World:
         walks += _walkers(rng, road, side, plan.duration_s)
         _curb(rng, site, road, side)
         _houses(rng, site, road, side, walk)
-    moving = [*driven(rng, plan, road.lane_lines(), _PACE, _vehicle), *walks]
-    return assembled("slope_town", road.terrain(5.0, 1.5), plan, Contents(site.things, moving, masts))
+    lanes = road.lane_lines()
+    moving = driven(rng, plan, lanes, _PACE, lambda r: cyclist(r) if r.random() < 0.1 else street_vehicle(r))
+    return assembled("slope_town", road.terrain(5.0, 1.5), plan, site.things, [*moving, *walks], masts)
 
 
 def _climbing(rng: np.random.Generator) -> Relief:
@@ -64,10 +64,6 @@ def _terraces(walk_m: float, step_m: float) -> Bank:
         beyond += [at + 0.5, at + _RUN_M]
         rise += [0.05 + (k + 1) * step_m, 0.1 + (k + 1) * step_m]
     return Bank(tuple(beyond), tuple(rise))
-
-
-def _vehicle(rng: np.random.Generator) -> Thing:
-    return cyclist(rng) if rng.random() < 0.1 else street_vehicle(rng)
 
 
 def _walkers(rng: np.random.Generator, road: Roadway, side: int, duration_s: float) -> list[Rider]:

@@ -1,4 +1,4 @@
-"""A street canyon in town: lanes both ways along x, parked rows, sidewalks, closed rows of buildings."""
+"""Street canyons in town: lanes both ways along x, parked rows, sidewalks, rows of buildings or of glass fronts."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from viewshed_lab.sim.assets.street import cone, place_at, work_barrier
+from viewshed_lab.sim.assets.buildings import glass_front, glass_hall
+from viewshed_lab.sim.assets.shapes import Box
+from viewshed_lab.sim.assets.street import cone, place_at, wall, work_barrier
 from viewshed_lab.sim.assets.vehicles import cyclist, street_vehicle
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.frontage import PARKING_M, Side, buildings, furniture, parked, random_side, walkers
-from viewshed_lab.sim.worlds.layout import Contents, Mast, Span, assembled, mast
+from viewshed_lab.sim.worlds.layout import Mast, Span, assembled, mast, plots
 from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
-from viewshed_lab.sim.worlds.traffic import Driver, Lane, Pace, Rider, driven, flow, straight_lane
+from viewshed_lab.sim.worlds.traffic import Driver, Pace, Rider, driven, flow, straight_lane
 
 _HALF_X_M, _HALF_Y_M, _ROAM_M = 112.0, 70.0, 50.0
-
 _PACE = Pace(_HALF_X_M, _ROAM_M, (5.0, 14.0), (6.0, 20.0, 60.0), (0.8, 1.6))
 
 
@@ -38,13 +39,15 @@ def street_of(rng: np.random.Generator, plan: AgentPlan, name: str, houses: Hous
     sides = [random_side(rng, yaw, road, rng.random() < 0.85) for yaw in (0.0, np.pi)]
     masts = _masts(rng, plan.roadside, road)
     still = [thing for one in sides for thing in _lined(rng, one, masts, bumps, houses)]
-    moving = driven(rng, plan, _lanes(lanes, wide), _PACE, street_vehicle)
+    across = [(k + 0.5) * wide for k in range(lanes) for _ in range(2)]
+    ways = [straight_lane(0.0, at * (-1) ** (k + 1), np.pi * (k % 2)) for k, at in enumerate(across)]
+    moving = driven(rng, plan, ways, _PACE, street_vehicle)
     if biking:
         moving += _cyclists(rng, plan, lanes * wide + 0.8)
     moving += [rider for one in sides for rider in walkers(rng, one, 70.0, plan.duration_s)]
     if not sides[0].parked and rng.random() < 0.5:
         still += _works(rng, half)
-    return assembled(name, ground.terrain(_HALF_X_M, _HALF_Y_M), plan, Contents(still, moving, masts))
+    return assembled(name, ground.terrain(_HALF_X_M, _HALF_Y_M), plan, still, moving, masts)
 
 
 def _masts(rng: np.random.Generator, count: int, road: Road) -> list[Mast]:
@@ -70,12 +73,6 @@ def _lined(
     ]
 
 
-def _lanes(count: int, wide: float) -> list[Lane]:
-    """Return the lanes from the axis outward, one way and back by turns."""
-    across = [(k + 0.5) * wide for k in range(count)]
-    return [straight_lane(0.0, at if back else -at, np.pi if back else 0.0) for at in across for back in (False, True)]
-
-
 def _cyclists(rng: np.random.Generator, plan: AgentPlan, across_m: float) -> list[Rider]:
     riders: list[Rider] = []
     for y, yaw in ((-across_m, 0.0), (across_m, np.pi)):
@@ -91,3 +88,33 @@ def _works(rng: np.random.Generator, half_m: float) -> list[Thing]:
     rows = [place_at(work_barrier(), x + dx, y - 0.8) for dx in (-3.4, -1.2, 1.0, 3.2)]
     ends = [place_at(work_barrier(), x + dx, y + 0.35, np.pi / 2) for dx in (-4.8, 4.6)]
     return [*rows, *ends, *(place_at(cone(), x + dx, y + 0.2 * dx - 1.0 * np.sign(dx)) for dx in (6.0, -6.0))]
+
+
+def glass_fronts(rng: np.random.Generator, plan: AgentPlan) -> World:
+    """Return a street between glass fronts with the agents of ``plan``."""
+    return street_of(rng, plan, "glass_fronts", _fronts, 0.02)
+
+
+def _fronts(rng: np.random.Generator, side: Side, span_m: Span) -> list[Thing]:
+    """Return a row of glass fronts; between some of them walls, and before some of them balustrades of glass."""
+    things: list[Thing] = []
+    front, end = side.road.edge_m + side.setback_m, span_m[0]
+    for middle, length in plots(rng, span_m, (9.0, 26.0), 6.0, 0.25):
+        if middle - length / 2 - end > 1.0:
+            closing = wall(middle - length / 2 - end - 0.3, rng.uniform(1.0, 2.4))
+            things.append(side.put(closing, (middle - length / 2 + end) / 2, front + rng.uniform(1.0, 4.0)))
+        end = middle + length / 2
+        back = rng.uniform(0.0, 3.0) if rng.random() < 0.4 else 0.0
+        maker = glass_hall if rng.random() < 0.15 and back > 1.7 else glass_front
+        things.append(side.put(maker(rng, length, side.depth_m), middle, front + back))
+        if back > 1.2 and maker is glass_front and rng.random() < 0.5:
+            things.append(side.put(_balustrade(0.6 * length), middle, front + 0.2))
+    return things
+
+
+def _balustrade(length_m: float) -> Thing:
+    """Return a waist-high balustrade of glass along x with posts and a handrail."""
+    stands = [Box(float(x), 0.0, 0.05, 0.05, 1.05, -0.3, 0.0, "metal")
+              for x in np.linspace(-0.5, 0.5, max(2, round(length_m / 1.5))) * length_m]  # fmt: skip
+    rail = Box(0.0, 0.0, length_m, 0.05, 1.1, 1.05, 0.0, "metal")
+    return Thing("balustrade", (Box(0.0, 0.0, length_m, 0.02, 1.05, 0.1, 0.0, "window"), *stands, rail))

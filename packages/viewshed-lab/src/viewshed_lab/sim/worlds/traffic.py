@@ -13,17 +13,11 @@ from viewshed_lab.sim.world import AgentPlan, Thing, Track
 from viewshed_lab.sim.worlds.layout import carriers
 
 _STEP_S = 0.5
-
 _SMOOTH_STEPS = 2
-
 _LEAD_S = 3.0
-
 _FAR_M = 1500.0
-
 _QUEUE_GAP_M = 2.0
-
 _DELAY_STEPS = 2
-
 _REACTION_S = _DELAY_STEPS * _STEP_S
 
 
@@ -114,7 +108,7 @@ def flow(lane: Lane, drivers: Sequence[Driver], duration_s: float) -> list[Rider
         free = np.minimum(driver.start_m + driver.speed_mps * times, driver.hold_m)
         delayed = np.concatenate([np.full(_DELAY_STEPS, ahead[0]), ahead[:-_DELAY_STEPS]])
         path = np.minimum(free, delayed - gap)
-        track = _track(driver.lane or lane, wanted, _smooth(path)[keep])
+        track = Track(wanted, *(driver.lane or lane).at(_smooth(path)[keep]))
         stands = float(np.ptp(track.xy_m, axis=0).max()) < 0.02
         thing = place_at(driver.thing, *track.at(0.0)) if stands else drive(driver.thing, track)
         riders.append((thing, driver.sensor_ahead_m))
@@ -212,8 +206,3 @@ def _smooth(path: F64) -> F64:
     width = 2 * _SMOOTH_STEPS + 1
     total = np.cumsum(np.concatenate([[0.0], padded]))
     return np.asarray((total[width:] - total[:-width]) / width)
-
-
-def _track(lane: Lane, times: F64, s_m: F64) -> Track:
-    xy, yaw = lane.at(s_m)
-    return Track(times, xy, yaw)

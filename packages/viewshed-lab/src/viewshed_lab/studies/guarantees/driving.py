@@ -40,7 +40,7 @@ from viewshed_lab.sim.worlds.outdoor_ground import Ground, Road, relief
 from viewshed_lab.threats.attacks import CLEAN_SPOOFER, Attack
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostWall
 from viewshed_lab.threats.attacks.informed import VanishedObject
-from viewshed_lab.threats.attacks.removal import PhysicalRemoval
+from viewshed_lab.threats.attacks.wedge_attack import PhysicalRemoval
 
 STEP_S, LAST_S = 0.2, 24.0
 

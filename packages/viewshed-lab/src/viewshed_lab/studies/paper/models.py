@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,6 @@ from viewshed_lab.studies.store import ResultStore
 from viewshed_lab.training.config import PAPER, TrainConfig
 from viewshed_lab.training.cross_validation import FoldScore, Hyperparameters, mean_f1
 from viewshed_lab.training.data import Fold
-from viewshed_lab.training.log import history_to_json
 
 WEIGHTS = "network.onnx"
 
@@ -197,7 +196,7 @@ def train(config: TrainConfig, out: Path, cache: Path, device: str, fold: Fold |
     start = time.perf_counter()
     done = run.train(config, out, device=device, cache=cache, fold=fold)
     return {
-        "weights": done.weights.name, "history": history_to_json(done.history), "best": done.best.number,
+        "weights": done.weights.name, "history": [asdict(epoch) for epoch in done.history], "best": done.best.number,
         "frames_per_s": done.frames_per_s, "network_share": done.network_share, "device": device,
         "seconds": time.perf_counter() - start,
     }  # fmt: skip

@@ -13,8 +13,8 @@ from viewshed.sweep import Sweep
 from viewshed_lab.threats.attacks import ATTACKS, CLEAN_SPOOFER
 from viewshed_lab.threats.attacks.base import Attack, Tampered
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostCar
-from viewshed_lab.threats.attacks.removal import PhysicalRemoval
 from viewshed_lab.threats.attacks.spoofer import MEASURED_SPOOFER, random_open_azimuth
+from viewshed_lab.threats.attacks.wedge_attack import PhysicalRemoval
 
 FORGED_FROM_S = 2.0
 """Seconds from the first sweep to the attack."""

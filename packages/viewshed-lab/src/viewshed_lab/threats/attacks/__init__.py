@@ -27,7 +27,6 @@ from viewshed_lab.threats.attacks.adaptive import (
 from viewshed_lab.threats.attacks.base import NOTHING, ROAD_EXTENT_M, Attack, AttackFactory, Knowledge, Tampered, Wedge
 from viewshed_lab.threats.attacks.ghosts import FarWall, GhostCar, GhostWall, RemovalAndFarWall
 from viewshed_lab.threats.attacks.informed import CopiedObject, VanishedObject
-from viewshed_lab.threats.attacks.placement import Placement
 from viewshed_lab.threats.attacks.points import (
     PAPER_ATTACK,
     PAPER_INDOOR_ATTACK,
@@ -36,9 +35,9 @@ from viewshed_lab.threats.attacks.points import (
     Uniform,
     WedgeCluster,
 )
-from viewshed_lab.threats.attacks.removal import HighFrequencyRemoval, Jamming, PhysicalRemoval, Relay
 from viewshed_lab.threats.attacks.replay import CoherentPhantom, PoseSpoof, Replay
 from viewshed_lab.threats.attacks.spoofer import CLEAN_SPOOFER, RELIABILITY, Spoofer
+from viewshed_lab.threats.attacks.wedge_attack import HighFrequencyRemoval, Jamming, PhysicalRemoval, Placement, Relay
 from viewshed_lab.threats.attacks.whole_cloud import (
     Blinding,
     Mirror,
@@ -103,27 +102,26 @@ _MAKERS: dict[str, Callable[[Knowledge], Attack]] = {
     "relay": lambda known: Relay(offset_m=5.0 * known.scale, aim_m=30.0 * known.scale),
     "pose_spoof": lambda known: PoseSpoof(shift_m=known.scale),
     "removal_and_far_wall": lambda known: RemovalAndFarWall(far_m=50.0 * known.scale),
-    "far_wall_aimed": lambda known: _aimed("far_wall", known),
-    "removal_aimed": lambda known: _aimed("removal", known),
-    "removal_and_far_wall_aimed": lambda known: _aimed("removal_and_far_wall", known),
-    "wedge_cluster_clean": lambda known: _clean("wedge_cluster", known),
-    "ghost_car_clean": lambda known: _clean("ghost_car", known),
-    "ghost_wall_clean": lambda known: _clean("ghost_wall", known),
-    "far_wall_clean": lambda known: _clean("far_wall", known),
-    "removal_and_far_wall_clean": lambda known: _clean("removal_and_far_wall", known),
-    "vanished_object": lambda known: VanishedObject(near_m=25.0 * known.scale),
-    "copied_object": lambda known: CopiedObject(near_m=25.0 * known.scale),
 }
 
 
-def _aimed(name: str, known: Knowledge) -> Attack:
-    attack: Any = _MAKERS[name](known)
-    return cast(Attack, replace(attack, placement="largest_hidden_area"))
+def _changed(name: str, changes: dict[str, Any], known: Knowledge) -> Attack:
+    return cast(Attack, replace(cast(Any, _MAKERS[name](known)), **changes))
 
 
-def _clean(name: str, known: Knowledge) -> Attack:
-    attack: Any = _MAKERS[name](known)
-    return cast(Attack, replace(attack, spoofer=CLEAN_SPOOFER))
+_MAKERS |= {
+    f"{name}_{word}": partial(_changed, name, changes)
+    for word, changes, names in (
+        ("aimed", {"placement": "largest_hidden_area"}, ("far_wall", "removal", "removal_and_far_wall")),
+        ("clean", {"spoofer": CLEAN_SPOOFER},
+         ("wedge_cluster", "ghost_car", "ghost_wall", "far_wall", "removal_and_far_wall")),
+    )
+    for name in names
+}  # fmt: skip
+_MAKERS |= {
+    "vanished_object": lambda known: VanishedObject(near_m=25.0 * known.scale),
+    "copied_object": lambda known: CopiedObject(near_m=25.0 * known.scale),
+}
 
 
 def _make(name: str, budget: int | None = None, knowledge: Knowledge = NOTHING) -> Attack:

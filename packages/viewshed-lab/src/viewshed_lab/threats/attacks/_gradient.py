@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Azimuth, Between, Budget, Checked, Range, Sector, Share
 from viewshed_lab.threats.attacks.adaptive import SearchResult
-from viewshed_lab.threats.attacks.assembly import untouched
 from viewshed_lab.threats.attacks.base import Tampered
 from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed_lab.threats.attacks.ghosts import FarWall
-from viewshed_lab.threats.attacks.placement import Placement
-from viewshed_lab.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m
-from viewshed_lab.threats.parameters import Azimuth, Between, Budget, Checked, Range, Sector, Share
+from viewshed_lab.threats.attacks.spoofer import LEAVE, MEASURED_SPOOFER, Spoofer, limits_m, untouched
+from viewshed_lab.threats.attacks.wedge_attack import Placement
 
 ValueAndGradient = Callable[[NDArray[np.float64]], tuple[float, NDArray[Any]]]
 """From points (N, 3) in the sensor's frame to what they are worth to the attacker and the gradient (N, 3)."""

@@ -1,11 +1,13 @@
 """The beams of a sweep: which pixel (ring, column) each return has, which are empty, where each starts and points.
 
-Rays: the beams of a sweep that an attacker reaches, as straight lines.
+They follow from the sweep and its sensor's beam table alone. A sweep of a sensor in motion has its points in one frame.
+Where it carries times, the motion is that of a constant velocity and a constant turn about the world's vertical which
+puts the returns on the table's beams. Rays: the beams that an attacker reaches, as straight lines.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -14,13 +16,225 @@ from numba import njit
 from numpy.typing import NDArray
 
 from viewshed.arrays import F64, Mask
+from viewshed.geometry import rotation_from_quaternion
 from viewshed.preprocess.no_return import JITTER_COLUMNS
 from viewshed.preprocess.ring_recovery import RingAssignment, recover_rings
 from viewshed.sensors import LidarModel
 from viewshed.sweep import Sweep
 from viewshed_lab.sim.lidar.optics import step_of
 from viewshed_lab.threats.attacks.base import Wedge
-from viewshed_lab.threats.attacks.firing_fit import Firing, at_rest, even_azimuths, fit_firing
+
+Ints = NDArray[np.int32]
+
+ON_BEAM_M = 0.002
+"""Three quarters of the returns must lie this near to the table's beams, or the table does not say where they are."""
+
+_FITTED = 1500
+"""Returns that the fit looks at; a revolution has some ten thousand."""
+
+_FEWEST = 50
+
+_LIMITS_M = (3.0, 0.05, 0.05)
+"""Rounds of the fit: returns farther beside their beams than this do not count."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Firing:
+    """When and from where each of C columns was fired, in the sensor's reference frame."""
+
+    column: Ints  # (N,) int32 column of each return
+    azimuth: F64  # (C,) float64 firing azimuth in radians, by the sensor's heading at that time
+    turn: F64  # (C, 3, 3) float64 rotations of the sensor against its reference
+    shift_m: F64  # (C, 3) float64 positions of the sensor
+    time_s: NDArray[np.float32] | None = None  # (C,) float32 seconds, or None where the sweep has none
+
+    @classmethod
+    def at_rest(cls, column: Ints, columns: int, phase: float, time_s: NDArray[np.float32] | None = None) -> Firing:
+        """Return that of a sensor that does not move, its azimuths even, the first at -π and ``phase`` steps."""
+        azimuth = (np.arange(columns, dtype=np.float64) + phase) * (2 * np.pi / columns) - np.pi
+        return cls(column, azimuth, np.tile(np.eye(3), (columns, 1, 1)), np.zeros((columns, 3)), time_s)
+
+
+def fit_firing(sweep: Sweep, model: LidarModel) -> Firing | None:
+    """Return the firing that explains the returns within 2 mm, or None where none does; the sweep must have rings."""
+    if len(sweep) == 0 or sweep.ring is None:
+        return None
+    time_s = sweep.time_s
+    moving = time_s is not None and float(time_s.max()) > float(time_s.min())
+    return _fit_in_motion(sweep, model) if moving else _fit_at_rest(sweep, model)
+
+
+def _fit_at_rest(sweep: Sweep, model: LidarModel) -> Firing | None:
+    """Columns by azimuth, with the phase that most returns share."""
+    ring, columns = _rings(sweep), model.azimuth_columns
+    azimuth = np.arctan2(sweep.points[:, 1], sweep.points[:, 0]).astype(np.float64)
+    position = (azimuth - model.azimuth_offset[ring] + np.pi) / model.azimuth_step
+    phase = float(np.angle(np.exp(2j * np.pi * position[_sample(sweep)]).sum())) / (2 * np.pi) % 1.0
+    column = np.rint(position - phase).astype(np.int32) % columns
+    time_s = None if sweep.time_s is None else np.full(columns, sweep.time_s[0], np.float32)
+    firing = Firing.at_rest(column, columns, phase, time_s)
+    off_m, *_ = _fit_step(sweep, model, firing, np.zeros(4), np.inf)
+    return firing if np.quantile(off_m, 0.75) < ON_BEAM_M else None
+
+
+def _fit_in_motion(sweep: Sweep, model: LidarModel) -> Firing | None:
+    """Columns by time, then the motion about the middle of the revolution by Gauss and Newton's method."""
+    step_s = _column_time_s(sweep, model.azimuth_columns)
+    if step_s is None or sweep.time_s is None:
+        return None
+    columns = np.arange(model.azimuth_columns)
+    position = sweep.time_s.astype(np.float64) / step_s
+    first = float(np.median(position[_sample(sweep)] % 1.0))
+    column = np.rint(position - first).astype(np.int32)
+    if column.min() < 0 or column.max() >= len(columns) or np.abs(position - first - column).max() > 0.2:
+        return None
+    time_s = ((columns + first) * step_s).astype(np.float32)
+    firing = Firing.at_rest(column, len(columns), 0.5, time_s)
+    motion = np.zeros(4)
+    for limit_m in _LIMITS_M:
+        _, matrix, right, used = _fit_step(sweep, model, firing, motion, limit_m)
+        if used < _FEWEST:
+            return None
+        motion = motion + np.linalg.lstsq(matrix, right, rcond=None)[0]
+    off_m, *_ = _fit_step(sweep, model, firing, motion, np.inf)
+    return _moved(firing, motion, _vertical(sweep)) if np.quantile(off_m, 0.75) < ON_BEAM_M else None
+
+
+def _sample(sweep: Sweep) -> slice:
+    return slice(None, None, max(len(sweep) // _FITTED, 1))
+
+
+def _rings(sweep: Sweep) -> NDArray[np.int16]:
+    return np.zeros(len(sweep), np.int16) if sweep.ring is None else sweep.ring
+
+
+def _fit_step(
+    sweep: Sweep, model: LidarModel, firing: Firing, motion: F64, limit_m: float
+) -> tuple[F64, F64, F64, int]:
+    """Return the residuals (n,) of a sample of the returns, and the normal equations for a better motion."""
+    rows = _sample(sweep)
+    step: tuple[F64, F64, F64, int] = _residuals(
+        sweep.points[rows], _rings(sweep)[rows], firing.column[rows], firing.azimuth, _since_middle_s(firing),
+        model.elevation, model.azimuth_offset, model.origin_m, motion, _vertical(sweep), limit_m,
+    )  # fmt: skip
+    return step
+
+
+def _column_time_s(sweep: Sweep, columns: int) -> float | None:
+    """Return the time between two columns, or None where the times do not give it."""
+    time_s = np.zeros(0) if sweep.time_s is None else sweep.time_s.astype(np.float64)
+    gaps = np.diff(time_s)
+    if len(gaps) and gaps.min() < 0:
+        gaps = np.diff(np.unique(time_s))
+    gaps = gaps[gaps > 0]
+    if len(sweep) < _FEWEST or not 8 <= len(gaps) + 1 <= columns:
+        return None
+    return float(gaps.sum() / np.rint(gaps / gaps.min()).sum())
+
+
+def _vertical(sweep: Sweep) -> F64:
+    """Return the world's vertical (3,) in the sensor's frame."""
+    if sweep.world_from_sensor is not None:
+        return np.array(sweep.world_from_sensor.rotation[2])
+    attitude = sweep.known_attitude
+    return np.array([0.0, 0.0, 1.0] if attitude is None else rotation_from_quaternion(attitude)[2])
+
+
+def _since_middle_s(firing: Firing) -> F64:
+    if firing.time_s is None:
+        return np.zeros(len(firing.azimuth))
+    since_s: F64 = firing.time_s.astype(np.float64)
+    since_s -= since_s.mean()
+    return since_s
+
+
+def _moved(firing: Firing, motion: F64, axis: F64) -> Firing:
+    """Return the firing of a sensor with velocity ``motion[:3]`` and turn rate ``motion[3]`` about ``axis`` (3,).
+
+    Rotations by Rodrigues' formula.
+    """
+    since_s = _since_middle_s(firing)
+    angle = since_s * motion[3]
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turn = np.eye(3) + np.sin(angle)[:, None, None] * cross + (1 - np.cos(angle))[:, None, None] * (cross @ cross)
+    return replace(firing, turn=turn, shift_m=np.outer(since_s, motion[:3]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residuals(
+    points: Any,
+    ring: Any,
+    column: Any,
+    azimuth: Any,
+    since_s: Any,
+    elevation: Any,
+    offset: Any,
+    origin_m: Any,
+    motion: Any,
+    axis: Any,
+    limit_m: float,
+) -> Any:
+    """Return how far returns lie beside their beams (n,) meters, and one step of Gauss and Newton towards the motion.
+
+    ``motion`` (4,) is a velocity and a turn rate about ``axis`` (3,). The step's normal equations, a matrix (4, 4) and
+    a right side (4,), are summed over the returns less than ``limit_m`` beside their beam; their number comes last.
+    Points (n, 3), ring and column (n,) are the returns'; azimuth and time from the middle of the revolution (C,) the
+    columns'; elevation, azimuth offset and height of the start (R,) the rings'.
+    """
+    off_m = np.empty(points.shape[0])
+    matrix, right, used = np.zeros((4, 4)), np.zeros(4), 0
+    miss, slope = np.empty(3), np.empty((4, 3))
+    for n in range(points.shape[0]):
+        # The beam as the table has it, turned and moved with the sensor by the time of its column.
+        r, s = ring[n], since_s[column[n]]
+        angle, flat = azimuth[column[n]] + offset[r], np.cos(elevation[r])
+        direction = _rotate((flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[r])), axis, motion[3] * s)
+        start = _rotate((0.0, 0.0, origin_m[r]), axis, motion[3] * s)
+        arm = (points[n, 0] - motion[0] * s, points[n, 1] - motion[1] * s, points[n, 2] - motion[2] * s)
+        reach = (arm[0] - start[0], arm[1] - start[1], arm[2] - start[2])
+        # The residual: the part of the way to the return that is across the beam.
+        along = reach[0] * direction[0] + reach[1] * direction[1] + reach[2] * direction[2]
+        for k in range(3):
+            miss[k] = reach[k] - along * direction[k]
+        off_m[n] = np.sqrt(miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2)
+        # J'J and J'r of the returns that are no outliers.
+        if off_m[n] < limit_m:
+            used += 1
+            _residual_slopes(direction, _cross(axis, arm), s, slope)
+            for i in range(4):
+                right[i] += slope[i, 0] * miss[0] + slope[i, 1] * miss[1] + slope[i, 2] * miss[2]
+                for j in range(4):
+                    matrix[i, j] += slope[i, 0] * slope[j, 0] + slope[i, 1] * slope[j, 1] + slope[i, 2] * slope[j, 2]
+    return off_m, matrix, right, used
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _residual_slopes(direction: Any, sideways: Any, s: Any, slope: Any) -> None:
+    """Fill ``slope`` (4, 3): how the residual of one return follows velocity and turn rate.
+
+    Their part across the beam, times the time; ``sideways`` is what a turn of one radian moves the return by.
+    """
+    turning = sideways[0] * direction[0] + sideways[1] * direction[1] + sideways[2] * direction[2]
+    for k in range(3):
+        for i in range(3):
+            slope[i, k] = s * ((1.0 if i == k else 0.0) - direction[i] * direction[k])
+        slope[3, k] = s * (sideways[k] - turning * direction[k])
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _cross(a: Any, b: Any) -> Any:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
+def _rotate(v: Any, axis: Any, angle: Any) -> Any:
+    """Rodrigues' rotation of v (3,) about a unit axis (3,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = _cross(axis, v)
+    along = (1.0 - c) * (axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2])
+    return c * v[0] + s * x + along * axis[0], c * v[1] + s * y + along * axis[1], c * v[2] + s * z + along * axis[2]
+
 
 _SAMPLED = 4000
 """Returns from which the phase of the columns is estimated."""
@@ -55,21 +269,6 @@ class BeamLattice:
         lift_m = np.where(ring >= 0, self.origin_m[ring], 0.0)[:, None]
         start_m = np.take(self.firing.shift_m, column, 0) + np.take(self.firing.turn[:, :, 2], column, 0) * lift_m
         return start_m, *_towards(np.take(points, row, 0) - start_m)
-
-    def of_pixels(self, ring: NDArray[Any], column: NDArray[Any]) -> tuple[F64, F64]:
-        """Return starts (K, 3) in meters and directions (K, 3) of the beams of pixels (K,)."""
-        firing = self.firing
-        beams: tuple[F64, F64] = beams_of_pixels(
-            ring,
-            column,
-            self.elevation,
-            self.azimuth_offset,
-            self.origin_m,
-            firing.azimuth,
-            firing.turn,
-            firing.shift_m,
-        )
-        return beams
 
     def nearest_pixels(self, points: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the ring and column (K,) of the beams that pass nearest to points (K, 3), seen from the sensor."""
@@ -112,7 +311,11 @@ def lattice_of(sweep: Sweep) -> BeamLattice | None:
     beams = recover_rings(sweep)
     if beams.source == "elevation bins" or len(sweep) == 0:
         return None
-    return _lattice(beams.ring, *_recovered_table(beams, model), _recovered_firing(sweep, beams), 0.0)
+    none = np.zeros(beams.rings)
+    elevation, origin_m = beams.elevation, none
+    if model is not None and model.rings == beams.rings:
+        elevation, origin_m = model.elevation, model.origin_m
+    return _lattice(beams.ring, elevation, none, origin_m, _recovered_firing(sweep, beams), 0.0)
 
 
 def _lattice(
@@ -125,22 +328,10 @@ def _lattice(
     if not exact and not by_column:
         several[ring[ends], firing.column[ends]] = True  # the end of a ring is as blurred as its azimuths
     empty = _empty_pixels(rows, several, 0 if exact else JITTER_COLUMNS, exact)
-    seam = 0 if by_column or len(ends) == 0 else _seam(firing.column[ends], columns)
+    # The column at which rings begin, by the circular mean of the columns at their ends.
+    turn = np.angle(np.exp(2j * np.pi * firing.column[ends] / columns).sum()) / (2 * np.pi)
+    seam = 0 if by_column or len(ends) == 0 else int(np.ceil(turn * columns)) % columns
     return BeamLattice(ring, elevation, azimuth_offset, origin_m, firing, rows, empty, step_m, by_column, sense, seam)
-
-
-def _seam(column: NDArray[np.int32], columns: int) -> int:
-    """Return the column at which rings begin, by the circular mean of the columns at their ends."""
-    turn = np.angle(np.exp(2j * np.pi * column / columns).sum()) / (2 * np.pi)
-    return int(np.ceil(turn * columns)) % columns
-
-
-def _recovered_table(beams: RingAssignment, model: LidarModel | None) -> tuple[F64, F64, F64]:
-    """Return elevation, azimuth offset and height of the start of each ring (R,), as far as they are known."""
-    none = np.zeros(beams.rings)
-    if model is not None and model.rings == beams.rings:
-        return model.elevation, none, model.origin_m
-    return beams.elevation, none, none
 
 
 def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
@@ -149,7 +340,7 @@ def _recovered_firing(sweep: Sweep, beams: RingAssignment) -> Firing:
     sampled = position[:: max(len(position) // _SAMPLED, 1)].astype(np.float64)
     phase = float(np.angle(np.exp(2j * np.pi * sampled).sum())) / (2 * np.pi) % 1.0
     column = np.rint(position - np.float32(phase)).astype(np.int32) % beams.columns
-    return Firing(column, even_azimuths(beams.columns, phase), *at_rest(beams.columns))
+    return Firing.at_rest(column, beams.columns, phase)
 
 
 def _storage_order(ring: NDArray[np.int16], column: NDArray[np.int32]) -> tuple[bool, int, NDArray[np.intp]]:
@@ -232,7 +423,11 @@ def _towards(reach: F64) -> tuple[F64, F64]:
 
 def _empty_rays(lattice: BeamLattice, wedge: Wedge) -> Rays:
     ring, column = np.nonzero(lattice.empty)
-    start_m, direction = lattice.of_pixels(ring, column)
+    firing = lattice.firing
+    start_m, direction = beams_of_pixels(
+        ring, column, lattice.elevation, lattice.azimuth_offset, lattice.origin_m,
+        firing.azimuth, firing.turn, firing.shift_m,
+    )  # fmt: skip
     none = np.full(len(ring), -1)
     missing = Rays(none, ring, column, start_m, direction, np.full(len(ring), np.inf))
     return missing if wedge.width >= 2 * np.pi else missing.select(within(direction, wedge))
@@ -268,7 +463,7 @@ def _empty_pixels(rows: NDArray[np.int32], several: Mask, jitter: int, all_rings
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # pragma: no cover - compiled
+def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:
     """Return for each pixel (K,) the row of the nearest return and how many pixels it lies before the pixel.
 
     Nearest in the column, or in the ring where the sweep is stored ring by ring; else in the next columns or rings.
@@ -284,7 +479,7 @@ def nearest_rows(rows: Any, ring: Any, column: Any, by_column: bool) -> Any:  # 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:
     """Search the pixel's own column, then one column earlier at a time: those are stored before it."""
     rings, columns = rows.shape
     for away in range(columns):
@@ -295,7 +490,7 @@ def _nearest_by_columns(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover -
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:
     """Search the pixel's own ring, then the rings below and above it, farther and farther away."""
     rings, columns = rows.shape
     for away in range(rings):
@@ -308,7 +503,7 @@ def _nearest_by_rings(rows: Any, r: Any, c: Any) -> Any:  # pragma: no cover - c
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _nearest_in_line(rows: Any, at: Any) -> Any:  # pragma: no cover - compiled
+def _nearest_in_line(rows: Any, at: Any) -> Any:
     """Search a column or a ring; rows are stored from its first pixel on: beyond its ends is no neighbor."""
     for away in range(rows.shape[0]):
         if at - away >= 0 and rows[at - away] >= 0:
@@ -321,7 +516,7 @@ def _nearest_in_line(rows: Any, at: Any) -> Any:  # pragma: no cover - compiled
 @njit(cache=True, nogil=True, error_model="numpy")
 def beams_of_pixels(
     ring: Any, column: Any, elevation: Any, offset: Any, origin_m: Any, azimuth: Any, turn: Any, shift_m: Any
-) -> Any:  # pragma: no cover - compiled
+) -> Any:
     """Return starts (K, 3) and unit directions (K, 3) of the beams of pixels (K,), by the beam table and the motion.
 
     ``elevation``, azimuth ``offset`` and ``origin_m`` (R,) are the rings'; firing ``azimuth`` (C,), rotations ``turn``

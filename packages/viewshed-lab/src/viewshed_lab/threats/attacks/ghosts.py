@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from viewshed.sweep import Sweep
+from viewshed_lab._config import Angle, Azimuth, Between, Budget, Checked, Range
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed_lab.threats.attacks.points import wedge_around
@@ -32,7 +33,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     street_depth_m,
 )
 from viewshed_lab.threats.attacks.wedge_attack import WedgeAttack
-from viewshed_lab.threats.parameters import Angle, Azimuth, Between, Budget, Checked, Range
 
 _MARGIN_M = 2.0
 """Distance of a far wall before the sensor's maximum range."""

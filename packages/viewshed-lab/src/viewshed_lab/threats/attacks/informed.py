@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from viewshed.arrays import F64, Mask
 from viewshed.sweep import Sweep
-from viewshed_lab.threats.attacks.assembly import untouched
+from viewshed_lab._config import Azimuth, Budget, Checked, Range, Sector
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, lattice_of, rays_in
 from viewshed_lab.threats.attacks.spoofer import (
@@ -27,8 +27,8 @@ from viewshed_lab.threats.attacks.spoofer import (
     is_obstacle,
     level_rays,
     scene_of,
+    untouched,
 )
-from viewshed_lab.threats.parameters import Azimuth, Budget, Checked, Range, Sector
 
 Ints = NDArray[np.intp]
 
@@ -192,11 +192,11 @@ def _with_base(image: _RayImage, ring: Ints, ahead: Ints, first: int, width: int
 class _OfObjects(Checked):
     """The parameters that attacks on the objects near a sensor share."""
 
-    budget: Budget = None
-    sector_deg: Sector = 30.0
-    azimuth: Azimuth = None
-    near_m: Range = 25.0
-    spoofer: Spoofer = EXACT_SPOOFER
+    budget: Budget = None  # objects with more beams are left alone; None for any
+    sector_deg: Sector = 30.0  # objects must be narrower than this
+    azimuth: Azimuth = None  # in the sensor's frame, of the object nearest to it or of the copy; None draws one
+    near_m: Range = 25.0  # objects nearer than this vanish, or are copied
+    spoofer: Spoofer = EXACT_SPOOFER  # how well the beams are won
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,20 +206,18 @@ class VanishedObject(_OfObjects):
     Ground goes on where both sides show ground, at the heights that they show; else the farther side goes on. No part
     of the object is left, nothing lies below the ground, nothing is seen through; noise and lost beams are as beside
     it. Without an object that fits into the sector nothing is done.
-
-    Attributes:
-        budget: objects with more beams stay; None for any.
-        sector_deg: objects must be narrower than this.
-        azimuth: the object nearest to it in the sensor's frame vanishes; None draws one.
-        near_m: objects nearer than this vanish.
-        spoofer: how well the beams are won.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
         """Return the attacked sweep and what was done to it."""
         image = _image_of(sweep)
         objects = _objects_in_reach(sweep, self.near_m, self.sector_deg, self.budget)
-        for chosen in _drawn(objects, rng) if self.azimuth is None else _nearest_first(image, objects, self.azimuth):
+        if self.azimuth is None:
+            objects = _drawn(objects, rng)
+        else:  # the nearest first
+            apart = np.array([_azimuth_of(image, one) for one in objects]) - self.azimuth
+            objects = [objects[k] for k in np.argsort(np.abs((apart + np.pi) % (2 * np.pi) - np.pi), kind="stable")]
+        for chosen in objects:
             number, background_m = _background(sweep, image, chosen, rng)
             behind = background_m > image.rays.depth_m[number] + _BEHIND_M
             if behind.mean() > _VANISHING_SHARE:
@@ -241,11 +239,6 @@ def _random_one(objects: list[_Object], rng: np.random.Generator) -> int:
     """Return the number of an object drawn in proportion to its returns: large ones hide more."""
     returns = np.array([len(one.ring) for one in objects], np.float64)
     return int(rng.choice(len(objects), p=returns / returns.sum()))
-
-
-def _nearest_first(image: _RayImage, objects: list[_Object], azimuth: float) -> list[_Object]:
-    """Return the objects by how far their middle is from an azimuth."""
-    return sorted(objects, key=lambda one: abs((_azimuth_of(image, one) - azimuth + np.pi) % (2 * np.pi) - np.pi))
 
 
 def _azimuth_of(image: _RayImage, one: _Object) -> float:
@@ -355,14 +348,7 @@ class CopiedObject(_OfObjects):
     """A real object of the sweep appears a second time, at another azimuth, before everything that is there.
 
     Its surface, edges, noise and losses are those of a real one. It stands on ground of the same height, where the view
-    is open. Without such an object and place nothing is done.
-
-    Attributes:
-        budget: objects with more beams stay; None for any.
-        sector_deg: objects must be narrower than this.
-        azimuth: middle of the copy in the sensor's frame, where the largest object that fits is shown; None draws both.
-        near_m: objects nearer than this are copied.
-        spoofer: how well the beams are won.
+    is open. Without such an object and place nothing is done. At a given azimuth the largest object that fits is shown.
     """
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:

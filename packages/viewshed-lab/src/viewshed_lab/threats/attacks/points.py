@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from viewshed.arrays import F64
 from viewshed.geometry import rotation_from_quaternion
 from viewshed.sweep import Sweep
-from viewshed_lab.threats.attacks.assembly import add_points, untouched
+from viewshed_lab._config import Ascending, Azimuth, Between, Budget, Checked, Points, Share
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import Rays, rays_in
 from viewshed_lab.threats.attacks.spoofer import (
@@ -25,6 +24,7 @@ from viewshed_lab.threats.attacks.spoofer import (
     MEASURED_SPOOFER,
     GroundBox,
     Spoofer,
+    add_points,
     azimuth_or_random,
     choose_random,
     chord_m,
@@ -37,8 +37,8 @@ from viewshed_lab.threats.attacks.spoofer import (
     scene_of,
     street_depth_m,
     to_sensor,
+    untouched,
 )
-from viewshed_lab.threats.parameters import Ascending, Azimuth, Between, Budget, Checked, Points, Share
 
 Mode = Literal["free_form", "beam_constrained"]
 
@@ -254,14 +254,10 @@ class PaperAttack(Checked):
             xy = middle + rng.uniform(-self.spread_m, self.spread_m, (count, 2))
         else:
             return untouched(sweep)
-        return add_points(sweep, _level_with_sensor(sweep, xy), rng)
-
-
-def _level_with_sensor(sweep: Sweep, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points (A, 3) of the sensor's frame at its own height, over places (A, 2) of the level frame."""
-    attitude = sweep.known_attitude
-    rotation = scene_of(sweep).level_from_sensor.rotation if attitude is None else rotation_from_quaternion(attitude)
-    return np.column_stack([xy, np.zeros(len(xy))]) @ rotation
+        # At the sensor's own height, over places of the level frame.
+        known = sweep.known_attitude
+        rotation = scene_of(sweep).level_from_sensor.rotation if known is None else rotation_from_quaternion(known)
+        return add_points(sweep, np.column_stack([xy, np.zeros(len(xy))]) @ rotation, rng)
 
 
 PAPER_ATTACK = PaperAttack()

@@ -13,13 +13,20 @@ from numpy.typing import NDArray
 
 from viewshed.geometry import Rigid, quaternion_from_rotation, rotation_from_quaternion
 from viewshed.sweep import Sweep
-from viewshed_lab.threats.attacks.assembly import COLUMNS, untouched
+from viewshed_lab._config import Angle, Ascending, Between, Budget, Checked, Sector
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.beam_lattice import BeamLattice, Rays, lattice_of, rays_in
 from viewshed_lab.threats.attacks.ghosts import CAR_M, GhostCar
 from viewshed_lab.threats.attacks.points import Mode
-from viewshed_lab.threats.attacks.spoofer import FULL_CIRCLE, MEASURED_SPOOFER, NO_RETURN, NOISELESS_SPOOFER, Spoofer
-from viewshed_lab.threats.parameters import Angle, Ascending, Between, Budget, Checked, Sector
+from viewshed_lab.threats.attacks.spoofer import (
+    COLUMNS,
+    FULL_CIRCLE,
+    MEASURED_SPOOFER,
+    NO_RETURN,
+    NOISELESS_SPOOFER,
+    Spoofer,
+    untouched,
+)
 
 Anchor = Literal["world", "sensor"]
 
@@ -43,7 +50,9 @@ class PoseSpoof(Checked):
             ValueError: the sweep has no pose (for a tilt alone: neither pose nor attitude).
         """
         side, around, axis = rng.choice([-1.0, 1.0]), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
-        tilt = _about_level_axis(axis, np.deg2rad(self.tilt_deg))
+        half = np.deg2rad(self.tilt_deg) / 2
+        level_axis = np.sin(half) * np.cos(axis), np.sin(half) * np.sin(axis), 0.0
+        tilt = rotation_from_quaternion([np.cos(half), *level_axis])
         pose, attitude = sweep.world_from_sensor, sweep.attitude
         if pose is None and (self.yaw_deg > 0 or self.shift_m > 0 or attitude is None):
             raise ValueError("a sweep must have a pose for it to be spoofed, got none; give world_from_sensor")
@@ -54,13 +63,6 @@ class PoseSpoof(Checked):
         if attitude is not None and self.tilt_deg > 0:
             attitude = quaternion_from_rotation(tilt @ rotation_from_quaternion(attitude))
         return untouched(sweep.replace(world_from_sensor=pose, attitude=attitude))
-
-
-def _about_level_axis(axis: float, angle: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the rotation (3, 3) by ``angle`` about the level direction at azimuth ``axis``."""
-    half = angle / 2
-    x, y = np.sin(half) * np.cos(axis), np.sin(half) * np.sin(axis)
-    return rotation_from_quaternion([np.cos(half), x, y, 0.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,17 +87,14 @@ class Replay(Checked):
             ValueError: the beams of one of the sweeps are not known, or they have other rings.
         """
         if self.mode == "free_form":
-            return _replace_returns(sweep, self.earlier)
+            columns = {name: getattr(self.earlier, name) for name in COLUMNS}
+            every = np.ones(len(self.earlier), np.bool_)
+            return Tampered(sweep.replace(**columns), every, np.ones(len(sweep), np.bool_))
         wedge = Wedge.of_sector(self.azimuth, self.sector_deg)
         rays = rays_in(sweep, wedge, empty=True)
         earlier_m = depths_in(self.earlier, lattice_of(sweep), rays)
         changed = (rays.ring >= 0) & ~((rays.row < 0) & np.isinf(earlier_m))
         return self.spoofer.spoof_nearest(sweep, rays, changed, earlier_m, wedge, self.budget, rng)
-
-
-def _replace_returns(sweep: Sweep, earlier: Sweep) -> Tampered:
-    columns = {name: getattr(earlier, name) for name in COLUMNS}
-    return Tampered(sweep.replace(**columns), np.ones(len(earlier), np.bool_), np.ones(len(sweep), np.bool_))
 
 
 def depths_in(earlier: Sweep, lattice: BeamLattice | None, rays: Rays) -> NDArray[np.float64]:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from viewshed.arrays import F64, Mask
 from viewshed.preprocess.leveling import OBSTACLE_HEIGHTS_M
 from viewshed.sweep import Sweep
-from viewshed_lab.threats.attacks.assembly import add_points
+from viewshed_lab._config import Azimuth, Between, Checked, Range, Share
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
 from viewshed_lab.threats.attacks.spoofer import (
+    add_points,
     azimuth_or_random,
     ground_at,
     position_at,
@@ -26,7 +27,6 @@ from viewshed_lab.threats.attacks.spoofer import (
     scene_of,
     to_sensor,
 )
-from viewshed_lab.threats.parameters import Azimuth, Between, Checked, Range, Share
 
 _CAR_M = (4.2, 1.8, 1.5)
 _APART_RAD = 0.01
@@ -95,9 +95,8 @@ class Mirror(Checked):
     azimuth: Azimuth = None
     width_m: Annotated[float, Between(0.01, 100.0)] = 1.5
     height_m: Annotated[float, Between(0.01, 100.0)] = 1.5
-    turn_deg: Annotated[float, Between(-89.0, 89.0)] = (
-        35.0  # of its normal from the line to the sensor, about the vertical
-    )
+    # of its normal from the line to the sensor, about the vertical
+    turn_deg: Annotated[float, Between(-89.0, 89.0)] = 35.0
     tilt_deg: Annotated[float, Between(-89.0, 89.0)] = 0.0  # of its normal upward
 
     def apply(self, sweep: Sweep, rng: np.random.Generator) -> Tampered:
@@ -107,7 +106,9 @@ class Mirror(Checked):
             azimuth = azimuth_or_random(random_obstacle_azimuth(sweep, self.range_m, 50.0, rng), rng)
         x, y, _ = position_at(sweep, azimuth, self.range_m)
         low, high = (to_sensor(sweep, np.array([x, y, ground_at(sweep, x, y) + z])) for z in (0.0, self.height_m))
-        center, normal = (low + high) / 2, self._normal(azimuth)
+        turned, tilt = azimuth + np.pi + np.deg2rad(self.turn_deg), np.deg2rad(self.tilt_deg)
+        normal = np.array([np.cos(turned) * np.cos(tilt), np.sin(turned) * np.cos(tilt), np.sin(tilt)])
+        center = (low + high) / 2
         points = sweep.points.astype(np.float64)
         # 1. Beams that meet the mirror before their own return.
         met = self._is_met(points, center, normal)
@@ -126,10 +127,6 @@ class Mirror(Checked):
         is_shown[shown] = True
         wedge = Wedge(azimuth, 2.0 * float(np.arctan2(self.width_m, self.range_m)) + 0.02)
         return _moved(sweep, is_shown, moved, met & ~is_shown, wedge)
-
-    def _normal(self, azimuth: float) -> F64:
-        turned, tilt = azimuth + np.pi + np.deg2rad(self.turn_deg), np.deg2rad(self.tilt_deg)
-        return np.array([np.cos(turned) * np.cos(tilt), np.sin(turned) * np.cos(tilt), np.sin(tilt)])
 
     def _is_met(self, points: F64, center: F64, normal: F64) -> Mask:
         """Return which lines from the sensor to points (K, 3) pass through the mirror on their way."""

@@ -1,5 +1,1 @@
 """The worlds inside buildings."""
-
-from __future__ import annotations
-
-__all__ = ["atrium", "corridors", "hall", "loft", "rooms", "tunnel", "warehouse"]

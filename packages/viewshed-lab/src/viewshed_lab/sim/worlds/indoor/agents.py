@@ -14,14 +14,13 @@ from viewshed_lab.sim.assets.furniture import bounds
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.assets.street import drive, person
 from viewshed_lab.sim.terrain import Terrain
-from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.world import Agent, AgentPlan, Thing, World, tilted
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
 from viewshed_lab.sim.worlds.indoor.routes import Network, RoadMap, drive_route, open_floor
+from viewshed_lab.sim.worlds.layout import Rect, within
 
 ROBOT_RADIUS_M = 0.18
-
 _CLEAR_M, _PERSON_M, _APART_M = 0.32, 0.3, 0.5
-
 _LEAD_S, _SENSOR_M = 12.0, (0.3, 1.85)
 
 
@@ -56,7 +55,10 @@ def inhabited(floor_plan: FloorPlan, terrain: Terrain, building: Building, plan:
     mount = Rigid(np.eye(3), np.array([0.0, 0.0, plan.sensor_height_m]))
     agents = [Agent(f"robot_{k}", plan.sensor, mount, k) for k in range(len(robots))]
     agents += [Agent(f"ceiling_{k}", plan.roadside_sensor, pose) for k, pose in enumerate(hung)]
-    rods = [_rod(pose, building.ceiling_m) for pose in hung]
+    rods = [
+        Thing("rod", (Cylinder(x, y, 0.02, building.ceiling_m, z + 0.08, "metal"),), z_m=0.0)
+        for x, y, z in (pose.translation.tolist() for pose in hung)
+    ]
     return World(building.name, terrain, (*robots, *people, *rods, *floor_plan.things), tuple(agents), indoor=True)
 
 
@@ -148,10 +150,8 @@ def _robot(rng: np.random.Generator, network: Network, haunts: tuple[Rect, ...],
 
 def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: F64, rows: NDArray[np.intp]) -> int:
     """Return one of some nodes: any of those in the first haunt, in random order, that has one."""
-    x, y = nodes_m[rows].T
     for k in rng.permutation(len(haunts)).tolist():
-        a, b, c, d = haunts[k]
-        inside = rows[(x > a) & (x < c) & (y > b) & (y < d)]
+        inside = rows[within(haunts[k], *nodes_m[rows].T)]
         if inside.size:
             return int(rng.choice(inside))
     return int(rng.choice(rows))
@@ -159,8 +159,7 @@ def _goal(rng: np.random.Generator, haunts: tuple[Rect, ...], nodes_m: F64, rows
 
 def _within(haunts: tuple[Rect, ...], nodes_m: F64, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return those of some nodes that lie in one of the haunts; all if fewer than three do."""
-    x, y = nodes_m[rows].T
-    inside = np.array([(x > a) & (x < c) & (y > b) & (y < d) for a, b, c, d in haunts]).reshape(-1, len(rows))
+    inside = np.array([within(rect, *nodes_m[rows].T) for rect in haunts]).reshape(-1, len(rows))
     some = rows[inside.any(axis=0)]
     return some if len(some) > 2 else rows
 
@@ -192,9 +191,7 @@ def _hung(
         some = spots[rng.integers(len(spots), size=8)]
         gaps = [min([float(np.linalg.norm(spot - pose.translation)) for pose in poses], default=0.0) for spot in some]
         tilt, yaw = rng.uniform(0.05, 0.25), rng.uniform(-np.pi, np.pi)
-        c, s = np.cos(tilt), np.sin(tilt)
-        down = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-        poses.append(Rigid(Rigid.from_yaw(yaw).rotation @ down, some[int(np.argmax(gaps))]))
+        poses.append(Rigid(tilted(yaw, tilt, 0.0), some[int(np.argmax(gaps))]))
     return poses
 
 
@@ -204,8 +201,3 @@ def _hangs_free(spots: F64, solids: NDArray[np.float64], z_m: float) -> NDArray[
     x, y = spots[:, :1], spots[:, 1:]
     near = (x > above[:, 0] - 0.3) & (x < above[:, 2] + 0.3) & (y > above[:, 1] - 0.3) & (y < above[:, 3] + 0.3)
     return np.asarray(~near.any(axis=1))
-
-
-def _rod(pose: Rigid, ceiling_m: float) -> Thing:
-    x, y, z = pose.translation.tolist()
-    return Thing("rod", (Cylinder(x, y, 0.02, ceiling_m, z + 0.08, "metal"),), z_m=0.0)

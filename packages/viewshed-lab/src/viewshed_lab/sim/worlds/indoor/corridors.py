@@ -12,16 +12,13 @@ from viewshed_lab.sim.assets.furniture import standing
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import Rise, floor, lay, raised_room
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rise, floor, lay, raised_room
 from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect, Span
 
 _THICK_M, _NICHE_M = 0.12, 0.9
-
 _USES = ("office", "office", "meeting", "office", "store", "lounge")
-
-Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +54,10 @@ def corridors(rng: np.random.Generator, plan: AgentPlan) -> World:
         entries.append((office, office.free[int(rng.integers(len(office.free)))]))
         walls += _faces(rng, *entries[-1], niches)
     rise = _raised(rng, walls, entries) if rng.random() < 0.5 else None
-    passages = _passages(xs, ys)
+    passages: list[tuple[Rect, tuple[int, int]]] = [  # each stretch between two crossings, and its sides with walls
+        *(((a[1], y[0], b[0], y[1]), (0, 2)) for (a, b), y in product(pairwise(xs), ys)),
+        *(((x[0], a[1], x[1], b[0]), (1, 3)) for x, (a, b) in product(xs, pairwise(ys))),
+    ]
     build(floor_plan, [*walls, *_fire_doors(rng, passages)], top)
     if rise is not None:
         lay(floor_plan, rise)
@@ -97,12 +97,8 @@ def _offices(rng: np.random.Generator, xs: list[Span], ys: list[Span]) -> tuple[
         cut = low + (high - low) * rng.uniform(0.38, 0.62)
         across = (x, y)[axis]
         walls.append(Wall(axis == 0, cut, *across))
-        halves = (
-            ((x[0], y[0], x[1], cut), (x[0], cut, x[1], y[1]))
-            if axis == 0
-            else ((x[0], y[0], cut, y[1]), (cut, y[0], x[1], y[1]))
-        )
-        for rect, gone in zip(halves, (3 - axis, 1 - axis), strict=True):
+        inner = (x[1], cut, x[0], cut) if axis == 0 else (cut, y[1], cut, y[0])
+        for rect, gone in (((x[0], y[0], *inner[:2]), 3 - axis), ((*inner[2:], x[1], y[1]), 1 - axis)):
             offices.append(Office(rect, tuple(side for side in free if side != gone)))
     return offices, walls
 
@@ -161,21 +157,14 @@ def _niche(rng: np.random.Generator, face: Wall, side: int, niches: list[tuple[R
     return [replace(face, stop_m=a), replace(face, start_m=b), behind, *cheeks]
 
 
-def _passages(xs: list[Span], ys: list[Span]) -> list[tuple[Rect, tuple[int, int]]]:
-    """Return each stretch of a corridor between two crossings with the sides that have walls."""
-    along_y = [((a[1], y[0], b[0], y[1]), (0, 2)) for (a, b), y in product(pairwise(xs), ys)]
-    return [*along_y, *(((x[0], a[1], x[1], b[0]), (1, 3)) for x, (a, b) in product(xs, pairwise(ys)))]
-
-
 def _fire_doors(rng: np.random.Generator, passages: Iterable[tuple[Rect, tuple[int, int]]]) -> list[Wall]:
     """Return walls across a few corridors, where they meet a crossing, with a wide door."""
     walls = []
     for (x0, y0, x1, y1), sides in passages:
         if rng.random() < 0.14:
             start, stop, at = (y0, y1, x0 + 0.15) if sides[0] else (x0, x1, y0 + 0.15)
-            door = Opening(
-                (start + stop) / 2, min(1.5, stop - start - 0.3), "open" if rng.random() < 0.6 else "passage"
-            )
+            kind = "open" if rng.random() < 0.6 else "passage"
+            door = Opening((start + stop) / 2, min(1.5, stop - start - 0.3), kind)
             walls.append(Wall(bool(not sides[0]), at, start, stop, 0.1, "paint", (door,)))
     return walls
 

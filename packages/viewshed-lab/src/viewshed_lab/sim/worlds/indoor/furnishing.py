@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets.furniture import Maker
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan
+from viewshed_lab.sim.worlds.layout import Rect
 
 Wish = tuple[str, Maker, float]
 """Where (``wall``, ``corner``, ``middle`` or ``anywhere``), what, and how many on average: the share after the whole
@@ -18,34 +18,34 @@ number is a chance."""
 FURNISHING: dict[str, tuple[Wish, ...]] = {
     "office": (
         ("wall", furniture.desk, 2.5), ("wall", furniture.cabinet, 1.3), ("wall", furniture.shelf, 0.6),
-        ("corner", furniture.plant, 0.6), ("wall", furniture.bin_, 0.7), ("wall", fittings.whiteboard, 0.5),
-        ("anywhere", furniture.boxes, 0.4), ("anywhere", fittings.standing, 0.4),
+        ("corner", furniture.plant, 0.6), ("wall", furniture.bin_, 0.7), ("wall", furniture.whiteboard, 0.5),
+        ("anywhere", furniture.boxes, 0.4), ("anywhere", furniture.standing, 0.4),
     ),
     "meeting": (
-        ("middle", furniture.meeting, 1.0), ("wall", fittings.mirror, 0.8), ("wall", fittings.whiteboard, 0.8),
-        ("corner", furniture.plant, 0.8), ("wall", furniture.cabinet, 0.6), ("anywhere", fittings.standing, 0.3),
+        ("middle", furniture.meeting, 1.0), ("wall", furniture.mirror, 0.8), ("wall", furniture.whiteboard, 0.8),
+        ("corner", furniture.plant, 0.8), ("wall", furniture.cabinet, 0.6), ("anywhere", furniture.standing, 0.3),
     ),
     "lounge": (
-        ("wall", furniture.sofa, 1.6), ("middle", furniture.low_table, 1.0), ("wall", fittings.locker, 0.7),
-        ("anywhere", furniture.dining, 1.2), ("corner", furniture.plant, 1.5), ("anywhere", fittings.talking, 0.5),
+        ("wall", furniture.sofa, 1.6), ("middle", furniture.low_table, 1.0), ("wall", furniture.locker, 0.7),
+        ("anywhere", furniture.dining, 1.2), ("corner", furniture.plant, 1.5), ("anywhere", furniture.talking, 0.5),
     ),
     "living": (
         ("wall", furniture.sofa, 1.7), ("middle", furniture.low_table, 1.0), ("wall", furniture.shelf, 0.9),
-        ("wall", fittings.mirror, 0.6), ("wall", furniture.cabinet, 1.0), ("corner", furniture.plant, 1.0),
-        ("anywhere", furniture.dining, 0.6), ("anywhere", fittings.sitting, 0.4),
+        ("wall", furniture.mirror, 0.6), ("wall", furniture.cabinet, 1.0), ("corner", furniture.plant, 1.0),
+        ("anywhere", furniture.dining, 0.6), ("anywhere", furniture.sitting, 0.4),
     ),
     "bedroom": (
-        ("wall", furniture.bed, 1.2), ("wall", furniture.cabinet, 1.6), ("wall", fittings.mirror, 0.4),
+        ("wall", furniture.bed, 1.2), ("wall", furniture.cabinet, 1.6), ("wall", furniture.mirror, 0.4),
         ("wall", furniture.desk, 0.4), ("wall", furniture.chair, 0.5), ("corner", furniture.plant, 0.4),
         ("anywhere", furniture.boxes, 0.3),
     ),
     "kitchen": (
         ("wall", furniture.counter, 1.5), ("anywhere", furniture.dining, 1.0), ("wall", furniture.cabinet, 0.6),
-        ("corner", furniture.bin_, 0.8), ("anywhere", fittings.standing, 0.4),
+        ("corner", furniture.bin_, 0.8), ("anywhere", furniture.standing, 0.4),
     ),
     "study": (
         ("wall", furniture.desk, 1.2), ("wall", furniture.shelf, 2.0), ("wall", furniture.sofa, 0.5),
-        ("anywhere", furniture.boxes, 0.8), ("corner", furniture.plant, 0.6), ("anywhere", fittings.sitting, 0.3),
+        ("anywhere", furniture.boxes, 0.8), ("corner", furniture.plant, 0.6), ("anywhere", furniture.sitting, 0.3),
     ),
     "bathroom": (
         ("wall", furniture.bath, 0.7), ("wall", furniture.basin, 1.2), ("wall", furniture.toilet, 1.0),
@@ -55,19 +55,19 @@ FURNISHING: dict[str, tuple[Wish, ...]] = {
         ("wall", furniture.shelf, 2.2), ("wall", furniture.boxes, 2.5), ("anywhere", furniture.boxes, 0.8),
     ),
     "hallway": (
-        ("wall", furniture.cabinet, 1.2), ("wall", fittings.extinguisher, 1.5), ("wall", furniture.bin_, 1.0),
-        ("wall", furniture.chair, 1.5), ("wall", fittings.mirror, 0.6), ("corner", furniture.plant, 0.8),
+        ("wall", furniture.cabinet, 1.2), ("wall", furniture.extinguisher, 1.5), ("wall", furniture.bin_, 1.0),
+        ("wall", furniture.chair, 1.5), ("wall", furniture.mirror, 0.6), ("corner", furniture.plant, 0.8),
     ),
     "bare": (
         ("wall", furniture.cabinet, 1.2), ("wall", furniture.sofa, 0.3), ("anywhere", furniture.boxes, 0.4),
     ),
     "corridor": (
-        ("wall", fittings.extinguisher, 0.6), ("wall", furniture.bin_, 0.35), ("wall", fittings.bench, 0.3),
-        ("wall", fittings.whiteboard, 0.5), ("wall", fittings.radiator, 0.3), ("wall", furniture.cabinet, 0.15),
+        ("wall", furniture.extinguisher, 0.6), ("wall", furniture.bin_, 0.35), ("wall", furniture.bench, 0.3),
+        ("wall", furniture.whiteboard, 0.5), ("wall", furniture.radiator, 0.3), ("wall", furniture.cabinet, 0.15),
     ),
     "niche": (
-        ("wall", fittings.locker, 0.45), ("wall", fittings.bench, 0.35), ("wall", furniture.plant, 0.5),
-        ("wall", fittings.extinguisher, 0.6),
+        ("wall", furniture.locker, 0.45), ("wall", furniture.bench, 0.35), ("wall", furniture.plant, 0.5),
+        ("wall", furniture.extinguisher, 0.6),
     ),
 }  # fmt: skip
 """Rooms by use."""

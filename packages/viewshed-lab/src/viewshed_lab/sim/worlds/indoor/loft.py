@@ -7,22 +7,21 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Cylinder, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import floor
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
-from viewshed_lab.sim.worlds.indoor.hall import back_wall
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, floor, shrunk
+from viewshed_lab.sim.worlds.indoor.halls import back_wall
 from viewshed_lab.sim.worlds.indoor.walls import around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _PIECE_M = 0.55
 
 _PIECES: tuple[tuple[Maker, int], ...] = (
     (furniture.desk, 6), (furniture.dining, 3), (furniture.sofa, 4), (furniture.low_table, 3), (furniture.shelf, 6),
-    (furniture.boxes, 6), (furniture.plant, 5), (furniture.bed, 2), (furniture.meeting, 1), (fittings.standing, 4),
-    (fittings.bench, 3), (furniture.chair, 6), (fittings.talking, 2),
+    (furniture.boxes, 6), (furniture.plant, 5), (furniture.bed, 2), (furniture.meeting, 1), (furniture.standing, 4),
+    (furniture.bench, 3), (furniture.chair, 6), (furniture.talking, 2),
 )  # fmt: skip
 
 
@@ -39,7 +38,7 @@ def loft(rng: np.random.Generator, plan: AgentPlan) -> World:
     _columns(floor_plan, inside, top)
     for maker, most in _PIECES:
         for _ in range(int(rng.integers(most // 2, most + 1))):
-            if maker in (furniture.shelf, furniture.sofa, furniture.desk, fittings.bench) and rng.random() < 0.5:
+            if maker in (furniture.shelf, furniture.sofa, furniture.desk, furniture.bench) and rng.random() < 0.5:
                 floor_plan.against(inside, maker)
             else:
                 floor_plan.inside(shrunk(inside, 0.5), maker)
@@ -95,12 +94,8 @@ def _slanted(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
 def _columns(floor_plan: FloorPlan, inside: Rect, top_m: float) -> None:
     """Add columns on a grid that is turned against the walls."""
     rng = floor_plan.rng
-    pitch, turn, size, rounded = (
-        rng.uniform(4.0, 7.0),
-        rng.uniform(0, np.pi / 2),
-        rng.uniform(0.2, 0.45),
-        rng.random() < 0.4,
-    )
+    pitch, turn = rng.uniform(4.0, 7.0), rng.uniform(0, np.pi / 2)
+    size, rounded = rng.uniform(0.2, 0.45), rng.random() < 0.4
     c, s = np.cos(turn), np.sin(turn)
     part: Shape = (Cylinder(0.0, 0.0, size / 2, top_m, 0.0, "metal") if rounded
                    else Box(0.0, 0.0, size, size, top_m, 0.0, 0.0, "wood"))  # fmt: skip

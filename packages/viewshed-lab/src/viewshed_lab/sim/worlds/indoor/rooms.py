@@ -8,28 +8,15 @@ import numpy as np
 
 from viewshed_lab.sim.world import AgentPlan, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import Rise, floor, lay, raised_room
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rise, floor, lay, raised_room, shrunk
 from viewshed_lab.sim.worlds.indoor.furnishing import furnish, furnish_all
 from viewshed_lab.sim.worlds.indoor.walls import DOORS, Opening, Wall, around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _LEAST_M, _DOOR_M = 3.0, 1.6
-
 _OFFICES = ("office", "meeting", "office", "office", "lounge", "office")
-
 _HOMES = ("living", "bedroom", "kitchen", "study", "bedroom")
-
 _SMALL = ("bathroom", "store", "office")
-
-
-@dataclass(frozen=True, slots=True)
-class Cut:
-    """A line that divides the floor: along x or y, at y or x ``at_m``, from ``start_m`` to ``stop_m``."""
-
-    along_x: bool
-    at_m: float
-    start_m: float
-    stop_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +49,8 @@ def rooms(rng: np.random.Generator, plan: AgentPlan) -> World:
     lived = furnish_all(floor_plan, wishes, hub, 560)
     floor_plan.things.extend(ceiling(inside, top))
     ground = floor(rise, inside, "wood" if rng.random() < 0.6 else "concrete", "grass")
-    return inhabited(
-        floor_plan,
-        ground,
-        Building("rooms", inside, top, 2, (*lived, spaces[0], *((rise.rect,) if rise else ()))),
-        plan,
-    )
+    building = Building("rooms", inside, top, 2, (*lived, spaces[0], *((rise.rect,) if rise else ())))
+    return inhabited(floor_plan, ground, building, plan)
 
 
 def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:
@@ -80,12 +63,12 @@ def _uses(rng: np.random.Generator, spaces: list[Rect]) -> list[str]:
     return uses
 
 
-def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) -> tuple[list[Rect], list[Cut]]:
+def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) -> tuple[list[Rect], list[Wall]]:
     """Return rooms, the hallway first, and the cuts between them; the farther from the hub, the larger they are."""
     x0, y0, x1, y1 = inside
     wide, at = rng.uniform(1.7, 2.4), rng.uniform(0.4, 0.6)
     low = y0 + at * (y1 - y0) - wide / 2
-    spaces, cuts = [(x0, low, x1, low + wide)], [Cut(True, low, x0, x1), Cut(True, low + wide, x0, x1)]
+    spaces, cuts = [(x0, low, x1, low + wide)], [Wall(True, low, x0, x1), Wall(True, low + wide, x0, x1)]
     waiting = [(x0, y0, x1, low), (x0, low + wide, x1, y1)]
     while waiting:
         rect = waiting.pop()
@@ -96,7 +79,7 @@ def _layout(rng: np.random.Generator, inside: Rect, hub_m: tuple[float, float]) 
     return spaces, cuts
 
 
-def _split(rng: np.random.Generator, rect: Rect, least_m2: float, cuts: list[Cut]) -> list[Rect]:
+def _split(rng: np.random.Generator, rect: Rect, least_m2: float, cuts: list[Wall]) -> list[Rect]:
     """Return both halves of a rectangle that is cut across its longer side, or nothing if it is small enough."""
     x0, y0, x1, y1 = rect
     wide, deep = x1 - x0, y1 - y0
@@ -105,14 +88,14 @@ def _split(rng: np.random.Generator, rect: Rect, least_m2: float, cuts: list[Cut
     share = rng.uniform(0.32, 0.68)
     if wide > deep:
         at = float(np.clip(x0 + share * wide, x0 + _LEAST_M, x1 - _LEAST_M))
-        cuts.append(Cut(False, at, y0, y1))
+        cuts.append(Wall(False, at, y0, y1))
         return [(x0, y0, at, y1), (at, y0, x1, y1)]
     at = float(np.clip(y0 + share * deep, y0 + _LEAST_M, y1 - _LEAST_M))
-    cuts.append(Cut(True, at, x0, x1))
+    cuts.append(Wall(True, at, x0, x1))
     return [(x0, y0, x1, at), (x0, at, x1, y1)]
 
 
-def _stretches(spaces: list[Rect], cuts: list[Cut]) -> list[Shared]:
+def _stretches(spaces: list[Rect], cuts: list[Wall]) -> list[Shared]:
     """Return every stretch of a cut that two rooms share and that a door fits in."""
     shared = []
     for k, cut in enumerate(cuts):
@@ -162,7 +145,7 @@ def _raised(rng: np.random.Generator, spaces: list[Rect], doors: list[tuple[Shar
     return raised_room(spaces[one.high if up else one.low], 1 if up else 3, door, rng.uniform(0.08, 0.2))
 
 
-def _inner(rng: np.random.Generator, cut: Cut, doors: list[tuple[Shared, Opening]], rise: Rise | None) -> Wall:
+def _inner(rng: np.random.Generator, cut: Wall, doors: list[tuple[Shared, Opening]], rise: Rise | None) -> Wall:
     """Return the wall on a cut with its doors; none is hung where the ramp begins."""
     openings = []
     for _, one in doors:
@@ -170,7 +153,7 @@ def _inner(rng: np.random.Generator, cut: Cut, doors: list[tuple[Shared, Opening
         kind = "passage" if at_ramp and rise is not None and rise.ramp[0] < one.middle_m < rise.ramp[2] else one.kind
         openings.append(replace(one, kind=kind))
     material = "plaster" if rng.random() < 0.85 else "wood"
-    return Wall(cut.along_x, cut.at_m, cut.start_m, cut.stop_m, 0.12, material, tuple(openings))
+    return replace(cut, material=material, openings=tuple(openings))
 
 
 def _with_windows(rng: np.random.Generator, wall: Wall, spaces: list[Rect]) -> Wall:

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from viewshed.arrays import F64
 from viewshed_lab.sim.world import Track
-from viewshed_lab.sim.worlds.indoor.floor_plan import Rect
+from viewshed_lab.sim.worlds.layout import Rect
 
 _CELL_M, _BIN_M, _REACH_M = 0.1, 1.8, 3.8
 
@@ -162,7 +162,6 @@ def drive_route(path: F64, speed_mps: float, turn_rate: float, start_s: float, p
     stages[0::3], stages[1::3], stages[2::3] = drive, stand + 0.02, turn
     t_s = start_s + np.r_[0.0, np.cumsum(stages)]
     corner = np.r_[0, np.repeat(np.arange(1, len(path) - 1), 3), len(path) - 1]
-    heading = np.r_[
-        0, np.column_stack([np.arange(len(turn)), np.arange(len(turn)), np.arange(1, len(turn) + 1)]).ravel()
-    ]
-    return Track(t_s, path[corner], yaw[np.r_[heading, len(yaw) - 1]])
+    turned = np.arange(len(turn))
+    heading = np.column_stack([turned, turned, turned + 1]).ravel()
+    return Track(t_s, path[corner], yaw[np.r_[0, heading, len(yaw) - 1]])

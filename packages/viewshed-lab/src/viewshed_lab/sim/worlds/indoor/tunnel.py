@@ -7,21 +7,20 @@ from itertools import pairwise
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets import warehouse as stock
 from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box, Shape
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import floor
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, floor
 from viewshed_lab.sim.worlds.indoor.walls import ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _HALF_M = 34.0
 
 _ALONG: tuple[tuple[Maker, float], ...] = (
-    (fittings.extinguisher, 3.0), (furniture.boxes, 3.0), (fittings.radiator, 2.0), (furniture.bin_, 2.0),
-    (fittings.bench, 1.0), (furniture.cabinet, 2.0), (stock.cage, 2.0), (stock.pallet, 2.0), (fittings.locker, 1.0),
+    (furniture.extinguisher, 3.0), (furniture.boxes, 3.0), (furniture.radiator, 2.0), (furniture.bin_, 2.0),
+    (furniture.bench, 1.0), (furniture.cabinet, 2.0), (stock.cage, 2.0), (stock.pallet, 2.0), (furniture.locker, 1.0),
 )  # fmt: skip
 
 
@@ -68,9 +67,8 @@ def _passages(rng: np.random.Generator) -> list[Rect]:
         for _ in range(int(rng.integers(0, 3))):  # branches that end blind or meet another
             at, broad, far = rng.uniform(a + 1.5, c - 1.5), rng.uniform(1.6, 3.2), rng.uniform(4.0, 15.0)
             up = rng.random() < 0.5
-            passages.append(
-                (at - broad / 2, b if up else max(b - far, -19.0), at + broad / 2, min(d + far, 19.0) if up else d)
-            )
+            low, high = (b, min(d + far, 19.0)) if up else (max(b - far, -19.0), d)
+            passages.append((at - broad / 2, low, at + broad / 2, high))
             if rng.random() < 0.5:
                 end = passages[-1][3] if up else passages[-1][1]
                 deep = rng.uniform(2.5, 6.0)
@@ -79,11 +77,8 @@ def _passages(rng: np.random.Generator) -> list[Rect]:
                                  min(at + rng.uniform(2.0, 6.0), _HALF_M - 1), min(low + deep, 19.0)))  # fmt: skip
         for at in rng.uniform(a + 0.8, c - 0.8, int(rng.integers(0, 3))).tolist():  # niches
             deep = rng.uniform(0.3, 1.0)
-            passages.append(
-                (at - 0.6, b - deep, at + 0.6, b + 0.1)
-                if rng.random() < 0.5
-                else (at - 0.6, d - 0.1, at + 0.6, d + deep)
-            )
+            low, high = (b - deep, b + 0.1) if rng.random() < 0.5 else (d - 0.1, d + deep)
+            passages.append((at - 0.6, low, at + 0.6, high))
     return passages
 
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from viewshed_lab.sim.assets.furniture import DOOR_TOP_M, Group, bounds, door, footprint, place_group
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import Thing
-from viewshed_lab.sim.worlds.indoor.floor_plan import Doorway, FloorPlan, Rect
+from viewshed_lab.sim.worlds.indoor.floor_plan import Doorway, FloorPlan
+from viewshed_lab.sim.worlds.layout import Rect
 
 DOORS = ("open", "ajar", "shut", "passage")
 """Openings with a lintel above :data:`DOOR_TOP_M`; the others are ``window`` and ``pane``."""
 
 _POST_M, _ZONE_M = 0.06, 0.9
-
 _PANE_M = 0.02
 
 

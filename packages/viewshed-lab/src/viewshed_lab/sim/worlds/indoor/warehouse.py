@@ -7,23 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from viewshed_lab.sim.assets import furniture
-from viewshed_lab.sim.assets import furniture as fittings
 from viewshed_lab.sim.assets import warehouse as stock
 from viewshed_lab.sim.assets.furniture import Maker, place_group
 from viewshed_lab.sim.assets.shapes import Box
 from viewshed_lab.sim.world import AgentPlan, Thing, World
 from viewshed_lab.sim.worlds.indoor.agents import Building, inhabited
-from viewshed_lab.sim.worlds.indoor.floor import Rise, floor, lay
-from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rect, shrunk
+from viewshed_lab.sim.worlds.indoor.floor_plan import FloorPlan, Rise, floor, lay, shrunk
 from viewshed_lab.sim.worlds.indoor.walls import Opening, Wall, around, build, ceiling
+from viewshed_lab.sim.worlds.layout import Rect
 
 _QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-
 _STAGING_M, _CROSS_M, _MOST_PARTS = 10.0, 3.2, 560
 
 _STAGED: tuple[tuple[Maker, int], ...] = (
     (stock.forklift, 2), (stock.conveyor, 1), (stock.pallet, 8), (stock.cage, 4), (stock.cart, 3),
-    (furniture.table, 2), (furniture.boxes, 5), (fittings.standing, 4),
+    (furniture.table, 2), (furniture.boxes, 5), (furniture.standing, 4),
 )  # fmt: skip
 
 
@@ -40,13 +38,15 @@ def warehouse(rng: np.random.Generator, plan: AgentPlan) -> World:
     trucks = [one for one in walls[gates].openings if one.kind == "gate"]
     floor_plan.things.extend(truck for one in trucks for truck in _truck(rng, one, walls[gates], gates))
     floor_plan.things.extend(ceiling(inside, top, "metal"))
-    staging, store = _zones(inside, gates)
+    edge = half_y - _STAGING_M if gates == 3 else _STAGING_M - half_y
+    low, high = (-half_x, -half_y, half_x, edge), (-half_x, edge, half_x, half_y)
+    staging, store = (high, low) if gates == 3 else (low, high)  # the floor before the gates, and the rest
     edge = _racks(floor_plan, store, top)
     _floor_storage(floor_plan, (edge, store[1] + 1.5, store[2] - 1.0, store[3] - 1.0))
     rise = _dock(floor_plan, staging, gates) if rng.random() < 0.5 else None
     for maker, limit in _STAGED:
         for _ in range(int(rng.integers(limit // 2, limit + 1))):
-            floor_plan.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not fittings.standing else ())
+            floor_plan.inside(shrunk(staging, 1.0), maker, _QUARTERS if maker is not furniture.standing else ())
     _along_walls(floor_plan, inside, gates)
     _roof(floor_plan, inside, top)
     building = Building("warehouse", inside, top, 3, (store, staging, staging) + ((rise.rect,) if rise else ()))
@@ -67,14 +67,6 @@ def _truck(rng: np.random.Generator, gate: Opening, wall: Wall, side: int) -> tu
     out = 4.0 + wall.thick_m
     turn = -np.pi / 2 if side == 3 else np.pi / 2
     return place_group(stock.trailer(rng), gate.middle_m, wall.at_m + (out if side == 3 else -out), turn)
-
-
-def _zones(inside: Rect, gates: int) -> tuple[Rect, Rect]:
-    """Return the floor before the gates, and the rest."""
-    x0, y0, x1, y1 = inside
-    if gates == 3:
-        return (x0, y1 - _STAGING_M, x1, y1), (x0, y0, x1, y1 - _STAGING_M)
-    return (x0, y0, x1, y0 + _STAGING_M), (x0, y0 + _STAGING_M, x1, y1)
 
 
 def _racks(floor_plan: FloorPlan, store: Rect, top_m: float) -> float:
@@ -131,7 +123,7 @@ def _dock(floor_plan: FloorPlan, staging: Rect, gates: int) -> Rise | None:
 
 def _along_walls(floor_plan: FloorPlan, inside: Rect, gates: int) -> None:
     sides = tuple(side for side in range(4) if side != gates)
-    for maker, limit in ((fittings.extinguisher, 4), (fittings.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
+    for maker, limit in ((furniture.extinguisher, 4), (furniture.locker, 2), (furniture.shelf, 3), (stock.pallet, 4),
                         (stock.cage, 2), (furniture.desk, 2)):  # fmt: skip
         for _ in range(int(floor_plan.rng.integers(1, limit + 1))):
             floor_plan.against(inside, maker, sides)
