@@ -16,8 +16,6 @@ from viewshed_lab.cli.evaluate import crossview
 if TYPE_CHECKING:
     from viewshed_lab.studies.plan import Plan
     from viewshed_lab.studies.runner import Progress
-    from viewshed_lab.studies.store import ResultStore
-    from viewshed_lab.studies.tracks.plan import TracksPlan
 
 study_app = typer.Typer(help="Run a study and write its page; a stopped study goes on.")
 
@@ -249,17 +247,13 @@ def tracks(
     Example: viewshed study tracks --preset tiny --out study
     """
     from viewshed_lab._jobs import engine_named
-    from viewshed_lab.studies.tracks.jobs import run_study, save_models
+    from viewshed_lab.studies.tracks.jobs import run_study
     from viewshed_lab.studies.tracks.page import files_of
     from viewshed_lab.studies.tracks.plan import STEPS, TracksPlan
 
-    def pages(store: ResultStore[TracksPlan]) -> dict[str, bytes]:
-        save_models(store)
-        return files_of(store)
-
     steps = _steps(only, STEPS)
     work = partial(run_study, engine=engine_named(engine, workers), steps=steps)
-    _run(TracksPlan.load(preset), _folder(out, "tracks"), page, work, pages if "page" in steps else None)
+    _run(TracksPlan.load(preset), _folder(out, "tracks"), page, work, files_of if "page" in steps else None)
 
 
 @study_app.command()
