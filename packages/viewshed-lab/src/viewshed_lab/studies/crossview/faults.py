@@ -16,7 +16,7 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.sweep import Sweep
 from viewshed_lab.studies.cases import generator
-from viewshed_lab.studies.crossview.rates import CrossViewRules, CrossViewTruth
+from viewshed_lab.studies.crossview.rates import RANGE_A_M, CrossViewTruth
 
 BLOB_M = 4.5
 """Diameter of a wrong blob: the length of a car."""
@@ -84,7 +84,7 @@ def _disk(radius: float) -> Mask:
 
 def _blobs(within: Mask, count: int, grid: BevGrid, rng: np.random.Generator) -> Mask:
     """Return blobs whose middles lie in a mask, no farther away than columns are looked for."""
-    middles = np.argwhere(within & (polar_of_cells(grid)[0] < CrossViewRules().range_a_m[1]))
+    middles = np.argwhere(within & (polar_of_cells(grid)[0] < RANGE_A_M[1]))
     centers = np.zeros(grid.shape, np.bool_)
     if len(middles):
         centers[tuple(rng.permutation(middles)[:count].T)] = True
