@@ -13,7 +13,7 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies import figures
 from viewshed_lab.studies.cases import MIXTURE, budget_cases, corruption_cases
 from viewshed_lab.studies.formatting import commits
-from viewshed_lab.studies.pages import Page, Picture, Table, fill_template
+from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Domain, Results
 from viewshed_lab.studies.robustness import tables
 from viewshed_lab.studies.robustness.jobs import evaluation_of
@@ -133,29 +133,16 @@ def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.PictureRow
     )  # fmt: skip
 
 
-def files_of(
-    store: ResultStore[RobustnessPlan], failed: Sequence[str] = (), stem: str = "robustness"
-) -> dict[str, bytes]:
-    """Return the files of the study by name: pictures, and the Markdown page last.
-
-    Args:
-        store: of the study.
-        failed: jobs that failed, one line each.
-        stem: of the name of the page.
-    """
+def files_of(store: ResultStore[RobustnessPlan], stem: str = "robustness") -> dict[str, bytes]:
+    """Return the files of the study by name: pictures, and the Markdown page ``stem`` last."""
     results = store.results()
     store.require(results)
-    return main_page(store, results, failed).files(f"{stem}.md", facts(**provenance(results)))
-
-
-def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPlan], failed: Sequence[str] = ()) -> Page:
-    """Return the main page."""
     domains, plan = domains_of(results), results.plan
     adaptive = [domain for domain in domains if domain.met("adaptive").methods]
     unaware = [domain for domain in domains if domain.met("unaware").methods]
     paper = [domain for domain in domains if len(domain.paper.cases) > 1]
-    return fill_template(
-        "robustness/page.md", plan=plan, store=store, tables=tables, extent=_extent(results, failed), domains=domains,
+    page = fill_template(
+        "robustness/page.md", plan=plan, store=store, tables=tables, extent=_extent(results), domains=domains,
         adaptive_domains=adaptive, unaware_domains=unaware, paper_domains=paper, budgets=BUDGETS,
         attacks_on_defenses=plan.adaptive_against_defenses if unaware else (), max_f1_loss=MAX_F1_LOSS,
         max_wedge_loss=MAX_WEDGE_LOSS,
@@ -164,6 +151,7 @@ def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPla
         violin_picture=violin_picture, scene_picture=scene_picture, budget_picture=budget_picture,
         wedge_picture=wedge_picture, corruption_picture=corruption_picture, refused=refused_table(results),
     )  # fmt: skip
+    return page.files(f"{stem}.md", facts(**provenance(results)))
 
 
 def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
@@ -178,14 +166,14 @@ def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
     }
 
 
-def _extent(results: Results[RobustnessPlan], failed: Sequence[str]) -> str:
+def _extent(results: Results[RobustnessPlan]) -> str:
     """Return how much was run, and what is missing."""
     plan, done, jobs = results.plan, len(results.facts), len(results.plan.job_keys())
     words = f"{sum(results.sweeps(domain.name) for domain in domains_of(results))} sweeps with {len(plan.attacks)} "
     words += f"attacks, {len(plan.corruptions)} corruptions and {len(plan.defenses)} defenses."
     if done < jobs:
         words += f" **Not finished: {done} of {jobs} jobs are done; a sample has up to {len(PARTS)}.**"
-    return words + (f" {len(failed)} jobs failed: {'; '.join(failed[:3])}." if failed else "")
+    return words
 
 
 def withstood_at(domains: Sequence[AttackedDomain], budget: Budget) -> str:
