@@ -232,11 +232,12 @@ def own_share(shape: UNetShape, cells: int) -> float:
     return 1.0 - 2 * shared * cells**2 / shape.flops(cells)
 
 
-def peak_flops(threads: int, side: int = 2048) -> tuple[float, float]:
+def peak_flops(threads: int) -> tuple[float, float]:
     """Return the floating point operations a second of a large product of matrices, in float32 and in bfloat16."""
     import torch
 
     torch.set_num_threads(threads)
+    side = 2048
     single = torch.rand(side, side)
     half = single.bfloat16()
     times = times_of({"single": lambda: single @ single, "half": lambda: half @ half}, np.random.default_rng(0), 3.0)

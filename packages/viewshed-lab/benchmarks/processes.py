@@ -76,18 +76,16 @@ def estimate(sweep: Path, out: Path, rng: np.random.Generator) -> dict[str, Timi
     return interleaved(jobs, rng)
 
 
-def estimates_in_empty_homes(
-    sweep: Path, folder: Path, results: str, viewshed: str = VIEWSHED, homes: int = HOMES
-) -> Starts:
+def estimates_in_empty_homes(sweep: Path, folder: Path, results: str) -> Starts:
     """Return what ``viewshed estimate`` of one sweep takes with its ``results``, first and later in empty homes.
 
     Nothing that another home or the environment may have cached is found: programs keep their caches in the home.
     """
     first, later = list[Start](), list[Start]()
-    for number in range(homes):
+    for number in range(HOMES):
         home = folder / f"home {results} {number}"
         home.mkdir()
-        command = [viewshed, "estimate", str(sweep), "--results", results, "--out", str(home / "out")]
+        command = [VIEWSHED, "estimate", str(sweep), "--results", results, "--out", str(home / "out")]
         for k in range(1 + LATER):
             (later if k else first).append(_started(command, home))
     return Starts(first, later)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from viewshed.arrays import Mask
 from viewshed.estimators import PAPER_THRESHOLD, paper_estimators_on
 from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.fov.visibility import CAR, Target
+from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts, Scores, average_precision
@@ -49,9 +49,9 @@ class Reference:
         return cls(grid, visible, known, level(sample.sweep, grid).world_from_level)
 
     @classmethod
-    def exact(cls, sample: StudySample, target: Target = CAR) -> Reference:
+    def exact(cls, sample: StudySample) -> Reference:
         """Return the exact truth of ``probe``, where it is known."""
-        return cls.of(sample, sample.truth.visible(target), sample.known, sample.truth.grid)
+        return cls.of(sample, sample.truth.visible(CAR), sample.known, sample.truth.grid)
 
     @classmethod
     def label(cls, sample: StudySample, grid: BevGrid) -> Reference:

@@ -208,14 +208,10 @@ def _aimed_and_through(a: LeveledSweep, xy: NDArray[np.float64]) -> tuple[NDArra
 
 
 def evaluate_crossview(
-    sequences: Sequence[Sequence[Sweep]],
-    estimators: Mapping[str, FovEstimator],
-    *,
-    rng: np.random.Generator,
-    on_step: OnStep = lambda _: None,
+    sequences: Sequence[Sequence[Sweep]], estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene)."""
-    return rows_of(crossview_truth(sequences, on_step), estimators, rng=rng, on_step=on_step)
+    return rows_of(crossview_truth(sequences), estimators, rng=rng)
 
 
 def crossview_truth(

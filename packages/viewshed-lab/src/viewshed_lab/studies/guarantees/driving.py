@@ -84,21 +84,18 @@ CERTIFIED = {"ours + certificate": Threat("wedge", 30), ONLY: Threat("replaced",
 drive then, and withstands 150 beams instead."""
 
 
-def speed_in_view(estimate: FovEstimate, car: Vehicle = CAR) -> float:
+def speed_in_view(estimate: FovEstimate) -> float:
     """Return the highest speed in m/s, of steps of .5, at which nobody who is not seen can get in the way.
 
-    To stop takes delay + v / braking; whoever stands in a cell that is not FREE may walk sideways for so long.
-
-    Args:
-        estimate: of the sensor on the car, which drives along x of ``level``.
-        car: how it stops.
+    The car drives along x of ``level``. To stop takes delay + v / braking; whoever stands in a cell that is not FREE
+    may walk sideways for so long.
     """
     x_m, y_m = np.moveaxis(estimate.grid.centers, -1, 0)
-    ahead = (estimate.state != CellState.FREE) & (x_m > car.front_m) & (x_m < 40.0) & (np.abs(y_m) < 8.0)
-    x_m, aside_m = x_m[ahead] - car.front_m, np.abs(y_m[ahead]) - car.half_width_m
+    ahead = (estimate.state != CellState.FREE) & (x_m > CAR.front_m) & (x_m < 40.0) & (np.abs(y_m) < 8.0)
+    x_m, aside_m = x_m[ahead] - CAR.front_m, np.abs(y_m[ahead]) - CAR.half_width_m
     speeds = np.arange(0.0, CRUISE_MPS + 0.25, 0.5)[:, None]
-    stop_s = car.delay_s + speeds / car.braking_mps2
-    stop_m = speeds * car.delay_s + speeds**2 / (2 * car.braking_mps2) + 0.5
+    stop_s = CAR.delay_s + speeds / CAR.braking_mps2
+    stop_m = speeds * CAR.delay_s + speeds**2 / (2 * CAR.braking_mps2) + 0.5
     unsafe = ((x_m < stop_m) & (aside_m < WALK_MPS * stop_s)).any(axis=1)
     return float(speeds[max(int(np.append(unsafe, True).argmax()) - 1, 0), 0])
 
@@ -266,29 +263,18 @@ def _sweep(number: int, case: str, step: int, x_m: float, speed_mps: float, walk
     return ATTACKS[case](azimuth).apply(sweep, np.random.Generator(np.random.PCG64([number, step]))).sweep
 
 
-def certified_speeds(number: int, words: tuple[str, ...] = SPEED_THREATS, x_m: float = -20.0) -> dict[str, float]:
-    """Return the speed in m/s on the way to a junction without attack: by the claim, and by what of it is certified.
-
-    Args:
-        number: of the junction.
-        words: threats that are certified against.
-        x_m: where the car is.
-    """
+def certified_speeds(number: int) -> dict[str, float]:
+    """Return the speed in m/s 20 m before a junction without attack: by the claim, and by what of it is certified."""
     place = Junction(number, Conditions())
-    leveled = level(place.sweep(0, x_m, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
+    leveled = level(place.sweep(0, -20.0, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
     estimate = load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]).estimate(leveled)
-    certified = {one: certify(leveled, estimate, Threat.parse(one)).withdraw(estimate) for one in words}
+    certified = {one: certify(leveled, estimate, Threat.parse(one)).withdraw(estimate) for one in SPEED_THREATS}
     return {"the whole claim": speed_in_view(estimate)} | {one: speed_in_view(kept) for one, kept in certified.items()}
 
 
-def filled_share(number: int, ahead_m: float = 10.0) -> float:
-    """Return the share of the beams sent through a pedestrian's box that who walks at a junction returns.
-
-    Args:
-        number: of the junction.
-        ahead_m: how far ahead of the car's middle they are in its lane.
-    """
-    place = Junction(number, Conditions())
+def filled_share(number: int) -> float:
+    """Return the share of the beams sent through a pedestrian's box that who walks at a junction returns."""
+    place, ahead_m = Junction(number, Conditions()), 10.0  # from the car's middle, in its lane
     leveled = level(place.sweep(0, place.start_m[0] - ahead_m, 0.0, place.lane_m, walks=True), GRIDS["road"])
     envelope = Envelope.of(leveled, Given.of(leveled), GRIDS["road"], TARGETS["pedestrian"])
     body = leveled.points[(leveled.points[:, 2] > 0.1) & (np.abs(leveled.points[:, 1]) < 0.8)]

@@ -142,7 +142,7 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
     return found
 
 
-def costs_of(calibration: Calibration, repeats: int = 40) -> dict[str, Any]:
+def costs_of(calibration: Calibration) -> dict[str, Any]:
     """Return milliseconds (fastest, median) of each certificate and of a guaranteed mask, by sensor, at a junction."""
     found: dict[str, Any] = {}
     for sensor in ("HDL-32E", "HDL-64E"):
@@ -159,7 +159,7 @@ def costs_of(calibration: Calibration, repeats: int = 40) -> dict[str, Any]:
         jobs["guaranteed mask"] = partial(calibration.guaranteed, estimate, leveled.ground)
         for name, job in jobs.items():
             times_ms = []
-            for _ in range(repeats):
+            for _ in range(40):
                 start_s = perf_counter()
                 job()
                 times_ms.append(1000 * (perf_counter() - start_s))
