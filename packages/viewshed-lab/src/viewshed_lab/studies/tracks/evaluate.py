@@ -55,7 +55,6 @@ class Forgery:
     last_s: float  # when it was last forged
     sweeps: int = 0  # in how many sweeps it was
     visible: list[float] = field(default_factory=list)  # probabilities with which it was visible in these sweeps
-    shifts_m: list[float] = field(default_factory=list)  # by how much it was moved
     found_s: float = np.inf  # when it was first accused; infinite if never
     # it was a confirmed track: one that was removed or moved for :data:`KNOWN_HITS` detections before that, a
     # fabricated one at any time
@@ -64,10 +63,10 @@ class Forgery:
     alarmed: bool = False  # a monitor of the LiDAR suspected the sector in which it is
 
     def row(self) -> list[float]:
-        """Return seconds until accused (-1 for never), visibility, shift, and the rest, as plain numbers."""
+        """Return seconds until accused (-1 for never), visibility, and the rest, as plain numbers."""
         return [
             self.found_s - self.first_s if self.found_s < np.inf else -1.0, float(np.mean(self.visible or [1.0])),
-            float(np.mean(self.shifts_m or [0.0])), float(self.known), round(self.highest, 5), float(self.alarmed),
+            float(self.known), round(self.highest, 5), float(self.alarmed),
         ]  # fmt: skip
 
 
@@ -257,10 +256,7 @@ def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections, 
     for row in np.flatnonzero(forged.moved):
         number = int(moment.of_object[forged.source[row]])
         if number >= 0:
-            one = note(outcome.moved, number, follower.hits.get(number, 0))
-            one.visible.append(visible[number])
-            shift = forged.detections.boxes[row, :2] - moment.detections.boxes[forged.source[row], :2]
-            one.shifts_m.append(float(np.hypot(*shift)))
+            note(outcome.moved, number, follower.hits.get(number, 0)).visible.append(visible[number])
 
 
 def _note_accusations(
