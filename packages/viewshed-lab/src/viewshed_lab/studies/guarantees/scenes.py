@@ -33,7 +33,7 @@ from viewshed_lab.data.wild import WildScene
 from viewshed_lab.sim import cast, junction
 from viewshed_lab.studies.crossview.page import posed_scenes
 from viewshed_lab.studies.crossview.rates import evaluate_crossview
-from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
+from viewshed_lab.studies.judges import OFF_M, surveyed
 from viewshed_lab.threats.attacks import ATTACKS, Attack
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
@@ -262,22 +262,17 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
         log: folder of the log, with its map.
         masks: calibrations by name, and the confidence that is asked of them.
     """
-    survey, found = SurveyedGround.read(log), []
-    for sweep, boxes in annotated(open_source(log, "argoverse2"), None):
-        leveled = level(sweep, GRID)
-        if leveled.world_from_level is None:
-            raise ValueError(f"{log}: every sweep must have a pose, got one without")
+    found = []
+    for _, boxes, leveled, error_m in surveyed(log, open_source(log, "argoverse2"), GRID):
         estimate, ground_m = default_estimator(TARGETS["car"]).estimate(leveled), leveled.ground.at(GRID.centers)
-        there = leveled.world_from_level @ np.dstack([GRID.centers, ground_m.astype(np.float64)])
-        error_m = there[..., 2] - survey.at(there)
         claims = {"default": estimate.visible()} | {
             name: one.guaranteed(estimate, leveled.ground, confidence=confidence)
             for name, (one, confidence) in masks.items()
         }
-        surveyed, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
+        known, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
         behind = behind_boxes(leveled, boxes, ground_m, TARGETS["car"])
         found.append({
-            name: [int((mask & of).sum()) for of in (surveyed, off, surveyed & behind)] for name, mask in claims.items()
+            name: [int((mask & of).sum()) for of in (known, off, known & behind)] for name, mask in claims.items()
         })  # fmt: skip
     return found
 

@@ -81,14 +81,10 @@ class MonitorPlan(Plan):
 
     def job_keys(self) -> list[JobKey]:
         """Return part, style and number of each stream: some of each style first."""
-        return [(part, style, str(number)) for part, style, number in self.stream_keys()]
-
-    def stream_keys(self) -> list[tuple[str, str, int]]:
-        """Return part, style and number of each stream: some of each style first."""
         every = [
             (number, part, style)
             for part in PARTS
             for style in self.styles(part)
             for number in range(getattr(self, f"{part}_streams"))
         ]
-        return [(part, style, number) for number, part, style in sorted(every, key=lambda key: key[0])]
+        return [(part, style, str(number)) for number, part, style in sorted(every, key=lambda key: key[0])]

@@ -367,7 +367,7 @@ def run_streams(
         A line of each stream that failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    every = (Stream(plan, *key) for key in plan.stream_keys())
+    every = (Stream(plan, part, style, int(number)) for part, style, number in plan.job_keys())
     jobs = [(one, path) for one in every if not (path := folder / f"{one.name}.npz").exists()]
     for done in engine.run(_measure_and_save, jobs):
         name = jobs[done.index][0].name
