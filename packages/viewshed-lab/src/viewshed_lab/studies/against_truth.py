@@ -79,18 +79,13 @@ def form_case(form: str) -> Case:
     return Case("form", form)
 
 
-def as_measured(sweep: Sweep) -> Sweep:
-    """Return the sweep as it is: ring, time and sensor known."""
-    return sweep
-
-
 FORMS: dict[str, Form] = {
-    "rings known": as_measured,
+    "rings known": lambda sweep: sweep,
     "unorganized": unorganized,
     "unorganized, no sensor": unorganized_no_sensor,
     "bare points": bare_points,
 }
-"""In which form a sweep may be given, by name."""
+"""In which form a sweep may be given, by name; the first is as it was measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

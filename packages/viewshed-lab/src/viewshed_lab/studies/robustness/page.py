@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isnan
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -34,19 +34,8 @@ FARTHEST = ("quantized", "continuous", "concave_hull")
 """Ours of the same kind."""
 
 
-class Budget(NamedTuple):
-    """What an attacker has at most: in words, and the number of returns; None for any number."""
-
-    words: str
-    most: int | None
-
-    @property
-    def heading(self) -> str:
-        """The words as a heading."""
-        return self.words.capitalize()
-
-
-BUDGETS = (Budget(f"up to {MODEST} returns", MODEST), Budget("up to a full wedge", None))
+BUDGETS = {f"Up to {MODEST} returns": MODEST, "Up to a full wedge": None}
+"""By heading the number of returns that an attacker has at most; None for any number."""
 
 
 def violin_picture(domains: Sequence[AttackedDomain], protocol: str) -> Picture:
@@ -176,11 +165,11 @@ def _extent(results: Results[RobustnessPlan]) -> str:
     return words
 
 
-def withstood_at(domains: Sequence[AttackedDomain], budget: Budget) -> str:
+def withstood_at(domains: Sequence[AttackedDomain], most: int | None) -> str:
     """Return a list of what each estimator withstands in every domain, up to a budget."""
 
     def withstands(name: str, attack: str) -> bool:
-        return all(domain.verdict(name, attack, budget.most).withstands for domain in domains)
+        return all(domain.verdict(name, attack, most).withstands for domain in domains)
 
     return _withstood(domains[0].attacks, withstands)
 
