@@ -47,17 +47,11 @@ _MOST_BYTES = 200_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurveyedGround:
-    """Ground of a city on a raster, NaN where it was not surveyed.
+    """Ground of a city on a raster, NaN where it was not surveyed."""
 
-    Attributes:
-        z_m: (rows, columns) float64 height in the city's frame.
-        shift_m: is added to x and y in the city, ...
-        per_m: ... and the sum is multiplied by this: column and row.
-    """
-
-    z_m: F64
-    shift_m: F64
-    per_m: float
+    z_m: F64  # (rows, columns) float64 height in the city's frame
+    shift_m: F64  # is added to x and y in the city, ...
+    per_m: float  # ... and the sum is multiplied by this: column and row
 
     @classmethod
     def read(cls, log: Path) -> Self:

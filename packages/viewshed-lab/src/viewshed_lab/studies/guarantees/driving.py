@@ -102,23 +102,14 @@ def speed_in_view(estimate: FovEstimate) -> float:
 
 @dataclass(slots=True)
 class Junction:
-    """A street along x with a van at its right, and who walks out from behind it.
+    """A street along x with a van at its right, and who walks out from behind it."""
 
-    Attributes:
-        number: of the run; everything random follows from it.
-        weather: what air and ground do to a measurement.
-        lane_m: y of the middle of the car's lane.
-        start_m: (x, y) where someone waits behind the van.
-        walk_mps: how fast they walk.
-        early_s: how much earlier than to meet the car they set out.
-    """
-
-    number: int
-    weather: Conditions
-    lane_m: float = -1.75
-    start_m: tuple[float, float] = (0.0, 0.0)
-    walk_mps: float = 1.5
-    early_s: float = 0.0
+    number: int  # of the run; everything random follows from it
+    weather: Conditions  # what air and ground do to a measurement
+    lane_m: float = -1.75  # y of the middle of the car's lane
+    start_m: tuple[float, float] = (0.0, 0.0)  # (x, y) where someone waits behind the van
+    walk_mps: float = 1.5  # how fast they walk
+    early_s: float = 0.0  # how much earlier than to meet the car they set out
     terrain: Terrain = field(init=False)
     still: list[Thing] = field(init=False)
     car: tuple[Thing, float] = field(init=False)
@@ -157,19 +148,12 @@ class Junction:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How a drive went.
+    """How a drive went."""
 
-    Attributes:
-        collided: whether the car hit the one who walked out.
-        time_s: until it had passed, LAST_S if it never did.
-        needless_s: how long it stood though nobody was in the way.
-        alarm_s: how long the view was not fully trusted.
-    """
-
-    collided: bool
-    time_s: float
-    needless_s: float
-    alarm_s: float
+    collided: bool  # whether the car hit the one who walked out
+    time_s: float  # until it had passed, LAST_S if it never did
+    needless_s: float  # how long it stood though nobody was in the way
+    alarm_s: float  # how long the view was not fully trusted
 
 
 def drive_through(

@@ -60,21 +60,13 @@ ON_MASK = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A sweep with its exact truth.
+    """A sweep with its exact truth."""
 
-    Attributes:
-        name: of the scene.
-        leveled: the sweep.
-        visible: by target name (cells, cells) exact truth.
-        known: (cells, cells) where that is known.
-        ground: exact heights of the ground.
-    """
-
-    name: str
-    leveled: LeveledSweep
-    visible: dict[str, Mask]
-    known: Mask
-    ground: HeightMap
+    name: str  # of the scene
+    leveled: LeveledSweep  # the sweep
+    visible: dict[str, Mask]  # by target name (cells, cells) exact truth
+    known: Mask  # (cells, cells) where that is known
+    ground: HeightMap  # exact heights of the ground
 
 
 def own_scene(part: str, number: int) -> Scene:
@@ -190,14 +182,10 @@ def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask)
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """The default estimator's claim less what a certificate or a promise does not keep.
+    """The default estimator's claim less what a certificate or a promise does not keep."""
 
-    Attributes:
-        estimator: whose claims are kept.
-        kept: returns which cells (cells, cells) of an estimate of a sweep are.
-    """
-
-    estimator: Estimator
+    estimator: Estimator  # whose claims are kept
+    # returns which cells (cells, cells) of an estimate of a sweep are
     kept: Callable[[LeveledSweep, FovEstimate], Mask]
 
     @property

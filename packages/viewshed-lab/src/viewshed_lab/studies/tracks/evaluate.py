@@ -72,24 +72,19 @@ class Forgery:
 
 @dataclass(slots=True)
 class Outcome:
-    """What was found on one drive.
+    """What was found on one drive."""
 
-    Attributes:
-        ghosts, removed, moved: forged objects by number.
-        honest: for each confirmed track of an honest object the most that spoke against it, as a part of the limit.
-        accused: the honest tracks that were accused.
-        gospa_m: of each sweep without fusion and after it.
-        occluded: tracked objects that were hidden for up to 3 s: whether each had another track when it came back.
-        calibration: of each confirmed track and sweep, its existence after fusion and whether an object is there.
-    """
-
+    # ghosts, removed, moved: forged objects by number
     ghosts: dict[int, Forgery] = field(default_factory=dict)
     removed: dict[int, Forgery] = field(default_factory=dict)
     moved: dict[int, Forgery] = field(default_factory=dict)
+    # for each confirmed track of an honest object the most that spoke against it, as a part of the limit
     honest: dict[int, float] = field(default_factory=dict)
-    accused: set[int] = field(default_factory=set)
+    accused: set[int] = field(default_factory=set)  # the honest tracks that were accused
+    # tracked objects that were hidden for up to 3 s: whether each had another track when it came back
     occluded: list[bool] = field(default_factory=list)
-    gospa_m: list[tuple[float, float]] = field(default_factory=list)
+    gospa_m: list[tuple[float, float]] = field(default_factory=list)  # of each sweep without fusion and after it
+    # of each confirmed track and sweep, its existence after fusion and whether an object is there
     calibration: list[tuple[float, bool]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
