@@ -75,15 +75,10 @@ def page_of(
     *,
     floor: bool = True,
 ) -> str:
-    """Return the page as Markdown.
+    """Return the page of an index of posed sweeps, each folder of which is one scene, as Markdown.
 
-    Args:
-        index: JSON of posed sweeps; each folder of it is one scene.
-        estimators: by name.
-        attacks: of ``ATTACKS``, under which sweeps are shown as well.
-        seed: of the bootstrap.
-        on_step: is called with what is done next.
-        floor: whether the metric's own error is measured in a simulation as well.
+    Sweeps are shown under the ``attacks`` (of ``ATTACKS``) as well; with ``floor`` the metric's own error is measured
+    in a simulation. ``seed`` is that of the bootstrap.
     """
     check_names("attacks", attacks, ATTACKS)
     found, own = posed_scenes(index), list[CrossViewRow]()

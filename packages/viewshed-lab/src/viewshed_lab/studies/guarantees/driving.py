@@ -162,14 +162,10 @@ def drive_through(
     monitor: str,
     on_step: Callable[[float, float, tuple[float, float], FovEstimate], None] = lambda *_: None,
 ) -> Drive:
-    """Drive through a junction.
+    """Drive through a junction in a case of ``CASES`` with one of ``MONITORS``.
 
-    Args:
-        number: of the junction.
-        case: of ``CASES``.
-        monitor: of ``MONITORS``.
-        on_step: is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
-            believes.
+    ``on_step`` is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
+    believes.
     """
     place = _junction(number, case)
     answers: SimpleQueue[Answer] = SimpleQueue()
@@ -216,11 +212,6 @@ def drives_left(number: int, case: str, done: Mapping[str, Drive]) -> Iterator[t
 
     Below WIDEN caution takes nothing back: a drive of ours without an alarm is, step by step, that of no monitor and
     that of ours + certificate, which are not driven again then.
-
-    Args:
-        number: of the junction.
-        case: of ``CASES``.
-        done: the drives that are known, by monitor.
     """
     if len(done) == len(MONITORS):
         return

@@ -201,12 +201,9 @@ class Kept:
 
 
 def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Kept:
-    """Return an estimator inside the envelope: what an attacker who adapts is up against.
+    """Return an estimator inside the envelope, or its certified cells alone: what an attacker who adapts is up against.
 
-    Args:
-        estimator: whose claims are certified; what the sweep does not say is trusted.
-        threat: what the attacker may do.
-        only_certified: claim the certified cells alone, else all of the claim inside the envelope.
+    What the sweep does not say is trusted.
     """
 
     def kept(leveled: LeveledSweep, estimate: FovEstimate) -> Mask:
@@ -226,9 +223,7 @@ def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
     """Return over-claim and under-claim of the default and of guaranteed masks on real posed sequences, by sensor.
 
-    Args:
-        index: JSON of the sweeps; each folder of it is one scene.
-        masks: calibrations by name, and the confidence that is asked of them.
+    ``masks`` are calibrations by name, and the confidence that is asked of them.
     """
     default = default_estimator(TARGETS["car"])
     tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": certified(default, ADDED)}
@@ -245,10 +240,7 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
     """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on surveyed ground, and badly.
 
     Of a mask, cells on surveyed ground; of these, those whose ground lies elsewhere; and those behind a drawn box.
-
-    Args:
-        log: folder of the log, with its map.
-        masks: calibrations by name, and the confidence that is asked of them.
+    ``masks`` are calibrations by name, and the confidence that is asked of them.
     """
     found = []
     for _, boxes, leveled, error_m in surveyed(log, open_source(log, "argoverse2"), GRID):

@@ -93,13 +93,8 @@ def files_of(
 ) -> dict[str, bytes]:
     """Return the page by the name of its file.
 
-    Args:
-        plan: of the study.
-        calibration: that judges.
-        report: streams with attacks.
-        benign: streams without, that add to the rates of false alarms.
-        called: sweeps of public traces.
-        left_out: what :func:`tried` gives.
+    Attacks are in the streams of ``report``; those of ``benign`` add to the rates of false alarms. ``left_out`` is what
+    :func:`tried` gives.
 
     Raises:
         ValueError: there are no streams with attacks.

@@ -82,13 +82,10 @@ SEEN_FROM = 5
 def simulate_drive(
     plan: ScenePlan, fovs: tuple[str, ...] = FOVS, forger: SweepForger | None = None
 ) -> Iterator[Moment]:
-    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view.
+    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view, of ``FOVS``.
 
-    Args:
-        plan: of its scene.
-        fovs: of ``FOVS``.
-        forger: forges the sweeps before anything is computed from them; the truth stays, and the shipped monitor
-            watches.
+    A ``forger`` forges the sweeps before anything is computed from them; the truth stays, and the shipped monitor
+    watches.
     """
     grid, detector = GRID, Detector()
     world, agent = world_of(plan), world_of(plan).agents[0]

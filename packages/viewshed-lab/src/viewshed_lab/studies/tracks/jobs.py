@@ -44,18 +44,7 @@ def run_study(
     steps: tuple[str, ...] = STEPS,
     on_progress: Progress = ignore_progress,
 ) -> Iterator[str]:
-    """Do what is not there yet; yield one line for each job that failed.
-
-    Args:
-        store: of the study.
-        engine: does the jobs.
-        steps: of ``STEPS``.
-        on_progress: is called after each job.
-
-    Raises:
-        ValueError: a step is not known.
-        OSError: something cannot be written.
-    """
+    """Do what is not there yet in some of ``STEPS``; yield one line for each job that failed."""
     check_names("only", steps, STEPS)
     plan = store.plan
     before = {"count": (), "limit": ("count",), "test": ("count", "limit"), "lidar": ("count", "limit")}
