@@ -18,7 +18,7 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
-from viewshed.grid import GRIDS, BevGrid, polar_of_cells
+from viewshed.grid import GRIDS, polar_of_cells
 from viewshed.guarantees.certificate import ADDED, Certificate, certify, without
 from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
@@ -34,6 +34,7 @@ from viewshed_lab.sim import cast, junction
 from viewshed_lab.studies.crossview.page import posed_scenes
 from viewshed_lab.studies.crossview.rates import evaluate_crossview
 from viewshed_lab.studies.judges import OFF_M, surveyed
+from viewshed_lab.studies.suite import Changed
 from viewshed_lab.threats.attacks import ATTACKS, Attack
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
@@ -180,27 +181,7 @@ def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask)
     }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Kept:
-    """The default estimator's claim less what a certificate or a promise does not keep."""
-
-    estimator: Estimator  # whose claims are kept
-    # returns which cells (cells, cells) of an estimate of a sweep are
-    kept: Callable[[LeveledSweep, FovEstimate], Mask]
-
-    @property
-    def grid(self) -> BevGrid:
-        """Its grid."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate without what is not kept."""
-        leveled = level(sweep, self.grid)
-        estimate = self.estimator.estimate(leveled)
-        return without(estimate, estimate.visible() & ~self.kept(leveled, estimate))
-
-
-def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Kept:
+def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Changed:
     """Return an estimator inside the envelope, or its certified cells alone: what an attacker who adapts is up against.
 
     What the sweep does not say is trusted.
@@ -210,14 +191,25 @@ def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = Fa
         certificate = certify(leveled, estimate, threat, trust_inferred=True)
         return certificate.certified_visible if only_certified else certificate.claim
 
-    return Kept(estimator, kept)
+    return _keeping(estimator, kept)
 
 
-def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Kept:
+def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Changed:
     """Return an estimator's mask of the error that a calibration promises with a confidence."""
-    return Kept(
+    return _keeping(
         estimator, lambda leveled, estimate: calibration.guaranteed(estimate, leveled.ground, confidence=confidence)
     )
+
+
+def _keeping(estimator: Estimator, kept: Callable[[LeveledSweep, FovEstimate], Mask]) -> Changed:
+    """Return an estimator without those of its claims that are not kept (cells, cells)."""
+
+    def answer(_: FovEstimator, sweep: Sweep) -> FovEstimate:
+        leveled = level(sweep, estimator.grid)
+        estimate = estimator.estimate(leveled)
+        return without(estimate, estimate.visible() & ~kept(leveled, estimate))
+
+    return Changed(estimator, answer)
 
 
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
