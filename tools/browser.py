@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -139,12 +138,9 @@ class Browser:
         """Move the mouse, press or release its left button, or turn its wheel (``kind`` as the protocol has it)."""
         self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
-    def screenshot(self, path: Path | None = None) -> bytes:
-        """Return a PNG of the window, and write it to ``path``."""
-        png = base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
-        if path is not None:
-            path.write_bytes(png)
-        return png
+    def screenshot(self) -> bytes:
+        """Return a PNG of the window."""
+        return base64.b64decode(self.send("Page.captureScreenshot", format="png")["data"])
 
     def _next(self, until: float) -> dict[str, Any]:
         """Return the next message, and note what it tells of the page."""

@@ -27,6 +27,7 @@ import results_index
 
 import viewshed
 from viewshed_lab._page import table
+from viewshed_lab._results import KeyNumber
 
 ROOT = Path(__file__).resolve().parents[1]
 MARK = re.compile(r"^<!-- generated: (\w+) -->\n(?:.*?\n)?<!-- end of \1 -->$", re.MULTILINE | re.DOTALL)
@@ -34,6 +35,8 @@ TUTORIAL_SWEEP = "kitti/odometry00/000000.bin"
 """The real sweep of the tutorial, in the folder of real sweeps."""
 RESULTS = ("gallery.md", "first_hour.md", "release.md")
 """Pages that commands write as a whole."""
+RINGS, POINTS = "road, car #3", "road, car #4"
+"""Tables of cars on roads in the page in the wild: rings and intensity known, and points alone."""
 ELSEWHERE = {
     "contribute/contributing.md": "CONTRIBUTING.md",
     "contribute/core.md": "packages/viewshed/src/core/README.md",
@@ -261,34 +264,26 @@ def _text(value: object) -> str:
 
 def methods() -> str:
     """Return precision, recall and F1 of every method on other worlds and own ones, from the page in the wild."""
-    text = (ROOT / "docs" / "results" / "wild.md").read_text(encoding="utf-8")
-    cars = text.split("## road, car\n")[1].split("\n## ")[0].split("**Known: ring")[1]
-    rows = re.findall(
-        r"^\| (\w+) \| (\.\d+) / (\.\d+) \| (\.\d+) .*?\| (\.\d+) / (\.\d+) \| (\.\d+) ", cars, re.MULTILINE
-    )
-    seen: dict[str, list[str]] = {}
-    for name, *figures in rows:
-        if name in viewshed.ESTIMATORS:
-            seen.setdefault(name, figures)
-    ranked = sorted(seen.items(), key=lambda row: -float(row[1][5]))
+    columns = ("own: precision / recall", "own: F1", "other: precision / recall", "other: F1")
+    rows = []
+    for name in [name for name in viewshed.ESTIMATORS if f"\n| {name} |" in _result("wild")]:
+        own, own_f1, other, f1 = (_cell("wild", RINGS, f"{name} |", column) for column in columns)
+        rows.append((f"`{name}`", *own.split(" / "), own_f1.split()[0], *other.split(" / "), f1.split()[0]))
     header = ("method", "own: precision", "recall", "F1", "other: precision", "recall", "F1")
-    return table(header, [(f"`{name}`", *figures) for name, figures in ranked])
+    return table(header, sorted(rows, key=lambda row: -float(row[-1])))
 
 
 def figures() -> str:
     """Return the table of the README: what is asked, by which command, how well, on what, what was given, and where."""
-    wild, ring, alone = "wild", _known("ring, time and intensity"), _known("points alone")
     doubt = _headline("calibration", "AUROC of its doubt").split(" → ")[1]
     over = _headline("crossview", "claimed though hidden, of the hidden columns, `shadow_map`, HDL-64E")
-    alarms = _result("monitor")
-    caught = next(iter(re.findall(r"^\| mean of the attacks \|.*$", alarms, re.MULTILINE))).split(" | ")[4]
-    false = next(iter(re.findall(r"^\| all \|.*$", alarms, re.MULTILINE))).split(" | ")[5]
+    caught = _cell("monitor", "What is caught", "mean of the attacks", "caught in .5 s at 6 alarms an hour")
+    false = _cell("monitor", "By place", "all |", "an hour, limit of 6")
     speed, real_speed = _headline("speed", "`shadow_map`, 35k"), _headline("speed", "the same of a real sweep")
-    rows = [
-        ("Would a car there be seen?", "estimate FILE", _precision(ring) + f"F1 {_row(ring, 'shadow_map')[4]}",
-         "simulated", "rings; no sensor, no height", wild),
-        ("… of bare points?", "estimate FILE", _precision(alone) + f"F1 {_row(alone, 'shadow_map')[4]}",
-         "simulated", "points alone", wild),
+    lines = [
+        ("Would a car there be seen?", "estimate FILE", _seen(RINGS), "simulated",
+         "rings; no sensor, no height", "wild"),
+        ("… of bare points?", "estimate FILE", _seen(POINTS), "simulated", "points alone", "wild"),
         ("Is hidden ground claimed?", "evaluate crossview INDEX", f"{over} columns", "real, HDL-64E",
          "points, poses", "crossview"),
         ("Which answers are wrong?", "estimate FILE", f"AUROC of the doubt {doubt}", "simulated",
@@ -299,15 +294,11 @@ def figures() -> str:
         ("How fast, one thread?", "estimate FILE", f"{speed} ms of 35k points; real: {real_speed} ms",
          "simulated; real", "rings", "speed"),
     ]  # fmt: skip
-    lines = [
+    rows = [
         (f"[{question}](docs/results/{page}.md)", f"`viewshed {command}`", figure, where, given)
-        for question, command, figure, where, given, page in rows
+        for question, command, figure, where, given, page in lines
     ]
-    return table(("question", "command", "figure", "measured on", "what was given"), lines)
-
-
-def _result(page: str) -> str:
-    return (ROOT / "docs" / "results" / f"{page}.md").read_text(encoding="utf-8")
+    return table(("question", "command", "figure", "measured on", "what was given"), rows)
 
 
 def _headline(page: str, words: str) -> str:
@@ -318,25 +309,22 @@ def _headline(page: str, words: str) -> str:
     return found[1]
 
 
-def _known(what: str) -> str:
-    """Return the part of the page in the wild, of cars on roads, where so much was known."""
-    return (
-        _result("wild").split("## road, car\n")[1].split("\n## ")[0].split(f"**Known: {what}")[1].split("**Known: ")[0]
-    )
-
-
-def _row(part: str, method: str) -> list[str]:
-    """Return the cells of the first row of a method."""
-    found = re.search(rf"^\| {method} \|.*$", part, re.MULTILINE)
+def _cell(page: str, heading: str, row: str, column: str) -> str:
+    """Return a cell of a table of a page of results: of the first row that begins so."""
+    found = KeyNumber("", heading, row, column).find(_result(page))
     if found is None:
-        raise ValueError(f"docs/results/wild.md must have a row of {method}")
-    return [cell.strip() for cell in found[0].strip("|").split("|")]
+        raise ValueError(f"docs/results/{page}.md must have a row {row!r} with {column!r} below {heading!r}")
+    return found
 
 
-def _precision(part: str) -> str:
-    """Return precision and recall of the default method on other worlds, in words."""
-    precision, recall = _row(part, "shadow_map")[3].split(" / ")
-    return f"precision {precision}, recall {recall}, "
+def _seen(heading: str) -> str:
+    """Return how well the default sees on other worlds, in words."""
+    precision, recall = _cell("wild", heading, "shadow_map", "other: precision / recall").split(" / ")
+    return f"precision {precision}, recall {recall}, F1 {_cell('wild', heading, 'shadow_map', 'other: F1')}"
+
+
+def _result(page: str) -> str:
+    return (ROOT / "docs" / "results" / f"{page}.md").read_text(encoding="utf-8")
 
 
 GENERATED: dict[str, Callable[[], str]] = {

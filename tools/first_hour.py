@@ -1,11 +1,10 @@
 """The first hour of a user, run word for word in an empty home: install, the README's questions, a sweep of one's own.
 
-    python tools/first_hour.py [--wheel FILE | --installed BIN] [--times 3] [--page docs/first_hour.md]
+    python tools/first_hour.py [--wheel FILE] [--times 3] [--page docs/first_hour.md]
 
 Each time begins with an empty home and nothing of the caller's environment, and the README's commands are typed from
 top to bottom into one shell, on a terminal. Without ``--wheel`` that is in a fresh copy of the checkout; with it, the
-wheels are installed in place of ``make demo`` and of the laboratory's folder; ``--installed`` names the folder of an
-environment's programs and installs nothing. The transcript of the last time is the page.
+wheels are installed in place of ``make demo`` and of the laboratory's folder. The last time's transcript is the page.
 Exit code 1 where a command failed, printed a traceback or left out a file that it named.
 """
 
@@ -137,32 +136,28 @@ def instead(command: str, given: Sequence[str] | None, python: str) -> list[str]
 
     Args:
         command: as the README has it.
-        given: wheels that are installed in place of a checkout; empty for programs that are installed already; None
-            takes the README at its word.
+        given: wheels that are installed in place of a checkout; None takes the README at its word.
         python: the Python that the user has.
 
     >>> instead("make demo", ["~/a.whl", "~/b.whl"], "python3")
     ['python3 -m venv .venv', '.venv/bin/pip install --disable-pip-version-check ~/a.whl']
     """
-    if command.startswith("make ") and given is None:
+    is_first = command.startswith("make ")
+    if is_first and given is None:
         return [f"{command} PYTHON={python}"]
-    is_install = command.startswith(("make ", "pip install"))
-    if is_install and given:
-        wheel = given[0] if command.startswith("make ") else given[1]
-        install = f".venv/bin/pip install --disable-pip-version-check {wheel}"
-        return [*([f"{python} -m venv .venv"] if command.startswith("make ") else []), install]
-    return [] if given is not None and not given and (is_install or command.startswith("source ")) else [command]
+    if given is None or not command.startswith(("make ", "pip install")):
+        return [command]
+    install = f".venv/bin/pip install --disable-pip-version-check {given[0 if is_first else 1]}"
+    return [f"{python} -m venv .venv", install] if is_first else [install]
 
 
-def one_hour(wheel: Path | None, installed: Path | None, python: str) -> tuple[Home, list[str]]:
+def one_hour(wheel: Path | None, python: str) -> tuple[Home, list[str]]:
     """Run the first hour in a new home, in one shell; return it and what went wrong."""
     home = Home(Path(tempfile.mkdtemp(prefix="home")), f"{Path(python).parent}:/usr/local/bin:/usr/bin:/bin")
     work, wrong = home.folder / "viewshed", []
     work.mkdir()
     given: list[str] | None = None
-    if installed is not None:
-        given, home.path = [], f"{installed.resolve()}:{home.path}"
-    elif wheel is None:
+    if wheel is None:
         archived = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
         subprocess.run(["tar", "x"], input=archived, cwd=work, check=True)
     else:
@@ -199,14 +194,13 @@ def main() -> int:
     """Run the first hours and write the page; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--wheel", type=Path)
-    parser.add_argument("--installed", type=Path, help="programs of an environment that has viewshed already")
     parser.add_argument("--times", type=int, default=1)
     parser.add_argument("--python", default=sys.executable, help="the Python that the user has")
     parser.add_argument("--page", type=Path)
     given = parser.parse_args()
     wrong: list[str] = []
     for number in range(given.times):
-        home, found = one_hour(given.wheel and given.wheel.resolve(), given.installed, given.python)
+        home, found = one_hour(given.wheel and given.wheel.resolve(), given.python)
         wrong += found
         silent = [one.command for one in home.typed if one.silent_s > SILENT_S]
         print(f"time {number + 1} of {given.times}: {len(home.typed)} commands, {len(found)} wrong, "

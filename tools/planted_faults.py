@@ -10,6 +10,7 @@ code is 1 if a fault is not caught, or could not be judged: its tests fail witho
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import shutil
 import subprocess
@@ -18,8 +19,6 @@ import tempfile
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-
-from with_checkout import environment_of
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = Path("packages") / "viewshed" / "src" / "core"
@@ -58,6 +57,13 @@ def plant(fault: Fault, core: Path) -> tuple[Path, str]:
         raise ValueError(f"`find` must occur once in {fault.file}, found {len(found)} times: {fault.find!r}; mend it")
     start, end = found[0].span()
     return path, source[:start] + fault.replace + source[end:]
+
+
+def environment_of(project: Path) -> dict[str, str]:
+    """Return the environment of a process that imports viewshed from a copy, also beside an editable install."""
+    sources = (project / "packages" / name / "src" for name in ("viewshed", "viewshed-lab"))
+    paths = [ROOT / "tools" / "startup", *sources, os.environ.get("PYTHONPATH", "")]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, map(str, paths)))}
 
 
 def make_copy(project: Path) -> None:

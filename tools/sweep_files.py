@@ -67,11 +67,11 @@ def lzf_packed(data: bytes) -> bytes:
     return bytes(packed)
 
 
-def pcd_compressed(table: NDArray[np.float32], fields: str = "x y z intensity") -> bytes:
-    """Return a binary_compressed PCD file of the columns of a table (N, fields)."""
+def pcd_compressed(table: NDArray[np.float32]) -> bytes:
+    """Return a binary_compressed PCD file of the columns x, y, z and intensity of a table (N, 4)."""
     raw = np.ascontiguousarray(table.T, "<f4").tobytes()
     packed = lzf_packed(raw)
-    return pcd(struct.pack("<II", len(packed), len(raw)) + packed, "binary_compressed", fields, len(table))
+    return pcd(struct.pack("<II", len(packed), len(raw)) + packed, "binary_compressed", count=len(table))
 
 
 def ply(body: bytes, order: str, count: int = 6) -> bytes:
@@ -130,8 +130,9 @@ def vlp16_payload(start_deg: float, step_deg: float, distance_m: float, product:
     return bytes(payload) + struct.pack("<IBB", round(start_deg * 277), 0x37, product)
 
 
-def vlp16_turns(turns: float = 2.3, step_deg: float = 2.4, distance_m: float = 5.0) -> list[bytes]:
+def vlp16_turns(turns: float = 2.3, distance_m: float = 5.0) -> list[bytes]:
     """Return the packets of some turns of a VLP-16."""
+    step_deg = 2.4
     packets = int(turns * 360 / (12 * step_deg))
     return [vlp16_payload(index * 12 * step_deg, step_deg, distance_m) for index in range(packets)]
 
@@ -148,9 +149,9 @@ def ip_packet(body: bytes, *, offset: int = 0, more: bool = False, number: int =
     return b"\x02" * 12 + b"\x08\x00" + header + body
 
 
-def fragments(payload: bytes, size: int = 1480, number: int = 7) -> list[bytes]:
+def fragments(payload: bytes, number: int = 7) -> list[bytes]:
     """Return the Ethernet frames of a UDP datagram in fragments."""
-    body = udp_packet(payload)
+    body, size = udp_packet(payload), 1480
     starts = range(0, len(body), size)
     return [
         ip_packet(body[at : at + size], offset=at, more=at + size < len(body), number=number) for at in starts

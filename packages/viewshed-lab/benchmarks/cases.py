@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
-from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +14,6 @@ from benchmarks import alternatives, clouds
 from viewshed import ESTIMATORS, GRIDS, BevGrid, Sweep, read_sweep
 from viewshed.fov.polygons import polygon_of_mask
 from viewshed.geometry import Rigid
-from viewshed.guarantees.certificate import certify
-from viewshed.guarantees.conformal import calibration_for
-from viewshed.guarantees.envelope import Given, Threat
 from viewshed.preprocess.leveling import level
 
 GRID: BevGrid = GRIDS["road"]
@@ -26,7 +21,6 @@ HEIGHTS_M = (-2.5, 2.0)
 MAX_RANGE_M = 64.0
 POINT_BYTES, CELL_BYTES = 12, 1 + 4
 QUICK_MS, SHADOW_MS = {"35k": 1.0, "120k": 2.0}, {"35k": 3.0, "120k": 6.0}
-CERTIFICATE_MS = {"35k": 5.0, "120k": 8.0}
 QUICK = ("farthest", "continuous", "quantized", "first_blocker", "trimmed")
 
 
@@ -50,7 +44,6 @@ def all_cases(folder: Path, rng: np.random.Generator) -> Iterator[Case]:
         yield from _reading(size, sweep, folder)
         yield _counting(size, sweep)
         yield from _estimating(size, sweep)
-        yield from _guaranteeing(size, sweep)
         yield _polygon(size, ESTIMATORS["shadow_map"](GRID).estimate(sweep).visible())
     for size, sweep in clouds.real().items():
         for case in _estimating(size, sweep):
@@ -106,28 +99,6 @@ def _estimating(size: str, sweep: Sweep) -> Iterator[Case]:
             QUICK_MS[size] if name in QUICK else target,
             others=alternatives.hulls(sweep, GRID) if name == "concave_hull" else {},
         )
-
-
-def _guaranteeing(size: str, sweep: Sweep) -> Iterator[Case]:
-    leveled = level(sweep, GRID)
-    estimate = ESTIMATORS["shadow_map"](GRID).estimate(leveled)
-    # What a mask costs does not depend on the sensor that it was calibrated for.
-    calibration = calibration_for("HDL-32E", "car", "shadow_map")
-    for threat in (Threat(), Threat("window", 5), Threat("replaced", 150), Threat("wedge", 10)):
-        words = f"certificate against {threat.words}"
-        job = partial(certify, leveled, estimate, threat, trust_inferred=True)
-        yield Case(words, size, job, POINT_BYTES * len(sweep) + CELL_BYTES * GRID.cells**2, CERTIFICATE_MS[size])
-    # Every beam goes elsewhere where the sensor sways.
-    given = Given.of(leveled)
-    tilts = (Rigid.from_quaternion((1.0, 0.001 * step, 0.0, 0.0)).rotation for step in cycle(range(8)))
-    swaying = (replace(given, rotation=tilt @ given.rotation) for tilt in tilts)
-    yield Case(
-        "certificate against any number of added points, another attitude each sweep", size,
-        lambda: certify(leveled, estimate, Threat(), next(swaying), trust_inferred=True),
-        POINT_BYTES * len(sweep) + 3 * CELL_BYTES * GRID.cells**2, CERTIFICATE_MS[size],
-    )  # fmt: skip
-    mask = partial(calibration.guaranteed, estimate, leveled.ground)
-    yield Case("mask of a promised error", size, mask, CELL_BYTES * GRID.cells**2, 0.5)
 
 
 def _polygon(size: str, mask: NDArray[np.bool_]) -> Case:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from viewshed.io import read_sweep
-from viewshed.sensors import LidarModel, lidar_model
+from viewshed.sensors import lidar_model
 from viewshed.sweep import Sweep
 from viewshed_lab.sim import cast, junction
 
@@ -22,7 +23,7 @@ def synthetic(size: str, rng: np.random.Generator) -> Sweep:
     model = lidar_model(sensor)
     trial = cast(model, junction(), SENSOR_HEIGHT_M)
     columns = round(model.azimuth_columns * points / len(trial))
-    sweep = cast(_with_columns(model, columns), junction(), SENSOR_HEIGHT_M, rng=rng)
+    sweep = cast(replace(model, azimuth_columns=columns), junction(), SENSOR_HEIGHT_M, rng=rng)
     return sweep.replace(azimuth=None, attitude=None, sensor_height_m=None)
 
 
@@ -33,18 +34,6 @@ def real() -> dict[str, Sweep]:
         return {}
     files = {"35k": "nuscenes/*.pcd.bin", "120k": "kitti/odometry00/*.bin"}
     return {size: read_sweep(min(Path(folder).glob(pattern))) for size, pattern in files.items()}
-
-
-def _with_columns(model: LidarModel, columns: int) -> LidarModel:
-    return LidarModel(
-        name=model.name,
-        elevation=model.elevation,
-        azimuth_columns=columns,
-        azimuth_offset=model.azimuth_offset,
-        origin_m=model.origin_m,
-        min_range_m=model.min_range_m,
-        max_range_m=model.max_range_m,
-    )
 
 
 def write_nuscenes(sweep: Sweep, path: Path) -> Path:

@@ -7,15 +7,13 @@ import os
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
-from multiprocessing import get_context
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from benchmarks import clouds
+from benchmarks.processes import alone
 from benchmarks.timing import Timing, summary, times_of
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.unet import UnetEstimator
@@ -27,7 +25,6 @@ from viewshed.sweep import Sweep
 from viewshed_lab._page import facts, page, table
 from viewshed_lab._results import write_page
 
-T = TypeVar("T")
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "results" / "network_speed.md"
 SEED, PASSES = 11, 20
 ROUNDS, BUDGET_S = 3, 6.0
@@ -86,12 +83,6 @@ def main() -> None:
     words = text(card, chosen.threads, alone(peak_flops, chosen.threads), chosen.weights)
     write_page(chosen.out, page("Speed of the network", about, words, table(HEAD, rows)))
     print(f"written to {chosen.out}")
-
-
-def alone(work: Callable[..., T], *args: object) -> T:
-    """Return what ``work`` returns in a process that ends with it."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(work, *args).result()
 
 
 def draw_weights(path: Path) -> None:
@@ -232,11 +223,12 @@ def own_share(shape: UNetShape, cells: int) -> float:
     return 1.0 - 2 * shared * cells**2 / shape.flops(cells)
 
 
-def peak_flops(threads: int, side: int = 2048) -> tuple[float, float]:
+def peak_flops(threads: int) -> tuple[float, float]:
     """Return the floating point operations a second of a large product of matrices, in float32 and in bfloat16."""
     import torch
 
     torch.set_num_threads(threads)
+    side = 2048
     single = torch.rand(side, side)
     half = single.bfloat16()
     times = times_of({"single": lambda: single @ single, "half": lambda: half @ half}, np.random.default_rng(0), 3.0)

@@ -7,12 +7,18 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from benchmarks.timing import Job, Timing, interleaved
+
+T = TypeVar("T")
 
 HOMES, LATER = 5, 3
 """Empty homes in which a first process is timed, and how many later ones in each."""
@@ -21,6 +27,12 @@ VIEWSHED = str(Path(sys.executable).with_name("viewshed"))
 IMPORT = "import viewshed"
 IMPORT_ALL = "import viewshed, use every public name"
 LIBRARIES = "import numpy, shapely, PIL.ImageFont, typer"
+
+
+def alone(work: Callable[..., T], *args: object) -> T:
+    """Return what ``work`` returns in a process that ends with it."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *args).result()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +88,16 @@ def estimate(sweep: Path, out: Path, rng: np.random.Generator) -> dict[str, Timi
     return interleaved(jobs, rng)
 
 
-def estimates_in_empty_homes(
-    sweep: Path, folder: Path, results: str, viewshed: str = VIEWSHED, homes: int = HOMES
-) -> Starts:
+def estimates_in_empty_homes(sweep: Path, folder: Path, results: str) -> Starts:
     """Return what ``viewshed estimate`` of one sweep takes with its ``results``, first and later in empty homes.
 
     Nothing that another home or the environment may have cached is found: programs keep their caches in the home.
     """
     first, later = list[Start](), list[Start]()
-    for number in range(homes):
+    for number in range(HOMES):
         home = folder / f"home {results} {number}"
         home.mkdir()
-        command = [viewshed, "estimate", str(sweep), "--results", results, "--out", str(home / "out")]
+        command = [VIEWSHED, "estimate", str(sweep), "--results", results, "--out", str(home / "out")]
         for k in range(1 + LATER):
             (later if k else first).append(_started(command, home))
     return Starts(first, later)

@@ -12,7 +12,6 @@ import json
 import os
 import resource
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,10 +21,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks import clouds
-from benchmarks.processes import VIEWSHED
+from benchmarks.processes import VIEWSHED, alone
 from benchmarks.soak import memory_mb
 from viewshed.estimators import load_estimator
 from viewshed.estimators.temporal import SweepBuffer
+from viewshed.geometry import Rigid
 from viewshed.monitor import StreamMonitor
 from viewshed.pipeline import Pipeline, prepare_process
 from viewshed.pipeline.profiles import PROFILES, Profile
@@ -34,8 +34,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab._page import facts, page, table
 from viewshed_lab.sim import cast, junction
 
-HERE = Path(__file__).resolve().parents[1]
-ROOT = HERE.parents[1]
+ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "results" / "robot.md"
 COSTMAP = PAGE.with_name("costmap.png")
 SEED = 20_261_123
@@ -179,22 +178,14 @@ def _profile_cost(name: str, profile: Profile, sweeps: Mapping[str, Sweep], coun
     """Return a row: what a profile costs on both sizes, and the memory of a process with it."""
     cells = [f"`{name}`"]
     for size in ("35k", "120k"):
-        # A process of its own, so that the memory is its own.
-        with tempfile.TemporaryDirectory() as folder:
-            _write({size: sweeps[size]}, Path(folder))
-            command = [sys.executable, "-m", "benchmarks.robot_profile", name, f"{folder}/{size}.npz", str(count)]
-            done = subprocess.run(
-                command, check=True, capture_output=True, text=True, cwd=ROOT / "packages/viewshed-lab"
-            )
-        found = json.loads(done.stdout)
+        found = alone(profile_cost, profile, sweeps[size], count)  # so that the memory is its own
         cells += [f"{found['median_ms']:.1f}", f"{found['processor_ms']:.1f}"]
     return [*cells, f"{found['memory_mb']:.0f}"]
 
 
 def profile_cost(profile: Profile, sweep: Sweep, count: int) -> Found:
     """Return latency, processor time and memory of a pipeline with a profile's settings over ``count`` sweeps."""
-    from viewshed.geometry import Rigid
-
+    prepare_process()
     estimator = load_estimator(profile.method, grid=profile.grid)
     monitor = StreamMonitor() if profile.monitor else None
     history = SweepBuffer(profile.history) if profile.history else None

@@ -55,12 +55,12 @@ def summary(times_ms: list[float]) -> Timing:
     return Timing(float(median), float(low), float(high), len(times_ms))
 
 
-def bandwidth_bytes_per_s(megabytes: int = 256, repeats: int = 7) -> float:
-    """Return the bytes per second that one thread reads and writes in a large copy (best of ``repeats``)."""
-    source = np.ones(megabytes * 1_000_000 // 8)
+def bandwidth_bytes_per_s() -> float:
+    """Return the bytes per second that one thread reads and writes in a copy of 256 MB, the best of seven."""
+    source = np.ones(256 * 1_000_000 // 8)
     target = np.empty_like(source)
     np.copyto(target, source)
-    best_ms = min(_elapsed_ms(lambda: np.copyto(target, source)) for _ in range(repeats))
+    best_ms = min(_elapsed_ms(lambda: np.copyto(target, source)) for _ in range(7))
     return 2 * source.nbytes / (best_ms / 1e3)
 
 

@@ -83,12 +83,16 @@ def preset_names(folder: str) -> tuple[str, ...]:
 def load_preset(folder: str, name: str) -> dict[str, Any]:
     """Return one of the TOML files in a folder of the package, its name among its values.
 
+    A file that is ``like`` another has only what differs from that.
+
     Raises:
         ValueError: there is none of that name; the message lists those that exist.
     """
     one_of("preset", name, preset_names(folder))
     raw = resources.files("viewshed_lab").joinpath(folder, f"{name}.toml").read_text(encoding="utf-8")
-    return {"name": name} | tomllib.loads(raw)
+    own = tomllib.loads(raw)
+    like = own.pop("like", "")
+    return (load_preset(folder, like) if like else {}) | {"name": name} | own
 
 
 MAX_BUDGET = 1_000_000_000

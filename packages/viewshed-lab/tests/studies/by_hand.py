@@ -1,6 +1,6 @@
 """Rows of counts that are known."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -35,11 +35,6 @@ def rows(
 def refused(domain: str, number: int, case: Case, reason: str) -> Row:
     """Return the row of a case that could not be made."""
     return row_of(Series(domain, "", case), f"s{number}", number, refused=reason)
-
-
-def plain(some: Iterable[Row]) -> list[str]:
-    """Return rows as words that can be compared."""
-    return [repr(row | {"scores": row["scores"].to_json()} if "scores" in row else row) for row in some]
 
 
 def stored(store: ResultStore[Any]) -> dict[JobKey, tuple[str, str]]:

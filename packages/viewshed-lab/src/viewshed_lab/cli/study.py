@@ -16,8 +16,6 @@ from viewshed_lab.cli.evaluate import crossview
 if TYPE_CHECKING:
     from viewshed_lab.studies.plan import Plan
     from viewshed_lab.studies.runner import Progress
-    from viewshed_lab.studies.store import ResultStore
-    from viewshed_lab.studies.tracks.plan import TracksPlan
 
 study_app = typer.Typer(help="Run a study and write its page; a stopped study goes on.")
 
@@ -61,15 +59,11 @@ def robustness(
     from viewshed_lab.studies.robustness.jobs import run_study
     from viewshed_lab.studies.robustness.page import files_of
     from viewshed_lab.studies.robustness.plan import RobustnessPlan
-    from viewshed_lab.studies.store import ResultStore
 
-    folder, plan = out or Path("robustness"), RobustnessPlan.load(preset)
-    _require_results(folder, run=run)
-    store, runner = ResultStore.open(folder, plan), engine_named(engine, workers)
-    failed = _with_bars(lambda progress: run_study(store, runner, progress)) if run else []
+    folder = _folder(out, "robustness")
     main_page = page or folder / "robustness.md"
-    _show(main_page.parent, files_of(store, failed, main_page.stem))
-    _require_all_done(failed)
+    work = partial(run_study, engine=engine_named(engine, workers)) if run else None
+    _run(RobustnessPlan.load(preset), folder, main_page.parent, work, partial(files_of, stem=main_page.stem))
 
 
 @study_app.command()
@@ -249,17 +243,13 @@ def tracks(
     Example: viewshed study tracks --preset tiny --out study
     """
     from viewshed_lab._jobs import engine_named
-    from viewshed_lab.studies.tracks.jobs import run_study, save_models
+    from viewshed_lab.studies.tracks.jobs import run_study
     from viewshed_lab.studies.tracks.page import files_of
     from viewshed_lab.studies.tracks.plan import STEPS, TracksPlan
 
-    def pages(store: ResultStore[TracksPlan]) -> dict[str, bytes]:
-        save_models(store)
-        return files_of(store)
-
     steps = _steps(only, STEPS)
     work = partial(run_study, engine=engine_named(engine, workers), steps=steps)
-    _run(TracksPlan.load(preset), _folder(out, "tracks"), page, work, pages if "page" in steps else None)
+    _run(TracksPlan.load(preset), _folder(out, "tracks"), page, work, files_of if "page" in steps else None)
 
 
 @study_app.command()
@@ -297,7 +287,6 @@ def wild(
     for file in network or ():
         load_runner(file)  # one that cannot be read fails here and not in every job
     plan = replace(plan, networks=tuple(map(str, network or ())))
-    _require_results(folder, run=run)
     opening = None
     if run and plan.opens_sealed and open_sealed:
         opening = SetOpening(open_sealed, plan.methods)
@@ -349,9 +338,10 @@ study_app.command()(crossview)
 
 def _run(plan: Plan, folder: Path, page: Path | None, work: _Work | None, files_of: _Files | None) -> None:
     """Do what is not done of a plan (None: nothing), write its pages (None: none), and refuse if a job failed."""
-    from viewshed_lab.studies.store import ResultStore
+    from viewshed_lab.studies.store import PLAN, ResultStore
 
-    _require_results(folder, run=work is not None)
+    if work is None and not (folder / PLAN).exists():
+        raise ValueError(f"{folder} must hold results, got none; run without --no-run")
     store = ResultStore.open(folder, plan)
     failed = _with_bars(lambda progress: work(store, on_progress=progress)) if work else []
     if files_of is not None:
@@ -369,13 +359,6 @@ def _steps(only: str | None, every: tuple[str, ...]) -> tuple[str, ...]:
     if unknown := [step for step in chosen if step not in every]:
         raise ValueError(f"--only must be some of {', '.join(every)}, got {unknown[0]!r}")
     return chosen
-
-
-def _require_results(folder: Path, *, run: bool) -> None:
-    from viewshed_lab.studies.store import PLAN
-
-    if not run and not (folder / PLAN).exists():
-        raise ValueError(f"{folder} must hold results, got none; run without --no-run")
 
 
 def _require_all_done(failed: list[str]) -> None:

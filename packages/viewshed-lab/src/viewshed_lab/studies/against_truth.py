@@ -39,11 +39,7 @@ class TruthEvaluation:
     threshold: float = THRESHOLD  # probability from which an estimate calls a cell visible
 
     def rows(self, samples: Iterable[Sample]) -> Iterator[Row]:
-        """Yield the counts of every estimator on each sample in each form; one that cannot use a sweep claims nothing.
-
-        Args:
-            samples: with truth for the target.
-        """
+        """Yield the counts of every estimator on each sample in each form; who cannot use a sweep claims nothing."""
         made: dict[tuple[str, BevGrid], FovEstimator] = {}
         for sample in samples:
             for form, change in self.forms.items():
@@ -79,18 +75,13 @@ def form_case(form: str) -> Case:
     return Case("form", form)
 
 
-def as_measured(sweep: Sweep) -> Sweep:
-    """Return the sweep as it is: ring, time and sensor known."""
-    return sweep
-
-
 FORMS: dict[str, Form] = {
-    "rings known": as_measured,
+    "rings known": lambda sweep: sweep,
     "unorganized": unorganized,
     "unorganized, no sensor": unorganized_no_sensor,
     "bare points": bare_points,
 }
-"""In which form a sweep may be given, by name."""
+"""In which form a sweep may be given, by name; the first is as it was measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,15 +148,7 @@ class ArchiveResults:
 def page_of(
     archives: Sequence[Archive], evaluation: TruthEvaluation, limit: int, split: str, on_step: Callable[[str], None]
 ) -> str:
-    """Return the page as Markdown.
-
-    Args:
-        archives: simulated data sets.
-        evaluation: who is compared, and how.
-        limit: samples at most, spread evenly over each data set.
-        split: of the data sets, for the reader.
-        on_step: is called with what is done next.
-    """
+    """Return the page of simulated data sets as Markdown: at most ``limit`` samples, spread evenly over each."""
     results = [ArchiveResults.of(data, evaluation, limit, on_step) for data in archives]
     first, *_ = evaluation.forms
     forms = {f"{form[0].upper()}{form[1:]}": form_case(form) for form in evaluation.forms}

@@ -113,11 +113,6 @@ def behind(cases: Sequence[Case], defenses: Sequence[str]) -> Iterator[Case]:
 def apply(case: Case, sample: StudySample, rng: np.random.Generator) -> Tampered:
     """Return the sweep as a case leaves it, without its defense; what a corruption does is no attacker's.
 
-    Args:
-        case: what is done.
-        sample: the sweep, and what was measured before.
-        rng: all that is random.
-
     Raises:
         ValueError: the attack or corruption cannot work on this sweep; the message says why.
     """
@@ -173,10 +168,7 @@ _PROBE_M = 10.0
 def visible_with(case: Case, sample: StudySample, rng: np.random.Generator) -> Mask | None:
     """Return what the sensor that a case leaves could have seen (cells, cells), or None where it is the same sensor.
 
-    Args:
-        case: what is done to the sweep.
-        sample: that it is done to. A recorded one has no scene to look at again: None.
-        rng: in the state in which the corruption finds it.
+    A recorded sample has no scene to look at again: None. ``rng`` is in the state in which the corruption finds it.
     """
     if case.kind != "corruption" or case.name not in OTHER_SENSORS or sample.frame is None:
         return None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from viewshed.arrays import Mask
 from viewshed.estimators import PAPER_THRESHOLD, paper_estimators_on
 from viewshed.fov.estimate import FovEstimate, FovEstimator
-from viewshed.fov.visibility import CAR, Target
+from viewshed.fov.visibility import CAR
 from viewshed.geometry import Rigid
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.metrics import ConfusionCounts, Scores, average_precision
@@ -24,7 +24,7 @@ from viewshed.sweep import Sweep
 from viewshed_lab.studies.cases import apply, visible_with
 from viewshed_lab.studies.records import STRICT, UNTOUCHED, VIEW, WEDGE, Case, Row, Series, row_of
 from viewshed_lab.studies.samples import StudySample
-from viewshed_lab.studies.suite import LABEL, EstimatorSuite
+from viewshed_lab.studies.suite import LABEL, Changed, EstimatorSuite
 from viewshed_lab.threats.attacks import ATTACKS, Knowledge
 from viewshed_lab.threats.attacks.adaptive import ADAPTIVE, BlackBox, Evade
 from viewshed_lab.threats.attacks.base import Tampered, Wedge
@@ -49,9 +49,9 @@ class Reference:
         return cls(grid, visible, known, level(sample.sweep, grid).world_from_level)
 
     @classmethod
-    def exact(cls, sample: StudySample, target: Target = CAR) -> Reference:
+    def exact(cls, sample: StudySample) -> Reference:
         """Return the exact truth of ``probe``, where it is known."""
-        return cls.of(sample, sample.truth.visible(target), sample.known, sample.truth.grid)
+        return cls.of(sample, sample.truth.visible(CAR), sample.known, sample.truth.grid)
 
     @classmethod
     def label(cls, sample: StudySample, grid: BevGrid) -> Reference:
@@ -196,23 +196,6 @@ def _judged(defended: Defended, tampered: Tampered) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DefendedEstimator:
-    """An estimator that reads only what a defense leaves."""
-
-    defense: Defense  # that every sweep goes through first
-    estimator: FovEstimator  # that reads the rest
-
-    @property
-    def grid(self) -> BevGrid:
-        """The estimator's."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate from what is left."""
-        return self.estimator.estimate(self.defense.apply(sweep).sweep)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveEvaluation:
     """One sample on which attackers who query meet their victims. What was found against a bare victim is kept."""
 
@@ -263,9 +246,12 @@ class AdaptiveEvaluation:
 
     def attack(self, case: Case, victim: str, defense: Defense | None) -> BlackBox:
         """Return an attacker who queries the victim; one who meets an alarm also takes care not to raise it."""
-        estimator, wedge = self.evaluation.suite.estimators[victim], self.wedge
-        victim_seen = estimator if defense is None else DefendedEstimator(defense, estimator)
-        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=victim_seen))
+        estimator: FovEstimator = self.evaluation.suite.estimators[victim]
+        wedge = self.wedge
+        if defense is not None:
+            # The victim reads only what the defense leaves.
+            estimator = Changed(estimator, lambda bare, sweep: bare.estimate(defense.apply(sweep).sweep))
+        attack = ADAPTIVE[case.name](int(case.level), Knowledge(estimator=estimator))
         if not isinstance(attack, BlackBox):
             raise ValueError(f"{case.name} must query its victim")
         sector_deg = float(np.rad2deg(wedge.width))

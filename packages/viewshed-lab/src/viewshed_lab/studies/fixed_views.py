@@ -21,31 +21,13 @@ from viewshed.preprocess.leveling import LeveledSweep
 
 @dataclass(frozen=True, slots=True)
 class FixedView(ClassicalEstimator):
-    """Everything within a range and an opening about forward is visible, whatever hides it.
+    """Everything within a range and an opening about forward is visible, whatever hides it."""
 
-    Attributes:
-        grid: of the estimate.
-        target: that would have to be seen; it changes nothing.
-        range_m: how far is seen, horizontally.
-        opening_deg: whole opening, 360 for a circle.
-        name: of the estimator.
-
-    Raises:
-        ValueError: a number is out of range.
-    """
-
-    grid: BevGrid
-    target: Target = CAR
-    range_m: float = 70.0
-    opening_deg: float = 360.0
-    name: str = "circle"
-
-    def __post_init__(self) -> None:
-        if not (self.range_m > 0.0 and 0.0 < self.opening_deg <= 360.0):
-            raise ValueError(
-                f"range_m must be positive and opening_deg lie in (0, 360], got {self.range_m:g} and"
-                f" {self.opening_deg:g}"
-            )
+    grid: BevGrid  # of the estimate
+    target: Target = CAR  # that would have to be seen; it changes nothing
+    range_m: float = 70.0  # how far is seen, horizontally
+    opening_deg: float = 360.0  # whole opening, in (0, 360]
+    name: str = "circle"  # of the estimator
 
     def visible_prob(self, leveled: LeveledSweep, history: History | None) -> NDArray[np.float32]:
         """Return 1 for the cells (cells, cells) inside, 0 for the others."""

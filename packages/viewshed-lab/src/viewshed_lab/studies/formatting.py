@@ -122,9 +122,9 @@ def by_name(names: Iterable[str]) -> dict[str, str]:
     return {name: name for name in names}
 
 
-def lines(corner: str, rows: Mapping[str, R], columns: Mapping[str, Callable[[R], str]], best: str = "") -> Table:
+def lines(corner: str, rows: Mapping[str, R], columns: Mapping[str, Callable[[R], str]]) -> Table:
     """Return a table of one line a row, with a figure of its own in each column; see :func:`pivot`."""
-    return pivot(corner, rows, columns, lambda row, figure: figure(row), best)
+    return pivot(corner, rows, columns, lambda row, figure: figure(row))
 
 
 def best_of_row(row: Sequence[str]) -> list[str]:

@@ -7,9 +7,8 @@ which the sensor has enough returns was visible; one without a return was not. T
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,7 +25,7 @@ from viewshed.preprocess.leveling import LeveledSweep, level
 from viewshed.recordings.read.source import ObjectBox, SweepSource
 from viewshed.sweep import Sweep
 from viewshed_lab._page import facts
-from viewshed_lab.studies.formatting import format_number, format_rate, lines, pivot
+from viewshed_lab.studies.formatting import by_name, format_number, format_rate, lines, pivot
 from viewshed_lab.studies.pages import Table, fill_template
 
 OFF_M = 0.3
@@ -48,17 +47,11 @@ _MOST_BYTES = 200_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurveyedGround:
-    """Ground of a city on a raster, NaN where it was not surveyed.
+    """Ground of a city on a raster, NaN where it was not surveyed."""
 
-    Attributes:
-        z_m: (rows, columns) float64 height in the city's frame.
-        shift_m: is added to x and y in the city, ...
-        per_m: ... and the sum is multiplied by this: column and row.
-    """
-
-    z_m: F64
-    shift_m: F64
-    per_m: float
+    z_m: F64  # (rows, columns) float64 height in the city's frame
+    shift_m: F64  # is added to x and y in the city, ...
+    per_m: float  # ... and the sum is multiplied by this: column and row
 
     @classmethod
     def read(cls, log: Path) -> Self:
@@ -120,22 +113,13 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
     Raises:
         ValueError: the log has no surveyed ground, no sweep or no pose; the message names the file.
     """
-    survey, grid = SurveyedGround.read(log), GRIDS["road"]
-    errors: list[pd.DataFrame] = []
+    grid, errors = GRIDS["road"], list[pd.DataFrame]()
     # Claimed cells, of these on surveyed ground, and of these on ground that lies elsewhere, by band.
     claims = {name: np.zeros((3, len(BANDS_M))) for name in estimators}
-    sweeps = list(annotated(source, None))
+    sweeps = list[tuple[Sweep, Sequence[ObjectBox]]]()
     range_m = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
-    for sweep, _ in sweeps:
-        leveled = level(sweep, grid)
-        if leveled.world_from_level is None:
-            raise ValueError(
-                f"{log}: every sweep must have a pose, got one without; look at city_SE3_egovehicle.feather"
-            )
-        ground_m = leveled.ground.at(grid.centers).astype(np.float64)
-        there = leveled.world_from_level @ np.dstack([grid.centers, ground_m])
-        # An upright frame: a height in the level frame differs from one in the city by the sensor's place alone.
-        error_m = there[..., 2] - survey.at(there)
+    for sweep, boxes, leveled, error_m in surveyed(log, source, grid):
+        sweeps.append((sweep, boxes))
         known = np.isfinite(error_m)
         errors.append(ground_errors(leveled, grid.centers[known], error_m[known]))
         for name, estimator in estimators.items():
@@ -149,6 +133,26 @@ def survey_page(log: Path, source: SweepSource, estimators: Mapping[str, FovEsti
         ground=ground_table(errors), **_box_tables(sweeps, estimators, target),
     )  # fmt: skip
     return page.markdown(facts(log=log.name, target=target.name))
+
+
+def surveyed(
+    log: Path, source: SweepSource, grid: BevGrid
+) -> Iterator[tuple[Sweep, Sequence[ObjectBox], LeveledSweep, F64]]:
+    """Yield the sweeps of an Argoverse 2 log with their boxes, leveled, and the error (cells, cells) of their ground.
+
+    The error is by how many meters the estimated ground lies above the surveyed one, NaN where there is none.
+    """
+    survey = SurveyedGround.read(log)
+    for sweep, boxes in annotated(source, None):
+        leveled = level(sweep, grid)
+        if leveled.world_from_level is None:
+            raise ValueError(
+                f"{log}: every sweep must have a pose, got one without; look at city_SE3_egovehicle.feather"
+            )
+        ground_m = leveled.ground.at(grid.centers).astype(np.float64)
+        there = leveled.world_from_level @ np.dstack([grid.centers, ground_m])
+        # An upright frame: a height in the level frame differs from one in the city by the sensor's place alone.
+        yield sweep, boxes, leveled, there[..., 2] - survey.at(there)
 
 
 def boxes_page(
@@ -198,7 +202,7 @@ def _box_tables(
     target: Target,
 ) -> dict[str, Any]:
     """Return the tables of vehicles with enough returns, of those without one, and of the ground below all boxes."""
-    counts = {(kind, name, band): [0, 0] for kind in ("enough", "none") for name in estimators for band in BANDS_M}
+    rows: list[tuple[str, int, float, bool]] = []
     errors: list[pd.DataFrame] = []
     left_out = 0
     for sweep, boxes in sweeps:
@@ -218,24 +222,28 @@ def _box_tables(
         ]
         returns = [returns_in(box, sweep) for box in vehicles]
         left_out += sum(0 < count < target.min_returns for count in returns)
-        near = [near_point(level_from_world, box) for box in vehicles]
+        near = np.array([near_point(level_from_world, box) for box in vehicles])
         for name, estimator in estimators.items() if vehicles else ():
-            claimed = np.nan_to_num(estimator.estimate(sweep).at(np.stack(near))) >= THRESHOLD
-            for point, count, is_claimed in zip(near, returns, claimed, strict=True):
-                kind = "enough" if count >= target.min_returns else "none" if count == 0 else None
-                band = next((b for b in BANDS_M if b[0] <= np.hypot(*point) < b[1]), None)
-                if kind is not None and band is not None:
-                    counts[kind, name, band][0] += int(is_claimed)
-                    counts[kind, name, band][1] += 1
-    heads = {f"{low:g} to {high:g} m": (low, high) for low, high in BANDS_M}
-    cell = partial(_claimed_of, counts)
-    rows = {name: name for name in estimators}
+            claimed = np.nan_to_num(estimator.estimate(sweep).at(near)) >= THRESHOLD
+            rows += [(name, *one) for one in zip(returns, np.hypot(*near.T), claimed, strict=True)]
+    found = pd.DataFrame(rows, columns=["method", "returns", "range_m", "claimed"])
+
+    def shares(of: pd.DataFrame) -> Table:
+        """Return the share of vehicles that stand in claimed cells, by method and range."""
+
+        def share(name: str, band: tuple[float, float]) -> str:
+            some = of["claimed"][(of["method"] == name) & of["range_m"].between(*band, "left")]
+            return f"{format_rate(float(some.mean()))} of {len(some)}" if len(some) else "–"
+
+        heads = {f"{low:g} to {high:g} m": (low, high) for low, high in BANDS_M}
+        return pivot("", by_name(estimators), heads, share)
+
     return {
-        "seen": pivot("", rows, heads, lambda name, band: cell("enough", name, band)),
-        "without": pivot("", rows, heads, lambda name, band: cell("none", name, band)),
+        "seen": shares(found[found["returns"] >= target.min_returns]),
+        "without": shares(found[found["returns"] == 0]),
         "bottoms": ground_table(errors) if errors else None,
         "left_out": left_out,
-    }  # fmt: skip
+    }
 
 
 def returns_in(box: ObjectBox, sweep: Sweep) -> int:
@@ -259,11 +267,6 @@ def near_point(level_from_world: Rigid, box: ObjectBox) -> F64:
     inward = center - point
     length = float(np.hypot(*inward))
     return np.asarray(point + inward * min(_INSIDE_M / max(length, 1e-9), 1.0))
-
-
-def _claimed_of(counts: Mapping[Any, Sequence[int]], kind: str, name: str, band: tuple[float, float]) -> str:
-    claimed, boxes = counts[kind, name, band]
-    return f"{format_rate(claimed / boxes)} of {boxes}" if boxes else "–"
 
 
 def _off_table(claims: Mapping[str, F64]) -> Table:

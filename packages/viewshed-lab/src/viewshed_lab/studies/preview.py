@@ -1,23 +1,20 @@
-"""A look at what a preset simulates: worlds, sweeps and truths of a few samples on one sheet.
-
-Pictures of simulated worlds, and the sheet that shows them beside their sweeps and truths.
-"""
+"""A look at what a preset simulates: worlds, sweeps and truths of a few samples on one sheet."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from viewshed.arrays import F32
+from viewshed.arrays import F32, F64
 from viewshed.fov.estimate import CellState
 from viewshed.fov.truth import Truth
 from viewshed.geometry import Rigid
@@ -27,14 +24,13 @@ from viewshed.sweep import Sweep
 from viewshed_lab.data.presets import Preset, preset_named
 from viewshed_lab.data.simulated import ScenePlan, simulate_frame, world_of
 from viewshed_lab.sim.assets.shapes import BOX, MATERIALS
-from viewshed_lab.sim.colors import Image, surface_colors, to_bytes, without_ceiling
+from viewshed_lab.sim.colors import surface_colors, without_ceiling
 from viewshed_lab.sim.terrain import Terrain
 from viewshed_lab.sim.world import GROUND, Snapshot, World
+from viewshed_lab.studies.figures import png_of
 
 SIDE = 256
 """Pixels along each side of a view from above."""
-
-_DPI, _GAP, _TOP, _HEAD, _LEGEND = 100, 7, 44, 24, 108
 
 DIFFERENCES = {
     "nobody": (0.42, 0.42, 0.47),
@@ -43,34 +39,23 @@ DIFFERENCES = {
     "farthest, not probe": (0.84, 0.37, 0.0),
     "line_of_sight only": (0.94, 0.89, 0.26),
 }
-"""F32 of who calls a cell visible for a car; `probe` is the project's own definition."""
+"""Colors of who calls a cell visible for a car; `probe` is the project's own definition."""
 
 NOT_KNOWN = (1.0, 0.94, 0.78)
 """Color of cells whose truth is not known."""
 
+HEADINGS = (
+    "world from above", "sweep: height above ground", "truth: car", "truth: pedestrian", "who says visible, for a car",
+)  # fmt: skip
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PreviewRow:
-    """One sweep on the sheet: its heading, what moves, and its pictures (rows, columns, 3) from left to right."""
+_SCENES = 500
 
-    title: str
-    marks: Marks
-    pictures: tuple[Image, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Marks:
-    """What is drawn over the view from above, in its pixels (across, down)."""
-
-    arrows: NDArray[np.float64]  # (n, 4) start and end of things that move: where they will be in two seconds
-    agents: NDArray[np.float64]  # (m, 2) the other agents
-    sensor: tuple[float, float]  # this agent's
-    scale_m: float  # length of the scale bar
-    scale_pixels: float  # the same in pixels
+_INCHES = 2.6
+"""Side of a picture."""
 
 
-def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: BevGrid) -> Image:
-    """Return the world from above (SIDE, SIDE, 3), forward up, left left: higher solids over lower ones."""
+def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: BevGrid) -> F32:
+    """Return the colors (SIDE, SIDE, 3) of the world from above: higher solids over lower ones."""
     fine = BevGrid(SIDE, grid.half_extent_m, grid.offset_m)
     xy = (world_from_level @ np.dstack([fine.centers, np.zeros(fine.shape)]))[..., :2]
     image = _ground_colors(world.terrain, xy, fine.cell_m, world_from_level.yaw)
@@ -84,10 +69,10 @@ def plan_view(world: World, snapshot: Snapshot, world_from_level: Rigid, grid: B
         window, inside = _footprint(snapshot, k, xy, fine.cell_m)
         region = image[window]
         region[inside] += opacity[k] * (np.minimum(colors[k] * light[k], 1.0) - region[inside])
-    return to_bytes(image)[::-1, ::-1]
+    return image
 
 
-def _ground_colors(terrain: Terrain, xy: NDArray[np.float64], step_m: float, yaw: float) -> F32:
+def _ground_colors(terrain: Terrain, xy: F64, step_m: float, yaw: float) -> F32:
     """Return ground colors of the pixels, lit from one side so that slopes and curbs show."""
     i = np.clip(np.searchsorted(terrain.x_m, xy[..., 0], "right") - 1, 0, len(terrain.x_m) - 2)
     j = np.clip(np.searchsorted(terrain.y_m, xy[..., 1], "right") - 1, 0, len(terrain.y_m) - 2)
@@ -99,9 +84,7 @@ def _ground_colors(terrain: Terrain, xy: NDArray[np.float64], step_m: float, yaw
     return np.asarray(np.clip(colors * light[..., None], 0, 1), np.float32)
 
 
-def _footprint(
-    snapshot: Snapshot, k: int, xy: NDArray[np.float64], step_m: float
-) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+def _footprint(snapshot: Snapshot, k: int, xy: F64, step_m: float) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
     """Return the window of pixels around a solid and which of them it covers; the nearest one if it is small."""
     half = np.maximum(snapshot.half_m[k, :2], 0.6 * step_m)
     (ax, ay), corner = xy[1, 0] - xy[0, 0], xy[0, 0]
@@ -114,139 +97,38 @@ def _footprint(
     return (window[0], window[1]), np.asarray(inside)
 
 
-def marks(world: World, snapshot: Snapshot, agent: int, pose: tuple[Rigid, float], grid: BevGrid) -> Marks:
-    """Return what is drawn over the view from above; ``pose`` is ``world_from_level`` and the time in seconds."""
-    world_from_level, t_s = pose
+def motions(world: World, snapshot: Snapshot, t_s: float) -> F64:
+    """Return where in the world things are that move, and where they will be in two seconds (N, 2, 2)."""
     first = np.unique(snapshot.thing, return_index=True)[1]
     first = first[np.hypot(*snapshot.velocity_mps[first, :2].T) > 0.2]
     start = np.array([world.things[snapshot.thing[k]].pose_at(t_s)[:2] for k in first]).reshape(-1, 2)
-    end = start + 2.0 * snapshot.velocity_mps[first, :2]
-    others = [world.world_from_sensor(one, t_s).translation[:2] for k, one in enumerate(world.agents) if k != agent]
-    arrows = np.hstack([_pixels(xy, world_from_level, grid) for xy in (start, end)])
-    agents = _pixels(np.array(others).reshape(-1, 2), world_from_level, grid)
-    scale_m = 20.0 if grid.half_extent_m > 30 else 5.0
-    pixels = scale_m * SIDE / (2 * grid.half_extent_m)
-    within = _inside(arrows[:, :2]) & _inside(arrows[:, 2:])
-    sensor = _pixels(world_from_level.translation[None, :2], world_from_level, grid)[0]
-    return Marks(arrows[within], agents[_inside(agents)], (float(sensor[0]), float(sensor[1])), scale_m, pixels)
+    return np.stack([start, start + 2.0 * snapshot.velocity_mps[first, :2]], axis=1)
 
 
-def _pixels(xy: NDArray[np.float64], world_from_level: Rigid, grid: BevGrid) -> NDArray[np.float64]:
-    """Return (n, 2) pixels (across, down) of places (n, 2) in the world."""
-    level = world_from_level.inverse() @ np.column_stack([xy, np.zeros(len(xy))])
-    return np.asarray(SIDE - ((level[:, :2] - grid.origin_m) * SIDE / (2 * grid.half_extent_m))[:, ::-1])
-
-
-def _inside(pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return np.asarray(((pixels >= 3) & (pixels <= SIDE - 3)).all(axis=1))
-
-
-def points_view(xy: NDArray[np.float64], height_m: NDArray[np.float64], grid: BevGrid) -> Image:
-    """Return points from above (SIDE, SIDE, 3), colored by height above the ground, the highest on top."""
-    image = np.full((SIDE, SIDE, 3), 24, np.uint8)
+def point_colors(xy: F64, height_m: F64, grid: BevGrid) -> F32:
+    """Return points (N, 2) from above (SIDE, SIDE, 3), colored by height above the ground, the highest on top."""
+    image = np.full((SIDE, SIDE, 3), 0.094, np.float32)
     order = np.argsort(height_m, kind="stable")
     cells, inside = BevGrid(SIDE, grid.half_extent_m, grid.offset_m).index(xy[order])
-    i, j = cells[inside].T
-    image[i, j] = to_bytes(height_colors(height_m[order][inside]))
-    return image[::-1, ::-1]
-
-
-def height_colors(height_m: NDArray[np.float64]) -> F32:
-    """Return colors (n, 3) of heights above the ground."""
     low, high = HEIGHTS_M
-    return np.asarray(colormaps["viridis"](0.15 + 0.85 * np.clip((height_m - low) / (high - low), 0, 1))[..., :3])
+    shares = np.clip((height_m[order][inside] - low) / (high - low), 0, 1)
+    image[tuple(cells[inside].T)] = colormaps["viridis"](0.15 + 0.85 * shares)[..., :3]
+    return image
 
 
-def state_view(truth: Truth, known: NDArray[np.bool_], target: str) -> Image:
-    """Return the states (SIDE, SIDE, 3) for one target; `NOT_KNOWN` where there is no truth."""
+def state_colors(truth: Truth, known: NDArray[np.bool_], target: str) -> F32:
+    """Return the colors of the states (cells, cells, 3) for one target; `NOT_KNOWN` where there is no truth."""
     palette = np.array([COLORS[CellState(state)] for state in range(len(CellState))], np.float32)
-    colors = palette[truth.state[target]]
-    colors[~known] = NOT_KNOWN
-    return _enlarged(colors)
+    return np.where(known[..., None], palette[truth.state[target]], np.array(NOT_KNOWN, np.float32))
 
 
-def differences_view(truth: Truth, known: NDArray[np.bool_]) -> Image:
-    """Return who calls a cell visible (SIDE, SIDE, 3), in the colors of ``DIFFERENCES``."""
+def difference_colors(truth: Truth, known: NDArray[np.bool_]) -> F32:
+    """Return who calls a cell visible, in the colors of ``DIFFERENCES`` (cells, cells, 3)."""
     probe, far = truth.visible("car"), truth.definitions["farthest"]
     first, sight = truth.definitions["first_blocker"], truth.definitions["line_of_sight"]
     who = np.where(probe, np.where(first, 1, 2), np.where(far, 3, np.where(sight, 4, 0)))
-    colors = np.array(list(DIFFERENCES.values()), np.float32)[who]
-    colors[~known] = NOT_KNOWN
-    return _enlarged(colors)
-
-
-def _enlarged(colors: F32) -> Image:
-    nearest = (np.arange(SIDE) * len(colors)) // SIDE
-    return to_bytes(colors[nearest][:, nearest])[::-1, ::-1]
-
-
-def sheet(rows: Sequence[PreviewRow], headings: Sequence[str], title: str) -> bytes:
-    """Return a PNG with a line of pictures for each row under its title, and a legend."""
-    widths = [picture.shape[1] for picture in rows[0].pictures]
-    lefts = [int(left) for left in np.cumsum([_GAP, *(width + _GAP for width in widths[:-1])])]
-    height, width = _TOP + len(rows) * (SIDE + _HEAD) + _LEGEND, sum(widths) + _GAP * (len(widths) + 1)
-    page = np.full((height, width, 3), 255, np.uint8)
-    for k, row in enumerate(rows):
-        for left, picture in zip(lefts, row.pictures, strict=True):
-            top = _TOP + k * (SIDE + _HEAD) + _HEAD
-            page[top : top + SIDE, left : left + picture.shape[1]] = picture
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.axis("off")
-    axes.imshow(page, extent=(0, width, height, 0), interpolation="nearest", aspect="auto")
-    axes.text(_GAP, 6, title, fontsize=11, weight="bold", va="top")
-    for left, heading in zip(lefts, headings, strict=True):
-        axes.text(left, _TOP - 2, heading, fontsize=8.5, va="bottom", color="0.25")
-    for k, row in enumerate(rows):
-        top = _TOP + k * (SIDE + _HEAD) + _HEAD
-        axes.text(_GAP, top - 4, row.title, fontsize=8.5, va="bottom", weight="bold")
-        _draw_marks(axes, row.marks, (lefts[0], top))
-    _legend(axes, height - _LEGEND)
-    axes.set_xlim(0, width)
-    axes.set_ylim(height, 0)
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", pil_kwargs={"optimize": True})
-    return buffer.getvalue()
-
-
-def _draw_marks(axes: Axes, drawn: Marks, corner: tuple[int, int]) -> None:
-    for x0, y0, x1, y1 in drawn.arrows + np.tile(corner, 2):
-        axes.annotate("", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "->", "color": "black", "linewidth": 0.9})
-    left, top = corner
-    across, down = (drawn.agents + corner).T
-    axes.scatter(across, down, s=22, facecolor="#ff3fd0", edgecolor="white", linewidth=0.7)
-    x, y = left + drawn.sensor[0], top + drawn.sensor[1]
-    axes.scatter(x, y, s=46, marker="^", facecolor="black", edgecolor="white", linewidth=0.8)
-    axes.plot([left + 8, left + 8 + drawn.scale_pixels], [top + SIDE - 8] * 2, color="black", linewidth=2)
-    axes.text(left + 8, top + SIDE - 11, f"{drawn.scale_m:g} m", fontsize=7, va="bottom")
-
-
-def _legend(axes: Axes, top: int) -> None:
-    """Write what the colors mean: heights, marks, states, differences."""
-    heights = height_colors(np.linspace(*HEIGHTS_M, 200))[None]
-    axes.imshow(heights, extent=(_GAP, _GAP + 200, top + 20, top + 10), aspect="auto")
-    low, high = HEIGHTS_M
-    axes.text(_GAP + 208, top + 15, f"returns: {low:g} to {high:g} m above the ground", fontsize=8, va="center")
-    words = "▲ this sensor   ● (pink) other agents   → where things will be in 2 s"
-    axes.text(_GAP, top + 33, words, fontsize=8, va="center")
-    states = [(text, COLORS[state]) for state, text in WORDS.items()]
-    for k, (text, color) in enumerate([*states, ("no truth: own vehicle, outside the world", NOT_KNOWN)]):
-        _swatch(axes, (480 + 290 * (k % 2), top + 10 + 18 * (k // 2)), color, text)
-    for k, (text, color) in enumerate(DIFFERENCES.items()):
-        _swatch(axes, (1080, top + 10 + 18 * k), color, text)
-
-
-def _swatch(axes: Axes, corner: tuple[float, float], color: tuple[float, float, float], words: str) -> None:
-    axes.add_patch(Rectangle(corner, 12, 10, facecolor=color, edgecolor="black", linewidth=0.4))
-    axes.text(corner[0] + 18, corner[1] + 5, words, fontsize=8, va="center")
-
-
-HEADINGS = (
-    "world from above", "sweep: height above ground", "truth: car", "truth: pedestrian", "who says visible, for a car",
-)  # fmt: skip
-
-_SCENES = 500
+    palette = np.array(list(DIFFERENCES.values()), np.float32)
+    return np.where(known[..., None], palette[who], np.array(NOT_KNOWN, np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,8 +150,8 @@ def preview_png(preset: str, seed: int) -> bytes:
     Moving agents and those on masts take turns where a preset has both.
     """
     composed = replace(preset_named(preset), seed=seed)
-    rows = [row_of(preview_sample(scene, agent)) for scene, agent in _choice(composed)]
-    return sheet(rows, HEADINGS, f"viewshed simulate {preset} --preview --seed {seed}")
+    samples = [preview_sample(scene, agent) for scene, agent in _choice(composed)]
+    return sheet(samples, f"viewshed simulate {preset} --preview --seed {seed}")
 
 
 def preview_sample(scene: ScenePlan, agent: int) -> PreviewSample:
@@ -298,22 +180,67 @@ def _choice(preset: Preset) -> list[tuple[ScenePlan, int]]:
     return [(scene, turns[k % len(turns)]) for k, scene in enumerate(scenes)]
 
 
-def row_of(sample: PreviewSample) -> PreviewRow:
-    """Return a sample as a line of pictures: above, sweep, truth of both targets, other definitions."""
-    world, grid = sample.world, sample.truth.grid
-    snapshot = world.snapshot(sample.t_s)
-    sensor = world.world_from_sensor(world.agents[sample.agent], sample.t_s)
-    ground = world.ground_of(world.agents[sample.agent])
+def sheet(samples: Sequence[PreviewSample], title: str) -> bytes:
+    """Return a PNG with a line of pictures for each sample, each with forward up and left on the left, and a legend."""
+    width, height = len(HEADINGS) * _INCHES, len(samples) * (_INCHES + 0.25) + 1.5
+    figure = Figure((width, height), dpi=100)
+    places = {"left": 0.005, "right": 0.995, "bottom": 1.1 / height, "top": 1.0 - 0.65 / height}
+    axes = figure.subplots(
+        len(samples), len(HEADINGS), squeeze=False, gridspec_kw=places | {"wspace": 0.03, "hspace": 0.08}
+    )
+    figure.text(0.005, 1.0 - 0.2 / height, title, fontsize=11, weight="bold")
+    for column, heading in enumerate(HEADINGS):
+        axes[0, column].annotate(heading, (0.0, 1.09), xycoords="axes fraction", fontsize=8.5, color="0.25")
+    for line, sample in zip(axes, samples, strict=True):
+        line[0].annotate(sample.title, (0.0, 1.02), xycoords="axes fraction", fontsize=8.5, weight="bold")
+        _draw(line, sample)
+    low, high = HEIGHTS_M
+    states = [(text, COLORS[state]) for state, text in WORDS.items()]
+    colors = [*states, ("no truth: own vehicle, outside the world", NOT_KNOWN), *DIFFERENCES.items()]
+    handles: list[Any] = [
+        Line2D(
+            [], [], color="#fde725", marker=".", linestyle="none", label=f"returns, {low:g} (dark) to {high:g} m high"
+        ),
+        Line2D([], [], color="black", marker="^", linestyle="none", label="this sensor"),
+        Line2D([], [], color="#ff3fd0", marker="o", linestyle="none", label="other agents"),
+        Line2D([], [], color="black", linewidth=0.9, label="where things will be in 2 s"),
+        *(Patch(facecolor=color, edgecolor="black", linewidth=0.4, label=text) for text, color in colors),
+    ]
+    figure.legend(handles=handles, loc="lower left", ncols=4, frameon=False, fontsize=8)
+    return png_of(figure, 256)
+
+
+def _draw(axes: Sequence[Axes], sample: PreviewSample) -> None:
+    """Draw one sample: world, returns, truth of both targets, other definitions."""
+    world, grid, agent = sample.world, sample.truth.grid, sample.world.agents[sample.agent]
+    snapshot, sensor = world.snapshot(sample.t_s), world.world_from_sensor(agent, sample.t_s)
+    ground = world.ground_of(agent)
     foot = [*sensor.translation[:2], float(ground.at(sensor.translation[None])[0])]
     world_from_level = Rigid.from_yaw(sensor.yaw, foot)
+
+    def level(xy: F64) -> F64:
+        """Return places (…, 2) of the world in the frame of the sensor."""
+        return np.asarray((world_from_level.inverse() @ np.insert(xy, 2, 0.0, axis=-1))[..., :2])
+
     returns = sensor @ sample.sweep.points
-    height_m = returns[:, 2] - ground.at(returns)
-    pictures = (
+    views = (
         plan_view(world, snapshot, world_from_level, grid),
-        points_view((world_from_level.inverse() @ returns)[:, :2], height_m, grid),
-        *(state_view(sample.truth, sample.known, target) for target in ("car", "pedestrian")),
-        differences_view(sample.truth, sample.known),
+        point_colors(level(returns[:, :2]), returns[:, 2] - ground.at(returns), grid),
+        *(state_colors(sample.truth, sample.known, target) for target in ("car", "pedestrian")),
+        difference_colors(sample.truth, sample.known),
     )
-    return PreviewRow(
-        sample.title, marks(world, snapshot, sample.agent, (world_from_level, sample.t_s), grid), pictures
-    )
+    (back, right), side_m = grid.origin_m, 2 * grid.half_extent_m
+    for axis, view in zip(axes, views, strict=True):
+        axis.imshow(view[::-1, ::-1], extent=(right + side_m, right, back, back + side_m), interpolation="nearest")
+        axis.set_axis_off()
+    for start, end in level(motions(world, snapshot, sample.t_s)):
+        if (np.abs([start, end] - np.array(grid.offset_m)) < 0.99 * grid.half_extent_m).all():
+            axes[0].annotate("", end[::-1], start[::-1], arrowprops={"arrowstyle": "->", "linewidth": 0.9})
+    others = [world.world_from_sensor(one, sample.t_s).translation[:2] for one in world.agents if one is not agent]
+    forward, left = level(np.array(others).reshape(-1, 2)).T
+    axes[0].scatter(left, forward, s=22, c="#ff3fd0", edgecolor="white", linewidth=0.7)
+    axes[0].scatter(0.0, 0.0, s=46, marker="^", c="black", edgecolor="white", linewidth=0.8)
+    axes[0].set(xlim=(right + side_m, right), ylim=(back, back + side_m))
+    scale_m, corner = 20.0 if grid.half_extent_m > 30 else 5.0, (right + 0.97 * side_m, back + 0.03 * side_m)
+    axes[0].plot([corner[0], corner[0] - scale_m], [corner[1]] * 2, color="black", linewidth=2)
+    axes[0].text(corner[0], corner[1] + 0.01 * side_m, f"{scale_m:g} m", fontsize=7, va="bottom")

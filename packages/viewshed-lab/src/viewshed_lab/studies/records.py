@@ -253,9 +253,9 @@ class Domain(Generic[P]):
         """Return the cells of all sweeps together."""
         return self.results.counts(self.series(method, case, region))
 
-    def scores(self, method: str, cases: Iterable[Case], region: str = VIEW) -> Scores:
+    def scores(self, method: str, cases: Iterable[Case]) -> Scores:
         """Return the cells of several cases together by probability."""
-        return self.results.scores(self.series(method, case, region) for case in cases)
+        return self.results.scores(self.series(method, case) for case in cases)
 
     def best(self, methods: Iterable[str], case: Case, region: str = VIEW) -> str:
         """Return which of the methods has the largest F1; empty where none has any."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
@@ -12,7 +12,7 @@ import numpy as np
 
 from viewshed.estimators import CLASSICAL, PAPER_THRESHOLD, Estimator, EstimatorFactory, paper_estimators_on
 from viewshed.estimators.shadow_map import ShadowMap
-from viewshed.fov.estimate import THRESHOLD, FovEstimate
+from viewshed.fov.estimate import THRESHOLD, FovEstimate, FovEstimator
 from viewshed.grid import GRIDS, BevGrid
 from viewshed.preprocess.leveling import LeveledSweep
 from viewshed.sweep import Sweep
@@ -36,6 +36,23 @@ _RECENT = 8
 that drops nothing, leaves the same sweep again."""
 
 Estimates = dict[str, FovEstimate]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changed:
+    """An estimator whose answer is that of another one, or whose sweep is, changed."""
+
+    estimator: FovEstimator  # the other one
+    answer: Callable[[FovEstimator, Sweep], FovEstimate]  # returns what is said of a sweep instead
+
+    @property
+    def grid(self) -> BevGrid:
+        """The other estimator's."""
+        return self.estimator.grid
+
+    def estimate(self, sweep: Sweep) -> FovEstimate:
+        """Return the changed answer."""
+        return self.answer(self.estimator, sweep)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,10 +27,10 @@ PLAN = replace(
 
 def test_the_plan_shares_no_style_and_names_each_stream_once() -> None:
     plan = MonitorPlan.load("shipped")
-    keys = plan.stream_keys()
+    keys = plan.job_keys()
     assert len(set(keys)) == len(keys) == 45 * len(plan.calibration) + (8 + 45) * len(plan.report)
     first = keys[: len(plan.calibration) + 2 * len(plan.report)]
-    assert {part for part, _, number in first if number == 0} == {"calibration", "report", "benign"}
+    assert {part for part, _, number in first if number == "0"} == {"calibration", "report", "benign"}
     with pytest.raises(ValueError, match="must share no style, got street in both"):
         replace(plan, report=(*plan.report, "street"))
 

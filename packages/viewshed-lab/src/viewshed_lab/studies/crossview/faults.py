@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.grid import BevGrid, polar_of_cells
 from viewshed.sweep import Sweep
 from viewshed_lab.studies.cases import generator
-from viewshed_lab.studies.crossview.rates import CrossViewRules, CrossViewTruth
+from viewshed_lab.studies.crossview.rates import RANGE_A_M, CrossViewTruth
+from viewshed_lab.studies.suite import Changed
 
 BLOB_M = 4.5
 """Diameter of a wrong blob: the length of a car."""
@@ -51,29 +53,17 @@ KNOWN_FAULTS: dict[str, Change] = {
 """Faults by name; blobs are as long as a car, drawn anew for each sweep."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FaultyEstimator:
-    """An estimator whose mask is given a known fault."""
-
-    estimator: FovEstimator  # that gives the mask
-    change: Change  # what is done to it
-
-    @property
-    def grid(self) -> BevGrid:
-        """The estimator's."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the mask with the fault; the same for the same sweep."""
-        found = self.estimator.estimate(sweep)
-        mask = self.change(found.visible(), self.grid, generator(0, str(sweep.t_ns)))
-        return FovEstimate(self.grid, mask.astype(np.float32), found.state)
+def _with_fault(change: Change, estimator: FovEstimator, sweep: Sweep) -> FovEstimate:
+    """Return the mask of an estimator with a fault; the same for the same sweep."""
+    found = estimator.estimate(sweep)
+    mask = change(found.visible(), estimator.grid, generator(0, str(sweep.t_ns)))
+    return FovEstimate(estimator.grid, mask.astype(np.float32), found.state)
 
 
 def with_known_faults(name: str, estimator: FovEstimator) -> dict[str, FovEstimator]:
     """Return an estimator by its name, and after it the same with each known fault."""
-    faulty = {f"{name}, {fault}": FaultyEstimator(estimator, change) for fault, change in KNOWN_FAULTS.items()}
-    return {name: estimator, **faulty}
+    faults = {fault: partial(_with_fault, change) for fault, change in KNOWN_FAULTS.items()}
+    return {name: estimator, **{f"{name}, {fault}": Changed(estimator, answer) for fault, answer in faults.items()}}
 
 
 def _disk(radius: float) -> Mask:
@@ -84,7 +74,7 @@ def _disk(radius: float) -> Mask:
 
 def _blobs(within: Mask, count: int, grid: BevGrid, rng: np.random.Generator) -> Mask:
     """Return blobs whose middles lie in a mask, no farther away than columns are looked for."""
-    middles = np.argwhere(within & (polar_of_cells(grid)[0] < CrossViewRules().range_a_m[1]))
+    middles = np.argwhere(within & (polar_of_cells(grid)[0] < RANGE_A_M[1]))
     centers = np.zeros(grid.shape, np.bool_)
     if len(middles):
         centers[tuple(rng.permutation(middles)[:count].T)] = True

@@ -19,9 +19,10 @@ from viewshed.sweep import Sweep
 from viewshed_lab._page import facts
 from viewshed_lab.studies.crossview.faults import BLOB_M, SmallestDifference, with_known_faults
 from viewshed_lab.studies.crossview.rates import (
+    STATIC_S,
+    TOGETHER_S,
     ColumnRate,
     CrossViewRow,
-    CrossViewRules,
     CrossViewTruth,
     OnStep,
     crossview_truth,
@@ -74,15 +75,10 @@ def page_of(
     *,
     floor: bool = True,
 ) -> str:
-    """Return the page as Markdown.
+    """Return the page of an index of posed sweeps, each folder of which is one scene, as Markdown.
 
-    Args:
-        index: JSON of posed sweeps; each folder of it is one scene.
-        estimators: by name.
-        attacks: of ``ATTACKS``, under which sweeps are shown as well.
-        seed: of the bootstrap.
-        on_step: is called with what is done next.
-        floor: whether the metric's own error is measured in a simulation as well.
+    Sweeps are shown under the ``attacks`` (of ``ATTACKS``) as well; with ``floor`` the metric's own error is measured
+    in a simulation. ``seed`` is that of the bootstrap.
     """
     check_names("attacks", attacks, ATTACKS)
     found, own = posed_scenes(index), list[CrossViewRow]()
@@ -133,9 +129,9 @@ def posed_scenes(index: Path) -> dict[str, list[list[Sweep]]]:
     scenes: dict[str, list[list[Sweep]]] = defaultdict(list)
     for entries in folders.values():
         times, sensors = [entry.t or 0.0 for entry in entries], dict.fromkeys(entry.sensor for entry in entries)
-        span_s, rules = max(times) - min(times), CrossViewRules()
-        together = len(sensors) > 1 and span_s <= rules.together_s
-        if together or (len(entries) >= 3 and span_s >= rules.static_s):
+        span_s = max(times) - min(times)
+        together = len(sensors) > 1 and span_s <= TOGETHER_S
+        if together or (len(entries) >= 3 and span_s >= STATIC_S):
             sweeps = [_with_beams(read_indexed(entry), entry.sensor) for entry in entries]
             scenes[" + ".join(sensors) if together else entries[0].sensor].append(sweeps)
     if not scenes:

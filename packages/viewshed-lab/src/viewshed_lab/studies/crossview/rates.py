@@ -25,32 +25,23 @@ OnStep = Callable[[str], None]
 """Is called with what is done next."""
 
 
-@dataclass(frozen=True, slots=True)
-class CrossViewRules:
-    """How columns are chosen; every length in meters above each sweep's own local ground."""
-
-    body_m: tuple[float, float] = (0.5, 1.5)  # a column needs ``body_returns`` returns of B between these heights
-    body_returns: int = 3  # how many
-    top_m: tuple[float, float] = (1.1, 2.2)  # and one return between these, so that it is about as tall as a car
-    # a column counts as not seen only if another sweep has a return near it between these heights, so that
-    # A's beams cannot pass below it as they do below a bus
-    foot_m: tuple[float, float] = (0.1, 0.3)
-    range_a_m: tuple[float, float] = (4.0, 45.0)  # distance of the column from A
-    range_b_m: tuple[float, float] = (3.0, 50.0)  # and from B
-    static_s: float = 0.7  # another sweep, this many seconds from B or more, must see it too, or it may have moved
-    together_s: float = 0.02  # what B measured within this time of A needs no such witness
-    near_m: float = 0.5  # returns within this distance of the column's middle belong to it
-    seen_m: tuple[float, float] = (0.2, 1.7)  # A sees the column with ``seen_returns`` returns between these heights
-    seen_returns: int = 2  # how many
-    clear_m: float = 1.5  # A does not see it if it has no return between those heights within this distance
-    coverage: int = 3  # returned beams of A that must aim at the column
-    # a column that this share (and at least two) of those beams pass by ``through_m`` has moved or can be
-    # seen through, and is dropped
-    through_share: float = 0.3
-    through_m: float = 1.0  # see there
-    # a column counts as not seen only if the scene is as tall this far to its left and right as A looks at
-    # it, so that it hides a target and not a post in front of a gap
-    across_m: float = 0.9
+# How columns are chosen; every length in meters above each sweep's own local ground.
+BODY_M, BODY_RETURNS = (0.5, 1.5), 3  # a column needs so many returns of B between these heights
+TOP_M = (1.1, 2.2)  # and one return between these, so that it is about as tall as a car
+# A column counts as not seen only if another sweep has a return near it between these heights, so that A's beams cannot
+# pass below it as they do below a bus, ...
+FOOT_M = (0.1, 0.3)
+ACROSS_M = 0.9  # ... and if the scene is as tall so far to its left and right: a target, not a post before a gap
+RANGE_A_M, RANGE_B_M = (4.0, 45.0), (3.0, 50.0)  # distance of the column from A and from B
+STATIC_S = 0.7  # another sweep, this many seconds from B or more, must see it too, or it may have moved
+TOGETHER_S = 0.02  # what B measured within this time of A needs no such witness
+NEAR_M = 0.5  # returns within this distance of the column's middle belong to it
+SEEN_M, SEEN_RETURNS = (0.2, 1.7), 2  # A sees the column with so many returns between these heights
+CLEAR_M = 1.5  # A does not see it if it has no return between those heights within this distance
+COVERAGE = 3  # returned beams of A that must aim at the column
+# A column that this share (and at least two) of those beams pass by so much has moved or can be seen through: it is
+# dropped.
+THROUGH_SHARE, THROUGH_M = 0.3, 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,18 +97,16 @@ class _TallColumns:
     witnesses: Sequence[tuple[LeveledSweep, NDArray[np.bool_]]]
 
     @classmethod
-    def of(cls, b: LeveledSweep, scene: Sequence[LeveledSweep], rules: CrossViewRules) -> _TallColumns:
+    def of(cls, b: LeveledSweep, scene: Sequence[LeveledSweep]) -> _TallColumns:
         """Return the columns of one sweep of a scene; all sweeps need poses and times."""
-        xy, witnesses = _tall_columns(b, rules), list[tuple[LeveledSweep, NDArray[np.bool_]]]()
-        for c in (c for c in scene if _seconds_apart(b, c) >= rules.static_s):
-            body = (c.height_m > rules.body_m[0]) & (c.height_m < rules.body_m[1])
-            in_b = _between(b, c) @ c.points[body]
-            witnesses.append((c, _counts(cKDTree(in_b[:, :2].reshape(-1, 2)), xy, rules.near_m) > 0))
+        xy, witnesses = _tall_columns(b), list[tuple[LeveledSweep, NDArray[np.bool_]]]()
+        for c in (c for c in scene if _seconds_apart(b, c) >= STATIC_S):
+            witnesses.append((c, _shows(c, BODY_M, b, xy)))
         return cls(b, np.column_stack([xy, b.ground.at(xy)]), witnesses)
 
-    def known_to(self, a: LeveledSweep, rules: CrossViewRules) -> NDArray[np.float64]:
+    def known_to(self, a: LeveledSweep) -> NDArray[np.float64]:
         """Return the columns (M, 2), in A's level frame, that stand still: seen at the time of A, or twice."""
-        static = np.full(len(self.feet), _seconds_apart(a, self.sweep) <= rules.together_s)
+        static = np.full(len(self.feet), _seconds_apart(a, self.sweep) <= TOGETHER_S)
         for c, sees in self.witnesses:
             if c is not a:
                 static |= sees
@@ -125,58 +114,56 @@ class _TallColumns:
             return np.empty((0, 2))
         columns: NDArray[np.float64] = (_between(a, self.sweep) @ self.feet[static])[:, :2]
         range_a = np.hypot(columns[:, 0], columns[:, 1])
-        return columns[(range_a > rules.range_a_m[0]) & (range_a < rules.range_a_m[1])]
+        return columns[(range_a > RANGE_A_M[0]) & (range_a < RANGE_A_M[1])]
 
 
-def _columns_of(a: LeveledSweep, scene: Sequence[_TallColumns], rules: CrossViewRules) -> SeenColumns:
+def _columns_of(a: LeveledSweep, scene: Sequence[_TallColumns]) -> SeenColumns:
     """Return the columns that the other sweeps of a scene know about the view of ``a``."""
     others = [tall.sweep for tall in scene if tall.sweep is not a]
-    found = [xy for tall in scene if tall.sweep is not a for xy in [tall.known_to(a, rules)] if len(xy)]
+    found = [xy for tall in scene if tall.sweep is not a for xy in [tall.known_to(a)] if len(xy)]
     if not found:
         return SeenColumns(np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool))
     # Places on a lattice of 0.25 m, each once.
     xy = np.unique(np.round(np.concatenate(found) / 0.25), axis=0) * 0.25
-    band = (a.height_m > rules.seen_m[0]) & (a.height_m < rules.seen_m[1])
-    tree = cKDTree(a.points[band, :2].astype(np.float64).reshape(-1, 2))
-    near = _counts(tree, xy, rules.near_m)
-    clear = (_counts(tree, xy, rules.clear_m) == 0) & _standing(a, others, xy, rules) & _as_wide_as_target(xy, rules)
-    seen = near >= rules.seen_returns
-    aimed, through = _aimed_and_through(a, xy, rules)
-    known = (seen | clear) & (aimed >= rules.coverage)
-    passes = (through >= 2) & (through >= rules.through_share * aimed) & ~seen
+    tree = cKDTree(_returns(a, SEEN_M)[:, :2].astype(np.float64).reshape(-1, 2))
+    near = _counts(tree, xy, NEAR_M)
+    # A foot of it that any other sweep saw is enough.
+    standing = np.any([_shows(b, FOOT_M, a, xy) for b in others], axis=0)
+    clear = (_counts(tree, xy, CLEAR_M) == 0) & standing & _as_wide_as_target(xy)
+    seen = near >= SEEN_RETURNS
+    aimed, through = _aimed_and_through(a, xy)
+    known = (seen | clear) & (aimed >= COVERAGE)
+    passes = (through >= 2) & (through >= THROUGH_SHARE * aimed) & ~seen
     return SeenColumns(xy[known], seen[known], passes[known])
 
 
-def _standing(
-    a: LeveledSweep, others: Sequence[LeveledSweep], xy: NDArray[np.float64], rules: CrossViewRules
+def _returns(b: LeveledSweep, height_m: tuple[float, float]) -> NDArray[np.float32]:
+    """Return the returns (N, 3) of a sweep between two heights."""
+    return b.points[(b.height_m > height_m[0]) & (b.height_m < height_m[1])]
+
+
+def _shows(
+    b: LeveledSweep, height_m: tuple[float, float], a: LeveledSweep, xy: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return which columns (M,) at ``xy`` stand on the ground: a foot of them that any other sweep saw is enough."""
-    standing = np.zeros(len(xy), bool)
-    for b in others:
-        foot = (b.height_m > rules.foot_m[0]) & (b.height_m < rules.foot_m[1])
-        in_a = _between(a, b) @ b.points[foot]
-        standing |= _counts(cKDTree(in_a[:, :2].reshape(-1, 2)), xy, rules.near_m) > 0
-    return standing
+    """Return at which places (M, 2), in A's level frame, ``b`` has a return between two heights."""
+    in_a = _between(a, b) @ _returns(b, height_m)
+    return _counts(cKDTree(in_a[:, :2].reshape(-1, 2)), xy, NEAR_M) > 0
 
 
-def _as_wide_as_target(xy: NDArray[np.float64], rules: CrossViewRules) -> NDArray[np.bool_]:
+def _as_wide_as_target(xy: NDArray[np.float64]) -> NDArray[np.bool_]:
     tree = cKDTree(xy)
-    left = np.column_stack([-xy[:, 1], xy[:, 0]]) / np.hypot(xy[:, 0], xy[:, 1])[:, None] * rules.across_m
-    return (_counts(tree, xy + left, rules.near_m) > 0) & (_counts(tree, xy - left, rules.near_m) > 0)
+    left = np.column_stack([-xy[:, 1], xy[:, 0]]) / np.hypot(xy[:, 0], xy[:, 1])[:, None] * ACROSS_M
+    return (_counts(tree, xy + left, NEAR_M) > 0) & (_counts(tree, xy - left, NEAR_M) > 0)
 
 
-def _tall_columns(b: LeveledSweep, rules: CrossViewRules) -> NDArray[np.float64]:
+def _tall_columns(b: LeveledSweep) -> NDArray[np.float64]:
     """Return the columns (M, 2) of ``b`` that are as tall as the target."""
-    grid = BevGrid(round(4 * rules.range_b_m[1]), rules.range_b_m[1])
+    grid = BevGrid(round(4 * RANGE_B_M[1]), RANGE_B_M[1])
     range_b = np.hypot(grid.centers[..., 0], grid.centers[..., 1])
-    enough = (range_b > rules.range_b_m[0]) & (range_b < rules.range_b_m[1])
-    enough &= _between_heights(b, grid, rules.body_m) >= rules.body_returns
-    enough &= _between_heights(b, grid, rules.top_m) >= 1
+    enough = (range_b > RANGE_B_M[0]) & (range_b < RANGE_B_M[1])
+    enough &= grid.count(_returns(b, BODY_M)) >= BODY_RETURNS
+    enough &= grid.count(_returns(b, TOP_M)) >= 1
     return grid.centers[enough]
-
-
-def _between_heights(b: LeveledSweep, grid: BevGrid, height_m: tuple[float, float]) -> NDArray[np.int32]:
-    return grid.count(b.points[(b.height_m > height_m[0]) & (b.height_m < height_m[1])])
 
 
 def _between(to: LeveledSweep, of: LeveledSweep) -> Any:
@@ -199,9 +186,7 @@ def _counts(tree: Any, xy: NDArray[np.float64], radius_m: float) -> NDArray[np.i
     return counts
 
 
-def _aimed_and_through(
-    a: LeveledSweep, xy: NDArray[np.float64], rules: CrossViewRules
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _aimed_and_through(a: LeveledSweep, xy: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return how many returned beams of ``a`` aim at each column, and how many of them end well behind it."""
     beams = a.beams()
     order = np.argsort(beams.azimuth, kind="stable")
@@ -212,25 +197,21 @@ def _aimed_and_through(
     aimed, through = np.zeros(len(xy), np.intp), np.zeros(len(xy), np.intp)
     for n, (x, y) in enumerate(xy):
         r = float(np.hypot(x, y))
-        middle, half = np.arctan2(y, x), np.arctan2(rules.near_m / 2, r)
+        middle, half = np.arctan2(y, x), np.arctan2(NEAR_M / 2, r)
         for turn in (-2 * np.pi, 0.0, 2 * np.pi):
             i, j = np.searchsorted(azimuth, [middle - half + turn, middle + half + turn])
             height = slope[i:j] * r - ground[n]
-            hits = (height > rules.seen_m[0]) & (height < rules.seen_m[1])
+            hits = (height > SEEN_M[0]) & (height < SEEN_M[1])
             aimed[n] += hits.sum()
-            through[n] += (hits & (depth[i:j] > r + rules.through_m)).sum()
+            through[n] += (hits & (depth[i:j] > r + THROUGH_M)).sum()
     return aimed, through
 
 
 def evaluate_crossview(
-    sequences: Sequence[Sequence[Sweep]],
-    estimators: Mapping[str, FovEstimator],
-    *,
-    rng: np.random.Generator,
-    on_step: OnStep = lambda _: None,
+    sequences: Sequence[Sequence[Sweep]], estimators: Mapping[str, FovEstimator], *, rng: np.random.Generator
 ) -> list[CrossViewRow]:
     """Return one row of rates for each estimator, over all sweeps of all sequences (each a static scene)."""
-    return rows_of(crossview_truth(sequences, on_step), estimators, rng=rng, on_step=on_step)
+    return rows_of(crossview_truth(sequences), estimators, rng=rng)
 
 
 def crossview_truth(
@@ -239,11 +220,11 @@ def crossview_truth(
     """Return each sweep of all sequences with what the others of its scene know; see :func:`evaluate_crossview`."""
     truth: list[tuple[Sweep, SeenColumns]] = []
     for sweeps in sequences:
-        rules, levels = CrossViewRules(), [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
-        scene = [_TallColumns.of(b, levels, rules) for b in levels]
+        levels = [level(sweep, BevGrid(256, 64.0)) for sweep in sweeps]
+        scene = [_TallColumns.of(b, levels) for b in levels]
         for a in levels:
             on_step(f"truth of sweep {len(truth) + 1}")
-            truth.append((a.sweep, _columns_of(a, scene, rules)))
+            truth.append((a.sweep, _columns_of(a, scene)))
     return truth
 
 

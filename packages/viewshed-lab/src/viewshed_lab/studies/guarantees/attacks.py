@@ -43,36 +43,22 @@ _CHECKED = 40
 
 @dataclass(slots=True)
 class Tally:
-    """What came of the attacks of one kind and threat.
+    """What came of the attacks of one kind and threat."""
 
-    Attributes:
-        tried: attacks.
-        violations: attacks after which a cell was certified, or an area opened, that the certificate rules out.
-        best_m2: the most that one opened.
-        bound_m2: what the bound allowed there.
-    """
-
-    tried: int = 0
-    violations: int = 0
-    best_m2: float = 0.0
-    bound_m2: float = 0.0
+    tried: int = 0  # attacks
+    violations: int = 0  # attacks after which a cell was certified, or an area opened, that the certificate rules out
+    best_m2: float = 0.0  # the most that one opened
+    bound_m2: float = 0.0  # what the bound allowed there
 
 
 @dataclass(slots=True, eq=False)
 class Victim:
-    """A sweep without an attack, its envelope, and the returns of each of its beams.
+    """A sweep without an attack, its envelope, and the returns of each of its beams."""
 
-    Attributes:
-        sweep: without an attack.
-        given: what the envelope takes for granted.
-        envelope: of the sweep.
-        beam: (N,) beam of each return: ring · columns + column.
-    """
-
-    sweep: Sweep
-    given: Given
-    envelope: Envelope
-    beam: NDArray[np.intp] = field(init=False)
+    sweep: Sweep  # without an attack
+    given: Given  # what the envelope takes for granted
+    envelope: Envelope  # of the sweep
+    beam: NDArray[np.intp] = field(init=False)  # (N,) beam of each return: ring · columns + column
 
     def __post_init__(self) -> None:
         # The beam of each return, as the envelope reads it: one return at a time would be slow, so by ring and azimuth.

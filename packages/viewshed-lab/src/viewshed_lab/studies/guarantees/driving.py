@@ -84,44 +84,32 @@ CERTIFIED = {"ours + certificate": Threat("wedge", 30), ONLY: Threat("replaced",
 drive then, and withstands 150 beams instead."""
 
 
-def speed_in_view(estimate: FovEstimate, car: Vehicle = CAR) -> float:
+def speed_in_view(estimate: FovEstimate) -> float:
     """Return the highest speed in m/s, of steps of .5, at which nobody who is not seen can get in the way.
 
-    To stop takes delay + v / braking; whoever stands in a cell that is not FREE may walk sideways for so long.
-
-    Args:
-        estimate: of the sensor on the car, which drives along x of ``level``.
-        car: how it stops.
+    The car drives along x of ``level``. To stop takes delay + v / braking; whoever stands in a cell that is not FREE
+    may walk sideways for so long.
     """
     x_m, y_m = np.moveaxis(estimate.grid.centers, -1, 0)
-    ahead = (estimate.state != CellState.FREE) & (x_m > car.front_m) & (x_m < 40.0) & (np.abs(y_m) < 8.0)
-    x_m, aside_m = x_m[ahead] - car.front_m, np.abs(y_m[ahead]) - car.half_width_m
+    ahead = (estimate.state != CellState.FREE) & (x_m > CAR.front_m) & (x_m < 40.0) & (np.abs(y_m) < 8.0)
+    x_m, aside_m = x_m[ahead] - CAR.front_m, np.abs(y_m[ahead]) - CAR.half_width_m
     speeds = np.arange(0.0, CRUISE_MPS + 0.25, 0.5)[:, None]
-    stop_s = car.delay_s + speeds / car.braking_mps2
-    stop_m = speeds * car.delay_s + speeds**2 / (2 * car.braking_mps2) + 0.5
+    stop_s = CAR.delay_s + speeds / CAR.braking_mps2
+    stop_m = speeds * CAR.delay_s + speeds**2 / (2 * CAR.braking_mps2) + 0.5
     unsafe = ((x_m < stop_m) & (aside_m < WALK_MPS * stop_s)).any(axis=1)
     return float(speeds[max(int(np.append(unsafe, True).argmax()) - 1, 0), 0])
 
 
 @dataclass(slots=True)
 class Junction:
-    """A street along x with a van at its right, and who walks out from behind it.
+    """A street along x with a van at its right, and who walks out from behind it."""
 
-    Attributes:
-        number: of the run; everything random follows from it.
-        weather: what air and ground do to a measurement.
-        lane_m: y of the middle of the car's lane.
-        start_m: (x, y) where someone waits behind the van.
-        walk_mps: how fast they walk.
-        early_s: how much earlier than to meet the car they set out.
-    """
-
-    number: int
-    weather: Conditions
-    lane_m: float = -1.75
-    start_m: tuple[float, float] = (0.0, 0.0)
-    walk_mps: float = 1.5
-    early_s: float = 0.0
+    number: int  # of the run; everything random follows from it
+    weather: Conditions  # what air and ground do to a measurement
+    lane_m: float = -1.75  # y of the middle of the car's lane
+    start_m: tuple[float, float] = (0.0, 0.0)  # (x, y) where someone waits behind the van
+    walk_mps: float = 1.5  # how fast they walk
+    early_s: float = 0.0  # how much earlier than to meet the car they set out
     terrain: Terrain = field(init=False)
     still: list[Thing] = field(init=False)
     car: tuple[Thing, float] = field(init=False)
@@ -160,19 +148,12 @@ class Junction:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How a drive went.
+    """How a drive went."""
 
-    Attributes:
-        collided: whether the car hit the one who walked out.
-        time_s: until it had passed, LAST_S if it never did.
-        needless_s: how long it stood though nobody was in the way.
-        alarm_s: how long the view was not fully trusted.
-    """
-
-    collided: bool
-    time_s: float
-    needless_s: float
-    alarm_s: float
+    collided: bool  # whether the car hit the one who walked out
+    time_s: float  # until it had passed, LAST_S if it never did
+    needless_s: float  # how long it stood though nobody was in the way
+    alarm_s: float  # how long the view was not fully trusted
 
 
 def drive_through(
@@ -181,14 +162,10 @@ def drive_through(
     monitor: str,
     on_step: Callable[[float, float, tuple[float, float], FovEstimate], None] = lambda *_: None,
 ) -> Drive:
-    """Drive through a junction.
+    """Drive through a junction in a case of ``CASES`` with one of ``MONITORS``.
 
-    Args:
-        number: of the junction.
-        case: of ``CASES``.
-        monitor: of ``MONITORS``.
-        on_step: is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
-            believes.
+    ``on_step`` is called with the time, the speed, where the one who walks is (x ahead, y left), and what the car
+    believes.
     """
     place = _junction(number, case)
     answers: SimpleQueue[Answer] = SimpleQueue()
@@ -235,11 +212,6 @@ def drives_left(number: int, case: str, done: Mapping[str, Drive]) -> Iterator[t
 
     Below WIDEN caution takes nothing back: a drive of ours without an alarm is, step by step, that of no monitor and
     that of ours + certificate, which are not driven again then.
-
-    Args:
-        number: of the junction.
-        case: of ``CASES``.
-        done: the drives that are known, by monitor.
     """
     if len(done) == len(MONITORS):
         return
@@ -266,29 +238,18 @@ def _sweep(number: int, case: str, step: int, x_m: float, speed_mps: float, walk
     return ATTACKS[case](azimuth).apply(sweep, np.random.Generator(np.random.PCG64([number, step]))).sweep
 
 
-def certified_speeds(number: int, words: tuple[str, ...] = SPEED_THREATS, x_m: float = -20.0) -> dict[str, float]:
-    """Return the speed in m/s on the way to a junction without attack: by the claim, and by what of it is certified.
-
-    Args:
-        number: of the junction.
-        words: threats that are certified against.
-        x_m: where the car is.
-    """
+def certified_speeds(number: int) -> dict[str, float]:
+    """Return the speed in m/s 20 m before a junction without attack: by the claim, and by what of it is certified."""
     place = Junction(number, Conditions())
-    leveled = level(place.sweep(0, x_m, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
+    leveled = level(place.sweep(0, -20.0, CRUISE_MPS, place.start_m[1], walks=False), GRIDS["road"])
     estimate = load_estimator(grid=GRIDS["road"], target=TARGETS["pedestrian"]).estimate(leveled)
-    certified = {one: certify(leveled, estimate, Threat.parse(one)).withdraw(estimate) for one in words}
+    certified = {one: certify(leveled, estimate, Threat.parse(one)).withdraw(estimate) for one in SPEED_THREATS}
     return {"the whole claim": speed_in_view(estimate)} | {one: speed_in_view(kept) for one, kept in certified.items()}
 
 
-def filled_share(number: int, ahead_m: float = 10.0) -> float:
-    """Return the share of the beams sent through a pedestrian's box that who walks at a junction returns.
-
-    Args:
-        number: of the junction.
-        ahead_m: how far ahead of the car's middle they are in its lane.
-    """
-    place = Junction(number, Conditions())
+def filled_share(number: int) -> float:
+    """Return the share of the beams sent through a pedestrian's box that who walks at a junction returns."""
+    place, ahead_m = Junction(number, Conditions()), 10.0  # from the car's middle, in its lane
     leveled = level(place.sweep(0, place.start_m[0] - ahead_m, 0.0, place.lane_m, walks=True), GRIDS["road"])
     envelope = Envelope.of(leveled, Given.of(leveled), GRIDS["road"], TARGETS["pedestrian"])
     body = leveled.points[(leveled.points[:, 2] > 0.1) & (np.abs(leveled.points[:, 1]) < 0.8)]

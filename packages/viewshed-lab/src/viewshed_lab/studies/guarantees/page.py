@@ -480,16 +480,15 @@ def _filled(lines: list[Line]) -> str:
     return f"{mean} ({least} to {most})"
 
 
-def _strip(
-    lines: list[Line], number: int = 0, case: str = "vanished", times: tuple[float, ...] = (2.0, 5.0, 7.0, 9.0, 11.0)
-) -> Picture:
+def _strip(lines: list[Line]) -> Picture:
     """Return what the car believes at some times of a drive, a row for each monitor that was tried."""
+    times = (2.0, 5.0, 7.0, 9.0, 11.0)
     monitors = [name for name in MONITORS if any(line["monitor"] == name for line in lines)]
     figure = Figure((12.5, 1.3 * len(monitors)), dpi=80, layout="constrained")
     axes = figure.subplots(len(monitors), len(times), squeeze=False)
     for monitor, row in zip(monitors, axes, strict=True):
         frames: list[tuple[float, float, tuple[float, float], FovEstimate]] = []
-        drive = drive_through(number, case, monitor, lambda *frame, to=frames: to.append(frame))
+        drive = drive_through(0, "vanished", monitor, lambda *frame, to=frames: to.append(frame))
         for axis, wanted_s in zip(row, times, strict=True):
             axis.set(xticks=[], yticks=[])
             time_s, speed_mps, walker, estimate = min(frames, key=lambda frame: abs(frame[0] - wanted_s))
@@ -506,11 +505,11 @@ def _strip(
     return Picture("guarantees_driving.png", png_of(figure), "What the car believes while it drives, by monitor.")
 
 
-def _picture(number: int = 1) -> Picture:
+def _picture() -> Picture:
     """Return the envelope of one scene without an attack and under one, what is certified, and what was opened."""
-    scene, threat = own_scene("attacks", number), Threat("replaced", 150)
+    scene, threat = own_scene("attacks", 1), Threat("replaced", 150)
     victim = attacks.own_victim(scene.leveled.sweep, GRID)
-    clean, rng = victim.envelope, np.random.Generator(np.random.PCG64(number))
+    clean, rng = victim.envelope, np.random.Generator(np.random.PCG64(1))
     beams = attacks.beams_within(threat, victim, rng, attacks.weights_of(clean, threat))
     sweep = victim.attacked(beams, np.full(len(beams), np.inf, np.float32), np.zeros((0, 3), np.float32))
     leveled = level(sweep, GRID)

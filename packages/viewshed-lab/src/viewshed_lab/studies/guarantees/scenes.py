@@ -18,7 +18,7 @@ from viewshed.fov.estimate import FovEstimate, FovEstimator
 from viewshed.fov.height_map import HeightMap
 from viewshed.fov.visibility import TARGETS, Target
 from viewshed.geometry import Rigid, rotation_from_quaternion
-from viewshed.grid import GRIDS, BevGrid, polar_of_cells
+from viewshed.grid import GRIDS, polar_of_cells
 from viewshed.guarantees.certificate import ADDED, Certificate, certify, without
 from viewshed.guarantees.conformal import Calibration, SceneCounts
 from viewshed.guarantees.envelope import GRADE, Envelope, Given, Threat
@@ -33,7 +33,8 @@ from viewshed_lab.data.wild import WildScene
 from viewshed_lab.sim import cast, junction
 from viewshed_lab.studies.crossview.page import posed_scenes
 from viewshed_lab.studies.crossview.rates import evaluate_crossview
-from viewshed_lab.studies.judges import OFF_M, SurveyedGround, annotated
+from viewshed_lab.studies.judges import OFF_M, surveyed
+from viewshed_lab.studies.suite import Changed
 from viewshed_lab.threats.attacks import ATTACKS, Attack
 from viewshed_lab.threats.attacks.adaptive import BlackBox, OverClaim
 
@@ -60,21 +61,13 @@ ON_MASK = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A sweep with its exact truth.
+    """A sweep with its exact truth."""
 
-    Attributes:
-        name: of the scene.
-        leveled: the sweep.
-        visible: by target name (cells, cells) exact truth.
-        known: (cells, cells) where that is known.
-        ground: exact heights of the ground.
-    """
-
-    name: str
-    leveled: LeveledSweep
-    visible: dict[str, Mask]
-    known: Mask
-    ground: HeightMap
+    name: str  # of the scene
+    leveled: LeveledSweep  # the sweep
+    visible: dict[str, Mask]  # by target name (cells, cells) exact truth
+    known: Mask  # (cells, cells) where that is known
+    ground: HeightMap  # exact heights of the ground
 
 
 def own_scene(part: str, number: int) -> Scene:
@@ -142,7 +135,7 @@ def certificates_of(scene: Scene) -> dict[str, Any]:
     return found
 
 
-def costs_of(calibration: Calibration, repeats: int = 40) -> dict[str, Any]:
+def costs_of(calibration: Calibration) -> dict[str, Any]:
     """Return milliseconds (fastest, median) of each certificate and of a guaranteed mask, by sensor, at a junction."""
     found: dict[str, Any] = {}
     for sensor in ("HDL-32E", "HDL-64E"):
@@ -159,7 +152,7 @@ def costs_of(calibration: Calibration, repeats: int = 40) -> dict[str, Any]:
         jobs["guaranteed mask"] = partial(calibration.guaranteed, estimate, leveled.ground)
         for name, job in jobs.items():
             times_ms = []
-            for _ in range(repeats):
+            for _ in range(40):
                 start_s = perf_counter()
                 job()
                 times_ms.append(1000 * (perf_counter() - start_s))
@@ -188,59 +181,41 @@ def guaranteed_of(scene: Scene, target: str, estimate: FovEstimate, claim: Mask)
     }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Kept:
-    """The default estimator's claim less what a certificate or a promise does not keep.
+def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Changed:
+    """Return an estimator inside the envelope, or its certified cells alone: what an attacker who adapts is up against.
 
-    Attributes:
-        estimator: whose claims are kept.
-        kept: returns which cells (cells, cells) of an estimate of a sweep are.
-    """
-
-    estimator: Estimator
-    kept: Callable[[LeveledSweep, FovEstimate], Mask]
-
-    @property
-    def grid(self) -> BevGrid:
-        """Its grid."""
-        return self.estimator.grid
-
-    def estimate(self, sweep: Sweep) -> FovEstimate:
-        """Return the estimate without what is not kept."""
-        leveled = level(sweep, self.grid)
-        estimate = self.estimator.estimate(leveled)
-        return without(estimate, estimate.visible() & ~self.kept(leveled, estimate))
-
-
-def certified(estimator: Estimator, threat: Threat, *, only_certified: bool = False) -> Kept:
-    """Return an estimator inside the envelope: what an attacker who adapts is up against.
-
-    Args:
-        estimator: whose claims are certified; what the sweep does not say is trusted.
-        threat: what the attacker may do.
-        only_certified: claim the certified cells alone, else all of the claim inside the envelope.
+    What the sweep does not say is trusted.
     """
 
     def kept(leveled: LeveledSweep, estimate: FovEstimate) -> Mask:
         certificate = certify(leveled, estimate, threat, trust_inferred=True)
         return certificate.certified_visible if only_certified else certificate.claim
 
-    return Kept(estimator, kept)
+    return _keeping(estimator, kept)
 
 
-def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Kept:
+def guaranteed(estimator: Estimator, calibration: Calibration, confidence: float) -> Changed:
     """Return an estimator's mask of the error that a calibration promises with a confidence."""
-    return Kept(
+    return _keeping(
         estimator, lambda leveled, estimate: calibration.guaranteed(estimate, leveled.ground, confidence=confidence)
     )
+
+
+def _keeping(estimator: Estimator, kept: Callable[[LeveledSweep, FovEstimate], Mask]) -> Changed:
+    """Return an estimator without those of its claims that are not kept (cells, cells)."""
+
+    def answer(_: FovEstimator, sweep: Sweep) -> FovEstimate:
+        leveled = level(sweep, estimator.grid)
+        estimate = estimator.estimate(leveled)
+        return without(estimate, estimate.visible() & ~kept(leveled, estimate))
+
+    return Changed(estimator, answer)
 
 
 def crossview_of(index: Path, masks: dict[str, tuple[Calibration, float]]) -> list[dict[str, Any]]:
     """Return over-claim and under-claim of the default and of guaranteed masks on real posed sequences, by sensor.
 
-    Args:
-        index: JSON of the sweeps; each folder of it is one scene.
-        masks: calibrations by name, and the confidence that is asked of them.
+    ``masks`` are calibrations by name, and the confidence that is asked of them.
     """
     default = default_estimator(TARGETS["car"])
     tried: dict[str, FovEstimator] = {"default": default, "default ∩ envelope": certified(default, ADDED)}
@@ -257,27 +232,19 @@ def survey_of(log: Path, masks: dict[str, tuple[Calibration, float]]) -> list[di
     """Return for each sweep of a surveyed Argoverse 2 log how many claimed cells stand on surveyed ground, and badly.
 
     Of a mask, cells on surveyed ground; of these, those whose ground lies elsewhere; and those behind a drawn box.
-
-    Args:
-        log: folder of the log, with its map.
-        masks: calibrations by name, and the confidence that is asked of them.
+    ``masks`` are calibrations by name, and the confidence that is asked of them.
     """
-    survey, found = SurveyedGround.read(log), []
-    for sweep, boxes in annotated(open_source(log, "argoverse2"), None):
-        leveled = level(sweep, GRID)
-        if leveled.world_from_level is None:
-            raise ValueError(f"{log}: every sweep must have a pose, got one without")
+    found = []
+    for _, boxes, leveled, error_m in surveyed(log, open_source(log, "argoverse2"), GRID):
         estimate, ground_m = default_estimator(TARGETS["car"]).estimate(leveled), leveled.ground.at(GRID.centers)
-        there = leveled.world_from_level @ np.dstack([GRID.centers, ground_m.astype(np.float64)])
-        error_m = there[..., 2] - survey.at(there)
         claims = {"default": estimate.visible()} | {
             name: one.guaranteed(estimate, leveled.ground, confidence=confidence)
             for name, (one, confidence) in masks.items()
         }
-        surveyed, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
+        known, off = np.isfinite(error_m), np.abs(error_m) > OFF_M
         behind = behind_boxes(leveled, boxes, ground_m, TARGETS["car"])
         found.append({
-            name: [int((mask & of).sum()) for of in (surveyed, off, surveyed & behind)] for name, mask in claims.items()
+            name: [int((mask & of).sum()) for of in (known, off, known & behind)] for name, mask in claims.items()
         })  # fmt: skip
     return found
 

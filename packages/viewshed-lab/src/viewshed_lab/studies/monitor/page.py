@@ -32,19 +32,12 @@ HONEST = (*ONSETS, "stated_noise")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A stream as a calibration judges it.
+    """A stream as a calibration judges it."""
 
-    Attributes:
-        stream: that was judged.
-        scores: (T - EARLIER_SWEEPS,) of its sweeps.
-        surprises: (T - EARLIER_SWEEPS, E, SECTORS) of their evidence.
-        attacked: (C, K, E, SECTORS) surprises of the attacked sweeps.
-    """
-
-    stream: StreamEvidence
-    scores: F32
-    surprises: F32
-    attacked: F32
+    stream: StreamEvidence  # that was judged
+    scores: F32  # (T - EARLIER_SWEEPS,) of its sweeps
+    surprises: F32  # (T - EARLIER_SWEEPS, E, SECTORS) of their evidence
+    attacked: F32  # (C, K, E, SECTORS) surprises of the attacked sweeps
 
     @property
     def hours(self) -> float:
@@ -100,13 +93,8 @@ def files_of(
 ) -> dict[str, bytes]:
     """Return the page by the name of its file.
 
-    Args:
-        plan: of the study.
-        calibration: that judges.
-        report: streams with attacks.
-        benign: streams without, that add to the rates of false alarms.
-        called: sweeps of public traces.
-        left_out: what :func:`tried` gives.
+    Attacks are in the streams of ``report``; those of ``benign`` add to the rates of false alarms. ``left_out`` is what
+    :func:`tried` gives.
 
     Raises:
         ValueError: there are no streams with attacks.

@@ -19,42 +19,32 @@ No style, sensor family or mounting is in the first and the others; ``vlp16`` is
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorPlan(Plan):
-    """The streams of the study.
-
-    Attributes:
-        calibration, report: styles of worlds, of ``WORLDS``.
-        calibration_sensors, report_sensors: families of sensors, or beam tables, in turn.
-        calibration_mountings, report_mountings: families of mountings, in turn; indoors that of a robot.
-        conditions: weather and faults, in turn.
-        calibration_streams, report_streams, benign_streams: streams of each style.
-        seconds: of a stream.
-        hz: sweeps a second.
-        pose_noise_every: one stream of so many has noisy poses.
-        attacks: that branch off the streams, in turn.
-        attack_every_s: two attacks begin so often.
-        seed: of all that is random.
-    """
+    """The streams of the study."""
 
     FOLDER: ClassVar[str] = "studies/monitor/plans"
 
     name: str
     about: str
+    # calibration, report: styles of worlds, of ``WORLDS``
     calibration: tuple[str, ...]
     report: tuple[str, ...]
+    # calibration_sensors, report_sensors: families of sensors, or beam tables, in turn
     calibration_sensors: tuple[str, ...]
     report_sensors: tuple[str, ...]
+    # calibration_mountings, report_mountings: families of mountings, in turn; indoors that of a robot
     calibration_mountings: tuple[str, ...]
     report_mountings: tuple[str, ...]
-    conditions: tuple[str, ...]
+    conditions: tuple[str, ...]  # weather and faults, in turn
+    # calibration_streams, report_streams, benign_streams: streams of each style
     calibration_streams: int
     report_streams: int
     benign_streams: int
-    seconds: float
-    hz: float
-    pose_noise_every: int
-    attacks: tuple[str, ...]
-    attack_every_s: float
-    seed: int
+    seconds: float  # of a stream
+    hz: float  # sweeps a second
+    pose_noise_every: int  # one stream of so many has noisy poses
+    attacks: tuple[str, ...]  # that branch off the streams, in turn
+    attack_every_s: float  # two attacks begin so often
+    seed: int  # of all that is random
 
     def __post_init__(self) -> None:
         for part in ("calibration", "report"):
@@ -81,14 +71,10 @@ class MonitorPlan(Plan):
 
     def job_keys(self) -> list[JobKey]:
         """Return part, style and number of each stream: some of each style first."""
-        return [(part, style, str(number)) for part, style, number in self.stream_keys()]
-
-    def stream_keys(self) -> list[tuple[str, str, int]]:
-        """Return part, style and number of each stream: some of each style first."""
         every = [
             (number, part, style)
             for part in PARTS
             for style in self.styles(part)
             for number in range(getattr(self, f"{part}_streams"))
         ]
-        return [(part, style, number) for number, part, style in sorted(every, key=lambda key: key[0])]
+        return [(part, style, str(number)) for number, part, style in sorted(every, key=lambda key: key[0])]

@@ -160,26 +160,16 @@ def _sensor_of(stream: Stream) -> DrawnSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamEvidence:
-    """All evidence of a stream, and of the attacks that branch off it.
+    """All evidence of a stream, and of the attacks that branch off it."""
 
-    Attributes:
-        name: of the stream.
-        style: of its world.
-        facts: sensor, conditions, poses and speed.
-        benign: (T, E, SECTORS) of each sweep.
-        cases: (C,) name of the attack, and its first sweep.
-        attacked: (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps.
-        degraded: (T,) bool, sweeps of which the monitor says that the sensor sees worse than it did.
-        worsened: whether it says so of a corruption that begins after them and lasts, by its name, where made.
-    """
-
-    name: str
-    style: str
-    facts: dict[str, str]
-    benign: F32
-    cases: tuple[tuple[str, int], ...]
-    attacked: F32
-    degraded: Mask
+    name: str  # of the stream
+    style: str  # of its world
+    facts: dict[str, str]  # sensor, conditions, poses and speed
+    benign: F32  # (T, E, SECTORS) of each sweep
+    cases: tuple[tuple[str, int], ...]  # (C,) name of the attack, and its first sweep
+    attacked: F32  # (C, ATTACKED_SWEEPS, E, SECTORS) of the attacked sweeps
+    degraded: Mask  # (T,) bool, sweeps of which the monitor says that the sensor sees worse than it did
+    # whether it says so of a corruption that begins after them and lasts, by its name, where made
     worsened: dict[str, bool]
 
     def save(self, path: Path) -> None:
@@ -367,7 +357,7 @@ def run_streams(
         A line of each stream that failed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    every = (Stream(plan, *key) for key in plan.stream_keys())
+    every = (Stream(plan, part, style, int(number)) for part, style, number in plan.job_keys())
     jobs = [(one, path) for one in every if not (path := folder / f"{one.name}.npz").exists()]
     for done in engine.run(_measure_and_save, jobs):
         name = jobs[done.index][0].name

@@ -46,12 +46,7 @@ def make_archive(
 ) -> Archive:
     """Return the archive of a part (domain, split), simulated as far as it is not there.
 
-    Args:
-        plan: what it is made for.
-        folder: of the study.
-        part: domain and split.
-        engine: makes the shards.
-        on_progress: is called with how many more sweeps are done.
+    ``on_progress`` is called with how many more sweeps are done.
     """
     store = Storage.of(archive_path(folder, *part))
     return simulate(preset_of(plan, *part), store, engine, lambda shard: on_progress(shard.frames))

@@ -231,13 +231,7 @@ class Scope:
 
 
 def run_study(store: ResultStore[PaperPlan], scope: Scope, on_progress: Progress) -> Iterator[str]:
-    """Do what is not done yet, and yield one line for each job that failed or could not be done, as it happens.
-
-    Args:
-        store: of the study.
-        scope: what of it is done.
-        on_progress: is called as jobs are done.
-    """
+    """Do what is not done yet, and yield one line for each job that failed or could not be done, as it happens."""
     if {"crossval", "models", "trade"} & set(scope.steps) or scope.device != "cpu":
         check_training(scope.device)
     if "data" in scope.steps:

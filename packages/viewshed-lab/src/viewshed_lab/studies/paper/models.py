@@ -159,13 +159,7 @@ def _planned_config(plan: PaperPlan, folder: Path, model: Model) -> TrainConfig:
 
 
 def trade_config(plan: PaperPlan, folder: Path, shape: tuple[int, int, int]) -> TrainConfig:
-    """Return how a network of the trade study is trained: benign, one pass, the paper's protocol, fewer epochs.
-
-    Args:
-        plan: of the study.
-        folder: of the study.
-        shape: width, depth and cells.
-    """
+    """Return how a network of the trade study is trained: benign, one pass, the paper's protocol, fewer epochs."""
     width, depth, cells = shape
     base = config_of(plan, folder, Model("paper", "mle", "benign", plan.trade_domain))
     name = f"trade-{trade_name(shape)}"
@@ -182,15 +176,7 @@ def trade_name(shape: tuple[int, int, int]) -> str:
 
 
 def train(config: TrainConfig, out: Path, cache: Path, device: str, fold: Fold | None = None) -> dict[str, Any]:
-    """Return the facts of a training, which goes on where it was stopped.
-
-    Args:
-        config: of the training.
-        out: folder of its checkpoints and weights.
-        cache: folder of labels that all trainings share.
-        device: ``cpu`` or ``cuda``.
-        fold: which scenes validate, in cross-validation.
-    """
+    """Return the facts of a training, which goes on where it was stopped; all share the labels in ``cache``."""
     from viewshed_lab.training import run
 
     start = time.perf_counter()

@@ -31,15 +31,7 @@ def watch(
 ) -> Iterator[Row]:
     """Yield score, alarm and mean deviation of one sweep in each case, or why the case cannot be made.
 
-    Args:
-        monitor: calibrated, for this estimator.
-        estimator: with standard deviations.
-        sample: a benign sweep that the monitor was neither fitted nor calibrated on.
-        cases: what is done to the sweep.
-        number: of the sweep in the domain.
-        domain: of the rows.
-        method: of the rows.
-        seed: of all that is random.
+    The monitor is calibrated for this estimator, which gives deviations, and saw nothing of the benign ``sample``.
     """
     for case in cases:
         of = Series(domain, method, case), sample.sample.scene, number
@@ -60,13 +52,7 @@ def rows_of(results: Results[Any], domain: str, method: str, seed: int = 0) -> p
     Columns: kind and name of the case; the share that alarms (``alarms``); and but for benign sweeps AUROC against the
     same sweeps untouched with its 95 % interval (``low``, ``high``), the share above a limit that at most 1 % of these
     untouched sweeps pass (``caught``; with fewer than 100: that none passes), and the AUROC of the plain mean deviation
-    (``auroc_mean``).
-
-    Args:
-        results: rows of :func:`watch`; their order changes nothing.
-        domain: of the rows.
-        method: of the rows.
-        seed: of the intervals.
+    (``auroc_mean``). ``seed`` is that of the intervals.
     """
     rows = results.rows[(results.rows["domain"] == domain) & (results.rows["method"] == method)]
     # Cases that could be made of no sweep come last.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isnan
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from viewshed_lab._page import facts
 from viewshed_lab.studies import figures
 from viewshed_lab.studies.cases import MIXTURE, budget_cases, corruption_cases
 from viewshed_lab.studies.formatting import commits
-from viewshed_lab.studies.pages import Page, Picture, Table, fill_template
+from viewshed_lab.studies.pages import Picture, Table, fill_template
 from viewshed_lab.studies.records import BENIGN, PAPER, WEDGE, Case, Domain, Results
 from viewshed_lab.studies.robustness import tables
 from viewshed_lab.studies.robustness.jobs import evaluation_of
@@ -34,19 +34,8 @@ FARTHEST = ("quantized", "continuous", "concave_hull")
 """Ours of the same kind."""
 
 
-class Budget(NamedTuple):
-    """What an attacker has at most: in words, and the number of returns; None for any number."""
-
-    words: str
-    most: int | None
-
-    @property
-    def heading(self) -> str:
-        """The words as a heading."""
-        return self.words.capitalize()
-
-
-BUDGETS = (Budget(f"up to {MODEST} returns", MODEST), Budget("up to a full wedge", None))
+BUDGETS = {f"Up to {MODEST} returns": MODEST, "Up to a full wedge": None}
+"""By heading the number of returns that an attacker has at most; None for any number."""
 
 
 def violin_picture(domains: Sequence[AttackedDomain], protocol: str) -> Picture:
@@ -133,29 +122,16 @@ def _scene(store: ResultStore[RobustnessPlan], case: Case) -> figures.PictureRow
     )  # fmt: skip
 
 
-def files_of(
-    store: ResultStore[RobustnessPlan], failed: Sequence[str] = (), stem: str = "robustness"
-) -> dict[str, bytes]:
-    """Return the files of the study by name: pictures, and the Markdown page last.
-
-    Args:
-        store: of the study.
-        failed: jobs that failed, one line each.
-        stem: of the name of the page.
-    """
+def files_of(store: ResultStore[RobustnessPlan], stem: str = "robustness") -> dict[str, bytes]:
+    """Return the files of the study by name: pictures, and the Markdown page ``stem`` last."""
     results = store.results()
     store.require(results)
-    return main_page(store, results, failed).files(f"{stem}.md", facts(**provenance(results)))
-
-
-def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPlan], failed: Sequence[str] = ()) -> Page:
-    """Return the main page."""
     domains, plan = domains_of(results), results.plan
     adaptive = [domain for domain in domains if domain.met("adaptive").methods]
     unaware = [domain for domain in domains if domain.met("unaware").methods]
     paper = [domain for domain in domains if len(domain.paper.cases) > 1]
-    return fill_template(
-        "robustness/page.md", plan=plan, store=store, tables=tables, extent=_extent(results, failed), domains=domains,
+    page = fill_template(
+        "robustness/page.md", plan=plan, store=store, tables=tables, extent=_extent(results), domains=domains,
         adaptive_domains=adaptive, unaware_domains=unaware, paper_domains=paper, budgets=BUDGETS,
         attacks_on_defenses=plan.adaptive_against_defenses if unaware else (), max_f1_loss=MAX_F1_LOSS,
         max_wedge_loss=MAX_WEDGE_LOSS,
@@ -164,6 +140,7 @@ def main_page(store: ResultStore[RobustnessPlan], results: Results[RobustnessPla
         violin_picture=violin_picture, scene_picture=scene_picture, budget_picture=budget_picture,
         wedge_picture=wedge_picture, corruption_picture=corruption_picture, refused=refused_table(results),
     )  # fmt: skip
+    return page.files(f"{stem}.md", facts(**provenance(results)))
 
 
 def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
@@ -178,21 +155,21 @@ def provenance(results: Results[RobustnessPlan]) -> dict[str, str]:
     }
 
 
-def _extent(results: Results[RobustnessPlan], failed: Sequence[str]) -> str:
+def _extent(results: Results[RobustnessPlan]) -> str:
     """Return how much was run, and what is missing."""
     plan, done, jobs = results.plan, len(results.facts), len(results.plan.job_keys())
     words = f"{sum(results.sweeps(domain.name) for domain in domains_of(results))} sweeps with {len(plan.attacks)} "
     words += f"attacks, {len(plan.corruptions)} corruptions and {len(plan.defenses)} defenses."
     if done < jobs:
         words += f" **Not finished: {done} of {jobs} jobs are done; a sample has up to {len(PARTS)}.**"
-    return words + (f" {len(failed)} jobs failed: {'; '.join(failed[:3])}." if failed else "")
+    return words
 
 
-def withstood_at(domains: Sequence[AttackedDomain], budget: Budget) -> str:
+def withstood_at(domains: Sequence[AttackedDomain], most: int | None) -> str:
     """Return a list of what each estimator withstands in every domain, up to a budget."""
 
     def withstands(name: str, attack: str) -> bool:
-        return all(domain.verdict(name, attack, budget.most).withstands for domain in domains)
+        return all(domain.verdict(name, attack, most).withstands for domain in domains)
 
     return _withstood(domains[0].attacks, withstands)
 

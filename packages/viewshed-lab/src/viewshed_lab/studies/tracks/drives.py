@@ -80,19 +80,12 @@ SEEN_FROM = 5
 
 
 def simulate_drive(
-    plan: ScenePlan,
-    fovs: tuple[str, ...] = FOVS,
-    sensor: str = "top",
-    forger: SweepForger | None = None,
+    plan: ScenePlan, fovs: tuple[str, ...] = FOVS, forger: SweepForger | None = None
 ) -> Iterator[Moment]:
-    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view.
+    """Yield the sweeps of a drive of one vehicle with truth, detections and fields of view, of ``FOVS``.
 
-    Args:
-        plan: of its scene.
-        fovs: of ``FOVS``.
-        sensor: name of the sensor in its views.
-        forger: forges the sweeps before anything is computed from them; the truth stays, and the shipped monitor
-            watches.
+    A ``forger`` forges the sweeps before anything is computed from them; the truth stays, and the shipped monitor
+    watches.
     """
     grid, detector = GRID, Detector()
     world, agent = world_of(plan), world_of(plan).agents[0]
@@ -137,7 +130,7 @@ def simulate_drive(
         views: dict[str, SensorView] = {}
         for fov in fovs:
             cells = SeenCells.of(estimate) if fov == "default" else None
-            views[fov] = SensorView(sensor, _view_of(fov, t_s, leveled, hull), place, cells, yaw=yaw)
+            views[fov] = SensorView("top", _view_of(fov, t_s, leveled, hull), place, cells, yaw=yaw)
         here = detector.detect(leveled)
         detections = here.moved(pose)
         of_object = _objects_of(detections, truth)

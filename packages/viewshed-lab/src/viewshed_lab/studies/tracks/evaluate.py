@@ -55,7 +55,6 @@ class Forgery:
     last_s: float  # when it was last forged
     sweeps: int = 0  # in how many sweeps it was
     visible: list[float] = field(default_factory=list)  # probabilities with which it was visible in these sweeps
-    shifts_m: list[float] = field(default_factory=list)  # by how much it was moved
     found_s: float = np.inf  # when it was first accused; infinite if never
     # it was a confirmed track: one that was removed or moved for :data:`KNOWN_HITS` detections before that, a
     # fabricated one at any time
@@ -64,33 +63,28 @@ class Forgery:
     alarmed: bool = False  # a monitor of the LiDAR suspected the sector in which it is
 
     def row(self) -> list[float]:
-        """Return seconds until accused (-1 for never), visibility, shift, and the rest, as plain numbers."""
+        """Return seconds until accused (-1 for never), visibility, and the rest, as plain numbers."""
         return [
             self.found_s - self.first_s if self.found_s < np.inf else -1.0, float(np.mean(self.visible or [1.0])),
-            float(np.mean(self.shifts_m or [0.0])), float(self.known), round(self.highest, 5), float(self.alarmed),
+            float(self.known), round(self.highest, 5), float(self.alarmed),
         ]  # fmt: skip
 
 
 @dataclass(slots=True)
 class Outcome:
-    """What was found on one drive.
+    """What was found on one drive."""
 
-    Attributes:
-        ghosts, removed, moved: forged objects by number.
-        honest: for each confirmed track of an honest object the most that spoke against it, as a part of the limit.
-        accused: the honest tracks that were accused.
-        gospa_m: of each sweep without fusion and after it.
-        occluded: tracked objects that were hidden for up to 3 s: whether each had another track when it came back.
-        calibration: of each confirmed track and sweep, its existence after fusion and whether an object is there.
-    """
-
+    # ghosts, removed, moved: forged objects by number
     ghosts: dict[int, Forgery] = field(default_factory=dict)
     removed: dict[int, Forgery] = field(default_factory=dict)
     moved: dict[int, Forgery] = field(default_factory=dict)
+    # for each confirmed track of an honest object the most that spoke against it, as a part of the limit
     honest: dict[int, float] = field(default_factory=dict)
-    accused: set[int] = field(default_factory=set)
+    accused: set[int] = field(default_factory=set)  # the honest tracks that were accused
+    # tracked objects that were hidden for up to 3 s: whether each had another track when it came back
     occluded: list[bool] = field(default_factory=list)
-    gospa_m: list[tuple[float, float]] = field(default_factory=list)
+    gospa_m: list[tuple[float, float]] = field(default_factory=list)  # of each sweep without fusion and after it
+    # of each confirmed track and sweep, its existence after fusion and whether an object is there
     calibration: list[tuple[float, bool]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -257,10 +251,7 @@ def _note_forgeries(outcome: Outcome, moment: Moment, forged: ForgedDetections, 
     for row in np.flatnonzero(forged.moved):
         number = int(moment.of_object[forged.source[row]])
         if number >= 0:
-            one = note(outcome.moved, number, follower.hits.get(number, 0))
-            one.visible.append(visible[number])
-            shift = forged.detections.boxes[row, :2] - moment.detections.boxes[forged.source[row], :2]
-            one.shifts_m.append(float(np.hypot(*shift)))
+            note(outcome.moved, number, follower.hits.get(number, 0)).visible.append(visible[number])
 
 
 def _note_accusations(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -10,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from viewshed._files import write_atomic
 from viewshed.objects.calibration import count_drive, highest_e_values, limits_of, model_of_counts
 from viewshed.objects.evidence import EvidenceCounts, EvidenceModel
 from viewshed.objects.tracker import ExistenceRules, Rules
@@ -28,15 +25,6 @@ from viewshed_lab.studies.tracks.plan import BENIGN_CASE, STEPS, TracksPlan
 from viewshed_lab.studies.tracks.published import PublishedRules
 from viewshed_lab.studies.tracks.stone_soup import stone_soup_centers
 from viewshed_lab.threats.object_attacks import OBJECT_ATTACKS
-
-MODELS = "models"
-"""Folder of the calibrated models, one file for each field of view."""
-
-COUNTS, HIGHEST = "counts", "highest"
-"""Folders of counted evidence and of the highest e-values of honest tracks, a file for each drive and field of view."""
-
-COASTING = "coasting"
-"""Folder of the GOSPA of the published rules and of Stone Soup by coasting time."""
 
 COASTING_S = (0.5, 1.0, 2.0, 3.0, 5.0)
 """Coasting times that the published rules and Stone Soup are tried with; each is tested with its best."""
@@ -56,22 +44,9 @@ def run_study(
     steps: tuple[str, ...] = STEPS,
     on_progress: Progress = ignore_progress,
 ) -> Iterator[str]:
-    """Do what is not there yet; yield one line for each job that failed.
-
-    Args:
-        store: of the study.
-        engine: does the jobs.
-        steps: of ``STEPS``.
-        on_progress: is called after each job.
-
-    Raises:
-        ValueError: a step is not known.
-        OSError: something cannot be written.
-    """
+    """Do what is not there yet in some of ``STEPS``; yield one line for each job that failed."""
     check_names("only", steps, STEPS)
     plan = store.plan
-    for folder in (COUNTS, HIGHEST, COASTING):
-        (store.folder / folder).mkdir(exist_ok=True)
     before = {"count": (), "limit": ("count",), "test": ("count", "limit"), "lidar": ("count", "limit")}
     for step, earlier in before.items():
         if step not in steps:
@@ -93,26 +68,24 @@ def do_job(job: Job[TracksPlan]) -> JobResult:
     sweeps = [(moment.t_s, moment.detections) for moment in moments]
     if step == "count":
         by_coasting = [tracking_gospa_m(moments, stone_soup_centers(sweeps, coast_s)) for coast_s in COASTING_S]
-        _save(job.folder / COASTING / f"{STONE_SOUP}-{number}.npz", {"gospa_m": np.array(by_coasting)})
+        facts["coasting"] = {STONE_SOUP: by_coasting}
     if step == "test":
-        centers = stone_soup_centers(sweeps, best_coasting_s(job.folder, STONE_SOUP))
+        centers = stone_soup_centers(sweeps, best_coasting_s(job.folder, plan, STONE_SOUP))
         facts[STONE_SOUP] = tracking_gospa_m(moments, centers)
     for fov in fovs:
-        name = f"{fov}-{number}.npz"
         if step == "count":
             if fov == PUBLISHED:
-                _save(job.folder / COASTING / name, {"gospa_m": _gospa_by_coasting(moments)})
+                facts["coasting"][fov] = _gospa_by_coasting(moments)
             counts, rules = EvidenceCounts(), PublishedRules() if fov == PUBLISHED else RULES
             observed = (one.observed for one in track_drive(moments, fov, rules=rules))
             count_drive(observed, counts, generator(plan.seed, "elsewhere", number, fov))
-            _save(job.folder / COUNTS / name, counts.arrays())
+            facts[fov] = {name: array.tolist() for name, array in counts.arrays().items()}
         elif step == "limit":
-            tracked = list(track_drive(moments, fov, rules=rules_of(job.folder, fov)))
+            tracked = list(track_drive(moments, fov, rules=rules_of(job.folder, plan, fov)))
             model = _without_limits(job.folder, plan, fov)
             of_objects = tracks_of_objects(tracked)
             highest = highest_e_values((one.observed for one in tracked), model)
-            honest = [values for number, values in highest.items() if number in of_objects]
-            _save(job.folder / HIGHEST / name, {"highest": np.array(honest).reshape(-1, 3)})
+            facts[fov] = [list(values) for number, values in highest.items() if number in of_objects]
         elif step == "test":
             facts[fov] = {case: _try(job, moments, fov, case) for case in plan.cases()}
         else:
@@ -126,44 +99,42 @@ def _try(job: Job[TracksPlan], moments: Sequence[Moment], fov: str, case: str) -
     if case != BENIGN_CASE:
         chosen = OBJECT_ATTACKS[case](counts="exact", mean_count=float(plan.objects))
         attack = chosen.begin(generator(plan.seed, *job.key, case))
-    tracked = list(track_drive(moments, fov, attack, rules_of(job.folder, fov)))
+    tracked = list(track_drive(moments, fov, attack, rules_of(job.folder, plan, fov)))
     return evaluate(tracked, model_of(job.folder, plan, fov)).to_json()
 
 
-def _gospa_by_coasting(moments: Sequence[Moment]) -> NDArray[np.float64]:
+def _gospa_by_coasting(moments: Sequence[Moment]) -> list[float]:
     """Return the GOSPA of a drive in meters with the published rules, for each of ``COASTING_S``."""
     gospa_m = []
     for coast_s in COASTING_S:
         tracked = [one.observed[0] for one in track_drive(moments, PUBLISHED, rules=PublishedRules(coast_s=coast_s))]
         gospa_m.append(tracking_gospa_m(moments, [tracks.boxes[tracks.confirmed] for tracks in tracked]))
-    return np.array(gospa_m)
+    return gospa_m
 
 
-@lru_cache(maxsize=8)
-def best_coasting_s(folder: Path, tracker: str) -> float:
-    """Return the coasting time with which a reference tracker was best on the drives that were counted.
+@lru_cache(maxsize=2)
+def _found(folder: Path, plan: TracksPlan, step: str) -> list[dict[str, Any]]:
+    """Return what each drive of a finished step gave."""
+    return list(ResultStore(folder, plan).results(step).facts.values())
 
-    Raises:
-        ValueError: no drive was counted yet.
-    """
-    by_drive = [np.load(path)["gospa_m"] for path in sorted((folder / COASTING).glob(f"{tracker}-*.npz"))]
-    if not by_drive:
-        raise ValueError(f"{folder / COASTING} must hold counted drives, got none; run the step count")
+
+def best_coasting_s(folder: Path, plan: TracksPlan, tracker: str) -> float:
+    """Return the coasting time with which a reference tracker was best on the drives that were counted."""
+    by_drive = [one["coasting"][tracker] for one in _found(folder, plan, "count")]
     return COASTING_S[int(np.mean(by_drive, axis=0).argmin())]
 
 
-def rules_of(folder: Path, fov: str) -> Rules:
+def rules_of(folder: Path, plan: TracksPlan, fov: str) -> Rules:
     """Return the rules of a tracker: the published ones with the coasting time that was best on other drives."""
-    return PublishedRules(coast_s=best_coasting_s(folder, fov)) if fov == PUBLISHED else RULES
+    return PublishedRules(coast_s=best_coasting_s(folder, plan, fov)) if fov == PUBLISHED else RULES
 
 
 @lru_cache(maxsize=8)
 def _without_limits(folder: Path, plan: TracksPlan, fov: str) -> EvidenceModel:
     """Return the tables of a field of view from the drives that were counted."""
     counts = EvidenceCounts()
-    for path in sorted((folder / COUNTS).glob(f"{fov}-*.npz")):
-        with np.load(path, allow_pickle=False) as file:
-            counts.add_arrays({name: file[name] for name in file.files})
+    for one in _found(folder, plan, "count"):
+        counts.add_arrays({name: np.array(values) for name, values in one[fov].items()})
     return model_of_counts(counts, plan.accused)
 
 
@@ -174,28 +145,6 @@ def model_of(folder: Path, plan: TracksPlan, fov: str) -> EvidenceModel:
     Raises:
         ValueError: too few honest tracks were seen for the share that may be accused.
     """
-    highest: list[NDArray[np.float64]] = []
-    for path in sorted((folder / HIGHEST).glob(f"{fov}-*.npz")):
-        with np.load(path, allow_pickle=False) as file:
-            highest.append(file["highest"])
-    every = np.concatenate(highest) if highest else np.zeros((0, 3))
+    every = np.array([values for one in _found(folder, plan, "limit") for values in one[fov]]).reshape(-1, 3)
     model = _without_limits(folder, plan, fov)
     return replace(model, limits=limits_of(every, plan.accused), tracks=len(every))
-
-
-def save_models(store: ResultStore[TracksPlan]) -> None:
-    """Write the calibrated model of each field of view; that of the default one is what the package ships.
-
-    Raises:
-        ValueError: limits are not there yet.
-        OSError: a file cannot be written.
-    """
-    (store.folder / MODELS).mkdir(exist_ok=True)
-    for fov in store.plan.fovs:
-        model_of(store.folder, store.plan, fov).save(store.folder / MODELS / f"{fov}.json")
-
-
-def _save(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    file = io.BytesIO()
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    write_atomic(path, file.getvalue())

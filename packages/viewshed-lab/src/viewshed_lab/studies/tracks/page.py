@@ -201,7 +201,7 @@ def _forged(outcomes: Outcomes, kind: str, least: float = SURE) -> pd.DataFrame:
     ``found_s`` is -1 for who was never accused.
     """
     rows = [row for one in outcomes for row in one[kind] if kind != "removed" or row[1] >= least]
-    return pd.DataFrame(rows, columns=["found_s", "visible", "shift_m", "known", "highest", "alarmed"])
+    return pd.DataFrame(rows, columns=["found_s", "visible", "known", "highest", "alarmed"])
 
 
 def _found(forged: pd.DataFrame, within_s: float = np.inf) -> float:

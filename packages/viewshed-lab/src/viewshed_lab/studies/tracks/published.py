@@ -38,34 +38,22 @@ PUBLISHED_MOTION = Motion(
 
 @dataclass(frozen=True, slots=True)
 class PublishedRules:
-    """A track is kept by counts of hits and of misses.
+    """A track is kept by counts of hits and of misses."""
 
-    Attributes:
-        motion: how objects move and are measured.
-        cost: what is compared: ``overlap`` is the intersection over union of boxes, ``center`` the distance of centers.
-        least_overlap: intersection over union below which no detection is of a track.
-        radius_m: distance beyond which no detection is of a track.
-        confirm_updates: detections from which on a track is confirmed.
-        coast_s: a track ends when nothing was matched with it for this time.
-        most_misses: a track ends after more misses than this in a row.
-        duplicate_m: of tracks nearer to each other than this the one with most detections is kept.
-        fastest_mps: faster tracks end.
-        repairs_empty_view: False is the published bug: a view that covers no track counts as one that covers all.
-        false_odds: is not used.
-        most_tracks, most_detections, longest_m, late_s: as of ``ExistenceRules``; the published code has no limits.
-    """
-
-    motion: Motion = PUBLISHED_MOTION
+    motion: Motion = PUBLISHED_MOTION  # how objects move and are measured
+    # what is compared: ``overlap`` is the intersection over union of boxes, ``center`` the distance of centers
     cost: Literal["overlap", "center"] = "overlap"
-    least_overlap: float = 0.10
-    radius_m: float = 4.0
-    confirm_updates: int = 3
-    coast_s: float = 3.0
-    most_misses: int = 6
-    duplicate_m: float = 1.0
-    fastest_mps: float = 60.0
+    least_overlap: float = 0.10  # intersection over union below which no detection is of a track
+    radius_m: float = 4.0  # distance beyond which no detection is of a track
+    confirm_updates: int = 3  # detections from which on a track is confirmed
+    coast_s: float = 3.0  # a track ends when nothing was matched with it for this time
+    most_misses: int = 6  # a track ends after more misses than this in a row
+    duplicate_m: float = 1.0  # of tracks nearer to each other than this the one with most detections is kept
+    fastest_mps: float = 60.0  # faster tracks end
+    # False is the published bug: a view that covers no track counts as one that covers all
     repairs_empty_view: bool = False
-    false_odds: float = 1.0
+    false_odds: float = 1.0  # is not used
+    # most_tracks, most_detections, longest_m, late_s: as of ``ExistenceRules``; the published code has no limits
     most_tracks: int = 500
     most_detections: int = 1000
     longest_m: float = 30.0

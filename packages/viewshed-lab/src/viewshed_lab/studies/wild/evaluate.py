@@ -6,9 +6,8 @@ probability cells, visible cells and sum of probabilities), and has further figu
 cells whose truth is known:
 
 - ``flat``: 1 where 95 % of the ground within half of the grid's extent lies within 1 m of that below the sensor.
-- ``auroc``, ``aurc``: of the doubt for errors (1 is perfect; 0 is); ``auroc_std``, ``aurc_std``: of the
-  deviation, where there is one. Cells at which fewer than ``min_returns`` beams aim are left out; ``auroc_known`` and
-  ``auroc_std_known`` have all cells.
+- ``auroc``, ``aurc``: of the doubt for errors (1 is perfect; 0 is); ``auroc_std``: of the deviation, where there is
+  one. Cells at which fewer than ``min_returns`` beams aim are left out.
 - ``clear_both``, ``clear_over``, ``clear_under``: cells whose true number of returns is more than 2 off
   ``min_returns``, by who calls them visible: both, only the estimate, only the truth.
 - ``known_m2``, ``claimed_m2``, ``beyond_m2``, ``beyond_reach_m2``: all; claimed; claimed beyond the sensor's maximum
@@ -69,15 +68,7 @@ def rows_of(seen: WildObservation, plan: WildPlan) -> Iterator[Row]:
 
 
 def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, leveled: LeveledSweep, method: str) -> Row:
-    """Return what is counted of one estimate.
-
-    Args:
-        seen: the sweep and all that the simulator knows.
-        sample: what the estimator was given.
-        estimate: of the method.
-        leveled: the sweep as it was leveled, whose ground is judged.
-        method: of the row.
-    """
+    """Return what is counted of an estimate from a sample of a sweep; the ground of ``leveled`` is judged as well."""
     grid, target, reach_m = seen.truth.grid, estimate.target, reach_of(seen)
     range_m, max_range_m = polar_of_cells(grid)[0], seen.sensor.model.max_range_m
     known = seen.known & (range_m <= reach_m)
@@ -85,12 +76,12 @@ def row_of(seen: WildObservation, sample: WildSample, estimate: FovEstimate, lev
     unaimed = known & (seen.truth.state[target.name] == CellState.UNKNOWN)
     scores, judged = Scores(), known & ~unaimed
     std = None if estimate.std is None or np.isnan(estimate.std).any() else estimate.std
-    scores.add(prob[judged], true[judged], None if std is None else std[judged])
-    numbers = {"flat": float(_is_flat(sample)), "aurc": scores.aurc(), "aurc_std": scores.aurc_std()}
-    wrong, doubt = claimed != true, estimate.doubt()
-    for suffix, mask in (("", judged), ("_known", known)):
-        numbers[f"auroc{suffix}"] = _auroc(doubt[mask], wrong[mask])
-        numbers[f"auroc_std{suffix}"] = float("nan") if std is None else _auroc(std[mask], wrong[mask])
+    scores.add(prob[judged], true[judged])
+    wrong = (claimed != true)[judged]
+    numbers = {
+        "flat": float(_is_flat(sample)), "aurc": scores.aurc(), "auroc": _auroc(estimate.doubt()[judged], wrong),
+        "auroc_std": float("nan") if std is None else _auroc(std[judged], wrong),
+    }  # fmt: skip
     gap = np.abs(seen.truth.expected_returns[target.name].astype(np.int16) - target.min_returns)
     clear = ConfusionCounts.of(claimed, true, known & (gap > CLEAR), grid.cell_area_m2)
     numbers |= {f"clear_{name}": float(getattr(clear, name)) for name in ("both", "over", "under")}

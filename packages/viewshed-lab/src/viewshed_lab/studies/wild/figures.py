@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
@@ -19,6 +18,7 @@ from viewshed.fov.visibility import TARGETS
 from viewshed.grid import BevGrid
 from viewshed.metrics import BINS
 from viewshed.preprocess.leveling import LeveledSweep, level
+from viewshed_lab.studies.figures import png_of
 from viewshed_lab.studies.wild.evaluate import estimator_named, ground_error_m
 from viewshed_lab.studies.wild.jobs import scene_of
 from viewshed_lab.studies.wild.pool import Pool
@@ -39,7 +39,8 @@ def picture_of(row: Any, methods: Sequence[str]) -> bytes:
     judged = [(method, estimator) for method, estimator in found if estimator is not None]
     judged.insert(0, ("measured beams alone", ShadowMap(grid, target, "unknown")))
 
-    figure, axes = plt.subplots(1, 4 + len(judged), figsize=(4.0 * (4 + len(judged)), 4.2), layout="constrained")
+    figure = Figure((4.0 * (4 + len(judged)), 4.2), dpi=80, layout="constrained")
+    axes = figure.subplots(1, 4 + len(judged))
     panels = [("exact ground, m", sample.ground_m, "terrain", None), ("estimated less exact, m", error, "RdBu", 2.0)]
     for axis, (title, values, colors, most) in zip(axes, panels, strict=False):
         limits = {} if most is None else {"vmin": -most, "vmax": most}
@@ -60,12 +61,13 @@ def picture_of(row: Any, methods: Sequence[str]) -> bytes:
         names = ["hidden for both", "claimed wrongly", "missed", "visible for both", "truth not known"]
         _classes(axis, agree, extent, ListedColormap(["white", "#d33", "#e9a", "#9bd", "#fd8"]), names)
         axis.set_title(method)
-    return _png(figure)
+    return png_of(figure)
 
 
 def reliability_of(pool: Pool) -> bytes:
     """Return a PNG of the share of cells that are visible over the probability that each method said."""
-    figure, axis = plt.subplots(figsize=(4.2, 4.2), layout="constrained")
+    figure = Figure((4.2, 4.2), dpi=80, layout="constrained")
+    axis = figure.subplots()
     axis.plot([0, 1], [0, 1], c="0.7", lw=1)
     for method in pool.names("method"):
         part = pool.of(method=method)
@@ -76,7 +78,7 @@ def reliability_of(pool: Pool) -> bytes:
         )
     axis.set(xlabel="probability said", ylabel="share of cells visible", xlim=(0, 1), ylim=(0, 1))
     axis.legend(title="calibration error", fontsize=7)
-    return _png(figure)
+    return png_of(figure)
 
 
 def _cut(axis: Any, leveled: LeveledSweep, grid: BevGrid, error_m: NDArray[np.float64], judged: Mask) -> None:
@@ -101,13 +103,6 @@ def _cut(axis: Any, leveled: LeveledSweep, grid: BevGrid, error_m: NDArray[np.fl
     axis.scatter(leveled.points[near, :2] @ forward, z, s=2, c="#d80", label="returns")
     axis.set(title="a cut through the sensor, m", ylim=(np.nanmin(estimated_m) - 4, np.nanmax(estimated_m) + 6))
     axis.legend(fontsize=6, loc="lower left", framealpha=0.8)
-
-
-def _png(figure: Any) -> bytes:
-    png = io.BytesIO()
-    figure.savefig(png, dpi=80, metadata={"Software": None})
-    plt.close(figure)
-    return png.getvalue()
 
 
 def _classes(axis: Any, values: NDArray[Any], extent: tuple[float, ...], colors: Any, names: Sequence[str]) -> None:

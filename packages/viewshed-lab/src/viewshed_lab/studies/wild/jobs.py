@@ -22,11 +22,7 @@ def run_study(
 ) -> Iterator[str]:
     """Run what is not in the store yet, and yield one line for each job that failed.
 
-    Args:
-        store: where results go.
-        engine: does the jobs.
-        on_progress: is called after each job.
-        opening: who opens the sealed set and why, logged before anything is run.
+    ``opening`` says who opens the sealed set and why, logged before anything is run.
     """
     if store.plan.opens_sealed and opening is None:
         raise ValueError(
