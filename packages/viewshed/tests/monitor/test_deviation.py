@@ -11,7 +11,7 @@ from tests.monitor.by_hand import GRID, estimate_of
 from viewshed import BevGrid
 from viewshed.fov.estimate import CellState, FovEstimate
 from viewshed.grid import polar_of_cells
-from viewshed.monitor import DeviationMonitor, IntegrityReport, Rule, load_monitor, save_monitor
+from viewshed.monitor import DeviationMonitor, Rule, load_monitor, save_monitor
 
 
 def check_refusals(path: Path, load: Callable[[Path], object], step: int, flips: int) -> float:
@@ -140,15 +140,6 @@ def test_what_the_monitor_cannot_check_is_told() -> None:
 def test_rules_are_checked(change: dict[str, float], match: str) -> None:
     with pytest.raises(ValueError, match=match):
         Rule(**change)  # type: ignore[arg-type]
-
-
-def test_a_report_is_checked() -> None:
-    with pytest.raises(ValueError, match="score and threshold must be numbers"):
-        IntegrityReport("a", np.nan, 0.1)
-    with pytest.raises(ValueError, match=r"suspect_cells must be bool \(8, 8\), got bool \(3, 3\)"):
-        IntegrityReport("a", 0.0, 0.1, grid=GRID, suspect_cells=np.zeros((3, 3), bool))
-    calm = IntegrityReport("a", 0.1, 0.1, grid=GRID, suspect_cells=np.zeros(GRID.shape, bool))
-    assert not calm.alarm
 
 
 def test_a_file_gives_the_same_monitor_back_and_the_same_bytes(tmp_path: Path) -> None:
