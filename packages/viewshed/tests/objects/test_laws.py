@@ -1,7 +1,6 @@
 """Laws that hold for any detections and any view."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from hypothesis import given, settings
@@ -97,33 +96,20 @@ ANGLES = st.floats(-3, 3)
 
 @settings(max_examples=30)
 @given(seed=SEEDS, name=NAMES, angle=ANGLES)
-def test_existence_is_a_probability_and_covariances_are_positive(seed: int, name: str, angle: float) -> None:
+def test_tracks_hold_what_tracks_may_and_never_an_id_or_a_detection_twice(seed: int, name: str, angle: float) -> None:
+    ever, before = set[int](), set[int]()
     for tracks in _run(RULES[name], _recording(seed), _half_plane(angle)):
+        now, used = set(tracks.ids.tolist()), tracks.detection[tracks.detection >= 0].tolist()
+        assert len(now) == len(tracks)
+        assert not (now - before) & ever
+        assert len(set(used)) == len(used) or name.startswith("published")
+        ever, before = ever | now, now
         for prob in (tracks.existence, tracks.visible, tracks.detectable, tracks.born_hidden):
             assert ((prob >= 0) & (prob <= 1)).all()
         assert (np.linalg.eigvalsh(tracks.covariances) > 0).all() or not len(tracks)
         assert (tracks.box_variances > 0).all()
         assert (tracks.boxes[:, 3:6] > 0).all()
         np.testing.assert_array_equal(tracks.boxes[:, :2], tracks.states[:, :2])
-
-
-@settings(max_examples=30)
-@given(seed=SEEDS, name=NAMES, angle=ANGLES)
-def test_ids_are_never_given_twice(seed: int, name: str, angle: float) -> None:
-    ever: set[int] = set()
-    for before, now in pairwise(_run(RULES[name], _recording(seed), _half_plane(angle))):
-        ever |= set(before.ids.tolist())
-        begun = set(now.ids.tolist()) - set(before.ids.tolist())
-        assert not begun & ever
-        assert len(set(now.ids.tolist())) == len(now)
-
-
-@settings(max_examples=30)
-@given(seed=SEEDS, angle=ANGLES)
-def test_a_detection_is_of_one_track_at_most(seed: int, angle: float) -> None:
-    for tracks in _run(RULES["existence"], _recording(seed), _half_plane(angle)):
-        used = tracks.detection[tracks.detection >= 0]
-        assert len(set(used.tolist())) == len(used)
 
 
 @settings(max_examples=30)
