@@ -32,7 +32,7 @@ pytest.importorskip("mcap", reason="mcap is not installed: bags are not written"
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated drive of two vehicles."""
     place = tmp_path_factory.mktemp("drive") / "junction.mcap"
-    words = ("--world", "junction", "--agents", 2, "--seconds", 2, "--hz", 2, "--to", place)
+    words = ("--world", "junction", "--preset", "ugv", "--agents", 2, "--seconds", 2, "--hz", 2, "--to", place)
     code, _, err = run("record", "sim", *words)
     assert (code, err) == (0, "")
     return place

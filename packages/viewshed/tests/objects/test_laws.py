@@ -94,7 +94,7 @@ NAMES = st.sampled_from(sorted(RULES))
 ANGLES = st.floats(-3, 3)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(seed=SEEDS, name=NAMES, angle=ANGLES)
 def test_tracks_hold_what_tracks_may_and_never_an_id_or_a_detection_twice(seed: int, name: str, angle: float) -> None:
     ever, before = set[int](), set[int]()
@@ -112,7 +112,7 @@ def test_tracks_hold_what_tracks_may_and_never_an_id_or_a_detection_twice(seed: 
         np.testing.assert_array_equal(tracks.boxes[:, :2], tracks.states[:, :2])
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(seed=SEEDS, name=NAMES, angle=ANGLES)
 def test_the_order_of_detections_does_not_matter(seed: int, name: str, angle: float) -> None:
     recording, rng = _recording(seed), np.random.default_rng(seed)
@@ -125,7 +125,7 @@ def test_the_order_of_detections_does_not_matter(seed: int, name: str, angle: fl
         np.testing.assert_allclose(one.existence, other.existence, atol=1e-9)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(seed=SEEDS, name=NAMES, angle=ANGLES, yaw=st.floats(-3, 3), x=st.floats(-500, 500), y=st.floats(-500, 500))
 def test_tracks_move_with_the_frame(seed: int, name: str, angle: float, yaw: float, x: float, y: float) -> None:
     # At the mean place: where a covariance is a circle, the five places lie along the axes of the frame.
@@ -148,7 +148,7 @@ def test_tracks_move_with_the_frame(seed: int, name: str, angle: float, yaw: flo
         np.testing.assert_allclose(here.existence[order], there.existence[other], atol=1e-6)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(
     seed=SEEDS, sweeps=st.integers(1, 15), recurrence=st.sampled_from([0.0, 0.5]), doubt_s=st.sampled_from([0.0, 0.3])
 )
@@ -166,7 +166,7 @@ def test_a_miss_where_nothing_can_be_seen_costs_only_survival(
     assert after.ids.tolist() == before.ids.tolist()
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(prob=st.floats(0.05, 1.0), more=st.floats(0.0, 1.0), misses=st.integers(1, 8))
 def test_the_better_something_could_be_seen_the_more_a_miss_costs(prob: float, more: float, misses: int) -> None:
     left = []
