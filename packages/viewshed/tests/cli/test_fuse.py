@@ -16,6 +16,7 @@ from viewshed.agents.registration import UNSTATED, PoseStd
 from viewshed.agents.report import AgentReport
 from viewshed.agents.rounds import Round, Rounds
 from viewshed.cli._record import Center
+from viewshed.estimators import Estimator
 from viewshed.estimators.shadow_map import ShadowMap
 from viewshed.estimators.temporal import SweepBuffer, TemporalEstimator
 from viewshed.geometry import Rigid
@@ -60,7 +61,7 @@ def test_what_each_agent_saw_before_helps_where_a_history_is_asked_for(drive: Pa
     words, grid = ("estimate", drive, "--grid", "64x32", "--results", "npz", "--out"), BevGrid(64, 32.0)
     assert run(*words, tmp_path / "past", "--history", 3)[0] == 0
     assert run(*words, tmp_path / "alone")[0] == 0
-    estimators = TemporalEstimator(ShadowMap(grid), SweepBuffer(3)), ShadowMap(grid)
+    estimators: list[Estimator] = [TemporalEstimator(ShadowMap(grid), SweepBuffer(3)), ShadowMap(grid)]
     fewer = 0
     for number, sweep in enumerate(open_recording(drive)):
         past, alone = (read_npz(next((tmp_path / name).glob(f"*_{number:03}.npz"))) for name in ("past", "alone"))

@@ -55,12 +55,12 @@ def test_thresholds_are_those_of_each_cell_and_where_its_sweeps_are_few_of_its_r
     assert np.array_equal(found.watched, seen > 0)
     range_m, _ = polar_of_cells(GRID)
     ring = np.minimum(range_m * rule.rings // (range_m.max() + 1e-6), rule.rings - 1)
-    for cell in np.argwhere(seen > 0):
-        values = stack[:, *cell] if seen[*cell] >= rule.few else stack[:, ring == ring[*cell]]
+    for i, j in np.argwhere(seen > 0).tolist():
+        values = stack[:, i, j] if seen[i, j] >= rule.few else stack[:, ring == ring[i, j]]
         values = values[np.isfinite(values)]
         spread = values.std(ddof=1) if len(values) > 1 else 0.0
         expected = max(values.mean() + rule.sigmas * spread, rule.least)
-        assert found.thresholds[*cell] == pytest.approx(expected, abs=1e-6)
+        assert found.thresholds[i, j] == pytest.approx(expected, abs=1e-6)
 
 
 def test_score_is_the_share_of_watched_cells_that_are_suspect() -> None:
